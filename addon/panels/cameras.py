@@ -27,7 +27,7 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
                 layout.label(text="Choose a capture first", icon="INFO")
                 return
             draw_import(layout, context)
-            sentence(layout, context, "Training needs no import; it places the splats upright.")
+            sentence(layout, context, "Optional: training works without an import.")
             return
         cameras, points = cameras_of(empty), points_of(empty)
         count = f"{len(points.data.vertices):,}" if points else "none"
@@ -51,7 +51,7 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
         draw_undistortion(layout, context, empty, cameras)
         draw_mask(layout, context, camera if camera in cameras else None)
         if camera is not None and camera not in cameras:
-            sentence(layout, context, "The scene camera is not one of the capture's.")
+            sentence(layout, context, "The scene camera does not belong to the capture.")
 
 
 def draw_import(
@@ -102,8 +102,7 @@ def draw_mask(
     row.operator("gscore.paint_mask", icon="BRUSH_DATA").camera = (
         "" if camera is None else camera.name
     )
-    waiting = masks.unsaved_of(root(context))
-    for image in waiting:
+    for image in masks.unsaved_of(root(context)):
         row = layout.row(align=True)
         row.label(text=masks.photo_name(image), icon="IMAGE_ALPHA")
         row.operator("gscore.save_mask", text="Save").image = image.name
@@ -120,7 +119,7 @@ class AlignmentPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """The scene has an imported capture."""
+        """True if the scene has an imported capture."""
         return root(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:

@@ -11,7 +11,7 @@ from .widgets import TabPanel, has_python, rows, sentence
 
 
 class CapturesMenu(bpy.types.Menu):
-    """The captures of this scene, to choose one"""
+    """Choose a capture of this scene"""
 
     bl_idname = "GSCORE_MT_captures"
     bl_label = "Captures"
@@ -25,14 +25,14 @@ class CapturesMenu(bpy.types.Menu):
 
 
 class CapturePanel(TabPanel, bpy.types.Panel):
-    """Choose the photos"""
+    """Folder of photos, or a video"""
 
     bl_idname = "GSCORE_PT_capture"
     bl_label = "Capture"
     bl_order = 0
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:
-        """Help, at the right of the header."""
+        """Draw the help button at the right of the header."""
         draw_help(self.layout)
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -44,13 +44,13 @@ class CapturePanel(TabPanel, bpy.types.Panel):
             row.menu(CapturesMenu.bl_idname, text="", icon="DOWNARROW_HLT")
         row.operator("gscore.choose_video", text="", icon="FILE_MOVIE")
         if not settings.capture_path.strip():
-            text = "Choose a folder of photos, or a video; or drop a video on the 3D view."
+            text = "Choose a folder of photos or a video, or drop a video on the 3D view."
             sentence(layout, context, text, icon="INFO")
             return
         found, problem = facts.capture(context.scene)
         frames = sequence.frames_of(context.scene)[0]
         if frames and (problem or (found is not None and not found.can_train)):
-            text = f"{len(frames):,} frames, a capture each: train them in Sequence of Captures."
+            text = f"{len(frames):,} captures, one per frame: train them in Sequence of Captures."
             sentence(layout, context, text, icon="INFO")
             return
         if problem:
@@ -63,7 +63,7 @@ class CapturePanel(TabPanel, bpy.types.Panel):
                 icon = "ERROR" if item.is_error else "INFO"
                 sentence(layout, context, item.text, icon=icon)
             if found.can_train:
-                layout.label(text=f"Good to train on ({found.kind})", icon="CHECKMARK")
+                layout.label(text=f"Ready to train ({found.kind})", icon="CHECKMARK")
             if found.bare:
                 draw_search(layout, context, found)
                 return
@@ -71,13 +71,13 @@ class CapturePanel(TabPanel, bpy.types.Panel):
 
 
 def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, found: ShownFacts) -> None:
-    """Draw the button that finds cameras, or the reason why that is not possible yet."""
+    """Draw the button that finds cameras, or the reason why it cannot start yet."""
     job = find_cameras.job_of(context.scene)
     if job is not None and job.busy:
         layout.label(text="Finding cameras; see Progress", icon="TIME")
         return
     what = "A video" if found.photos == 0 else "Photos"
-    text = f"{what} without cameras. Find Cameras makes a capture of it beside it."
+    text = f"{what} without cameras. Find Cameras creates a capture in the same parent folder."
     sentence(layout, context, text, icon="INFO")
     if not has_python(layout, context):
         return

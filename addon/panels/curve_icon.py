@@ -16,14 +16,14 @@ class CurveIcons(PictureIcons):
     """Icons: one for each training, and one for each color."""
 
     def update(self, job: Job) -> int:
-        """The icon of a job's curve, drawn anew if there are more points; 0 without a window."""
+        """The icon of a job's curve, drawn again if it has more points; 0 without a window."""
         curve = job.state.curve
         last = curve.steps[-1] if curve.steps else 0
         last_step = job.state.iterations
         return self.show(job.id, last, lambda: curve.picture(_SIZE, _SIZE, last_step=last_step))
 
     def swatch(self, line: str) -> int:
-        """An icon of the color of a line, LOSS or PSNR; 0 without a window."""
+        """An icon in the color of a line, LOSS or PSNR; 0 without a window."""
         return self.show(line, line, lambda: _swatch(_COLORS[line]))
 
 

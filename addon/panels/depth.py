@@ -1,4 +1,4 @@
-"""Depth panel: predict depth maps, compare them with the points, and show the result of each."""
+"""Depth panel: predict depth maps, compare them with the SfM points, and list the results."""
 
 from typing import ClassVar
 
@@ -35,7 +35,7 @@ class DepthPanel(TabPanel, bpy.types.Panel):
         if facts.depths:
             layout.prop(context.scene.gscore, "depth_mode")
         else:
-            text = "Depth maps help where photos are few. A network makes them from the photos."
+            text = "Depth maps help captures with few photos. A network predicts them."
             sentence(layout, context, text, icon="INFO")
         draw_work(layout, context, facts)
         draw_report(layout, context)
@@ -81,7 +81,7 @@ def draw_network(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool
     if here is None:
         layout.label(text="Searching...", icon="TIME")
     elif not here and not networks.may_go_online():
-        text = f"It is not on this computer ({networks.terms(network)}). {networks.OFFLINE}"
+        text = f"Not on this computer ({networks.terms(network)}). {networks.OFFLINE}"
         sentence(layout, context, text, icon="ERROR")
     elif not here:
         sentence(layout, context, f"To download: {networks.terms(network)}", icon="INFO")
@@ -118,7 +118,7 @@ def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     draw_counts(layout, report)
     empty = root(context)
     if empty is None:
-        sentence(layout, context, "Import the cameras to see them in the colors of their maps.")
+        sentence(layout, context, "Import the cameras to color them by their maps.")
     else:
         shown = colors.shown(empty)
         button = layout.operator(
@@ -130,15 +130,15 @@ def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 def bar_text(job: DepthJob) -> str:
     """Text of the progress bar."""
-    told = job.progress
+    last = job.progress
     if job.status == verb_job.STOPPING:
         return "Ending"
-    if told is None:
+    if last is None:
         return "Starting"
-    if not told.total:
-        return told.phase.capitalize()
-    left = f", {clock(told.eta_s)} left" if told.eta_s is not None else ""
-    return f"{told.phase.capitalize()} {told.done} of {told.total}{left}"
+    if not last.total:
+        return last.phase.capitalize()
+    left = f", {clock(last.eta_s)} left" if last.eta_s is not None else ""
+    return f"{last.phase.capitalize()} {last.done} of {last.total}{left}"
 
 
 CLASSES = (DepthPanel,)

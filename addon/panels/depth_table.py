@@ -1,7 +1,7 @@
 """Depth table: the depth report as a list with a row for each view, and the figures of one view.
 
-Blender's lists show collections of properties. These are in the window manager, which is neither
-saved nor undone, and are filled from the report at the next poll after the report is read.
+Blender's lists show collections of properties. These belong to the window manager, which is neither
+saved nor undone, and are filled by the first poll after the report is read.
 """
 
 from typing import Any
@@ -21,7 +21,7 @@ ICONS = {
     depth_maps.MISSING: "OUTLINER_COLLECTION",
     depth_maps.UNKNOWN: "QUESTION",
 }
-"""Icons in the colors that `depth.colors` gives cameras."""
+"""Icons in the camera colors of `depth.colors`."""
 WORDS = {
     depth_maps.ACCEPTED: "accepted",
     depth_maps.REFUSED: "refused",
@@ -30,14 +30,14 @@ WORDS = {
 }
 _MOST_TABLES = 8
 _WIDE = 300
-"""Pixels at a scale of 1 from which there is room for a further column."""
+"""Smallest sidebar width for a further column, pixels at a scale of 1."""
 
 _filled: dict[str, DepthReport] = {}
 """The report in the table of each scene."""
 
 
 class DepthItem(bpy.types.PropertyGroup):
-    """A row; `name` is the view's, the numbers are looked up in the report."""
+    """A row; `name` is the view's, the numbers are in the report."""
 
     verdict: StringProperty(name="Map", description="State of the depth map of the view")
 
@@ -94,7 +94,7 @@ class GSCORE_UL_depth(bpy.types.UIList):  # noqa: N801 Blender's rule
     def filter_items(
         self, context: bpy.types.Context, data: Any, name: str
     ) -> tuple[list[int], list[int]]:
-        """Which rows are shown."""
+        """Flags of the shown rows, and no reordering."""
         items = getattr(data, name)
         flags = [self.bitflag_filter_item] * len(items)
         if self.filter_name:
@@ -102,8 +102,8 @@ class GSCORE_UL_depth(bpy.types.UIList):  # noqa: N801 Blender's rule
                 self.filter_name, self.bitflag_filter_item, items
             )
         if self.problems:
-            wanted = [item.verdict != depth_maps.ACCEPTED for item in items]
-            flags = [flag if want else 0 for flag, want in zip(flags, wanted, strict=True)]
+            problems = [item.verdict != depth_maps.ACCEPTED for item in items]
+            flags = [flag if bad else 0 for flag, bad in zip(flags, problems, strict=True)]
         return flags, []
 
 
@@ -121,7 +121,7 @@ def cells_of(row: DepthRow, *, wide: bool) -> list[str]:
 
 
 def draw_counts(layout: bpy.types.UILayout, report: DepthReport) -> None:
-    """Draw how many views there are of each kind, in their colors."""
+    """Draw the number of views of each verdict, with icons in their colors."""
     column = layout.column(align=True)
     column.scale_y = 0.8
     for verdict, icon in ICONS.items():
@@ -166,7 +166,7 @@ def table_of(context: bpy.types.Context) -> DepthTable | None:
 
 
 def fill() -> bool:
-    """Update the tables of all windows' scenes; return whether anything changed."""
+    """Update the tables of all windows' scenes; True if anything changed."""
     manager = bpy.context.window_manager
     changed = False
     for scene in {window.scene for window in manager.windows} or {bpy.context.scene}:
@@ -201,9 +201,9 @@ def _fill(table: DepthTable, report: DepthReport) -> None:
 
 
 def _width(context: bpy.types.Context) -> float:
-    """Of the sidebar, pixels at a scale of 1."""
+    """Width of the sidebar, pixels at a scale of 1."""
     width = context.region.width if context.region else 260
-    return width / (context.preferences.system.ui_scale or 1.0)  # without a window it is 0
+    return width / (context.preferences.system.ui_scale or 1.0)  # 0 without a window
 
 
 CLASSES = (DepthItem, DepthTable, DepthTables, GSCORE_UL_depth)
@@ -213,13 +213,13 @@ _FOLLOWER = poll_timer.Poller(fill)
 
 
 def on_register() -> None:
-    """Add the tables' property, and fill them."""
+    """Add the property of the tables, and the poller that fills them."""
     bpy.types.WindowManager.gscore_depth = PointerProperty(type=DepthTables)
     poll_timer.POLLERS.append(_FOLLOWER)
 
 
 def on_unregister() -> None:
-    """Remove them."""
+    """Remove the poller and the tables."""
     poll_timer.POLLERS.remove(_FOLLOWER)
     _filled.clear()
     del bpy.types.WindowManager.gscore_depth

@@ -10,7 +10,7 @@ from .widgets import TabPanel
 
 
 def _is_large(ob: bpy.types.Object) -> bool:
-    """Whether the display Splats shows moved and deleted splats after Edit Mode alone."""
+    """True if the display Splats shows edits only after Edit Mode."""
     return len(ob.data.vertices) > EDITED_AT_ONCE
 
 
@@ -24,14 +24,14 @@ class EditPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A splat object is active, or what crops one."""
+        """True if a splat object or its crop object is active."""
         return is_splats(meant(context))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, ob = self.layout, meant(context)
         if ob.mode == "EDIT" and ob.gscore.display == "SPLATS" and _is_large(ob):
-            layout.prop_enum(ob.gscore, "display", "POINTS", text="Show Edits at Once")
+            layout.prop_enum(ob.gscore, "display", "POINTS", text="Show Edits Live")
         layout.label(text="Select", icon="RESTRICT_SELECT_OFF")
         row = layout.row(align=True)
         row.operator("gscore.select_by_color", text="Color")

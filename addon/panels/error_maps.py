@@ -15,7 +15,7 @@ from ..training import lookups, verb_job
 from .widgets import TabPanel, has_python, sentence
 
 _WORST = 5
-"""Photos in the list."""
+"""Number of photos in the list."""
 
 
 class ErrorsPanel(TabPanel, bpy.types.Panel):
@@ -28,7 +28,7 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Splats of a training are active."""
+        """True if splats of a training are active."""
         return is_splats(ob := meant(context)) and RUN in ob
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -37,8 +37,8 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
         job = measure_errors.job_of(ob)
         if job is not None and not job.ended:
             row = layout.row(align=True)
-            told = job.progress
-            text = told.view if told is not None and told.view else "Starting"
+            last = job.progress
+            text = last.view if last is not None and last.view else "Starting"
             row.progress(factor=job.share, text=text)
             row.operator("gscore.stop_errors", text="", icon="SNAP_FACE")
             if job.busy:
@@ -48,7 +48,7 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
         if has_python(layout, context):
             layout.operator("gscore.measure_errors", icon="VIEWZOOM")
         figures, problem = lookups.figures.get(measure_errors.run_of(ob))
-        poll_timer.ensure()  # which takes in what is looked up
+        poll_timer.ensure()  # collects the lookup
         if problem:
             sentence(layout, context, problem, icon="ERROR")
         draw_switches(layout, ob, figures)
@@ -68,8 +68,8 @@ def draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Errors
     if job.done is not None:
         text = (
             "Cameras: dark violet for the best photo, pale yellow for the worst. Splats: black "
-            f"for no error, pale yellow where colors are {job.done.error_bright:.0%} off or more, "
-            "grey where no photo looks."
+            f"for no error, pale yellow for errors of {job.done.error_bright:.0%} or more, grey "
+            "for splats that no photo shows."
         )
         sentence(layout, context, text)
 

@@ -12,7 +12,7 @@ from .widgets import TabPanel
 
 
 class PaintPanel(TabPanel, bpy.types.Panel):
-    """The brush, and the button that starts and ends painting"""
+    """Brush settings, and the button that starts and ends painting"""
 
     bl_idname = "GSCORE_PT_paint"
     bl_label = "Paint"
@@ -21,7 +21,7 @@ class PaintPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A splat object is active, or what crops one."""
+        """True if a splat object or its crop object is active."""
         return is_splats(meant(context))
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -37,7 +37,7 @@ class PaintPanel(TabPanel, bpy.types.Panel):
 def draw_brush(layout: bpy.types.UILayout, brush: BrushSettings) -> None:
     """Draw the effect of the brush and its settings."""
     row = layout.row(align=True)
-    row.use_property_split = False  # else the names have no room
+    row.use_property_split = False  # else the labels are cut off
     row.prop(brush, "does", expand=True)
     if brush.does == COLOR:
         layout.prop(brush, "color")

@@ -12,21 +12,21 @@ from .paint import draw_brush
 _RADIUS = "window_manager.gscore_paint.radius"
 
 
-def _stroke(**held: bool) -> tuple[str, dict[str, Any], dict[str, Any]]:
-    """The mouse begins a stroke."""
-    pressed = {"type": "LEFTMOUSE", "value": "PRESS", **held}
+def _stroke(**modifiers: bool) -> tuple[str, dict[str, Any], dict[str, Any]]:
+    """Keymap item: the mouse begins a stroke."""
+    pressed = {"type": "LEFTMOUSE", "value": "PRESS", **modifiers}
     return PaintSplats.bl_idname, pressed, {"properties": [("once", True)]}
 
 
 def _resize(key: str, factor: float) -> tuple[str, dict[str, Any], dict[str, Any]]:
-    """A key makes the brush larger or smaller."""
+    """Keymap item: a key scales the brush."""
     scaled = [("data_path", _RADIUS), ("value", factor)]
     pressed = {"type": key, "value": "PRESS", "repeat": True}
     return "wm.context_scale_float", pressed, {"properties": scaled}
 
 
 class PaintTool(bpy.types.WorkSpaceTool):
-    """Paints the active splat object; each drag is a stroke"""
+    """Paint the active splat object; each drag is a stroke"""
 
     bl_space_type = "VIEW_3D"
     bl_context_mode = "OBJECT"
@@ -55,14 +55,14 @@ class PaintTool(bpy.types.WorkSpaceTool):
     def draw_settings(
         context: bpy.types.Context, layout: bpy.types.UILayout, tool: bpy.types.WorkSpaceTool
     ) -> None:
-        """The brush, where Blender shows a tool's settings."""
+        """Draw the brush settings in the tool's header and sidebar."""
         draw_brush(layout, context.window_manager.gscore_paint)
 
     @staticmethod
     def draw_cursor(
         context: bpy.types.Context, tool: bpy.types.WorkSpaceTool, place: tuple[int, int]
     ) -> None:
-        """The brush's circle around the mouse."""
+        """Draw the brush's circle around the mouse."""
         brush = context.window_manager.gscore_paint
         draw_circle(place, brush.radius, brush.hardness)
 

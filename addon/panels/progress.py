@@ -28,7 +28,7 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """The scene has a training, or a search."""
+        """True if the scene has a training or an SfM job."""
         return job(context) is not None or search_work.job_of(context.scene) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -64,7 +64,7 @@ class DecisionsPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There were some to take."""
+        """True if the training made decisions."""
         current = job(context)
         return current is not None and bool(current.state.decisions)
 
@@ -100,9 +100,9 @@ def search_text(search: SearchJob) -> str:
 
 def search_numbers(search: SearchJob) -> list[tuple[str, str]]:
     """Labels and values of an SfM job."""
-    told, pairs = search.progress, []
-    if told is not None and told.total:
-        pairs.append(("Done", f"{told.done:,} / {told.total:,}"))
+    last, pairs = search.progress, []
+    if last is not None and last.total:
+        pairs.append(("Done", f"{last.done:,} / {last.total:,}"))
     if search.frames is not None:
         pairs.append(("Frames", f"{search.frames.frames:,} of {search.frames.total:,}"))
     return [*pairs, ("Time", clock(search.elapsed))]

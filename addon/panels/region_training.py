@@ -14,7 +14,7 @@ _WARNINGS_SHOWN = 3
 
 
 class RegionPanel(TabPanel, bpy.types.Panel):
-    """Training of the splats in the crop box; all others are frozen"""
+    """Train the splats in the crop box again; all others are frozen"""
 
     bl_idname = "GSCORE_PT_region"
     bl_label = "Train a Region"
@@ -23,7 +23,7 @@ class RegionPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A splat object is active, or what crops one."""
+        """True if a splat object or its crop object is active."""
         return is_splats(meant(context))
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -39,7 +39,7 @@ class RegionPanel(TabPanel, bpy.types.Panel):
             sentence(layout, context, text, icon="INFO")
             return
         if ob.gscore.crop_object is None:
-            sentence(layout, context, "Put a crop box around what is to be trained.", icon="INFO")
+            sentence(layout, context, "Put a crop box around the region to train.", icon="INFO")
             layout.operator("gscore.add_crop_box", icon="CUBE")
             return
         if not has_python(layout, context):
@@ -69,8 +69,8 @@ def bar_text(job: RegionJob) -> str:
     """Text of the progress bar."""
     if job.start is not None:
         return "Writing the splats"
-    told = job.progress
-    return "Starting" if told is None or not told.splats else f"Step {told.step:,}"
+    last = job.progress
+    return "Starting" if last is None or not last.splats else f"Step {last.step:,}"
 
 
 CLASSES = (RegionPanel,)

@@ -28,12 +28,12 @@ class RenderPanel(TabPanel, bpy.types.Panel):
         if scene.render.engine == NAME:
             draw_render(layout, context)
         else:
-            text = "The engine Gaussian Splats draws them exactly as they were trained."
+            text = "The render engine Gaussian Splats draws splats exactly as trained."
             sentence(layout, context, text, icon="INFO")
             layout.operator("gscore.use_engine", icon="SCENE")
         if transparent_bounces.ends_early(scene):
             most = scene.cycles.transparent_max_bounces
-            text = f"Cycles ends rays after {most} splats, so soft splats come out dark."
+            text = f"Cycles ends rays after {most} splats, so soft splats render too dark."
             sentence(layout, context, text, icon="ERROR")
             layout.operator("gscore.see_through_splats", icon="LIGHT")
         row = layout.row(align=True)
@@ -52,14 +52,14 @@ class RenderPanel(TabPanel, bpy.types.Panel):
 
 
 def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the buttons that add and remove compositing, or why it is disabled."""
+    """Draw the buttons that add and remove compositing, and notes on its state."""
     scene = context.scene
     there = combine_node(scene) is not None
     if there and scene.render.engine == NAME:
-        text = "Compositing with meshes rests: this engine draws the splats already. The button "
-        sentence(layout, context, f"{text}brings it back with the engine of before.", icon="INFO")
+        text = "Compositing with meshes is off, because this engine draws the splats itself. The "
+        sentence(layout, context, f"{text}button restores it with the former engine.", icon="INFO")
     elif is_older(scene):
-        text = "An earlier version has set compositing up: press the button again to renew it."
+        text = "Compositing was set up by an earlier version: press the button again to update it."
         sentence(layout, context, text, icon="INFO")
     elif names := not_taken_over(scene, scene.get(SPLAT_SCENE)):
         sentence(layout, context, NOT_TAKEN_OVER.format(names), icon="INFO")

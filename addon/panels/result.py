@@ -43,7 +43,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         draw_counts(layout, context, ob)
         draw_outdated(layout, context)
         if not uniform_scale.is_even(ob):
-            text = "Its scale differs between axes, or is zero; splats cannot be stretched."
+            text = "The object's scale differs between axes or is zero; splats cannot be stretched."
             sentence(layout, context, text, icon="ERROR")
             layout.operator("gscore.make_scale_even")
         settings = ob.gscore
@@ -55,9 +55,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
             layout.prop(settings, "colour_by")
             draw_seen_from(layout, context, ob)
         shading = context.space_data.shading
-        if (
-            shading.type in {"WIREFRAME", "SOLID"} and not is_live
-        ):  # which know no colors but those of faces
+        if shading.type in {"WIREFRAME", "SOLID"} and not is_live:  # these color only faces
             layout.prop_enum(shading, "type", "MATERIAL", text="Show Colors in This View")
         if settings.display == "POINTS":
             layout.prop(settings, "point_size")
@@ -78,22 +76,22 @@ def draw_native(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     ob = context.object
     layout.label(text=ob.name, icon="OUTLINER_OB_POINTCLOUD")
     rows(layout, [("Splats", f"{len(ob.data.points):,}")])
-    text = "Splats of Blender's own. Gaussian Splats renders them; filters and tools take a copy."
+    text = "Blender's own splats. Gaussian Splats renders them; filters and tools need a copy."
     sentence(layout, context, text, icon="INFO")
     layout.operator("gscore.take_native_splats", icon="IMPORT")
     layout.operator("gscore.export_splats", text="Export", icon="EXPORT")
 
 
 def draw_outdated(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw leftovers of Blender's Apply or Join in the selected splats, and the repair button."""
-    found = mending.behind(context)
-    problems = {ob.name: mending.problem(ob) for ob in found}
+    """Draw problems from Blender's Apply or Join in the selected splats, and the repair button."""
+    outdated = mending.behind(context)
+    problems = {ob.name: mending.problem(ob) for ob in outdated}
     for text in dict.fromkeys(problems.values()):
         names = ", ".join(name for name, own in problems.items() if own == text)
         sentence(layout, context, text.format(names), icon="ERROR")
-    if found:
+    if outdated:
         stretched = mending.STRETCHED in problems.values()
-        text = "Take Stretching Back" if stretched else "Turn Shapes and Colors Along"
+        text = "Undo Stretching" if stretched else "Update Shapes and Colors"
         layout.operator("gscore.mend_splats", text=text, icon="MODIFIER")
 
 
@@ -107,7 +105,7 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There are splats."""
+        """True if there are splats."""
         return in_question(context) is not None
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -122,8 +120,8 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
             row = column.row(align=True)
             row.prop(settings, "crop_shape", text="")
             row.prop(settings, "crop_invert", toggle=True)
-            if not settings.crop_object.users_scene:  # Blender keeps what a setting names
-                text = "The crop object is deleted, but still crops; Reset ends that."
+            if not settings.crop_object.users_scene:  # a setting keeps a deleted object
+                text = "The crop object was deleted, but still crops; press Reset to end that."
                 sentence(layout, context, text, icon="INFO")
         layout.prop(settings, "apply_filters_to_render")
         if ob != meant(context):
@@ -146,7 +144,7 @@ class MorePanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A splat object is active."""
+        """True if a splat object is active."""
         return is_splats(meant(context))
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -157,8 +155,8 @@ class MorePanel(TabPanel, bpy.types.Panel):
 
 
 def draw_limits(layout: bpy.types.UILayout, ob: bpy.types.Object) -> None:
-    """How many splats there are of which opacity and size; below, as wide as the panel, since their
-    names would be cut else, sliders that hide some."""
+    """Draw histograms of opacity and size, and below them the limits, in full width because their
+    labels are long."""
     icons = {kind: ICONS.update(ob, kind) for kind in (OPACITY, SIZE)}
     if any(icons.values()):
         row = layout.row()
@@ -188,21 +186,21 @@ def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if problem := handler.problem_of(_main_region(context)):
         sentence(layout, context, problem, icon="ERROR")
     elif not live.SESSION.works:
-        sentence(layout, context, "Splats are drawn live where Blender has a window.", icon="INFO")
+        sentence(layout, context, "Splats are drawn live only in a window.", icon="INFO")
 
 
 def draw_seen_from(
     layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
 ) -> None:
-    """Whose eyes soft splats are colored for: nodes of a modifier know the scene's camera, but no
-    view, as their result is the same in all of them."""
+    """Draw a note on the viewpoint of soft splats' colors: a modifier's nodes know only the scene
+    camera, because their result is shared by all views."""
     settings = ob.gscore
     soft = settings.display == "SOFT" and settings.colour_by == "COLOR"
     if not soft or f"{attributes.SH}0" not in ob.data.attributes:
         return
-    text = "Colors are those that the scene's camera sees, also in views from elsewhere."
+    text = "All views show the colors as seen from the scene camera."
     if context.scene.camera is None:
-        text = "The scene has no camera: colors are those from all sides."
+        text = "Without a scene camera the colors do not depend on the view."
     sentence(layout, context, text, icon="INFO")
 
 
@@ -219,7 +217,7 @@ def draw_counts(
     pairs = [("Splats", f"{counts.total:,}"), ("Shown", visible)]
     rows(layout, [*pairs, ("Color degree", str(counts.sh_degree))])
     if counts.total and counts.visible == 0:
-        text = "Filters hide all splats; Reset under Filters shows them."
+        text = "Filters hide all splats; press Reset under Filters to show them."
         sentence(layout, context, text, icon="ERROR")
 
 

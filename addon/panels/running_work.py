@@ -26,7 +26,7 @@ class NowPanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """A job is running."""
+        """True while a job is running."""
         trains = any(not job.state.ended for job in registry.jobs())
         return trains or any(True for _ in other_work(context.scene))
 
@@ -47,7 +47,7 @@ class NowPanel(TabPanel, bpy.types.Panel):
 
 
 def draw_bar(layout: bpy.types.UILayout, current: Job, name: str) -> bpy.types.UILayout:
-    """Draw a training's bar and the button that ends it; return their row."""
+    """Draw a training's bar and the button that stops it; returns their row."""
     row = layout.row(align=True)
     row.progress(factor=current.state.share, text=f"{name}: {bar_text(current.state)}")
     row.operator("gscore.stop_training", text="", icon="SNAP_FACE").job_id = current.id
@@ -55,7 +55,7 @@ def draw_bar(layout: bpy.types.UILayout, current: Job, name: str) -> bpy.types.U
 
 
 def other_work(scene: bpy.types.Scene) -> Iterator[tuple[float, str, str]]:
-    """Other running jobs of a scene: progress, text, and the operator that ends each."""
+    """Other running jobs of a scene: progress, text, and the operator that stops each."""
     if (found := search.job_of(scene)) is not None and not found.ended:
         yield found.share, f"Cameras: {progress.search_text(found)}", "gscore.cancel_search"
     if (region := steer.job_of(scene)) is not None and not region.ended:

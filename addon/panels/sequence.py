@@ -23,7 +23,7 @@ class SequencePanel(TabPanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """The splats are those of a sequence."""
+        """True if the splats are a sequence."""
         return is_sequence(in_question(context))
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -31,7 +31,7 @@ class SequencePanel(TabPanel, bpy.types.Panel):
         layout, ob = self.layout, in_question(context)
         settings = ob.gscore_sequence
         if settings.edited:
-            text = "These splats were edited, so the object stands still and keeps them."
+            text = "These splats were edited, so playback has stopped to keep them."
             sentence(layout, context, text, icon="INFO")
             layout.operator("gscore.play_again", icon="PLAY")
         draw_frames(layout, context, ob)
@@ -41,7 +41,7 @@ class SequencePanel(TabPanel, bpy.types.Panel):
         column = layout.column(align=True)
         for name in ("start", "offset", "speed", "step"):
             column.prop(settings, name)
-        layout.prop(settings, "beyond", text="Beyond")
+        layout.prop(settings, "beyond")
         row = layout.row(align=True)
         row.operator("gscore.keep_frame", icon="DUPLICATE")
         row.operator("gscore.look_at_frames_again", text="", icon="FILE_REFRESH")
@@ -53,7 +53,7 @@ def draw_frames(
     """Draw the number of frames, the shown one, and the reason why another is not shown."""
     series, problem = series_of(ob)
     if series is None:
-        text = problem or "Looking for the frames"
+        text = problem or "Searching for frames..."
         sentence(layout, context, text, icon="ERROR" if problem else "TIME")
         return
     count, size = LIBRARY.held
@@ -70,7 +70,7 @@ def draw_frames(
     if text := damaged or frame_sync.problem_of(ob):
         sentence(layout, context, text, icon="ERROR")
     elif ob.library is not None or not ob.data.is_editable:
-        text = "Linked: EEVEE and Cycles show the frame that its file was saved with."
+        text = "Linked: EEVEE and Cycles show the frame that was saved in its file."
         sentence(layout, context, text, icon="INFO")
 
 
@@ -83,10 +83,10 @@ def _range(series: Series) -> str:
 def _now(context: bpy.types.Context, ob: bpy.types.Object) -> str:
     moment = moment_of(ob, context.scene.frame_current_final)
     if moment is None:
-        return "stands still"
+        return "not playing"
     if moment.hidden:
         return "nothing"
-    waits = " (coming)" if moment.waits() else ""
+    waits = " (loading)" if moment.waits() else ""
     return f"frame {moment.files[0].number}{waits}" if moment.files else "not known"
 
 

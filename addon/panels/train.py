@@ -1,4 +1,4 @@
-"""Training panel: preset, the main options, the other options folded, and the button."""
+"""Training panel: preset, main options, other options in subpanels, and the Train button."""
 
 from pathlib import Path
 from typing import ClassVar
@@ -27,9 +27,9 @@ _DETAILS = (
     "free_space",
     "seed",
 )
-"""The options at the end of the fold."""
+"""Options at the end of the subpanel."""
 _estimates: dict[int, tuple[str, Estimate]] = {}
-"""The last estimate of each scene, by its session number, and the capture that it is of."""
+"""Capture and last estimate of each scene, by session uid."""
 
 
 class TrainPanel(TabPanel, bpy.types.Panel):
@@ -47,7 +47,7 @@ class TrainPanel(TabPanel, bpy.types.Panel):
         draw_forecast(layout, context)
         known = found(context)
         if settings.use_masks and known is not None and (known.masks or known.alphas):
-            text = "The masks are used: what they hide is not trained. Options has the switch."
+            text = "Masks are used: masked parts are not trained. See Use Masks under Options."
             sentence(layout, context, text, icon="INFO")
         column = layout.column(align=True)
         steps = column.row(align=True)
@@ -111,9 +111,9 @@ class GuidesPanel(TabPanel, bpy.types.Panel):
             row = layout.row(align=True)
             row.prop(settings, name)
             row.operator("gscore.add_guides", text="", icon="ADD").role = role
-        given = any(getattr(settings, name) is not None for name in guides.ROLES.values())
-        if given and panel_root(context.scene) is None and not sequence.frames_of(context.scene)[0]:
-            text = "Import the cameras: they place these meshes relative to the photos."
+        used = any(getattr(settings, name) is not None for name in guides.ROLES.values())
+        if used and panel_root(context.scene) is None and not sequence.frames_of(context.scene)[0]:
+            text = "Import the cameras first, to place these meshes relative to the photos."
             sentence(layout, context, text, icon="ERROR")
 
 
@@ -136,7 +136,7 @@ def draw_forecast(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     capture = scene.gscore.capture_path
     if known is not None:
         _estimates[scene.session_uid] = capture, known
-    # The answer to the setting before stands until the next one is there.
+    # Keep the previous estimate until the next one is computed.
     of, current = _estimates.get(scene.session_uid, ("", None))
     if current is None or of != capture or (known is None and found(context) is None):
         return
@@ -166,7 +166,7 @@ def draw_output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 
 def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw Train, or the choices for an existing run, or why training is not possible yet."""
+    """Draw Train, or the choices for an existing run, or the reason why training cannot start."""
     running = job(context)
     if running is not None and not running.state.ended:
         layout.label(text="Training; see Progress", icon="TIME")
@@ -178,8 +178,8 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         return
     if problem:
         sentence(layout, context, problem, icon="ERROR")
-    if not_together := box_limit.problem(context.scene.gscore):
-        sentence(layout, context, not_together, icon="ERROR")
+    if conflict := box_limit.problem(context.scene.gscore):
+        sentence(layout, context, conflict, icon="ERROR")
     big = layout.column()
     big.scale_y = 1.4
     if before is None:
@@ -204,11 +204,11 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
 def draw_missing(
     layout: bpy.types.UILayout, context: bpy.types.Context, before: EarlierRun
 ) -> None:
-    """Draw the import button of a run's splats, if the scene shows none or earlier ones."""
+    """Draw the import button of a run's splats, if the scene has none or earlier ones."""
     ob = context.scene.gscore.result
     shown = ob is not None and results.is_of_run(ob, before.info.path)
     if shown and results.is_outdated(ob, before):
-        text = f"{ob.name} shows other splats than this run has now."
+        text = f"{ob.name} has earlier splats of this run."
         sentence(layout, context, text, icon="INFO")
     elif shown or before.info.splats is None:
         return
@@ -216,7 +216,7 @@ def draw_missing(
 
 
 def can_go_on(settings: bpy.types.PropertyGroup, info: RunInfo) -> bool:
-    """Whether a run has steps left, or the settings request more."""
+    """True if a run has steps left, or the settings have more."""
     if info.checkpoint is None or info.problem:
         return False
     try:
@@ -229,7 +229,7 @@ def can_go_on(settings: bpy.types.PropertyGroup, info: RunInfo) -> bool:
 def run_sentence(info: RunInfo) -> str:
     """Sentence on the run in the output folder."""
     if info.problem:
-        return f"The output folder holds a run that cannot go on: {info.problem}"
+        return f"The output folder holds a run that cannot continue: {info.problem}"
     if info.checkpoint is None:
         return "The output folder holds a run without a checkpoint."
     quality = f", PSNR {info.psnr:.2f} dB" if info.psnr is not None else ""

@@ -62,7 +62,7 @@ def draw_guides(
         sentence(layout, context, error_words(error), icon="ERROR")
         return
     if root_from(scene, first.data.source) is None:
-        text = f"Guide meshes stand among the photos of frame {first.number}: import its cameras."
+        text = f"Guide meshes need the cameras of frame {first.number}: import them."
         sentence(layout, context, text, icon="ERROR")
         row = layout.operator("gscore.import_cameras", text=f"Import Frame {first.number}")
         row.directory, row.images = str(first.data.source), first.data.images

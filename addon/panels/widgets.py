@@ -1,4 +1,4 @@
-"""Widgets that the panels of the sidebar share."""
+"""Shared widgets of the sidebar's panels."""
 
 import bpy
 
@@ -14,7 +14,7 @@ from ..training.training_job import Job
 
 
 class TabPanel:
-    """A panel in the tab "Train Splats" of the 3D view's sidebar."""
+    """Base of panels in the tab "Train Splats" of the 3D view's sidebar."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
@@ -24,19 +24,19 @@ class TabPanel:
 def sentence(
     layout: bpy.types.UILayout, context: bpy.types.Context, text: str, *, icon: str = "NONE"
 ) -> None:
-    """A sentence over as many lines as the sidebar's width needs.
+    """Draw a sentence, wrapped to the sidebar's width.
 
     Args:
-        layout: Gets a column.
+        layout: Parent of the lines.
         context: Its region is the sidebar.
         text: The sentence.
-        icon: Before the first line.
+        icon: Icon of the first line.
     """
     wrapped(layout, text, icon=icon, width=letters(context))
 
 
 def rows(layout: bpy.types.UILayout, pairs: list[tuple[str, str]]) -> None:
-    """Labels with their values in two columns."""
+    """Draw labels with their values in two columns."""
     column = layout.column(align=True)
     for label, value in pairs:
         split = column.split(factor=0.36)
@@ -45,7 +45,7 @@ def rows(layout: bpy.types.UILayout, pairs: list[tuple[str, str]]) -> None:
 
 
 def limit(layout: bpy.types.UILayout, owner: bpy.types.PropertyGroup, name: str) -> None:
-    """A number of which 0 means that there is no limit; the field then says so."""
+    """Draw a limit, marked "(off)" at 0."""
     label = owner.bl_rna.properties[name].name
     layout.prop(owner, name, text=label if getattr(owner, name) else f"{label} (off)")
 
@@ -66,7 +66,7 @@ def job(context: bpy.types.Context) -> Job | None:
 
 
 def has_python(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool:
-    """Whether the preferences have a Python that trains; else draw the problem and a button to the
+    """True if the preferences have a Python that trains; else draw the problem and a button to the
     preferences."""
     try:
         setup.trainer_python(preferences.get())

@@ -211,9 +211,9 @@ CHECKS = (
     *(
         Check(f"{text} {button} under Result fixes it.", _with_problem(text))
         for text, button in (
-            (mending.APPLIED, "Turn Shapes and Colors Along"),
-            (mending.JOINED, "Turn Shapes and Colors Along"),
-            (mending.STRETCHED, "Take Stretching Back"),
+            (mending.APPLIED, "Update Shapes and Colors"),
+            (mending.JOINED, "Update Shapes and Colors"),
+            (mending.STRETCHED, "Undo Stretching"),
         )
     ),
     Check(

@@ -19,7 +19,7 @@ class TrainSequenceSettings(bpy.types.PropertyGroup):
     next_iterations: declared(SequenceOptions(), "next_iterations", "Steps of Later Frames")
     warm_start: declared(SequenceOptions(), "warm_start", "Start from the Frame Before")
     guide_start: bpy.props.IntProperty(
-        name="Guides Start",
+        name="First Guide Frame",
         description="Frame of the timeline at which the guide meshes match the first trained "
         "frame. Later frames of the sequence use later ones",
         default=1,

@@ -23,7 +23,7 @@ from . import arguments, guides, job_registry
 from .job import SequenceJob
 from .job_registry import JOBS
 
-ONLY_WITHIN = "Only Within ({}) is for single trainings: frames of a sequence are trained whole."
+ONLY_WITHIN = "Limit to Object ({}) is only for single trainings, not for sequences."
 
 
 def train_sequence(

@@ -1,7 +1,7 @@
 """Asynchronous import of splat files: read in a thread, written to Blender in short steps.
 
-A timer steps the import several times a second where Blender has a window. The scene, the
-collection and the parents are looked up at the end, since undo or the user may have removed them.
+In a window a timer runs the steps. The scene, the collection and the parents are looked up at the
+end, because undo or the user may have removed them.
 """
 
 import time
@@ -55,10 +55,10 @@ class AsyncImport:
         """Start reading.
 
         Args:
-            context: Its scene and collection get the objects.
+            context: Its scene and collection receive the objects.
             wanted: At least one file.
             find: Resolves the file, if it must be searched for; runs in the thread.
-            look: Notes something of what each file gives a mesh, for `looked`; in the thread.
+            look: Summarises the attributes of each file, for `looked`; runs in the thread.
         """
         self.warnings: list[str] = []
         """Warnings for the user."""
@@ -71,7 +71,7 @@ class AsyncImport:
 
     @property
     def looked(self) -> list[str]:
-        """What `look` returned for each file; empty before all are read."""
+        """Results of `look`, one per file; empty before all are read."""
         return [filling.loaded.looked for filling in self._fillings or ()]
 
     @property
@@ -86,10 +86,10 @@ class AsyncImport:
         """Run a short step; the objects once all are complete.
 
         Raises:
-            ValueError: a file cannot be imported, or the scene is gone; nothing of it is left.
+            ValueError: a file cannot be imported, or the scene was removed; nothing is left.
         """
         if self._fillings is None:
-            # Not while the thread is reading: each would have to wait for its turn many times.
+            # Not while the thread reads: both would compete for Python's lock.
             if not self._task.running:
                 self._begin()
             return None
@@ -99,7 +99,7 @@ class AsyncImport:
             if time.perf_counter() > until:
                 return None
         for filling in self._fillings:
-            # One that was filled before is looked at again: undo may have taken it.
+            # Check filled ones again, because undo may have removed them.
             if filling.share < 1 or not filling.fill():
                 filling.fill()
                 return None
@@ -121,13 +121,13 @@ class AsyncImport:
         """Read all files; runs in the thread."""
         made = []
         with collected_warnings() as warnings:
-            for asked in self._wanted:
-                task.tell(asked.path.name)
-                wanted = self._find(asked)
+            for request in self._wanted:
+                task.tell(request.path.name)
+                wanted = self._find(request)
                 try:
-                    found = splat_files.read(wanted, task.check)
+                    file = splat_files.read(wanted, task.check)
                     task.check()
-                    columns = tuple(attributes.columns(found.splats))
+                    columns = tuple(attributes.columns(file.splats))
                 except MemoryError as error:
                     raise GsError(
                         f"{wanted.path} does not fit into memory; close other programs and import "
@@ -137,23 +137,23 @@ class AsyncImport:
                 made.append(
                     _Read(
                         wanted=wanted,
-                        count=len(found.splats),
+                        count=len(file.splats),
                         columns=columns,
-                        size=objects.typical_size(found.splats),
-                        antialiased=found.antialiased,
-                        origin=found.origin,
-                        comments=tuple(found.comments),
+                        size=objects.typical_size(file.splats),
+                        antialiased=file.antialiased,
+                        origin=file.origin,
+                        comments=tuple(file.comments),
                         looked=self._look(columns),
                     )
                 )
         return made, list(warnings)
 
-    # Quoted: see ready.py.
+    # Quoted: see mesh_buffers.py.
     def _finish(self, fillings: "list[ChunkedWrite[_Read]]") -> list[bpy.types.Object]:
         scene = with_uid(bpy.data.scenes, self._scene)
         if scene is None:
             self.cancel()
-            raise ValueError("The scene that splats were imported into is gone; import them again.")
+            raise ValueError("The scene of this import was removed; import the splats again.")
         within = [scene.collection, *scene.collection.children_recursive]
         collection = with_uid(within, self._collection) or within[0]
         made = []
@@ -165,7 +165,7 @@ class AsyncImport:
             splat_files.settle(ob, read.wanted, read)
             if read.wanted.parent and ob.parent is None:
                 self.warnings.append(
-                    f"What {ob.name} was to be put under is gone; it stands by itself."
+                    f"The parent of {ob.name} was removed during the import; it has no parent."
                 )
             made.append(ob)
         return made

@@ -7,23 +7,23 @@ from .. import attributes, compat
 from . import objects
 
 _MOST = 200_000
-"""Largest sample of splats: its quantiles agree with those of all to a thousandth."""
+"""Largest sample of splats; its quantiles agree with those of all to 0.001."""
 
 
 def in_world(ob: bpy.types.Object) -> np.ndarray:
     """[M, 3] float64: means in Blender's world; an even sample of many splats.
 
-    M is 0 where there are none, or where they are out of reach in Edit Mode.
+    M is 0 without splats, or in Edit Mode, where attributes are not accessible.
 
     Raises:
-        ValueError: as `objects.catch_up`, or places are missing or not finite.
+        ValueError: as `objects.catch_up`, or positions are missing or not finite.
     """
     objects.catch_up(ob)
     if not len(ob.data.vertices):
         return np.zeros((0, 3))
     x, y, z = _some(ob, attributes.POSITION).T.astype(np.float64)
     matrix = compat.matrix_to_numpy(ob.matrix_world)
-    # Spelled out, as to wake the threads of a matrix product takes longer than the product.
+    # Spelled out, because starting the threads of a matrix product takes longer than the product.
     return np.stack([a * x + b * y + c * z + d for a, b, c, d in matrix[:3]]).T
 
 

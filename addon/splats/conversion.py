@@ -1,4 +1,4 @@
-"""Conversion of formats whose packages Blender's Python lacks, by the Python of the trainings."""
+"""Conversion of formats whose packages Blender's Python lacks, by the trainer's Python."""
 
 import json
 import shutil
@@ -40,7 +40,7 @@ class Other:
 
 
 def other() -> Other:
-    """The Python of the trainings; call on Blender's main thread."""
+    """The trainer's Python; call on Blender's main thread."""
     try:
         python = setup.trainer_python(preferences.get())
     except ValueError:
@@ -49,7 +49,7 @@ def other() -> Other:
 
 
 def read(path: Path, by: Other, check: Check) -> SplatFile:
-    """As `read_splat_file`, by another Python where this one lacks a package; in any thread.
+    """As `read_splat_file`, by another Python if this one lacks a package; in any thread.
 
     Args:
         path: The file.
@@ -66,8 +66,8 @@ def read(path: Path, by: Other, check: Check) -> SplatFile:
     with tempfile.TemporaryDirectory(prefix="gscore-", dir=by.folder) as folder:
         made = Path(folder, f"{path.stem}.ply")
         warnings = _convert(path, made, by.python, check, lacking)
-        found = read_splat_file(made)
-    return replace(found, path=path, notes=(*found.notes, *warnings))
+        file = read_splat_file(made)
+    return replace(file, path=path, notes=(*file.notes, *warnings))
 
 
 def write(
@@ -86,13 +86,13 @@ def write(
         path: The file.
         splats: The splats to write.
         by: As `other`.
-        check: As in `read`; `path` is untouched then.
+        check: As in `read`; `path` is then unchanged.
         antialiased: As in `write_splat_file`.
-        origin: As there.
-        lacking: Why this Python cannot.
+        origin: As in `write_splat_file`.
+        lacking: Error of this Python.
 
     Returns:
-        Sentences on what the format does not hold.
+        Sentences on data that the format cannot store.
 
     Raises:
         GsError: it cannot be written.
@@ -103,7 +103,7 @@ def write(
         made = Path(folder, "made", path.name)
         made.parent.mkdir()
         notes = _convert(whole, made, by.python, check, lacking)
-        # What a file refers to comes before it.
+        # Referenced files first.
         for part in sorted(made.parent.iterdir(), key=lambda one: one.name == path.name):
             with part.open("rb") as source:
                 copy = lambda file, source=source: shutil.copyfileobj(source, file, 1 << 22)  # noqa: E731
@@ -114,11 +114,11 @@ def write(
 def _convert(
     source: Path, target: Path, python: Path | None, check: Check, lacking: BackendError
 ) -> list[str]:
-    """Have another Python convert a file; the warnings of `gscore convert`."""
+    """Convert a file by another Python; returns the warnings of `gscore convert`."""
     if python is None:
         raise GsError(
-            f"{lacking} A Python for training that has it does too: press Find or Make Environment "
-            "in the add-on's preferences."
+            f"{lacking} Or set up a Python for training that has it: press Find or Make "
+            "Environment in the add-on's preferences."
         ) from lacking
     command = [python, "-m", "gscore", "convert", source, target, "--json"]
     try:
@@ -128,10 +128,10 @@ def _convert(
             f"{python} cannot be run ({error.strerror or error}); press Check in the add-on's "
             "preferences."
         ) from error
-    said = []
+    output = []
     try:
         while not process.ended:
-            said += process.lines(_PERIOD)
+            output += process.lines(_PERIOD)
             time.sleep(_PERIOD)
             check()
     finally:
@@ -142,4 +142,4 @@ def _convert(
             f"{source.name} could not be converted to {target.name} by {python}: "
             f"{text.rpartition('error: ')[2] or f'exit code {process.returncode}'}"
         ) from lacking
-    return json.loads("\n".join(said))["warnings"]
+    return json.loads("\n".join(output))["warnings"]

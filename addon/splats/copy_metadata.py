@@ -1,5 +1,5 @@
-"""Metadata of a mesh besides its points, copied to its replacement: custom properties, materials,
-action, drivers and the asset mark.
+"""Metadata of a mesh, copied to its replacement: custom properties, materials, action, drivers and
+the asset mark.
 """
 
 import bmesh
@@ -12,21 +12,21 @@ _OURS = "gs_"
 
 
 def check_movable(mesh: bpy.types.Mesh, called: str) -> None:
-    """Raise ValueError where a mesh has what would give other points the places of its own.
+    """Raise ValueError if a mesh has shape keys, which store positions of its current points.
 
     Args:
-        mesh: Whose points are to become others.
-        called: The name of its object.
+        mesh: Mesh whose points are to be replaced.
+        called: Name of its object.
     """
-    if mesh.shape_keys is not None:  # Edit Mode would give their places to other splats
+    if mesh.shape_keys is not None:  # Edit Mode would apply their positions to other splats
         raise ValueError(
-            f"{called} has shape keys, which know its splats as they are: remove them first, under "
-            "Object Data > Shape Keys."
+            f"{called} has shape keys, which store positions of its splats: remove them first, "
+            "under Object Data > Shape Keys."
         )
 
 
 def check_points_alone(mesh: bpy.types.Mesh, called: str) -> None:
-    """The same where the number of points changes: ValueError where it has more than points."""
+    """As `check_movable`, for a changed number of points: edges and faces are errors too."""
     check_movable(mesh, called)
     if mesh.edges or mesh.polygons:
         raise ValueError(
@@ -36,8 +36,8 @@ def check_points_alone(mesh: bpy.types.Mesh, called: str) -> None:
 
 
 def check_replaceable(mesh: bpy.types.Mesh, called: str) -> None:
-    """The same where another mesh, made from nothing, takes its place: `hand_over` gives that all
-    but NLA tracks."""
+    """As `check_points_alone`, for replacement by a new mesh, to which `hand_over` copies all but
+    NLA tracks."""
     check_points_alone(mesh, called)
     if mesh.animation_data is not None and mesh.animation_data.nla_tracks:
         raise ValueError(
@@ -47,9 +47,9 @@ def check_replaceable(mesh: bpy.types.Mesh, called: str) -> None:
 
 
 def empty(mesh: bpy.types.Mesh) -> None:
-    """Take all points of a mesh away, with their attributes and vertex groups, and nothing else.
+    """Remove all points of a mesh, with their attributes and vertex groups.
 
-    `Mesh.clear_geometry` would take action, drivers and NLA tracks too.
+    `Mesh.clear_geometry` would also remove action, drivers and NLA tracks.
     """
     nothing = bmesh.new()
     try:
@@ -60,13 +60,13 @@ def empty(mesh: bpy.types.Mesh) -> None:
 
 
 def hand_over(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
-    """Give a mesh that was made from nothing what another one has, but for its mark as an asset."""
+    """Copy materials, custom properties and animation of a mesh to a new one."""
     for material in old.materials:
         mesh.materials.append(material)
     for name, value in old.items():
         if not name.startswith(_OURS):
-            _give_property(old, mesh, name, value)
-    _animate_alike(old, mesh)
+            _copy_property(old, mesh, name, value)
+    _copy_animation(old, mesh)
 
 
 def copy_asset_mark(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
@@ -76,15 +76,15 @@ def copy_asset_mark(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
         mesh.asset_data = old.asset_data
 
 
-def _give_property(old: bpy.types.Mesh, mesh: bpy.types.Mesh, name: str, value: object) -> None:
+def _copy_property(old: bpy.types.Mesh, mesh: bpy.types.Mesh, name: str, value: object) -> None:
     mesh[name] = value
     try:
         mesh.id_properties_ui(name).update_from(old.id_properties_ui(name))
-    except TypeError:  # of a kind without limits and descriptions
+    except TypeError:  # a type without limits and descriptions
         return
 
 
-def _animate_alike(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
+def _copy_animation(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
     own = old.animation_data
     if own is None:
         return

@@ -34,7 +34,7 @@ class Stats:
     total: int
     """Splats in the mesh."""
     visible: int | None
-    """Splats that pass the display filters; None where counting them would take long."""
+    """Splats that pass the display filters; None if counting them would take long."""
     sh_degree: int
     """0 to 4."""
 
@@ -44,9 +44,9 @@ def stats(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) ->
 
     Args:
         ob: A splat object.
-        depsgraph: An evaluated one, from which Blender since 4.5 tells how much its display shows.
-            Where it cannot, the filters are run, on up to `_QUICK` splats. Without a depsgraph the
-            filters are run on any number.
+        depsgraph: Evaluated depsgraph, from which Blender since 4.5 returns the number of displayed
+            splats. Otherwise the filters are evaluated for up to `_QUICK` splats; without a
+            depsgraph for any number.
 
     Raises:
         ValueError: SH attributes are missing.
@@ -68,8 +68,8 @@ def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
         return len(ob.data.vertices)
     evaluated = ob.evaluated_get(depsgraph)
     modifier = display.modifier_of(ob)
-    told = modifier is not None and modifier.show_viewport and own.display != "SPLATS"
-    geometry = compat.evaluated_geometry(evaluated) if told else None
+    counts = modifier is not None and modifier.show_viewport and own.display != "SPLATS"
+    geometry = compat.evaluated_geometry(evaluated) if counts else None
     if geometry is None:
         return None
     points = geometry.pointcloud or geometry.instances_pointcloud()
@@ -77,22 +77,20 @@ def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
 
 
 def apply_filters(held: EditGuard) -> Pieces[int]:
-    """Delete splats that the filters hide and reset the filters; all attributes are kept in step.
+    """Delete splats that the filters hide, and reset the filters.
 
     Returns:
-        Number of splats deleted.
+        Number of deleted splats.
 
     Raises:
-        ValueError: missing attributes, nothing would be left, or as `EditGuard.to_change`; nothing
-            is changed then.
+        ValueError: attributes are missing, no splats would be left, or as `EditGuard.to_change`;
+            nothing is changed then.
     """
     ob = held.there()
     held.check_points_alone()
     limits = filters.filters_of(ob)
     table = yield from ChunkedRead(ob).table()
-    keep = yield from run_in_thread(
-        partial(_passing, table, limits), f"Looking through {held.name}"
-    )
+    keep = yield from run_in_thread(partial(_passing, table, limits), f"Filtering {held.name}")
     if len(keep) and not keep.any():
         raise ValueError(f"{held.name}: the filters hide every splat; relax them before applying.")
     if keep.all():
@@ -110,14 +108,14 @@ def _passing(table: list[Column], limits: filters.Filters, check: Check) -> np.n
 def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.Object:
     """Create a wire box around the bulk of the splats, and use it as the crop object.
 
-    The box stands upright in Blender's world, whichever way the splats are turned, and moves along
-    with them as their child; move, turn and scale it.
+    The box is aligned with Blender's world, whatever the splats' rotation, and is their child;
+    users can move, rotate and scale it.
 
     Raises:
         ValueError: Edit Mode, missing attributes or no splats.
     """
     if ob.mode == "EDIT":
-        raise ValueError(f"{ob.name} is in Edit Mode: leave it before a crop box is added.")
+        raise ValueError(f"{ob.name} is in Edit Mode: leave it before adding a crop box.")
     placed = bounds.in_world(ob)
     if not len(placed):
         raise ValueError(f"{ob.name} has no splats to put a box around.")
@@ -141,21 +139,21 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
 def apply_transform(held: EditGuard) -> Pieces[None]:
     """Apply the object's own location, rotation and scale to its splats, exactly.
 
-    Blender's own Apply moves the points alone and leaves ellipsoids and colours as they were.
+    Blender's own Apply transforms only the positions, not the ellipsoids and colours.
 
     Raises:
-        ValueError: the scale is uneven, other objects show the same splats, it is moved meanwhile,
-            or as `EditGuard.to_change`; nothing is changed then.
+        ValueError: the scale is uneven, other objects share the splats, the object was moved
+            meanwhile, or as `EditGuard.to_change`; nothing is changed then.
     """
     ob = held.there()
     _check_unshared(ob)
     held.check_movable()
     matrix = local_matrix(ob)
-    objects.moved(attributes.NO_SPLATS, matrix, held.name)  # refuses what cannot be
+    objects.moved(attributes.NO_SPLATS, matrix, held.name)  # raises unless it is a similarity
     lags, numbers = lag.of(ob.data), lag.parts(ob.data)
     table = yield from ChunkedRead(ob).table(whole=False)
     changed = yield from run_in_thread(
-        partial(moved, table, matrix, held.name), f"Turning splats of {held.name}"
+        partial(moved, table, matrix, held.name), f"Transforming splats of {held.name}"
     )
     [mesh] = yield from filled(
         [ChunkedWrite(points_of(changed), held.copied_mesh)], partial(_check_applicable, held)
@@ -164,7 +162,7 @@ def apply_transform(held: EditGuard) -> Pieces[None]:
     lag.forget(mesh)
     attributes.leave_points_unselected(mesh)
     swap(ob, mesh)
-    if len(numbers):  # what lagged does so still, as seen from the new axes
+    if len(numbers):  # express the remaining lags in the new axes
         turn = matrix[:3, :3]
         lag.note(mesh, turn @ lags @ np.linalg.inv(turn), numbers)
     ob.matrix_parent_inverse = Matrix.Identity(4)

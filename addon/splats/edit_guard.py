@@ -15,11 +15,11 @@ _HELD: "WeakSet[EditGuard]" = WeakSet()
 
 
 class EditGuard:
-    """An object whose splats are looked at, then changed, with time between for whoever else may
-    change them. It is looked up anew each time: undo replaces objects."""
+    """An object whose splats are read, then changed some steps later; detects other changes in
+    between. It is looked up at each use, because undo replaces objects."""
 
     def __init__(self, ob: bpy.types.Object) -> None:
-        """Watch it from now on, until `close`; what was done before is to be known to its scene.
+        """Start watching, until `close`; the view layer must be up to date.
 
         Raises:
             ValueError: as `objects.check_writable`.
@@ -37,22 +37,21 @@ class EditGuard:
         """The object.
 
         Raises:
-            ValueError: it is gone, or its splats are others now.
+            ValueError: it was removed, or its splats have changed.
         """
         ob = self.found()
         same = ob is not None and ob.data.session_uid == self.mesh_uid
         if self.is_changed or not same or len(ob.data.vertices) != self._count:
             raise ValueError(
-                f"{self.name} was changed while this was under way, so nothing was done: begin "
-                "again."
+                f"{self.name} was changed during the operation, so nothing was done: try again."
             )
         return ob
 
     def to_change(self) -> bpy.types.Object:
-        """The object, whose splats are changed now: others that watch them begin again.
+        """The object, for changing its splats now; other guards of them detect the change.
 
         Raises:
-            ValueError: as `there`, or Blender would not keep it now.
+            ValueError: as `there`, or the splats are not writable.
         """
         return all_to_change([self])[0]
 
@@ -61,7 +60,7 @@ class EditGuard:
         ob = self.there()
         if _stands(ob) != self._stood:
             raise ValueError(
-                f"{self.name} was moved while this was under way, so nothing was done: begin again."
+                f"{self.name} was moved during the operation, so nothing was done: try again."
             )
 
     def check_movable(self) -> None:
@@ -104,10 +103,10 @@ class EditGuard:
         _HELD.discard(self)
 
     def _check_mode(self) -> None:
-        if bpy.context.mode != self._mode:  # another object's, whose undo steps hold nothing else
+        if bpy.context.mode != self._mode:  # undo steps of a mode store only its own object
             raise ValueError(
-                f"The mode was changed while this was under way, so nothing was done to "
-                f"{self.name}: begin again in Object Mode."
+                f"The mode was changed during the operation, so nothing was done to {self.name}: "
+                "try again in Object Mode."
             )
 
 

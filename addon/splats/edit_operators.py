@@ -39,7 +39,7 @@ class Editing(IncrementalOperator, OnSplats):
         held = None
         try:
             objects.check_writable(ob)
-            context.view_layer.update()  # what was done until now is no change
+            context.view_layer.update()  # else the guard would detect earlier changes
             held = EditGuard(ob)
             return (yield from self.edit(context, held))
         finally:
@@ -63,31 +63,30 @@ def _edit_again(context: bpy.types.Context, uid: int) -> None:
 
 
 class GradeSplats(Editing, bpy.types.Operator):
-    """Change the colors of the selected splats, or of all; how they depend on the view stays"""
+    """Change the colors of the selected splats, or of all; their view dependence stays"""
 
     bl_idname = "gscore.grade_splats"
     bl_label = "Grade Splats"
 
     lift: FloatVectorProperty(
-        name="Lift", description="Where black goes", min=-1.0, max=0.99, default=(0, 0, 0)
+        name="Lift", description="New value of black", min=-1.0, max=0.99, default=(0, 0, 0)
     )
     gamma: FloatVectorProperty(
         name="Gamma",
-        description="Above 1 brightens the middle",
+        description="Above 1 brightens the midtones",
         min=0.05,
         max=20.0,
         default=(1, 1, 1),
     )
     gain: FloatVectorProperty(
-        name="Gain", description="Where white goes", min=0.0, max=20.0, default=(1, 1, 1)
+        name="Gain", description="New value of white", min=0.0, max=20.0, default=(1, 1, 1)
     )
     saturation: FloatProperty(
-        name="Saturation", description="0 for grey", min=0.0, max=10.0, default=1.0
+        name="Saturation", description="Color saturation; 0: grey", min=0.0, max=10.0, default=1.0
     )
     only_selected: BoolProperty(
         name="Only Selected",
-        description="Leave out what is not selected; a button begins with this on where some "
-        "splats are selected",
+        description="Change only selected splats; by default on if there are any",
         options={"SKIP_SAVE"},
     )
 
@@ -117,11 +116,11 @@ class GradeSplats(Editing, bpy.types.Operator):
         kind = mesh.attributes[attributes.BASE].data_type
         attributes.fill(mesh, attributes.BASE, kind, base.ravel())
         mesh.update()
-        return f"{count:,} of {whole:,} splats graded."
+        return f"Graded {count:,} of {whole:,} splats."
 
 
 class SeparateSplats(Editing, bpy.types.Operator):
-    """Move the selected splats into an object of their own, with all that they carry"""
+    """Move the selected splats with all their attributes into a new object"""
 
     bl_idname = "gscore.separate_splats"
     bl_label = "Separate Splats"
@@ -129,7 +128,7 @@ class SeparateSplats(Editing, bpy.types.Operator):
     def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
         """Separate."""
         made = yield from separate_join.separated(held, attributes.selected(held.there().data))
-        return f"{len(made.data.vertices):,} splats are {made.name}."
+        return f"Moved {len(made.data.vertices):,} splats to {made.name}."
 
 
 def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -139,8 +138,8 @@ def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 
 class JoinSplats(Editing, bpy.types.Operator):
-    """Take the other selected splat objects into the active one, as they are seen: places, turns,
-    sizes and colors"""
+    """Join the other selected splat objects into the active one, with their transforms applied to
+    positions, orientations, sizes and colors"""
 
     bl_idname = "gscore.join_splats"
     bl_label = "Join Splats"
@@ -155,7 +154,7 @@ class JoinSplats(Editing, bpy.types.Operator):
         """Join."""
         ob, others = held.there(), _others(context)
         separate_join.check_joinable(ob, others)  # before the selection changes
-        make_active(context, ob)  # before: 4.2 crashes where selected objects have just gone
+        make_active(context, ob)  # now, because 4.2 crashes after selected objects are removed
         helds = [EditGuard(other) for other in others]
         try:
             ob = yield from separate_join.joined(held, helds)
@@ -176,7 +175,7 @@ class ApplyFilters(Editing, bpy.types.Operator):
     leaves_edit_mode = False
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """Its points, and its filters."""
+        """The points, and the object's filters."""
         ob = objects.meant(context)
         return ob.data, ob
 
@@ -194,7 +193,7 @@ class ApplySplatTransform(Editing, bpy.types.Operator):
     leaves_edit_mode = False
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """Its points and transform."""
+        """The points, and the object's transform."""
         ob = objects.meant(context)
         return ob.data, ob
 

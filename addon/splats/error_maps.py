@@ -1,4 +1,4 @@
-"""Error maps as objects in the place of a run's splats: detection, display, removal."""
+"""Error maps as objects next to a run's splats: detection, display, removal."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,14 +14,14 @@ MAP = "gs_error_map"
 
 
 def run_of(ob: bpy.types.Object) -> Path:
-    """The folder of the training that an object, or the one whose errors it shows, comes from.
+    """Folder of the training run that an object or an error map belongs to.
 
     Raises:
-        ValueError: of none.
+        ValueError: it belongs to none.
     """
     text = stored_paths.read(ob, stored_paths.RUN)
     if not text:
-        raise ValueError(f"{ob.name} comes from no training here, which would know its photos.")
+        raise ValueError(f"{ob.name} is not from a training, so its photos are unknown.")
     return Path(text)
 
 
@@ -34,7 +34,7 @@ def siblings(ob: bpy.types.Object) -> tuple[list[bpy.types.Object], list[bpy.typ
     """The splat objects and the error map objects of an object's run.
 
     Raises:
-        ValueError: it comes from no run.
+        ValueError: it belongs to no run.
     """
     run = run_of(ob)
     there = [
@@ -53,7 +53,7 @@ def show_map(ob: bpy.types.Object, show: bool) -> None:
     """
     splats, maps = siblings(ob)
     if not maps:
-        raise ValueError(f"There is no map of the errors of {ob.name}; press Measure Errors.")
+        raise ValueError(f"There is no error map of {ob.name}; press Measure Errors.")
     layer = bpy.context.view_layer
     for other, visible in [*((o, not show) for o in splats), *((o, show) for o in maps)]:
         other.hide_render = not visible
@@ -68,11 +68,11 @@ def show_map(ob: bpy.types.Object, show: bool) -> None:
 def splats_in_view() -> Iterator[None]:
     """Context in which the view layer shows splats in place of their error maps.
 
-    Errors are no colors of the scene: what is compared with photos are the splats.
+    Comparisons with photos need the splats' own colors.
     """
     layer = bpy.context.view_layer
-    seen = [ob for ob in layer.objects if is_map(ob) and ob.visible_get()]
-    both = {ob for shown in seen for side in siblings(shown) for ob in side}
+    visible = [ob for ob in layer.objects if is_map(ob) and ob.visible_get()]
+    both = {ob for shown in visible for side in siblings(shown) for ob in side}
     changed = {ob: ob.hide_get() for ob in both if ob.name in layer.objects}
     try:
         for ob in changed:

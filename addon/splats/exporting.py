@@ -19,8 +19,8 @@ from .read_chunked import ChunkedRead
 from .splat_files import BLENDER, SOURCE, note_of_up, source_matrix, source_matrix_of_data
 
 Written = tuple[int, tuple[str, ...]]
-"""Number of splats written, and sentences on what the format does not hold of them and on how many
-were left out."""
+"""Number of written splats, and sentences on omitted splats and on data that the format cannot
+store."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class _Part:
     """Filters; None: all splats are exported."""
 
     def made(self, columns: dict[str, np.ndarray]) -> Splats:
-        """Splats for the file of columns that `ChunkedRead` read; ValueError as `objects.moved`."""
+        """Splats for the file from columns of `ChunkedRead`; ValueError as `objects.moved`."""
         keep = None if self.filters is None else filters.passing(columns, self.filters)
         splats = attributes.as_splats(columns)
         splats = splats if keep is None else splats.subset(keep)
@@ -48,14 +48,14 @@ def export_splats(
     world: str = SOURCE,
     filtered: bool = False,
 ) -> Written:
-    """Write splat objects, edited and moved as they are, as one file.
+    """Write splat objects with their edits and transforms as one file.
 
     Args:
         obs: At least one; several are joined.
-        path: The file to write; its ending says in which format.
+        path: The file to write; its extension determines the format.
         world: SOURCE for the world of the first object's photos (or of its file), BLENDER for the
             scene's.
-        filtered: Leave out what the display filters hide.
+        filtered: Leave out splats that the display filters hide.
 
     Raises:
         ValueError: no objects, no splats, or a matrix that is no similarity; nothing is written.
@@ -67,8 +67,8 @@ def export_splats(
 def exporting(
     obs: Sequence[bpy.types.Object], path: str | Path, *, world: str, filtered: bool
 ) -> Pieces[Written]:
-    """The same: the splats of objects as they are at the first piece are read, then turned into the
-    file's world and written in a thread. Given up, the file is untouched."""
+    """`export_splats` in steps: reads the splats as of the first step, then transforms and writes
+    them in a thread. Cancellation leaves the file unchanged."""
     if not obs:
         raise ValueError("There is nothing to export: select a splat object.")
     path = Path(bpy.path.abspath(str(path)))
@@ -99,10 +99,10 @@ def exporting(
     try:
         notes = yield from run_in_thread(_in_words(write), f"Writing {path.name}")
     except BackendError as error:
-        said = {"antialiased": antialiased, "origin": origin, "lacking": error}
-        beside = partial(conversion.write, path, splats, conversion.other(), **said)
+        options = {"antialiased": antialiased, "origin": origin, "lacking": error}
+        convert = partial(conversion.write, path, splats, conversion.other(), **options)
         notes = yield from run_in_thread(
-            _in_words(beside), f"Writing {path.name} in the trainer's Python"
+            _in_words(convert), f"Writing {path.name} in the trainer's Python"
         )
     hidden = total - len(splats)
     left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
@@ -141,14 +141,14 @@ def _together(
 
 
 def _parts(obs: Sequence[bpy.types.Object], world: str, filtered: bool) -> list[_Part]:
-    """One for each object; ValueError where a matrix is no similarity."""
+    """One for each object; ValueError if a matrix is no similarity."""
     to_file = np.eye(4) if world == BLENDER else np.linalg.inv(source_matrix(obs[0]))
-    found = []
+    parts = []
     for ob in obs:
         own = source_matrix_of_data(ob) if world == SOURCE and ob == obs[0] else None
         matrix = to_file @ matrix_to_numpy(ob.matrix_world) if own is None else own
-        objects.moved(attributes.NO_SPLATS, matrix, ob.name)  # refuses what cannot be
+        objects.moved(attributes.NO_SPLATS, matrix, ob.name)  # raises unless it is a similarity
         limits = filters.filters_of(ob) if filtered else None
         hides = limits is not None and limits.leave_out_anything
-        found.append(_Part(name=ob.name, matrix=matrix, filters=limits if hides else None))
-    return found
+        parts.append(_Part(name=ob.name, matrix=matrix, filters=limits if hides else None))
+    return parts

@@ -25,18 +25,18 @@ from .objects import can_export, hide_points, is_splats, meant
 
 _GLOB = ";".join(f"*{ending}" for ending in SPLAT_ENDINGS)
 _ENDINGS = [
-    (".ply", "PLY", "The official 3DGS layout: everything, to the bit"),
-    (".compressed.ply", "Compressed PLY", "SuperSplat's layout, a quarter of the size"),
-    (".spz", "SPZ", "Niantic's layout, a fifth of the size"),
-    (".sog", "SOG", "PlayCanvas' layout, an eighth of the size"),
-    (".splat", "splat", "32 bytes a splat for small viewers; colors do not change with the view"),
-    (".glb", "glTF", "KHR_gaussian_splatting: everything, as floats"),
+    (".ply", "PLY", "Official 3DGS format, lossless"),
+    (".compressed.ply", "Compressed PLY", "Format of SuperSplat, a quarter of the size"),
+    (".spz", "SPZ", "Format of Niantic, a fifth of the size"),
+    (".sog", "SOG", "Format of PlayCanvas, an eighth of the size"),
+    (".splat", "splat", "32 bytes per splat for small viewers, without view-dependent color"),
+    (".glb", "glTF", "KHR_gaussian_splatting, complete, as floats"),
     (".spz.glb", "glTF with SPZ", "KHR_gaussian_splatting, packed as SPZ"),
     (".usdc", "USD", "ParticleField3DGaussianSplat; the Python that trains needs usd-core 26.03"),
 ]
 _DROPPED = ";".join(sorted({ending[ending.rindex(".") :] for ending in SPLAT_ENDINGS} - {".json"}))
-"""Endings of files that are dropped. Blender has importers of its own for glTF and USD, so it asks
-which one is meant."""
+"""Extensions for drag and drop. Blender lets the user choose among several importers, as for glTF
+and USD."""
 AXIS_ITEMS = [
     ("-Y", "-Y Up", "The file's +Y points down, as COLMAP and most trainers write it"),
     ("Y", "+Y Up", "The file's +Y points up"),
@@ -45,9 +45,9 @@ AXIS_ITEMS = [
 _UP_ITEMS = [
     (
         splat_files.FROM_FILE,
-        "As Exported",
-        "The axis that a comment of the file states, as gscore and nerfstudio write it; -Y Up "
-        "where none does, as COLMAP and most trainers have it",
+        "From File",
+        "Axis stated in a comment of the file, as written by gscore and nerfstudio; -Y Up without "
+        "one, as in COLMAP and most trainers",
     ),
     *AXIS_ITEMS,
 ]
@@ -55,16 +55,16 @@ _WORLDS = [
     (
         splat_files.SOURCE,
         "Photos",
-        "The world of the photos' cameras (COLMAP's) or of the imported file: the alignment of "
-        "the capture, or the turn of the import, is taken back",
+        "World of the photos' cameras (COLMAP's) or of the imported file, without the alignment of "
+        "the capture or the rotation of the import",
     ),
-    (splat_files.BLENDER, "Blender", "Blender's world, as the scene shows the splats, +Z up"),
+    (splat_files.BLENDER, "Blender", "Blender's world, as displayed, +Z up"),
 ]
 
 
 class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
-    """Import Gaussian splats of any trainer or viewer: PLY, SPZ, SOG, .splat, .ksplat, glTF, USD;
-    or a level of detail of a .lod file"""
+    """Import Gaussian splats from PLY, SPZ, SOG, .splat, .ksplat, glTF or USD, or a level of detail
+    of a .lod file"""
 
     bl_idname = "gscore.import_splats"
     bl_label = "Import Splats"
@@ -84,34 +84,32 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
     )
     under_capture: BoolProperty(
         name="Under the Capture",
-        description="Put the splats under the capture that the active object belongs to, or whose "
-        "photos they were trained on, so that they stand where these were taken; the up axis is "
-        "then the capture's",
+        description="Parent the splats to the capture of the active object, or to the capture they "
+        "were trained on, so that they match its photos; the up axis is then the capture's",
         default=True,
     )
     level: IntProperty(
         name="Level",
-        description="Of a file of levels of detail, which one: 0 is the finest; -1 the finest of "
-        f"{splat_files.MOST_AT_ONCE:,} splats at most",
+        description="Level of detail to import: 0 is the finest; -1 the finest with at most "
+        f"{splat_files.MOST_AT_ONCE:,} splats",
         default=-1,
         min=-1,
         max=15,
     )
     turn_views: BoolProperty(
-        name="Turn Views",
-        description="Turn the 3D views to the splats that come",
+        name="Frame in Views",
+        description="Frame the imported splats in the 3D views",
         default=True,
     )
     in_crop: BoolProperty(
         name="Only in the Crop",
-        description="Of a file of levels of detail, only what lies in the box of the active splat "
-        "object's crop, of the finest level unless one is chosen; it is put where that object "
-        "stands, which has to come from the same file",
+        description="Import only splats inside the crop box of the active splat object, which must "
+        "come from the same file with levels of detail; in the finest level unless one is chosen",
         default=False,
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Open the file browser, or the options of a file that was dropped."""
+        """Open the file browser, or the options for a dropped file."""
         return self.invoke_popup(context)
 
     def wanted(self, context: bpy.types.Context) -> list[splat_files.Wanted]:
@@ -120,24 +118,24 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
         active = root_of(context.object) if self.under_capture else None
         cropped = meant(context) if self.in_crop else None
         if self.in_crop and not is_splats(cropped):
-            raise ValueError("Select the splat object whose crop says what to import.")
+            raise ValueError("Select the splat object whose crop limits the import.")
         level = None if self.level < 0 else self.level
-        found = []
+        requests = []
         for path in paths or [Path(self.filepath)]:
             parent = active
             if self.under_capture and parent is None:
                 parent = root_of_run(context.scene, path)
-            found.append(
+            requests.append(
                 splat_files.want(path, parent=parent, up=self.up, level=level, cropped=cropped)
             )
-        return found
+        return requests
 
     def show(
         self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
     ) -> str:
         """Select the imported objects; the text of the report."""
         self.warn(warnings)
-        free = context.mode == "OBJECT"  # asked first, it has the view layer know the new objects
+        free = context.mode == "OBJECT"  # first: reading it updates the view layer's objects
         here = [ob for ob in made if ob.name in context.view_layer.objects]
         if here and free:
             make_active(context, here[-1])
@@ -153,16 +151,14 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
 
 
 class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
-    """Export the selected splats, edited and moved as they are, as one file"""
+    """Export the selected splats with their edits and transforms as one file"""
 
     bl_idname = "gscore.export_splats"
     bl_label = "Export Splats"
     bl_options: ClassVar = {"REGISTER", "PRESET"}
 
     filter_glob: StringProperty(default=_GLOB, options={"HIDDEN"})
-    ending: EnumProperty(
-        name="Format", description="What the name of the file ends in", items=_ENDINGS
-    )
+    ending: EnumProperty(name="Format", description="File format and extension", items=_ENDINGS)
     world: EnumProperty(name="World", description="Axes and scale of the file", items=_WORLDS)
     filtered: BoolProperty(
         name="Only Visible",
@@ -199,7 +195,7 @@ class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
         return False
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Open the file browser, unless there is nothing to write."""
+        """Open the file browser, unless there is nothing to export."""
         if not _chosen(context, self.collection):
             return self.refuse(ValueError("Select the splat objects to export."))
         return ExportHelper.invoke(self, context, event)
@@ -215,18 +211,18 @@ class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
 
 
 def _chosen(context: bpy.types.Context, collection: str) -> list[bpy.types.Object]:
-    """Objects with splats of a collection, else the active one, or the one that the active crops,
-    and then those selected.
+    """Objects with splats in a collection, else the active one, or the one that it crops, followed
+    by the selected ones.
 
     Raises:
         ValueError: there is no such collection.
     """
     obs = [context.object, meant(context), *context.selected_objects]
     if collection:
-        found = bpy.data.collections.get(collection)
-        if found is None:
+        block = bpy.data.collections.get(collection)
+        if block is None:
             raise ValueError(f"There is no collection {collection} to export.")
-        obs = list(found.all_objects)
+        obs = list(block.all_objects)
     return list(dict.fromkeys(ob for ob in obs if can_export(ob)))
 
 

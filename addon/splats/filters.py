@@ -41,13 +41,13 @@ class Filters:
 def mask(
     means: np.ndarray, scales: np.ndarray, opacities: np.ndarray, filters: Filters
 ) -> np.ndarray:
-    """[N] bool: which splats pass.
+    """[N] bool, True for splats that pass.
 
     Args:
         means: [N, 3] in object space.
         scales: [N, 3] standard deviations, linear.
         opacities: [N] in [0, 1].
-        filters: The limits; the ends belong to what is shown.
+        filters: The limits, inclusive.
     """
     keep = at_least_opaque(opacities, filters.opacity_min)
     keep &= of_size(scales, filters.size_min, filters.size_max)
@@ -58,7 +58,7 @@ def mask(
 
 
 def passing(columns: dict[str, np.ndarray], limits: Filters) -> np.ndarray:
-    """[N] bool: which splats pass.
+    """[N] bool, True for splats that pass.
 
     Args:
         columns: Copies of the attributes `LOOKED_AT`, as `attributes.column`.
@@ -98,7 +98,7 @@ def visible_mask(ob: Any, data: Any = None) -> np.ndarray:
         data: Mesh or point cloud in place of the object's own.
 
     Raises:
-        ValueError: attributes are missing or out of reach in Edit Mode.
+        ValueError: attributes are missing or not accessible in Edit Mode.
     """
     data = ob.data if data is None else data
     # Blender drops `position` from a mesh without vertices.
@@ -124,6 +124,6 @@ def crop_matrix(ob: Any, crop: Any) -> np.ndarray:
         np.array([tuple(row) for row in matrix], np.float64)
         for matrix in (ob.matrix_world, crop.matrix_world)
     )
-    if not np.linalg.det(box[:3, :3]):  # a crop of no volume holds nothing
+    if not np.linalg.det(box[:3, :3]):  # a crop without volume contains nothing
         return np.array([[0, 0, 0, 2.0]] * 3 + [[0, 0, 0, 1.0]])
     return to_unit @ np.linalg.inv(box) @ world

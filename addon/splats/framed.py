@@ -9,11 +9,11 @@ from . import bounds
 
 
 def frame_of(ob: bpy.types.Object) -> tuple[np.ndarray, float]:
-    """Middle [3] and radius of most of what an object's splats show, in Blender's world: haze, of
-    many faint splats, counts as little as it hides.
+    """Centre [3] and radius of the bulk of an object's splats in Blender's world, weighted by
+    opacity, so that haze of faint splats counts little.
 
     Raises:
-        ValueError: there are none, or their attributes are out of reach in Edit Mode.
+        ValueError: there are none, or their attributes are not accessible in Edit Mode.
     """
     return framing.ball(*_shown(ob))
 
@@ -21,9 +21,9 @@ def frame_of(ob: bpy.types.Object) -> tuple[np.ndarray, float]:
 def turn_views(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[bpy.types.SpaceView3D]:
     """Frame an object's splats in the 3D views of a scene's windows; returns these views.
 
-    Splats are good where photos were taken: where the cameras of their capture are there, a view
-    stands with the one that looks most as it does, so that it is inside of a room. Else it shows
-    the ball of `frame_of`.
+    If the capture's cameras are in the scene, a view moves to the one with the most similar
+    direction, where splats look best and a view of a room is inside. Otherwise it shows the ball
+    of `frame_of`.
 
     Raises:
         ValueError: as `frame_of`.
@@ -44,5 +44,5 @@ def _shown(ob: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """[M, 3] means and [M] weights of splats."""
     placed = bounds.in_world(ob)
     if not len(placed):
-        raise ValueError(f"{ob.name} shows no splats: it has none, or is in Edit Mode.")
+        raise ValueError(f"{ob.name} has no splats to show, or is in Edit Mode.")
     return placed, bounds.opacities(ob)

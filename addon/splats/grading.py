@@ -29,8 +29,8 @@ class Grade:
 def graded(base: np.ndarray, grade: Grade) -> np.ndarray:
     """[N, 4] float32: graded `radiance:base` [N, 4], bit-identical for a neutral grade.
 
-    View-dependent coefficients add to these colours as they did; values below 0, which a view may
-    lift again, keep their sign.
+    View-dependent coefficients stay unchanged; values below 0, which they may raise again, keep
+    their sign.
     """
     out = base.copy()
     if grade != Grade():

@@ -1,12 +1,12 @@
-"""Places of splats that Blender has turned or scaled while shapes and colors stayed.
+"""Lag of splats: positions that Blender has rotated or scaled without shapes and colors.
 
-Blender's Apply and Join, and turning points in Edit Mode, move vertices and leave the attributes
-`rotation`, `scale` and `radiance:sh_*` as they were. How far shapes lag behind places follows from
-the mesh alone: it keeps where some of its splats were when it was looked at last, as a custom
-property. Undo, files and copies take that along, so that nothing has to be remembered beside them.
+Blender's Apply and Join, and rotation of points in Edit Mode, transform vertices, but not the
+attributes `rotation`, `scale` and `radiance:sh_*`. The missing transform, the lag, follows from the
+mesh alone: a custom property stores earlier positions of some of its splats. Undo, files and copies
+keep that property, so no other state is needed.
 
-A mesh that was joined has parts with lags of their own; the attribute `gs_part` has the number of
-each splat's part, and stays right when splats are deleted or copied.
+A joined mesh has parts with different lags; the attribute `gs_part` has the number of each splat's
+part, and stays valid when splats are deleted or copied.
 """
 
 from collections import OrderedDict
@@ -18,36 +18,37 @@ from . import spread
 from .fitted import turn_between
 
 KEY = "gs_places"
-"""Custom property of a mesh: the last look at it, and the lags of its parts."""
+"""Custom property of a mesh: its last sample, and the lags of its parts."""
 PART = "gs_part"
-"""Point attribute of meshes of which several parts lag differently."""
+"""Point attribute of meshes whose parts have different lags."""
 _MOST = 4096
-"""Looks that are remembered, 1.5 kB each."""
+"""Number of cached samples, 1.5 kB each."""
 
 
 class Note(NamedTuple):
-    """What is known of a mesh since a look at it."""
+    """Stored sample of a mesh with its lags."""
 
     look: spread.Spread
     lags: np.ndarray
-    """[P, 3, 3] float64: what the shapes of each part lack; the identity where they are right."""
+    """[P, 3, 3] float64, transform that the shapes of each part lack; identity: none."""
 
 
 _SEEN: OrderedDict[tuple[int, str], Note] = OrderedDict()
-"""The latest look at splats of these shapes, to know them again in a mesh that took them in.
+"""Latest sample of splats by count and shapes, to recognise them in a joined mesh.
 
-Undo cannot make it wrong: of given shapes, any earlier place and its lag lead to the same lag now.
+Undo cannot invalidate it: for given shapes, any earlier positions with their lag give the same
+current lag.
 """
 
 
 def of(mesh: Any) -> np.ndarray:
-    """[P, 3, 3]: the lags that were noted of a mesh; of none, [1, 3, 3] of the identity."""
+    """[P, 3, 3] stored lags of a mesh; without any, [1, 3, 3] of the identity."""
     note = _noted(mesh)
     return np.eye(3)[None] if note is None else note.lags
 
 
 def is_behind(mesh: Any) -> bool:
-    """Whether shapes of a mesh lag behind places; quick enough for drawing a panel."""
+    """True if shapes of a mesh lag behind positions; fast enough for drawing a panel."""
     return mesh.get(KEY) is not None and not _is_none(of(mesh))
 
 
@@ -55,29 +56,29 @@ def parts(mesh: Any) -> np.ndarray:
     """[N] int32: the part of each splat, a row of `of`.
 
     Raises:
-        ValueError: the attribute that says it is gone.
+        ValueError: the attribute `gs_part` is missing.
     """
-    found = np.zeros(len(mesh.vertices), np.int32)
+    numbers = np.zeros(len(mesh.vertices), np.int32)
     count = len(of(mesh))
     if count == 1:
-        return found
+        return numbers
     attribute = mesh.attributes.get(PART)
     if attribute is None or (attribute.data_type, attribute.domain) != ("INT", "POINT"):
         raise ValueError(
-            f"{mesh.name} lacks the attribute {PART}, which tells apart what was joined: undo the "
-            "Join, and use that of Edit Splats."
+            f"{mesh.name} lacks the attribute {PART} of its joined parts: undo the Join, and use "
+            "Join under Edit Splats."
         )
-    attribute.data.foreach_get("value", found)
-    return np.clip(found, 0, count - 1)
+    attribute.data.foreach_get("value", numbers)
+    return np.clip(numbers, 0, count - 1)
 
 
 def note(mesh: Any, lags: np.ndarray, numbers: np.ndarray | None = None) -> None:
-    """Note lags of a mesh as it is now.
+    """Store the lags of a mesh with its current positions.
 
     Args:
-        mesh: Of which `spread.has_splats` says yes.
+        mesh: A mesh for which `spread.has_splats` is true.
         lags: [P, 3, 3].
-        numbers: [N] int32, the part of each splat; None: they stay as they are.
+        numbers: [N] int32, the part of each splat; None: unchanged.
     """
     if numbers is not None and len(lags) > 1:
         if PART not in mesh.attributes:
@@ -87,22 +88,22 @@ def note(mesh: Any, lags: np.ndarray, numbers: np.ndarray | None = None) -> None
 
 
 def forget(mesh: Any) -> None:
-    """The splats of a mesh are others now, or were put right."""
+    """Remove the stored state, because the splats were replaced or corrected."""
     mesh.pop(KEY, None)
     if (attribute := mesh.attributes.get(PART)) is not None:
         mesh.attributes.remove(attribute)
 
 
 def is_miscounted(mesh: Any) -> bool:
-    """Whether a mesh was never looked at, or has another number of splats than then."""
-    found = mesh.get(KEY)
-    return found is None or found["count"] != len(mesh.vertices)
+    """True if a mesh has no stored state, or one with another number of splats."""
+    stored = mesh.get(KEY)
+    return stored is None or stored["count"] != len(mesh.vertices)
 
 
 def follow(mesh: Any) -> bool:
-    """Find out what became of a mesh since the last look, and note it; whether that was news.
+    """Detect transforms of a mesh since the stored state, and update it; True if it changed.
 
-    Only where splats were added it is searched what they are.
+    Only if splats were added, their source meshes are searched for.
     """
     if not spread.has_splats(mesh):
         return False
@@ -113,25 +114,25 @@ def follow(mesh: Any) -> bool:
         _write(mesh, Note(now, np.eye(3)[None]))
     elif now.count != before.look.count:
         _recount(mesh, now, before)
-    elif now.shapes != before.look.shapes:  # somebody has given it other splats
+    elif now.shapes != before.look.shapes:  # the splats were replaced
         _write(mesh, Note(now, np.eye(3)[None]))
     else:
         turn = turn_between(before.look.places, now.places)
         if turn is not None and _is_none(turn):
             _remember(before)
             return False
-        # Where points were moved one by one, what lagged does so still.
+        # If points were moved individually, earlier lags stay.
         _write(mesh, Note(now, before.lags if turn is None else turn @ before.lags))
     return True
 
 
 def _recount(mesh: Any, now: spread.Spread, before: Note) -> None:
-    """Splats were added or deleted."""
-    found = _joined(mesh, before) if now.count > before.look.count else []
-    if not found:
+    """Update the state after splats were added or deleted."""
+    parts = _joined(mesh, before) if now.count > before.look.count else []
+    if not parts:
         _write(mesh, Note(now, before.lags))
         return
-    lags = np.concatenate([one.lags for one in found])
+    lags = np.concatenate([one.lags for one in parts])
     if _is_none(lags):
         _write(mesh, Note(now, np.eye(3)[None]))
         return
@@ -139,7 +140,7 @@ def _recount(mesh: Any, now: spread.Spread, before: Note) -> None:
     if (attribute := mesh.attributes.get(PART)) is not None:
         attribute.data.foreach_get("value", own)
     numbers, at, first = np.empty(now.count, np.int32), 0, 0
-    for one in found:
+    for one in parts:
         rows = slice(at, at + one.look.count)
         numbers[rows] = first + np.clip(own[rows], 0, len(one.lags) - 1)
         at, first = rows.stop, first + len(one.lags)
@@ -147,10 +148,10 @@ def _recount(mesh: Any, now: spread.Spread, before: Note) -> None:
 
 
 def _joined(mesh: Any, before: Note) -> list[Note]:
-    """The meshes that a mesh was joined from, in its order, as they lie in it; none where it is not
-    made of known ones alone."""
+    """Samples of the meshes that a mesh was joined from, in its order; empty if some are
+    unknown."""
     known = [before, *reversed(_SEEN.values())]
-    found: list[Note] = []
+    parts: list[Note] = []
     at, total = 0, len(mesh.vertices)
     looks: dict[int, spread.Spread] = {}
     while at < total:
@@ -165,26 +166,26 @@ def _joined(mesh: Any, before: Note) -> list[Note]:
             if looks[count].shapes == one.look.shapes:
                 turn = turn_between(one.look.places, looks[count].places)
             if turn is not None:
-                found.append(Note(looks[count], turn @ one.lags))
+                parts.append(Note(looks[count], turn @ one.lags))
                 at += count
                 break
         else:
             return []
-    return found
+    return parts
 
 
 def _is_none(lags: np.ndarray) -> bool:
-    """Whether nothing lags, by more than rounding."""
+    """True if all lags are the identity, up to rounding."""
     return bool(np.abs(lags - np.eye(3)).max() <= 1e-5)
 
 
 def _noted(mesh: Any) -> Note | None:
-    found = mesh.get(KEY)
-    if found is None:
+    stored = mesh.get(KEY)
+    if stored is None:
         return None
-    places = np.array(found["places"], np.float64).reshape(-1, 3)
-    lags = np.array(found["lags"], np.float64).reshape(-1, 3, 3)
-    return Note(spread.Spread(int(found["count"]), str(found["shapes"]), places), lags)
+    places = np.array(stored["places"], np.float64).reshape(-1, 3)
+    lags = np.array(stored["lags"], np.float64).reshape(-1, 3, 3)
+    return Note(spread.Spread(int(stored["count"]), str(stored["shapes"]), places), lags)
 
 
 def _write(mesh: Any, note: Note) -> None:

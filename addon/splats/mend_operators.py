@@ -1,4 +1,4 @@
-"""The operator that mends what Blender's Apply and Join leave."""
+"""Operator that transforms shapes and colors after Blender's Apply and Join."""
 
 from collections.abc import Iterable
 from typing import ClassVar
@@ -12,33 +12,33 @@ from .edit_guard import EditGuard
 
 
 class MendSplats(IncrementalOperator, bpy.types.Operator):
-    """Turn and scale shapes and colors of the splats along, where Apply or Join of Blender has
-    moved their places alone; what was stretched gets its places and its scale of before"""
+    """Rotate and scale shapes and colors of splats whose positions alone were changed by Blender's
+    Apply or Join; stretched splats get their earlier positions and object scale back"""
 
     bl_idname = "gscore.mend_splats"
-    bl_label = "Turn Shapes and Colors Along"
+    bl_label = "Update Shapes and Colors"
     bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether something lags in the active splat object or a selected one."""
+        """True if shapes lag in the active or a selected splat object."""
         if mending.behind(context):
             return True
-        cls.poll_message_set("Shapes and colors of the selected splats are where they belong")
+        cls.poll_message_set("Shapes and colors of the selected splats match their positions")
         return False
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """Their points, and where they stand."""
+        """Their points and transforms."""
         return [block for ob in mending.behind(context) for block in (ob.data, ob)]
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
-        """Mend each mesh once."""
-        found = {ob.data: ob for ob in reversed(mending.behind(context))}.values()
-        names = ", ".join(ob.name for ob in found)
-        context.view_layer.update()  # what was done until now is no change
+        """Correct each mesh once."""
+        obs = {ob.data: ob for ob in reversed(mending.behind(context))}.values()
+        names = ", ".join(ob.name for ob in obs)
+        context.view_layer.update()  # else the guards would detect earlier changes
         helds = []
         try:
-            for ob in found:
+            for ob in obs:
                 objects.catch_up(ob)
                 helds.append(EditGuard(ob))
             stretched = yield from mending.mended(helds)
@@ -47,8 +47,8 @@ class MendSplats(IncrementalOperator, bpy.types.Operator):
                 held.close()
         if stretched:
             names = ", ".join(ob.name for ob in stretched)
-            return f"Stretched as before: {names}. Make Scale Even gives one scale for all axes."
-        return f"Shapes and colors follow in {names}."
+            return f"Restored the uneven scale of {names}. Make Scale Even makes it uniform."
+        return f"Updated shapes and colors of {names}."
 
 
 CLASSES = (MendSplats,)

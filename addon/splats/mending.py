@@ -1,4 +1,4 @@
-"""Shapes and colors of splats brought after their places, and stretching taken back: see `lag`."""
+"""Correction of lags: transforms shapes and colors of splats, or undoes stretching; see `lag`."""
 
 from functools import partial
 
@@ -19,21 +19,22 @@ from .rotation import turned
 from .write_chunked import ChunkedWrite, filled, swap
 
 APPLIED = (
-    "The places of the splats of {} were turned or scaled alone, as Apply of Blender does: their "
-    "shapes and colors are as before."
+    "The positions of the splats of {} were rotated or scaled without their shapes and colors, as "
+    "by Blender's Apply."
 )
 JOINED = (
-    "Join of Blender turned or scaled the places of what {} took in, but not its shapes and colors."
+    "Blender's Join rotated or scaled the positions of splats joined into {}, but not their shapes "
+    "and colors."
 )
 STRETCHED = (
-    "The places of splats of {} were stretched by Apply or Join of Blender, and splats cannot be: "
-    "their shapes are as before."
+    "The positions of splats of {} were stretched by Blender's Apply or Join, but their shapes "
+    "cannot be stretched."
 )
 
 
 def problem(ob: bpy.types.Object) -> str:
-    """What lags behind in a splat object, a sentence with `{}` for its name; empty where nothing
-    does. Quick enough for drawing a panel."""
+    """Sentence about the lags of a splat object, with `{}` for its name; empty without lags. Fast
+    enough for drawing a panel."""
     if not lag.is_behind(ob.data):
         return ""
     lags = lag.of(ob.data)
@@ -43,19 +44,19 @@ def problem(ob: bpy.types.Object) -> str:
 
 
 def behind(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The splat objects in which something lags: the one that is worked on, and those selected."""
+    """The splat objects with lags: the one that the user works on, and the selected ones."""
     obs = dict.fromkeys([objects.meant(context), *context.selected_objects])
     return [ob for ob in obs if objects.is_splats(ob) and lag.is_behind(ob.data)]
 
 
 class Mend:
-    """What lags in one object, put right: prepared bit by bit, then done at once."""
+    """Correction of one object: prepared in steps, then applied in one change."""
 
     def __init__(self, held: EditGuard) -> None:
-        """Find out what there is to do.
+        """Determine the changes.
 
         Raises:
-            ValueError: what happened cannot be undone so.
+            ValueError: the lags cannot be corrected.
         """
         ob = held.there()
         self._held, self._lags, self._numbers = held, lag.of(ob.data), lag.parts(ob.data)
@@ -65,7 +66,7 @@ class Mend:
             for user in _users(ob):
                 editable_check.check(user)
                 _with_lag(user, self._lags[k])
-        # One part stays where it is; others become objects of their own.
+        # One stretched part may stay in this object; others become new objects.
         every = self._odd and len(self._odd) == len(self._there)
         self._own = self._odd[0] if every else None
         self._apart = [k for k in self._odd if k != self._own]
@@ -75,14 +76,14 @@ class Mend:
             held.check_movable()
 
     def filling(self) -> "Pieces[list[ChunkedWrite[Points]]]":
-        """Look what its meshes will be: its own, then those of parts that leave it.
+        """Compute its meshes: its own, then those of parts that become new objects.
 
         Raises:
             ValueError: attributes are missing or not finite.
         """
         table = yield from ChunkedRead(self._held.there()).table(whole=bool(self._apart))
         own, *others = yield from run_in_thread(
-            partial(self._mended, table), f"Turning splats of {self._held.name}"
+            partial(self._mended, table), f"Transforming splats of {self._held.name}"
         )
         make = self._held.emptied_mesh if self._apart else self._held.copied_mesh
         emptied = self._held.emptied_mesh
@@ -113,7 +114,7 @@ class Mend:
         return [points_of(point_attributes.picked(table, some)) for some in rows]
 
     def finish(self, meshes: list[bpy.types.Mesh]) -> list[bpy.types.Object]:
-        """Put what `filling` made, filled, in its place; the objects that are stretched now."""
+        """Assign the filled meshes of `filling`; returns the objects with a restored scale."""
         ob, (own, *others) = self._held.there(), meshes
         for mesh in meshes:
             lag.forget(mesh)
@@ -130,17 +131,17 @@ class Mend:
 
 
 def mended(helds: list[EditGuard]) -> Pieces[list[bpy.types.Object]]:
-    """Turn and scale shapes and colors of objects along with the places that are there.
+    """Rotate and scale shapes and colors of objects to match their current positions.
 
-    What was stretched gets the places of before instead, and its object that matrix; a part that
-    was joined becomes an object of its own for that.
+    Stretched parts get their earlier positions back, and their object the matrix; a joined part
+    becomes a new object for that.
 
     Returns:
-        The objects that are stretched now, as before Apply or Join.
+        The objects with an uneven scale, as before Apply or Join.
 
     Raises:
-        ValueError: a mesh cannot be written, or what happened cannot be undone so; nothing is
-            changed then.
+        ValueError: a mesh cannot be written, or the lags cannot be corrected; nothing is changed
+            then.
     """
     mends = [Mend(held) for held in helds]
     fillings = []
@@ -156,29 +157,30 @@ def mended(helds: list[EditGuard]) -> Pieces[list[bpy.types.Object]]:
 
 
 def _users(ob: bpy.types.Object) -> list[bpy.types.Object]:
-    """All objects that show an object's mesh."""
+    """All objects with an object's mesh."""
     return [one for one in bpy.data.objects if one.data == ob.data]
 
 
 def _with_lag(ob: bpy.types.Object, turn: np.ndarray) -> Matrix:
-    """The matrix that an object gets when its splats give a lag back to it.
+    """The matrix of an object after a lag moves from its splats to it.
 
     Raises:
-        ValueError: there is none: something was scaled to nothing, or sheared.
+        ValueError: the matrix would be singular or sheared.
     """
     if abs(np.linalg.det(turn)) > 1e-12:
-        wanted = ob.matrix_basis @ _matrix(turn)
-        made = Matrix.LocRotScale(*wanted.decompose())
-        if np.allclose(made, wanted, rtol=0, atol=1e-5 * np.abs(np.array(wanted)[:3, :3]).max()):
+        exact = ob.matrix_basis @ _matrix(turn)
+        made = Matrix.LocRotScale(*exact.decompose())
+        if np.allclose(made, exact, rtol=0, atol=1e-5 * np.abs(np.array(exact)[:3, :3]).max()):
             return made
     raise ValueError(
-        f"{ob.name} was stretched in a way that no object can be: undo the Apply or Join (Ctrl Z)."
+        f"{ob.name} was sheared or scaled to 0, which its object cannot represent: undo the Apply "
+        "or Join (Ctrl Z)."
     )
 
 
 def _take_back(ob: bpy.types.Object, turn: np.ndarray) -> None:
-    """Give an object, whose splats have the places of before again, the lag as its own; what hangs
-    from it stays."""
+    """Apply a lag to the matrix of an object whose splats have their earlier positions again; its
+    children stay in place."""
     back = np.linalg.inv(turn)
     for child in ob.children:
         child.matrix_parent_inverse = _matrix(back) @ child.matrix_parent_inverse

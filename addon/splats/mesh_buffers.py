@@ -1,6 +1,6 @@
-"""Mesh buffers: the arrays that are written to Blender in short steps.
+"""Mesh buffers: arrays that are written to Blender in short steps.
 
-A module of its own, because `typing` caches the arguments of generic classes until Python ends. If
+A separate module, because `typing` caches the arguments of generic classes until Python ends. If
 one of them referred to bpy through its module, bpy 4.5 would not be freed and would hang at exit.
 """
 
@@ -17,12 +17,12 @@ class MeshBuffers(Protocol):
 
     @property
     def count(self) -> int:
-        """How many."""
+        """Number of splats."""
         ...
 
     @property
     def columns(self) -> tuple[tuple[str, str, np.ndarray], ...]:
-        """As `attributes.columns`; vertex groups and text as `carried.blocks`."""
+        """As `attributes.columns`; vertex groups and text as `point_attributes.blocks`."""
         ...
 
 
@@ -34,7 +34,7 @@ class Points:
     """Attributes of points only."""
 
     count: int
-    """How many."""
+    """Number of points."""
     columns: tuple[tuple[str, str, np.ndarray], ...]
     """As `MeshBuffers.columns`."""
 
@@ -48,6 +48,6 @@ def points_of(table: list[Column]) -> Points:
             columns += blocks(column)
         elif column.kind != GROUP:
             columns.append((column.name, column.kind, column.values.reshape(-1)))
-    # After all attributes: Blender gives none the name that a group has.
+    # After all attributes: Blender creates no attribute with the name of a group.
     columns += [block for column in groups for block in blocks(column)]
     return Points(count=len(table[0].values), columns=tuple(columns))

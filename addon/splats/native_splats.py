@@ -16,34 +16,34 @@ from .write_chunked import ChunkedWrite, filled
 
 
 def taking(cloud: bpy.types.Object) -> Pieces[bpy.types.Object]:
-    """Create a splat object from a point cloud, in its place; the cloud stays, hidden.
+    """Create a splat object at a point cloud's location; the cloud is kept and hidden.
 
     Raises:
-        ValueError: attributes are missing, the cloud is gone meanwhile, or its numbers are not
+        ValueError: attributes are missing, the cloud was removed meanwhile, or values are not
             finite; nothing is left then.
     """
     name, uid = cloud.name, cloud.session_uid
-    found = yield from read_chunked(cloud)
-    size = yield from run_in_thread(partial(_size, found), f"Looking at {name}")
+    columns = yield from read_chunked(cloud)
+    size = yield from run_in_thread(partial(_size, columns), f"Measuring {name}")
     yield from settings.building()
-    [mesh] = yield from filled([ChunkedWrite(_points(found))], partial(_cloud, uid, name))
-    return _stand(mesh, size, _cloud(uid, name))
+    [mesh] = yield from filled([ChunkedWrite(_points(columns))], partial(_cloud, uid, name))
+    return _place(mesh, size, _cloud(uid, name))
 
 
 def _cloud(uid: int, name: str) -> bpy.types.Object:
     cloud = with_uid(bpy.data.objects, uid)
     if cloud is None:
-        raise ValueError(f"{name} is gone; its splats were not taken over.")
+        raise ValueError(f"{name} was removed; its splats were not converted.")
     return cloud
 
 
-def _size(found: dict[str, np.ndarray], check: Check) -> float:
+def _size(columns: dict[str, np.ndarray], check: Check) -> float:
     """`objects.typical_size` of attributes."""
-    sizes = found[attributes.SCALE].max(axis=1, initial=0.0)
+    sizes = columns[attributes.SCALE].max(axis=1, initial=0.0)
     return float(np.median(sizes)) if len(sizes) else 0.0
 
 
-def _stand(mesh: bpy.types.Mesh, size: float, cloud: bpy.types.Object) -> bpy.types.Object:
+def _place(mesh: bpy.types.Mesh, size: float, cloud: bpy.types.Object) -> bpy.types.Object:
     mesh.name = f"{cloud.name} splats"
     collection = editable_check.taking(cloud.users_collection)[0]
     made = objects.around(mesh, size, collection=collection, parent=cloud.parent)
@@ -55,6 +55,6 @@ def _stand(mesh: bpy.types.Mesh, size: float, cloud: bpy.types.Object) -> bpy.ty
     return made
 
 
-def _points(found: dict[str, np.ndarray]) -> Points:
-    columns = tuple((n, attributes.kind_of(n), values.ravel()) for n, values in found.items())
-    return Points(count=len(found[attributes.BASE]), columns=columns)
+def _points(columns: dict[str, np.ndarray]) -> Points:
+    flat = tuple((n, attributes.kind_of(n), values.ravel()) for n, values in columns.items())
+    return Points(count=len(columns[attributes.BASE]), columns=flat)

@@ -1,4 +1,4 @@
-"""Splat objects: splats as a mesh object; create, refresh, read, count."""
+"""Splat objects: splats as a mesh object; create, refresh, read, find, hide."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ KIND = "splats"
 ANTIALIAS = "gs_antialias"
 """Custom property of a splat object trained with antialias (Mip-Splatting)."""
 CATCH_UP: list[Callable[[bpy.types.Object], None]] = []
-"""Updates an object's mesh to its displayed splats; raises ValueError if that fails."""
+"""Functions that update an object's mesh to its displayed splats; ValueError if that fails."""
 
 
 def create(
@@ -30,9 +30,9 @@ def create(
 
     Args:
         splats: Raw parameters, in COLMAP's world.
-        name: Of object and mesh.
-        collection: Where to link it, if it takes objects; the context's collection if not given.
-        parent: Usually the capture's root, whose matrix takes COLMAP's world to Blender's.
+        name: Name of object and mesh.
+        collection: Collection to link it to, if it accepts objects; None: the context's.
+        parent: Usually the capture's empty, whose matrix maps COLMAP's world to Blender's.
     """
     mesh = bpy.data.meshes.new(name)
     _fill(mesh, splats)
@@ -54,7 +54,7 @@ def around(
     """Create a splat object from a mesh that has the attributes.
 
     Args:
-        mesh: Lends its name.
+        mesh: The mesh; the object gets its name.
         size: `typical_size` of its splats.
         collection: As `create`.
         parent: As `create`.
@@ -64,7 +64,7 @@ def around(
     ob.parent = parent
     editable_check.taking([collection or bpy.context.collection])[0].objects.link(ob)
     if size:
-        # Half the typical splat: points then neither merge nor vanish.
+        # With half the typical size points neither merge nor vanish.
         ob.gscore.point_size = 0.5 * size
     settings.attach(ob)
     lag.follow(mesh)
@@ -74,15 +74,13 @@ def around(
 
 
 def refresh(ob: bpy.types.Object, splats: Splats) -> None:
-    """Replace all splats of an object; its transform, display settings and parent stay.
-
-    What users have put on its mesh stays too.
+    """Replace all splats of an object; transform, display settings, parent and mesh metadata stay.
 
     Raises:
         ValueError: as `check_refreshable`.
     """
     check_refreshable(ob)
-    # Vertices can be added to a mesh, but not removed, so start over where the number differs.
+    # Vertices can be added to a mesh, but not removed, so start over if the number differs.
     if len(ob.data.vertices) != len(splats) or _sh_names(ob.data) != splats.shN.shape[1]:
         copy_metadata.empty(ob.data)
     lag.forget(ob.data)
@@ -90,19 +88,19 @@ def refresh(ob: bpy.types.Object, splats: Splats) -> None:
 
 
 def check_refreshable(ob: bpy.types.Object) -> None:
-    """Raise ValueError unless all splats of an object can be replaced now, whatever their number,
-    with nothing lost that is on its mesh."""
+    """Raise ValueError unless all splats of an object can be replaced without losing other data of
+    its mesh."""
     check_writable(ob)
     copy_metadata.check_points_alone(ob.data, ob.name)
 
 
 def catch_up(ob: bpy.types.Object) -> None:
-    """Update an object's mesh to its displayed splats; in a window it follows with a delay.
+    """Update an object's mesh to its displayed splats, which it follows with a delay in a window.
 
-    Whatever reads the splats of an object, or edits them, does this first.
+    Call before reading or editing the splats of an object.
 
     Raises:
-        ValueError: it cannot, because a file or the object says so.
+        ValueError: the update fails.
     """
     for bring in CATCH_UP:
         bring(ob.original)
@@ -116,7 +114,7 @@ def read(ob: bpy.types.Object, *, rest: bool = True) -> Splats:
         rest: As `attributes.read`.
 
     Raises:
-        ValueError: attributes are missing or not finite, and named; or as `catch_up`.
+        ValueError: attributes are missing or not finite, or as `catch_up`.
     """
     if ob.type not in {"MESH", "POINTCLOUD"}:
         raise ValueError(f"{ob.name} is no splat object: it is a {ob.type.lower()}.")
@@ -129,7 +127,7 @@ def read_world(ob: bpy.types.Object) -> Splats:
     """Raw parameters in Blender's world: means, quaternions, scales and SH transformed.
 
     Raises:
-        ValueError: as `read`, or the object's matrix is no similarity (it is named).
+        ValueError: as `read`, or the object's matrix is no similarity.
     """
     return transformed(ob, compat.matrix_to_numpy(ob.matrix_world))
 
@@ -140,10 +138,10 @@ def transformed(ob: bpy.types.Object, matrix: np.ndarray) -> Splats:
 
 
 def moved(splats: Splats, matrix: np.ndarray, name: str) -> Splats:
-    """The splats of an object called `name` after a 4x4 similarity; touches no bpy.
+    """The splats of an object called `name` after a 4x4 similarity; no bpy.
 
     Raises:
-        ValueError: the matrix is no similarity; the object is named.
+        ValueError: the matrix is no similarity.
     """
     if np.array_equal(matrix, np.eye(4)):
         return splats
@@ -156,7 +154,7 @@ def moved(splats: Splats, matrix: np.ndarray, name: str) -> Splats:
 def check_writable(ob: bpy.types.Object) -> None:
     """Raise ValueError unless the points of the object's mesh are writable now."""
     if ob.mode == "EDIT":
-        raise ValueError(f"{ob.name} is in Edit Mode: leave it before its splats are changed.")
+        raise ValueError(f"{ob.name} is in Edit Mode: leave it before changing its splats.")
     if ob.type != "MESH":
         raise ValueError(f"{ob.name} is no splat object: it is a {ob.type.lower()}.")
     editable_check.check(ob.data)
@@ -168,7 +166,7 @@ def is_splats(ob: bpy.types.Object | None) -> bool:
 
 
 def meant(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The splat object that a user works on: the active one, or the one that the active crops."""
+    """The active object, or the splat object that it crops."""
     active = context.object
     if active is None or is_splats(active):
         return active
@@ -177,23 +175,23 @@ def meant(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def in_question(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The splats that panels are about: those that a user works on, or the scene's result, or the
-    first that are found in it."""
+    """The splat object of the panels: the one that the user works on, else the scene's result, else
+    the first in the scene."""
     if is_splats(ob := meant(context)):
         return ob
     result, objects = context.scene.gscore.result, context.scene.objects
-    if is_splats(result) and objects.get(result.name) == result:  # else it is deleted
+    if is_splats(result) and objects.get(result.name) == result:  # else it was deleted
         return result
     return next(filter(is_splats, objects), None)
 
 
 def chain(ob: bpy.types.Object | None) -> list[bpy.types.Object]:
     """An object and its ancestors."""
-    found = []
+    obs = []
     while ob is not None:
-        found.append(ob)
+        obs.append(ob)
         ob = ob.parent
-    return found
+    return obs
 
 
 def can_export(ob: bpy.types.Object | None) -> bool:
@@ -215,8 +213,8 @@ def hide(ob: bpy.types.Object, scene: bpy.types.Scene, *, hidden: bool = True) -
 
 
 def hide_points(scene: bpy.types.Scene, root: bpy.types.Object, *, hidden: bool = True) -> None:
-    """The SfM points of a capture would lie over its splats as black dots; the eye in the outliner
-    shows them again. Those that are being edited stay."""
+    """Hide the SfM points of a capture, which would cover its splats as black dots, unless they are
+    being edited; the eye in the outliner shows them again."""
     points = points_of(root)
     if points is not None and points.mode != "EDIT":
         hide(points, scene, hidden=hidden)
@@ -224,7 +222,7 @@ def hide_points(scene: bpy.types.Scene, root: bpy.types.Object, *, hidden: bool 
 
 @contextmanager
 def _readable(ob: bpy.types.Object) -> Iterator[bpy.types.ID]:
-    """The object's data; in Edit Mode, where its attributes are out of reach, a copy of them."""
+    """The object's data; in Edit Mode, where attributes are not accessible, a copy."""
     if ob.mode != "EDIT":
         yield ob.data
         return

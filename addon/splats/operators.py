@@ -15,8 +15,8 @@ from .objects import is_native, is_splats, meant
 
 
 class OnSplats(BaseOperator):
-    """Works on the active splat object, or on the one that the active object crops: on its own
-    settings, where it does not say otherwise."""
+    """Base of operators on the active splat object, or on the one that the active object crops; by
+    default they change its settings."""
 
     bl_options: ClassVar = {"REGISTER", "UNDO"}
 
@@ -46,7 +46,7 @@ class ResetFilters(OnSplats, bpy.types.Operator):
 
 
 class AddCropBox(OnSplats, bpy.types.Operator):
-    """Add a wire box around most of the splats and show only those inside; move and scale it"""
+    """Add a wire box around most splats and show only splats inside; move or scale the box"""
 
     bl_idname = "gscore.add_crop_box"
     bl_label = "Add Crop Box"
@@ -58,7 +58,7 @@ class AddCropBox(OnSplats, bpy.types.Operator):
 
 
 class MakeScaleEven(OnSplats, bpy.types.Operator):
-    """Give the object, and what it hangs from, one scale for all axes that keeps the volume: splats
+    """Make the scale of the object and its parents uniform, keeping the volume, because splats
     cannot be stretched"""
 
     bl_idname = "gscore.make_scale_even"
@@ -71,11 +71,13 @@ class MakeScaleEven(OnSplats, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Change the scales."""
         changed = uniform_scale.make_even(context, meant(context))
-        return f"One scale for all axes: {', '.join(changed)}." if changed else "It is even."
+        if changed:
+            return f"Made the scale uniform: {', '.join(changed)}."
+        return "The scale is uniform already."
 
 
 class ResetDisplay(IncrementalOperator, OnSplats, bpy.types.Operator):
-    """Add the display modifier again after it was removed, or bring it up to date"""
+    """Add the display modifier again after it was removed, or update it"""
 
     bl_idname = "gscore.reset_display"
     bl_label = "Restore Display"
@@ -85,16 +87,16 @@ class ResetDisplay(IncrementalOperator, OnSplats, bpy.types.Operator):
         ob = meant(context)
         name, uid = ob.name, ob.session_uid
         yield from settings.building()
-        found = with_uid(bpy.data.objects, uid)
-        if found is None:
-            raise ValueError(f"{name} is gone; its display was not restored.")
-        settings.attach(found)
+        ob = with_uid(bpy.data.objects, uid)
+        if ob is None:
+            raise ValueError(f"{name} was removed; its display was not restored.")
+        settings.attach(ob)
         return ""
 
 
 class TakeNativeSplats(IncrementalOperator, bpy.types.Operator):
-    """Make a splat object of Blender's own Gaussian splats, which filters, tools and training know.
-    Those stay, hidden"""
+    """Convert a copy of Blender's own Gaussian splats to a splat object for filters, tools and
+    training; the original is hidden"""
 
     bl_idname = "gscore.take_native_splats"
     bl_label = "Make Splat Object"
@@ -130,17 +132,13 @@ CLASSES = (
 
 
 def check_shown(ob: bpy.types.Object) -> None:
-    """Whether the view layer shows an object, without which it has no Edit Mode.
-
-    Raises:
-        ValueError: it does not.
-    """
+    """Raise ValueError unless the view layer shows an object, which Edit Mode requires."""
     if not ob.visible_get():
         raise ValueError(f"{ob.name} is hidden; show it, with its eye in the outliner, to edit it.")
 
 
 def edit_vertices(context: bpy.types.Context, ob: bpy.types.Object) -> None:
-    """Enter Edit Mode of an object, and no other, on vertices.
+    """Enter Edit Mode of only one object, in vertex select mode.
 
     Raises:
         ValueError: it is hidden.

@@ -8,10 +8,10 @@ import numpy as np
 from ..attributes import BASE, FORMATS, POSITION, ROTATION, SCALE, SELECTION, SH, SH_COUNTS
 
 GROUP = "GROUP"
-"""Data type of columns of vertex groups: the weights of splats that are in one; NaN: it is not."""
+"""Data type of vertex group columns: weights; NaN: the splat is not in the group."""
 TEXT = "STRING"
 """Data type of string columns: bytes."""
-# As Blender keeps them: others it takes number by number, of a million splats in 0.1 s.
+# Blender's own types; others are converted one by one, 0.1 s for a million splats.
 _DTYPES = {
     "INT": np.int32,
     "BOOLEAN": np.bool_,
@@ -22,7 +22,7 @@ _DTYPES = {
 }
 _HIDDEN = ".hide_vert"
 _GROUP_NAME = ".group:"
-"""Prefix of group names, to tell them from attribute names among columns."""
+"""Prefix of group names in columns, to distinguish them from attribute names."""
 _ENTRIES = np.dtype([("row", np.int32), ("weight", np.float32)])
 _TEXTS = np.dtype([("row", np.int32), ("text", np.object_)])
 _LACKING = {GROUP: np.nan, TEXT: b""}
@@ -32,68 +32,67 @@ _BLOCK = 1 << 12
 
 
 class Column(NamedTuple):
-    """One attribute of points."""
+    """One point attribute."""
 
     name: str
     kind: str
-    """Its data type."""
+    """Data type."""
     values: np.ndarray
     """[N, width]"""
 
 
 def kinds(mesh: Any, *, whole: bool = False) -> dict[str, str]:
-    """Data types by name of all attributes of points of numbers and vectors, those of others among
-    them: what follows where points are deleted or joined.
+    """Data types by name of all point attributes, of splats and others, that survive deleting and
+    joining points.
 
     Args:
-        mesh: Or point cloud.
-        whole: Text too, which is all that Blender has.
+        mesh: Mesh or point cloud.
+        whole: Also string attributes.
 
     Raises:
-        ValueError: `whole`, and there is one of a later Blender's types, which would be lost.
+        ValueError: with `whole`, an attribute has a type of a later Blender and would be lost.
     """
-    found = {
+    every = {
         a.name: a.data_type
         for a in mesh.attributes
         if a.domain == "POINT" and not a.name.startswith(".")
     }
-    known = {name: kind for name, kind in found.items() if kind in FORMATS or kind == TEXT}
+    known = {name: kind for name, kind in every.items() if kind in FORMATS or kind == TEXT}
     if whole:
-        if lost := [name for name in found if name not in known]:
+        if lost := [name for name in every if name not in known]:
             raise ValueError(
-                f"The attribute {lost[0]} is of a type that this add-on cannot keep, "
-                f"{found[lost[0]]}: convert or remove it first, under Object Data > Attributes."
+                f"The attribute {lost[0]} has the type {every[lost[0]]}, which this add-on cannot "
+                "keep: convert or remove it first, under Object Data > Attributes."
             )
         return known
     return {name: kind for name, kind in known.items() if kind != TEXT}
 
 
 def empty_values(kind: str, count: int) -> np.ndarray:
-    """[N, width] for an attribute of this data type, not yet set."""
+    """[N, width] uninitialised values for an attribute of a data type."""
     width = 1 if kind in _LACKING else FORMATS[kind][1]
     return np.empty((count, width), _DTYPES.get(kind, np.float32))
 
 
 def copy_values(mesh: Any, name: str, values: np.ndarray) -> None:
-    """Copy an attribute, which is no text, into what `empty_values` made; the mesh is not in Edit
-    Mode."""
+    """Copy a non-string attribute into an array of `empty_values`; not in Edit Mode."""
     attribute = mesh.attributes[name]
     attribute.data.foreach_get(FORMATS[attribute.data_type][0], values.reshape(-1))
 
 
 def marks(mesh: Any) -> list[Column]:
     """Selection and hiding of a mesh of points, if any."""
-    found = []
+    columns = []
     for name in (SELECTION, _HIDDEN):
         if name in mesh.attributes:
             values = empty_values("BOOLEAN", len(mesh.vertices))
             copy_values(mesh, name, values)
-            found.append(Column(name, "BOOLEAN", values))
-    return found
+            columns.append(Column(name, "BOOLEAN", values))
+    return columns
 
 
 def of_groups(names: list[str], weights: np.ndarray) -> list[Column]:
-    """A column for each vertex group, of [G, N] float32."""
+    """A column for each vertex group, from weights [G, N] float32."""
     return [
         Column(f"{_GROUP_NAME}{name}", GROUP, values[:, None])
         for name, values in zip(names, weights, strict=True)
@@ -101,15 +100,14 @@ def of_groups(names: list[str], weights: np.ndarray) -> list[Column]:
 
 
 def blocks(column: Column) -> list[tuple[str, str, np.ndarray]]:
-    """What is handed over some splats at a time: name, data type, and numbers `row` and weights
-    `weight` of those in a vertex group, which goes by its own name, or texts `text` of those that
-    have one; at least one such block.
+    """A vertex group or string column as blocks of splats, at least one: name without prefix, data
+    type, and entries with `row` and `weight` or `text`, for splats that have one.
 
-    Within each of a group, splats of the same weight are side by side, which so are handed over at
-    once. The blocks are in the order of splats: Blender gives each memory of its own, and goes
-    through all of it when it copies or frees a mesh.
+    Within a block of a group, splats are sorted by weight, because Blender sets equal weights in
+    one call. The blocks are in the order of splats, because Blender allocates each separately and
+    traverses all when it copies or frees a mesh.
     """
-    values, found = column.values[:, 0], []
+    values, made = column.values[:, 0], []
     grouped = column.kind == GROUP
     has = ~np.isnan(values) if grouped else values.astype(np.bool_)
     rows = np.flatnonzero(has).astype(np.int32)
@@ -119,20 +117,20 @@ def blocks(column: Column) -> list[tuple[str, str, np.ndarray]]:
             some = some[np.argsort(values[some], kind="stable")]
         entries = np.empty(len(some), _ENTRIES if grouped else _TEXTS)
         entries["row"], entries["weight" if grouped else "text"] = some, values[some]
-        found.append((column.name.removeprefix(_GROUP_NAME), column.kind, entries))
-    return found
+        made.append((column.name.removeprefix(_GROUP_NAME), column.kind, entries))
+    return made
 
 
 def of_splats(table: list[Column], *, rest: bool = True) -> dict[str, np.ndarray]:
-    """The splat attributes of a table for `as_splats`, not copied; `rest` as in `read`."""
-    found = {column.name: column.values for column in table}
+    """The splat attributes of a table for `as_splats`, not copied; `rest` includes shN."""
+    every = {column.name: column.values for column in table}
     harmonics = (f"{SH}{k}" for k in range(SH_COUNTS[-1] if rest else 0))
-    wanted = [BASE, SCALE, ROTATION, POSITION, *takewhile(found.__contains__, harmonics)]
-    return {name: found[name] for name in wanted if name in found}
+    names = [BASE, SCALE, ROTATION, POSITION, *takewhile(every.__contains__, harmonics)]
+    return {name: every[name] for name in names if name in every}
 
 
 def without_selection(table: list[Column]) -> list[Column]:
-    """A table but for what is selected, of which a part of its splats becomes a part of others."""
+    """A table without the selection, for splats that move to another object."""
     return [column for column in table if column.name != SELECTION]
 
 
@@ -142,19 +140,19 @@ def picked(table: list[Column], rows: np.ndarray) -> list[Column]:
 
 
 def joined(tables: list[list[Column]]) -> list[Column]:
-    """The points of some tables, one after the other; 0, or no text, where one lacks an attribute,
-    and none in a vertex group that it lacks.
+    """The points of several tables, concatenated; a missing attribute becomes 0 or an empty string,
+    a missing vertex group has no members.
 
     Raises:
         ValueError: an attribute has two data types.
     """
-    found: dict[str, str] = {}
+    kinds: dict[str, str] = {}
     for name, kind, _ in (column for table in tables for column in table):
-        if found.setdefault(name, kind) != kind:
+        if kinds.setdefault(name, kind) != kind:
             raise ValueError(f"The attribute {name} has another type in each object: rename one.")
     counts = [len(table[0].values) for table in tables]
     made = []
-    for name, kind in found.items():
+    for name, kind in kinds.items():
         values, at = empty_values(kind, sum(counts)), 0
         lacking = _LACKING.get(kind, 0)
         for table, count in zip(tables, counts, strict=True):

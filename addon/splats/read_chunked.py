@@ -1,4 +1,4 @@
-"""Chunked reading of splats from Blender, so that no single step is long."""
+"""Chunked reading of splats from Blender in short steps."""
 
 import time
 from collections.abc import Sequence
@@ -15,18 +15,17 @@ from .point_attributes import TEXT, Column
 
 
 class ChunkedRead:
-    """The splats of an object as they are when this is made, whatever is done to it meanwhile.
+    """The splats of an object at creation, independent of later changes.
 
-    They are read from a copy of its mesh, or point cloud, which shares the memory of all that is
-    not changed.
+    They are read from a copy of its mesh or point cloud, which shares unchanged memory.
     """
 
     def __init__(self, ob: bpy.types.Object, names: Sequence[str] | None = None) -> None:
-        """Take the copy.
+        """Copy the mesh.
 
         Args:
-            ob: With splats of its own, in any mode.
-            names: Attributes of vectors that are wanted; None: all of splats.
+            ob: Object with splats, in any mode.
+            names: Vector attributes to read; None: all splat attributes.
 
         Raises:
             ValueError: attributes are missing, or as `objects.catch_up`.
@@ -37,7 +36,7 @@ class ChunkedRead:
         self._groups = [group.name for group in ob.vertex_groups]
         copy = ob.data.copy()
         self._temporary, self._of, self._data = Temporary(copy), ob.name, ob.data.name
-        try:  # of the copy: in Edit Mode attributes are out of reach
+        try:  # on the copy, because attributes are not accessible in Edit Mode
             known = attributes.names(copy, called=self._data)
             self._names = known if names is None else [n for n in names if n in known]
             for one in self._names:
@@ -47,26 +46,25 @@ class ChunkedRead:
             raise
 
     def read(self) -> Pieces[dict[str, np.ndarray]]:
-        """Read them; what `attributes.as_splats` takes, where all are wanted.
+        """Read the attributes; with all names the input of `attributes.as_splats`.
 
         Raises:
-            ValueError: the copy is gone, or holds numbers that are not finite.
+            ValueError: the copy was removed, or has non-finite values.
         """
         copy = self._copy()
         kinds = {name: copy.attributes[name].data_type for name in self._names}
-        found = yield from self._read(kinds, [])
-        yield from run_in_thread(partial(_check_finite, found, self._data), self._sentence(1.0))
-        return {column.name: column.values for column in found}
+        columns = yield from self._read(kinds, [])
+        yield from run_in_thread(partial(_check_finite, columns, self._data), self._sentence(1.0))
+        return {column.name: column.values for column in columns}
 
     def table(self, *, whole: bool = True) -> Pieces[list[Column]]:
-        """Read all attributes, those of others among them, and what is selected and hidden.
+        """Read all point attributes, selection and hiding.
 
         Args:
-            whole: Read vertex groups and text too, each of which takes a second of a million
-                splats.
+            whole: Also read vertex groups and strings; each takes a second for a million splats.
 
         Raises:
-            ValueError: the copy is gone; or as `carried.kinds`.
+            ValueError: the copy was removed, or as `point_attributes.kinds`.
         """
         copy = self._copy()
         try:
@@ -79,7 +77,7 @@ class ChunkedRead:
     def _read(self, kinds: dict[str, str], groups: list[str]) -> Pieces[list[Column]]:
         try:
             count = attributes.point_count(self._copy())
-            # First: with an attribute Blender removes the group of its name.
+            # First, because removing an attribute also removes the group of the same name.
             own = (yield from self._weights(groups, count)) if groups else []
             columns = yield from run_in_thread(partial(_made, kinds, count), self._sentence(0.0))
             until = time.perf_counter() + BUDGET
@@ -93,7 +91,7 @@ class ChunkedRead:
                     copy = self._copy()
                 else:
                     point_attributes.copy_values(copy, name, values)
-                if name != attributes.POSITION:  # a little at a time: all at once takes long
+                if name != attributes.POSITION:  # free memory gradually
                     copy.attributes.remove(copy.attributes[name])
             return columns + own
         finally:
@@ -130,13 +128,13 @@ class ChunkedRead:
     def _copy(self) -> bpy.types.Mesh | bpy.types.PointCloud:
         copy = self._temporary.found()
         if copy is None:
-            raise ValueError(f"{self._of} was taken away before its splats were read: begin again.")
+            raise ValueError(f"{self._of} was removed before its splats were read: try again.")
         return copy
 
 
 def _made(kinds: dict[str, str], count: int, check: Check) -> list[Column]:
-    """Memory for attributes of so many points, written to: the system gives a page of it out then,
-    which for a million splats takes longer than to copy them."""
+    """Zero-filled columns: the first write allocates memory pages, which for a million splats takes
+    longer than copying them."""
     made = []
     for name, kind in kinds.items():
         check()
@@ -154,5 +152,5 @@ def _check_finite(columns: list[Column], called: str, check: Check) -> None:
 def read_chunked(
     ob: bpy.types.Object, names: Sequence[str] | None = None
 ) -> Pieces[dict[str, np.ndarray]]:
-    """The splats of an object at the first piece; arguments and errors as `ChunkedRead`."""
+    """The splats of an object at the first step; arguments and errors as `ChunkedRead`."""
     return (yield from ChunkedRead(ob, names).read())

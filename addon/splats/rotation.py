@@ -16,11 +16,11 @@ _BLOCK = 1 << 12
 
 
 class _Linear(NamedTuple):
-    """What a turn does, as matrices: on attributes as they lie, a third of the time of reading,
-    transforming and writing splats. They are what becomes of unit splats."""
+    """A rotation as matrices for the attributes, computed by transforming unit splats; three times
+    faster than reading, transforming and writing `Splats`."""
 
     quats: np.ndarray
-    """[4, 4] float32"""
+    """[4, 4] float32."""
     factor: np.float32
     """Factor of the scales."""
     harmonics: np.ndarray
@@ -28,25 +28,24 @@ class _Linear(NamedTuple):
 
 
 def turned(table: list[Column], turns: np.ndarray, numbers: np.ndarray) -> list[Column]:
-    """Turn quaternions, scales and SH coefficients; all else, and splats that no turn changes, stay
-    to the bit.
+    """Transform quaternions, scales and SH coefficients in place; other attributes and splats stay
+    bit-identical.
 
     Args:
-        table: Attributes of N points, those of splats among them; what is turned is turned in
-            place.
+        table: Attributes of N points, including those of splats.
         turns: [P, 3, 3], linear parts of similarities.
-        numbers: [N] int, the turn of each splat; negative: none.
+        numbers: [N] int, index in `turns` for each splat; negative: none.
 
     Returns:
-        What was turned.
+        The changed columns.
 
     Raises:
-        ValueError: a turn stretches; nothing is changed.
+        ValueError: a matrix is no similarity; nothing is changed.
     """
-    found = point_attributes.of_splats(table)
-    names = [n for n in found if n not in (attributes.BASE, attributes.POSITION)]
+    by_name = point_attributes.of_splats(table)
+    names = [n for n in by_name if n not in (attributes.BASE, attributes.POSITION)]
     names.sort(key=lambda name: name != attributes.ROTATION)  # then scales, then coefficients
-    columns = [found[name] for name in names]
+    columns = [by_name[name] for name in names]
     steps: list[tuple[np.ndarray, _Linear]] = []
     for number, turn in enumerate(turns):
         chosen = numbers == number
@@ -66,11 +65,11 @@ def moved(table: list[Column], matrix: np.ndarray, name: str, check: Check) -> l
     Args:
         table: As `turned`.
         matrix: [4, 4], a similarity.
-        name: What messages shall call the splats.
-        check: Called now and then.
+        name: Name of the splats in messages.
+        check: Raises after cancellation.
 
     Raises:
-        ValueError: numbers are not finite.
+        ValueError: values are not finite.
     """
     columns = point_attributes.of_splats(table)
     for one, values in columns.items():
@@ -107,7 +106,7 @@ def _linear(turn: np.ndarray, count: int) -> _Linear:
 
 
 def _turn_harmonics(columns: list[np.ndarray], rows: np.ndarray, turn: np.ndarray) -> None:
-    """Rotate coefficients [N, 3] in place, band by band: bands do not mix."""
+    """Rotate coefficients [N, 3] in place, band by band, because bands do not mix."""
     band = 1
     while (end := (band + 1) ** 2 - 1) <= len(columns):
         own = slice(band * band - 1, end)

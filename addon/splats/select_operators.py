@@ -17,10 +17,10 @@ from .operators import check_shown, edit_vertices
 from .read_chunked import read_chunked
 
 _MODES = [
-    (selection_masks.SET, "New", "Select what is found, and nothing else"),
-    (selection_masks.ADD, "Add", "Add what is found to the selection"),
-    (selection_masks.TAKE, "Subtract", "Deselect what is found"),
-    (selection_masks.COMMON, "Intersect", "Keep selected what is found"),
+    (selection_masks.SET, "Set", "Select only the matching splats"),
+    (selection_masks.ADD, "Extend", "Add the matching splats to the selection"),
+    (selection_masks.TAKE, "Subtract", "Deselect the matching splats"),
+    (selection_masks.COMMON, "Intersect", "Keep only matching splats selected"),
 ]
 
 
@@ -64,7 +64,7 @@ class _Choosing(Editing):
 class _Selecting(_Choosing):
     """Base of operators that extend or subtract from the selection."""
 
-    mode: EnumProperty(name="Mode", description="What becomes of the selection", items=_MODES)
+    mode: EnumProperty(name="Mode", description="Change of the selection", items=_MODES)
 
     @property
     def how(self) -> str:
@@ -73,7 +73,7 @@ class _Selecting(_Choosing):
 
 
 class SelectSplats(_Choosing, bpy.types.Operator):
-    """Select splats by what the display filters hide, in Edit Mode"""
+    """Select splats that the display filters hide or show, in Edit Mode"""
 
     bl_idname = "gscore.select_splats"
     bl_label = "Select Splats"
@@ -96,11 +96,11 @@ class SelectSplats(_Choosing, bpy.types.Operator):
 
 def _need_seeds(before: np.ndarray) -> None:
     if not before.any():
-        raise ValueError("Select a splat to begin with, in Edit Mode.")
+        raise ValueError("Select one or more splats in Edit Mode first.")
 
 
 class SelectByColor(_Selecting, bpy.types.Operator):
-    """Select splats that have the color of the selected ones, or one that is chosen"""
+    """Select splats with the color of the selected ones, or with a chosen color"""
 
     bl_idname = "gscore.select_by_color"
     bl_label = "Select by Color"
@@ -108,11 +108,11 @@ class SelectByColor(_Selecting, bpy.types.Operator):
 
     picked: BoolProperty(
         name="Chosen Color",
-        description="Compare with the color below, not with the mean of the selected splats",
+        description="Compare with the color below instead of the mean of the selected splats",
     )
     color: FloatVectorProperty(
         name="Color",
-        description="What to compare with",
+        description="Color to compare with",
         subtype="COLOR_GAMMA",
         min=0.0,
         max=1.0,
@@ -120,7 +120,7 @@ class SelectByColor(_Selecting, bpy.types.Operator):
     )
     tolerance: FloatProperty(
         name="Tolerance",
-        description="Largest distance of colors; black and white are 1.73 apart",
+        description="Largest distance between colors; black and white are 1.73 apart",
         default=0.15,
         min=0.0,
         max=1.74,
@@ -132,12 +132,12 @@ class SelectByColor(_Selecting, bpy.types.Operator):
         if color is None:
             _need_seeds(before)
 
-        def alike(columns: dict[str, np.ndarray]) -> np.ndarray:
+        def similar(columns: dict[str, np.ndarray]) -> np.ndarray:
             base = columns[attributes.BASE]
-            wanted = selection_masks.colors(base[before]).mean(axis=0) if color is None else color
-            return selection_masks.similar_color(base, wanted, tolerance)
+            target = selection_masks.colors(base[before]).mean(axis=0) if color is None else color
+            return selection_masks.similar_color(base, target, tolerance)
 
-        return alike
+        return similar
 
 
 class SelectByOpacity(_Selecting, bpy.types.Operator):
@@ -151,7 +151,7 @@ class SelectByOpacity(_Selecting, bpy.types.Operator):
     high: FloatProperty(name="To", description="Largest opacity", min=0.0, max=1.0, default=0.1)
 
     def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
-        """Both ends belong to it."""
+        """Mask by inclusive limits."""
         low, high = np.float32(self.low), np.float32(self.high)
 
         def between(columns: dict[str, np.ndarray]) -> np.ndarray:
@@ -162,7 +162,7 @@ class SelectByOpacity(_Selecting, bpy.types.Operator):
 
 
 class SelectBySize(_Selecting, bpy.types.Operator):
-    """Select splats by their largest standard deviation"""
+    """Select splats by their size, the largest standard deviation"""
 
     bl_idname = "gscore.select_by_size"
     bl_label = "Select by Size"
@@ -174,7 +174,7 @@ class SelectBySize(_Selecting, bpy.types.Operator):
     high: FloatProperty(name="To", description="Largest size; 0 for no limit", min=0.0, precision=5)
 
     def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
-        """Both ends belong to it."""
+        """Mask by inclusive limits."""
         low, high = self.low, self.high
 
         def between(columns: dict[str, np.ndarray]) -> np.ndarray:
@@ -186,7 +186,7 @@ class SelectBySize(_Selecting, bpy.types.Operator):
 
 
 class SelectInCrop(_Selecting, bpy.types.Operator):
-    """Select splats whose center lies in the crop object: its box, or the ellipsoid in it"""
+    """Select splats whose center is inside the crop object: its box, or the ellipsoid in it"""
 
     bl_idname = "gscore.select_in_crop"
     bl_label = "Select in Crop"
@@ -202,7 +202,7 @@ class SelectInCrop(_Selecting, bpy.types.Operator):
 
 
 class SelectFlood(_Selecting, bpy.types.Operator):
-    """Select what hangs together with the selected splats, without a gap"""
+    """Select splats connected to the selected ones without a gap"""
 
     bl_idname = "gscore.select_flood"
     bl_label = "Flood Select"
@@ -210,8 +210,7 @@ class SelectFlood(_Selecting, bpy.types.Operator):
 
     gap: FloatProperty(
         name="Gap",
-        description="Side of the cells that space is cut into, before the object's scale; splats "
-        "in cells that touch hang together",
+        description="Cell size, before the object's scale; splats in touching cells are connected",
         default=0.05,
         min=1e-6,
         precision=4,
@@ -236,19 +235,22 @@ class SelectFlood(_Selecting, bpy.types.Operator):
 
 
 class SelectFloaters(_Selecting, bpy.types.Operator):
-    """Select splats that hang together with few others: floaters, and small clusters"""
+    """Select splats in small, isolated clusters"""
 
     bl_idname = "gscore.select_floaters"
     bl_label = "Select Floaters"
     reads = (attributes.BASE, attributes.SCALE, attributes.ROTATION, attributes.POSITION)
 
     few: IntProperty(
-        name="Fewer Than", description="Splats of a cluster that stays", default=100, min=2
+        name="Fewer Than",
+        description="Select clusters with fewer splats than this",
+        default=100,
+        min=2,
     )
     gap: FloatProperty(
         name="Gap",
-        description="Side of the cells whose touching makes a cluster, as a share of the size of "
-        "the whole",
+        description="Cell size as a share of the model's size; splats in touching cells form a "
+        "cluster",
         default=0.05,
         min=1e-4,
         max=10.0,

@@ -9,19 +9,19 @@ _BLOCK = 1 << 14
 SET, ADD, TAKE, COMMON = "SET", "ADD", "TAKE", "COMMON"
 
 
-def combined(before: np.ndarray, found: np.ndarray, mode: str) -> np.ndarray:
+def combined(before: np.ndarray, mask: np.ndarray, mode: str) -> np.ndarray:
     """[N] bool: a selection [N] combined with a new mask [N].
 
     Args:
-        before: What was selected.
-        found: What is meant.
-        mode: SET for what was found alone, ADD, TAKE away, or what is COMMON to both.
+        before: Previous selection.
+        mask: New mask.
+        mode: SET: the mask alone; ADD: union; TAKE: difference; COMMON: intersection.
     """
     if mode == ADD:
-        return before | found
+        return before | mask
     if mode == TAKE:
-        return before & ~found
-    return before & found if mode == COMMON else found
+        return before & ~mask
+    return before & mask if mode == COMMON else mask
 
 
 def between(values: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -38,12 +38,12 @@ def similar_color(base: np.ndarray, color: np.ndarray, tolerance: float) -> np.n
         color: [3] sRGB values.
         tolerance: Largest distance in sRGB values; black and white are sqrt(3) apart.
     """
-    found, color = np.empty(len(base), bool), np.asarray(color, np.float32)
+    similar, color = np.empty(len(base), bool), np.asarray(color, np.float32)
     for at in range(0, len(base), _BLOCK):
         part = slice(at, at + _BLOCK)
         x, y, z = (colors(base[part]) - color).T
-        found[part] = x * x + y * y + z * z <= np.float32(tolerance) ** 2
-    return found
+        similar[part] = x * x + y * y + z * z <= np.float32(tolerance) ** 2
+    return similar
 
 
 def colors(base: np.ndarray) -> np.ndarray:
@@ -59,19 +59,19 @@ def flooded(
     Args:
         means: [N, 3].
         base: [N, 4] of `radiance:base`.
-        seeds: [N] bool; they belong to it.
+        seeds: [N] bool, included in the result.
         gap: Side of the cells of `gscore.edit.reached_from`, units of `means`.
         tolerance: As `similar_color`, from the seeds' mean colour; 0: any colour.
     """
     if tolerance <= 0 or not seeds.any():
         return reached_from(means, seeds, gap)
     allowed = similar_color(base, colors(base[seeds]).mean(axis=0), tolerance) | seeds
-    found = np.zeros(len(means), bool)
-    found[allowed] = reached_from(means[allowed], seeds[allowed], gap)
-    return found
+    reached = np.zeros(len(means), bool)
+    reached[allowed] = reached_from(means[allowed], seeds[allowed], gap)
+    return reached
 
 
 def floaters(splats: Splats, gap: float, few: int) -> np.ndarray:
-    """[N] bool: splats that hang together with fewer than `few`, themselves among them; `gap` as a
-    share of the model's size (`gscore.edit.cluster_sizes`)."""
+    """[N] bool: splats in clusters of fewer than `few` splats; `gap` as a share of the model's size
+    (`gscore.edit.cluster_sizes`)."""
     return cluster_sizes(splats, gap) < few

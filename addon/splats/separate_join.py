@@ -19,8 +19,8 @@ from .write_chunked import ChunkedWrite, filled, swap
 
 
 def separated(held: EditGuard, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
-    """Move splats into an object of their own, with the same place, display and filters, and all
-    that they carry, hidden or not; none is selected then.
+    """Move splats with all attributes into a new object with the same transform, display and
+    filters; deselects all.
 
     Args:
         held: A splat object.
@@ -46,23 +46,23 @@ def separated(held: EditGuard, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
 
 def _split(table: list[Column], chosen: np.ndarray, check: Check) -> list[Points]:
     kept = point_attributes.without_selection(table)
-    found = [
+    parts = [
         points_of(point_attributes.picked(kept, np.flatnonzero(mask))) for mask in (~chosen, chosen)
     ]
     kept.clear()
-    _let_go(table)
-    return found
+    _free(table)
+    return parts
 
 
-def _let_go(table: list[Column]) -> None:
-    """Free a table in the thread, an attribute at a time: to give so much memory back takes long,
-    and Python's lock is kept meanwhile."""
+def _free(table: list[Column]) -> None:
+    """Free a table in the thread, one attribute at a time: freeing takes long and holds Python's
+    lock."""
     while table:
         table.pop()
 
 
 def split_off(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
-    """A copy of an object, for a mesh with some of its splats."""
+    """A copy of an object with another mesh, which has some of its splats."""
     other = ob.copy()
     attributes.copy_active(mesh, ob.data)
     with vertex_groups.settings_kept(other):
@@ -77,55 +77,55 @@ def kept(held: EditGuard, table: list[Column], rows: np.ndarray) -> Pieces[bpy.t
     """Delete all splats of an object except some, whose attributes stay bit-identical.
 
     Args:
-        held: It.
-        table: Of its mesh, as `ChunkedRead.table`; emptied.
-        rows: [K], numbers of those that stay.
+        held: The object.
+        table: Table of its mesh, from `ChunkedRead.table`; emptied.
+        rows: [K], indices of the splats to keep.
 
     Raises:
         ValueError: as `EditGuard.to_change`; nothing is changed then.
     """
-    wanted = yield from run_in_thread(partial(_picked, table, rows), "Deleting splats")
-    [mesh] = yield from filled([ChunkedWrite(wanted, held.emptied_mesh)], held.to_change)
+    points = yield from run_in_thread(partial(_picked, table, rows), "Deleting splats")
+    [mesh] = yield from filled([ChunkedWrite(points, held.emptied_mesh)], held.to_change)
     ob = held.there()
     swap(ob, mesh)
     return ob
 
 
 def _picked(table: list[Column], rows: np.ndarray, check: Check) -> Points:
-    found = points_of(point_attributes.picked(table, rows))
-    _let_go(table)
-    return found
+    points = points_of(point_attributes.picked(table, rows))
+    _free(table)
+    return points
 
 
 def check_joinable(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:
-    """Raise ValueError where some splats cannot be joined: there are no others, Edit Mode, a mesh
-    that cannot be written, anti-aliasing of some, or shapes that lag behind places."""
+    """Raise ValueError if splats cannot be joined: no others, Edit Mode, a read-only mesh,
+    different anti-aliasing, or shapes that lag behind positions."""
     if not others:
         raise ValueError("Select two or more splat objects; the active one receives the others.")
     parts = [ob, *others]
     for one in parts:
         objects.check_writable(one)
     if len({bool(one.get(objects.ANTIALIAS)) for one in parts}) > 1:
-        raise ValueError("Some were trained with anti-aliasing and some without: they stay apart.")
+        raise ValueError("Splats trained with and without anti-aliasing cannot be joined.")
     behind = ", ".join(one.name for one in parts if lag.is_behind(one.data))
     if behind:
         raise ValueError(
-            f"Shapes and colors of {behind} lag behind the places: press Turn Shapes and Colors "
-            "Along first, under Result."
+            f"Shapes and colors of {behind} do not match the positions: press Update Shapes and "
+            "Colors under Result first."
         )
 
 
 def joined(held: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object]:
     """Join the splats of other objects into one, as displayed; the others are removed.
 
-    SH degrees are filled up. Attributes that are no splat's follow; where an object has none of
-    that name, they are 0. Vertex groups of one name become one. What is hidden stays so; what the
-    first has stays to the bit, selected or not. What hangs from the others hangs from it then, and
-    stays where it is.
+    Lower SH degrees are padded with 0, as are other attributes that an object lacks. Vertex groups
+    of the same name are merged. Hidden splats stay hidden; the first object's splats stay
+    bit-identical with their selection. Children of the others are parented to it and stay in
+    place.
 
     Raises:
-        ValueError: as `check_joinable` or `EditGuard.to_change`, a matrix is no similarity, or one
-            is moved meanwhile; nothing is changed then.
+        ValueError: as `check_joinable` or `EditGuard.to_change`, a matrix is no similarity, or an
+            object was moved meanwhile; nothing is changed then.
     """
     ob, obs = held.there(), [other.there() for other in others]
     check_joinable(ob, obs)
@@ -133,11 +133,11 @@ def joined(held: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object]
         one.check_points_alone()
     world = compat.matrix_to_numpy(ob.matrix_world)
     if not abs(np.linalg.det(world[:3, :3])) > 1e-30:
-        raise ValueError(f"{ob.name} is scaled to nothing: set its scale to 1 first.")
+        raise ValueError(f"{ob.name} has a scale of 0: set its scale to 1 first.")
     to_own = np.linalg.inv(world)
     matrices = [to_own @ compat.matrix_to_numpy(one.matrix_world) for one in obs]
     for one, matrix in zip(obs, matrices, strict=True):
-        objects.moved(attributes.NO_SPLATS, matrix, one.name)  # refuses what cannot be
+        objects.moved(attributes.NO_SPLATS, matrix, one.name)  # raises unless it is a similarity
     tables = []
     for one in (held, *others):
         tables.append((yield from ChunkedRead(one.there()).table()))
@@ -154,7 +154,7 @@ def joined(held: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object]
     [mesh] = yield from filled([ChunkedWrite(points, held.emptied_mesh)], check)
     lag.forget(mesh)
     ob, *gone = (one.there() for one in (held, *others))
-    swap(ob, mesh)  # which is that of those who shared it too
+    swap(ob, mesh)  # also for other users of the old mesh
     for one in gone:
         _take_children(ob, one)
         data = one.data
@@ -172,17 +172,17 @@ def _together(
     for table, matrix, name in zip(others, matrices, names, strict=True):
         check()
         moved(table, matrix, name, check)
-    found = points_of(
+    points = points_of(
         point_attributes.joined([first, *map(point_attributes.without_selection, others)])
     )
     for table in tables:
-        _let_go(table)
-    return found
+        _free(table)
+    return points
 
 
 def _take_children(ob: bpy.types.Object, one: bpy.types.Object) -> None:
-    """Have what hangs from an object that goes hang from another one, or, where that hangs from it
-    itself, from what the object hangs from; all stays where it is."""
+    """Parent the children of a removed object to another one, or to the removed one's parent if the
+    other is below that child; all stay in place."""
     above = objects.chain(ob)
     for child in one.children:
         if child.parent_type == "OBJECT":

@@ -18,23 +18,23 @@ _DISPLAYS = [
     (
         "SPLATS",
         "Splats",
-        "Blended in full color by the graphics card in every viewport; EEVEE and Cycles render "
-        f"them as {_RENDERED_AS}",
+        "Drawn in full color by the graphics card in every viewport; EEVEE and Cycles render "
+        f"{_RENDERED_AS}",
         4,
     ),
     (
         "POINTS",
         "Points",
-        "A small ball of the same size for every splat: fast, good for selecting",
+        "Draw a small ball of equal size for each splat; fast, useful for selecting",
         0,
     ),
-    ("ELLIPSOIDS", "Ellipsoids", "The extent and orientation of every splat, opaque", 1),
+    ("ELLIPSOIDS", "Ellipsoids", "Draw each splat as an opaque ellipsoid", 1),
     (
         "SOFT",
         "Soft Splats",
-        "Ellipsoids that fade out like the splats they stand for, in Material Preview and "
-        "Rendered shading, in the colors that the scene's camera sees, not the view: from "
-        "elsewhere they are not right. In Cycles, raise Light Paths > Transparent to 256",
+        "Draw ellipsoids that fade out like splats, in Material Preview and Rendered shading, "
+        "with the colors as seen from the scene camera, also in other views. In Cycles, raise "
+        "Light Paths > Transparent to 256",
         2,
     ),
 ]
@@ -44,14 +44,18 @@ _NATIVE = (
     "Blender's own Gaussian splats, in full color, in EEVEE and Cycles",
     3,
 )
-"""Numbers are those of `display.MODES`, and files keep them."""
+"""Its number is the index in `display.MODES`, which files store."""
 _COLORS = [
-    ("COLOR", "Color", "The color from all sides; of Soft Splats, from the scene's camera"),
+    (
+        "COLOR",
+        "Color",
+        "Color without view dependence; Soft Splats: as seen from the scene camera",
+    ),
     ("OPACITY", "Opacity", "From 0 (dark blue) to 1 (yellow)"),
     ("SIZE", "Size", "Largest standard deviation, from small (dark blue) to large (yellow)"),
     ("ANISOTROPY", "Anisotropy", "Longest axis by shortest, from 1 (dark blue) to 100 (yellow)"),
-    ("SH_ENERGY", "SH Energy", "How much the color depends on the view, yellow for the most"),
-    ("DEPTH", "Depth", "Distance from the scene's camera, from near (dark blue) to far (yellow)"),
+    ("SH_ENERGY", "SH Energy", "View dependence of the color, from none (dark blue) to yellow"),
+    ("DEPTH", "Depth", "Distance from the scene camera, from near (dark blue) to far (yellow)"),
 ]
 _SHAPES = [
     (BOX, "Box", "Inside the crop object's bounding box"),
@@ -88,7 +92,7 @@ class SplatSettings(bpy.types.PropertyGroup):
 
     display: bpy.props.EnumProperty(
         name="Display",
-        description="How splats are drawn in the viewport and by EEVEE and Cycles",
+        description="Display of splats in the viewport and by EEVEE and Cycles",
         items=[*_DISPLAYS, _NATIVE] if compat.splat_cloud_type() else _DISPLAYS,
         default="POINTS",
         update=_update,
@@ -96,7 +100,7 @@ class SplatSettings(bpy.types.PropertyGroup):
     )
     colour_by: bpy.props.EnumProperty(
         name="Color By",
-        description="What the colors show",
+        description="Quantity shown by the colors",
         items=_COLORS,
         update=_update,
         override=_KEPT,
@@ -112,7 +116,7 @@ class SplatSettings(bpy.types.PropertyGroup):
         "Ellipsoid Size", "Half axes of an ellipsoid, in standard deviations", 1.5, soft_max=3.0
     )
     opacity_min: _number(
-        "Minimum Opacity", "Hide splats of less opacity than this, 0 to 1", 0.0, max=1.0
+        "Minimum Opacity", "Hide splats with a lower opacity, 0 to 1", 0.0, max=1.0
     )
     size_min: _number(
         "Minimum Size",
@@ -130,8 +134,8 @@ class SplatSettings(bpy.types.PropertyGroup):
     )
     crop_object: bpy.props.PointerProperty(
         name="Crop Object",
-        description="Show only splats whose center lies within this object's bounds. An empty "
-        "counts one of its units to each side",
+        description="Show only splats whose center is inside this object's bounds. The bounds of "
+        "an empty are one unit to each side",
         type=bpy.types.Object,
         poll=_may_crop,
         update=_update,
@@ -146,13 +150,13 @@ class SplatSettings(bpy.types.PropertyGroup):
     )
     crop_invert: bpy.props.BoolProperty(
         name="Invert",
-        description="Show what lies outside the crop instead",
+        description="Show only splats outside the crop",
         update=_update,
         override=_KEPT,
     )
     apply_filters_to_render: bpy.props.BoolProperty(
         name="Filters in Render",
-        description="The Gaussian Splats render engine leaves out what the filters hide",
+        description="Also hide filtered splats in renders of the Gaussian Splats engine",
         default=True,
         override=_KEPT,
     )
@@ -164,9 +168,9 @@ def apply(ob: bpy.types.Object) -> None:
     if modifier is None:
         return
     settings = ob.gscore
-    mode = settings.display or "SOFT"  # files of newer Blenders have displays that this one lacks
+    mode = settings.display or "SOFT"  # empty: a display that only newer Blender versions have
     if mode in {"SPLATS", "NATIVE"} or is_of_another_blender(modifier.node_group):
-        modifier.node_group = display.group()  # files may hold one that does not know this display
+        modifier.node_group = display.group()  # one from a file may lack this display
     if mode == "SPLATS" and live.SESSION.as_points:
         mode = "POINTS"
     _leave_points_unselected(ob.data)
@@ -209,7 +213,7 @@ def building() -> Pieces[None]:
     for build in display.builders():
         build()
         if time.perf_counter() > until:
-            yield "Making the display of splats ready"
+            yield "Preparing the display of splats"
             until = time.perf_counter() + BUDGET
 
 
@@ -234,12 +238,12 @@ CLASSES = (SplatSettings,)
 
 
 def on_register() -> None:
-    """Make the settings a property of objects."""
+    """Add the settings to objects."""
     bpy.types.Object.gscore = bpy.props.PointerProperty(type=SplatSettings, override=_KEPT)
     bpy.app.handlers.load_post.append(_renew)
 
 
 def on_unregister() -> None:
-    """Remove the property."""
+    """Remove the settings."""
     bpy.app.handlers.load_post.remove(_renew)
     del bpy.types.Object.gscore

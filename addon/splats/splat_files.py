@@ -1,4 +1,4 @@
-"""Splat files: import and export, in Blender's world or in that of the photos."""
+"""Splat files: import, and their placement in Blender's world or that of the photos."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ UP_AXES = {
 }
 """Rotation [4, 4] of the named axis of a file to Blender's +Z."""
 MOST_AT_ONCE = 1_000_000
-"""Largest size of the default level of detail, in splats: still fluent to edit in Blender."""
+"""Largest size of the default level of detail, in splats that Blender can edit fluently."""
 SOURCE, BLENDER = "SOURCE", "BLENDER"
 FROM_FILE = "FILE"
 """Axis stated by the file; -Y if it states none."""
@@ -53,20 +53,20 @@ class Wanted:
     path: Path
     level: int | None
     to_unit: np.ndarray | None
-    """[4, 4] from the file to the unit box of what is read of it; None: all."""
+    """[4, 4] from the file to the unit box of the splats to read; None: all."""
     crop: str
     """Name of the crop object."""
     parent: int
     """Session uid of the future parent; 0: none."""
     basis: tuple[Matrix, Matrix] | None
-    """Where the object of a crop stands: its matrix and that of its parent's inverse."""
+    """Basis matrix and parent inverse matrix of the cropped object."""
     origin: np.ndarray | None
-    """[3] the local origin of the capture that the parent belongs to; None: it has none."""
+    """[3] local origin of the parent's capture; None: it has none."""
     stored: tuple[float, ...]
-    """Import record of that object; empty: none."""
+    """Import matrix of the cropped object; empty: none."""
     up: str
     by: conversion.Other
-    """Reads formats that Blender's Python lacks a package for."""
+    """Python for formats whose packages Blender's Python lacks."""
 
 
 def import_splats(
@@ -78,32 +78,32 @@ def import_splats(
     level: int | None = None,
     cropped: bpy.types.Object | None = None,
 ) -> bpy.types.Object:
-    """Read a file of splats of any format, or a part of levels of detail, as a new splat object.
+    """Import a splat file of any format, or a part of a file with levels of detail, as an object.
 
     Args:
-        context: Its collection gets the object.
+        context: Its collection receives the object.
         path: The file.
         parent: The empty of the capture that the splats were trained from; its alignment applies.
         up: Without `parent`, the axis of the file that points up: a key of `UP_AXES`, or
-            `FROM_FILE`. The turn is the object's; the data stay in the file's world. What the file
-            says to be exported in Blender's world lands there, under a parent too.
-        level: Of a file of levels of detail, the one to read, 0 the finest; None: the finest of
-            `MOST_AT_ONCE` splats at most.
-        cropped: A splat object of the file, with a crop object: of the file's finest level, or of
-            `level`, what lies in the box around that is read, and put where this object stands.
+            `FROM_FILE`. The object is rotated; the data stay in the file's world. A file exported
+            in Blender's world keeps its position there, also under a parent.
+        level: Level of detail to read, 0 is the finest; None: the finest with at most
+            `MOST_AT_ONCE` splats.
+        cropped: A splat object of the same file with a crop object. Reads only splats in its box,
+            of `level` or the finest, and places them at this object.
 
     Raises:
-        GsError: the file is missing, corrupt or holds no splats; the scene is untouched.
-        ValueError: there is no such level, or nothing in the box.
+        GsError: the file is missing, corrupt or holds no splats; the scene is unchanged.
+        ValueError: there is no such level, or no splat in the box.
     """
     return import_wanted(context, want(path, parent=parent, up=up, level=level, cropped=cropped))
 
 
 def import_wanted(context: bpy.types.Context, wanted: Wanted) -> bpy.types.Object:
     """As `import_splats`, for a request of `want`."""
-    found = read(wanted)
-    ob = objects.create(found.splats, wanted.path.stem, collection=context.collection)
-    settle(ob, wanted, found)
+    file = read(wanted)
+    ob = objects.create(file.splats, wanted.path.stem, collection=context.collection)
+    settle(ob, wanted, file)
     return ob
 
 
@@ -122,7 +122,7 @@ def want(
     """
     path = Path(bpy.path.abspath(str(path)))
     if (level is not None or cropped is not None) and not is_lod_file(path):
-        raise ValueError(f"{path} has no levels of detail; gscore lod makes them.")
+        raise ValueError(f"{path} has no levels of detail; make them with gscore lod.")
     to_unit, crop, basis, stored = None, "", None, ()
     if cropped is not None:
         if not is_cropped(cropped):
@@ -152,14 +152,14 @@ def read(wanted: Wanted, check: Check = lambda: None) -> SplatFile:
         As `import_splats`.
     """
     if not is_lod_file(wanted.path):
-        found = conversion.read(wanted.path, wanted.by, check)
-        return found if _BLENDER_NOTE in found.comments else found.of_capture(wanted.origin)
+        file = conversion.read(wanted.path, wanted.by, check)
+        return file if _BLENDER_NOTE in file.comments else file.of_capture(wanted.origin)
     if wanted.to_unit is None:
         return read_lod(wanted.path, wanted.level, most=MOST_AT_ONCE)
-    found = read_lod(wanted.path, wanted.level or 0, to_unit=wanted.to_unit)
-    if not len(found.splats):
-        raise ValueError(f"No splat of {wanted.path} lies in {wanted.crop}.")
-    return found
+    file = read_lod(wanted.path, wanted.level or 0, to_unit=wanted.to_unit)
+    if not len(file.splats):
+        raise ValueError(f"No splat of {wanted.path} is inside {wanted.crop}.")
+    return file
 
 
 class Said(Protocol):
@@ -173,9 +173,9 @@ class Said(Protocol):
     def comments(self) -> Sequence[str]: ...
 
 
-def settle(ob: bpy.types.Object, wanted: Wanted, said: Said) -> None:
+def settle(ob: bpy.types.Object, wanted: Wanted, metadata: Said) -> None:
     """Place the object of a file as requested; without a parent if that was removed."""
-    if said.antialiased:
+    if metadata.antialiased:
         ob[ANTIALIAS] = True
     uids = {other.session_uid: other for other in bpy.data.objects} if wanted.parent else {}
     ob.parent = uids.get(wanted.parent)
@@ -183,21 +183,21 @@ def settle(ob: bpy.types.Object, wanted: Wanted, said: Said) -> None:
         ob.matrix_basis, ob.matrix_parent_inverse = wanted.basis
         if wanted.stored:
             ob[_IMPORT_MATRIX] = list(wanted.stored)
-        note_origin(ob, said.origin)
+        note_origin(ob, metadata.origin)
         return
-    is_of_blender = wanted.up == FROM_FILE and _BLENDER_NOTE in said.comments
+    is_of_blender = wanted.up == FROM_FILE and _BLENDER_NOTE in metadata.comments
     if not is_of_blender:
-        stand(ob, said.origin)
+        stand(ob, metadata.origin)
     if ob.parent is None:
-        stated = stated_up(said.comments) if wanted.up == FROM_FILE else wanted.up
+        stated = stated_up(metadata.comments) if wanted.up == FROM_FILE else wanted.up
         turn_up(ob, stated if stated in UP_AXES else _USUAL_UP)
     elif is_of_blender:
         ob.matrix_parent_inverse = ob.parent.matrix_world.inverted_safe()
 
 
 def stand(ob: bpy.types.Object, origin: np.ndarray | None) -> None:
-    """Put an object where splats about a local origin belong, which it has now: among its capture,
-    or where it stood with those about another one."""
+    """Shift an object whose splats now have a local origin, so that they match its capture, or the
+    positions of its earlier splats with another origin."""
     root, before = root_of(ob), origin
     if root is not None:
         before = noted_origin(root)
@@ -215,18 +215,17 @@ def turn_up(ob: bpy.types.Object, up: str) -> None:
 
 
 def place(ob: bpy.types.Object, matrix: np.ndarray) -> None:
-    """Put an object without a capture where its data stand upright, by a similarity [4, 4].
-
-    It is remembered, so that an export takes it back.
+    """Set the transform of an object without a capture, by a similarity [4, 4] that makes its data
+    upright. It is stored, so that an export can undo it.
     """
     ob.matrix_basis = Matrix(matrix.tolist())
-    # As Blender keeps it, so that an object that was not moved goes back exactly.
+    # Blender's own single-precision values, so that an unmoved object is exported exactly.
     ob[_IMPORT_MATRIX] = matrix_to_numpy(ob.matrix_basis).ravel().tolist()
 
 
 def note_of_up(ob: bpy.types.Object, world: str) -> tuple[str, ...]:
-    """The comment that says which axis of an export points up, so that it lands in place when it is
-    imported again; nothing in the world of photos, which their capture's alignment turns."""
+    """Comment with the up axis of an export, for importing it again; empty in the world of photos,
+    which the capture's alignment rotates."""
     if world == BLENDER:
         return (_BLENDER_NOTE,)
     if root_of(ob) is not None:
@@ -240,7 +239,7 @@ def source_matrix(ob: bpy.types.Object) -> np.ndarray:
     """[4, 4] float64 from the world of the object's photos, or of its file, to Blender's.
 
     Raises:
-        ValueError: the capture's empty is scaled to nothing.
+        ValueError: the capture's empty has a scale of 0.
     """
     root = root_of(ob)
     if root is None:
@@ -248,14 +247,14 @@ def source_matrix(ob: bpy.types.Object) -> np.ndarray:
         return np.eye(4) if stored is None else np.array(stored, np.float64).reshape(4, 4)
     matrix = matrix_to_numpy(root.matrix_world)
     if not abs(np.linalg.det(matrix[:3, :3])) > 1e-30:
-        raise ValueError(f"{root.name} is scaled to nothing; reset its alignment.")
+        raise ValueError(f"{root.name} has a scale of 0; reset its alignment.")
     return matrix
 
 
 def source_matrix_of_data(ob: bpy.types.Object) -> np.ndarray:
-    """[4, 4] float64 from the object's data to its source's world: how far it was moved there.
+    """[4, 4] float64 from the object's data to its source's world.
 
-    The identity to the bit where it was not moved, so that its numbers leave as they came.
+    Exactly the identity for an unmoved object, so that its values are exported unchanged.
     """
     root = root_of(ob)
     if root is not None and ob.parent == root and ob.parent_type == "OBJECT" and not ob.constraints:

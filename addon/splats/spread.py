@@ -1,4 +1,4 @@
-"""Some splats of a mesh, spread over it, by which it is known again."""
+"""Sample of splats spread over a mesh, to recognise it later."""
 
 import hashlib
 from typing import Any, NamedTuple
@@ -8,45 +8,45 @@ import numpy as np
 from .. import attributes
 
 MOST = 48
-"""Splats that are looked at: reading them takes a tenth of a millisecond."""
+"""Number of sampled splats; reading them takes 0.1 ms."""
 
 
 class Spread(NamedTuple):
-    """A look at a range of the splats of a mesh."""
+    """Sample of a range of a mesh's splats."""
 
     count: int
-    """Splats of the range."""
+    """Number of splats in the range."""
     shapes: str
-    """Tells their quaternions and scales apart to the bit."""
+    """Hash of the sampled quaternions and scales."""
     places: np.ndarray
-    """[K, 3] float64, their places; K <= `MOST`."""
+    """[K, 3] float64, sampled positions; K <= `MOST`."""
 
 
 def has_splats(mesh: Any) -> bool:
-    """Whether a mesh has the attributes that are looked at, and they are in reach: they are not in
-    Edit Mode."""
-    found = mesh.attributes
-    if mesh.is_editmode or not len(mesh.vertices) or attributes.BASE not in found:
+    """True if a mesh has the sampled attributes and is not in Edit Mode, where they are not
+    accessible."""
+    own = mesh.attributes
+    if mesh.is_editmode or not len(mesh.vertices) or attributes.BASE not in own:
         return False
     kinds = {attributes.ROTATION: "QUATERNION", attributes.SCALE: "FLOAT_VECTOR"}
     return all(
-        name in found and (found[name].data_type, found[name].domain) == (kind, "POINT")
+        name in own and (own[name].data_type, own[name].domain) == (kind, "POINT")
         for name, kind in kinds.items()
     )
 
 
 def look(mesh: Any, begin: int = 0, count: int | None = None) -> Spread:
-    """Look at a mesh of which `has_splats` says yes.
+    """Sample a mesh for which `has_splats` is true.
 
     Args:
-        mesh: It.
-        begin: The first splat of a range.
-        count: Its splats; None: all that follow.
+        mesh: The mesh.
+        begin: First splat of the range.
+        count: Number of splats; None: all that follow.
     """
     count = len(mesh.vertices) - begin if count is None else count
     rows = [begin + at for at in _numbers(count)]
-    found = mesh.attributes
-    quats, scales = found[attributes.ROTATION].data, found[attributes.SCALE].data
+    own = mesh.attributes
+    quats, scales = own[attributes.ROTATION].data, own[attributes.SCALE].data
     shapes = [(*quats[row].value, *scales[row].vector) for row in rows]
     digest = hashlib.blake2b(np.array(shapes, np.float32).tobytes(), digest_size=16)
     vertices = mesh.vertices
@@ -55,7 +55,7 @@ def look(mesh: Any, begin: int = 0, count: int | None = None) -> Spread:
 
 
 def _numbers(count: int) -> list[int]:
-    """Which of so many splats; the same for each mesh of as many."""
+    """Indices of the sampled splats; equal for equal counts."""
     if count <= MOST:
         return list(range(count))
     return [at * (count - 1) // (MOST - 1) for at in range(MOST)]

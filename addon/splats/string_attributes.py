@@ -1,4 +1,4 @@
-"""String attributes of points in short steps, since Blender reads them point by point."""
+"""String attributes of points in short steps, because Blender accesses them point by point."""
 
 from typing import Any
 
@@ -12,21 +12,21 @@ def read(mesh: Any, name: str, begin: int, values: np.ndarray, known: dict[bytes
     """Read a string attribute of `BLOCK` points from an index on.
 
     Args:
-        mesh: Not in Edit Mode. One that shares memory with another gets its own with the first of
-            its points, in one call: of a million splats 256 MB, 0.05 to 0.7 s.
-        name: Of the attribute.
-        begin: The first of the points.
-        values: [N, 1], what `carried.empty_values` made.
-        known: All that was read before, and then this: what is alike is kept once.
+        mesh: Not in Edit Mode. Access to the first point copies shared memory in one call: 256 MB
+            for a million splats, 0.05 to 0.7 s.
+        name: Attribute name.
+        begin: Index of the first point.
+        values: [N, 1] of `point_attributes.empty_values`.
+        known: Strings read before, extended; equal strings are stored once.
     """
     data = mesh.attributes[name].data
-    # One by one: as many Python objects at once as a slice has would start garbage collection.
-    found = (data[row].value for row in range(begin, min(begin + BLOCK, len(values))))
-    values[begin : begin + BLOCK, 0] = [known.setdefault(text, text) for text in found]
+    # One by one, because the Python objects of a slice would trigger garbage collection.
+    texts = (data[row].value for row in range(begin, min(begin + BLOCK, len(values))))
+    values[begin : begin + BLOCK, 0] = [known.setdefault(text, text) for text in texts]
 
 
 def write(mesh: Any, name: str, entries: np.ndarray) -> None:
-    """Set those of some points, given as `carried.blocks` gives them; the attribute is there."""
+    """Set strings of an existing attribute, from entries of `point_attributes.blocks`."""
     data = mesh.attributes[name].data
     for row, text in entries.tolist():
         data[row].value = text

@@ -21,13 +21,13 @@ def is_even(ob: bpy.types.Object) -> bool:
 def make_even(context: bpy.types.Context, ob: bpy.types.Object) -> list[str]:
     """Make the scales of an object and its parents uniform.
 
-    The volume stays, and a side that is scaled to nothing becomes 1; mirrors stay.
+    The volume stays, a volume of 0 becomes 1, and reflections stay.
 
     Returns:
-        The names of the objects that were changed.
+        The names of the changed objects.
 
     Raises:
-        ValueError: the object would be uneven still; nothing is changed then.
+        ValueError: the object would still be uneven; nothing is changed then.
     """
     before = {one: _scales(one) for one in uneven(ob)}
     for one in before:
@@ -38,15 +38,15 @@ def make_even(context: bpy.types.Context, ob: bpy.types.Object) -> list[str]:
             one.scale, one.delta_scale = scale, delta
         context.view_layer.update()
         raise ValueError(
-            f"{ob.name} is stretched by something other than its scale or its parents': clear its "
-            "parent (Alt P, Clear Parent Inverse), its constraints or its drivers."
+            f"{ob.name} is not stretched by its scale or its parents' alone: clear its parent "
+            "(Alt P, Clear Parent Inverse), its constraints or its drivers."
         )
     return [one.name for one in before]
 
 
 def uneven(ob: bpy.types.Object) -> list[bpy.types.Object]:
-    """The object and those it hangs from, as far as one scale for all axes would change them; none
-    where splats can follow as it is."""
+    """The object and its parents whose scale is not uniform; empty if the object's matrix is a
+    similarity."""
     if is_even(ob):
         return []
     chain = objects.chain(ob)

@@ -1,4 +1,4 @@
-"""Vertex groups of splats: their names and their weights by splat, in short steps.
+"""Vertex groups of splats: names and weights by splat, in short steps.
 
 Blender returns weights vertex by vertex, and sets them only through an object.
 """
@@ -19,31 +19,29 @@ def made(names: list[str], count: int) -> np.ndarray:
 
 
 def read(mesh: bpy.types.Mesh, begin: int, weights: np.ndarray) -> None:
-    """Read those of `BLOCK` vertices from one on into what `made` made; the mesh is not in Edit
-    Mode.
+    """Read weights of `BLOCK` vertices from an index on into an array of `made`; not in Edit Mode.
 
-    A mesh that shares its weights with another gets its own with the first vertex, in one call: of
-    a million 0.05 to 0.12 s. `VertexGroup.weight` does without, but where a vertex is in no group
-    it fails, which Blender 4.2 prints.
+    Access to the first vertex copies shared weights in one call: 0.05 to 0.12 s for a million.
+    `VertexGroup.weight` avoids that, but raises for vertices outside the group, which Blender 4.2
+    prints.
     """
     vertices = mesh.vertices
-    found: list[float] = []
-    # One by one: as many Python objects at once as a slice has would start garbage collection.
+    entries: list[float] = []
+    # One by one, because the Python objects of a slice would trigger garbage collection.
     for row in range(begin, min(begin + BLOCK, len(vertices))):
         for entry in vertices[row].groups:
-            found += entry.group, row, entry.weight
-    groups, rows, values = np.array(found, np.float64).reshape(-1, 3).T
-    known = groups < len(weights)  # else Blender has forgotten that it was removed
+            entries += entry.group, row, entry.weight
+    groups, rows, values = np.array(entries, np.float64).reshape(-1, 3).T
+    known = groups < len(weights)  # Blender may keep indices of removed groups
     weights[groups[known].astype(int), rows[known].astype(int)] = values[known]
 
 
 def write(mesh: bpy.types.Mesh, name: str, entries: np.ndarray) -> None:
-    """Put splats, given as `carried.blocks` gives them, into a group, which is made where it is
-    missing."""
+    """Add splats to a group, created if missing, from entries of `point_attributes.blocks`."""
     with _groups(mesh) as groups:
         if (group := groups.get(name)) is None:
             group = groups.new(name=name)
-            group.name = name  # which Blender takes though an attribute is called so too
+            group.name = name  # accepted even if an attribute has this name
         ends = np.flatnonzero(np.diff(entries["weight"], append=np.nan)) + 1
         rows, weights, begin = entries["row"].tolist(), entries["weight"].tolist(), 0
         for end in ends.tolist():
@@ -59,8 +57,7 @@ def clear(mesh: bpy.types.Mesh) -> None:
 
 @contextmanager
 def settings_kept(ob: bpy.types.Object) -> Iterator[None]:
-    """Have the active group and locks of an object outlast another mesh, with the same groups and
-    others."""
+    """Keep the active group and the locks of an object when its mesh is replaced within."""
     locked = {group.name for group in ob.vertex_groups if group.lock_weight}
     active = ob.vertex_groups.active_index
     yield

@@ -1,9 +1,10 @@
-"""Has meshes of splats looked at where Blender may have moved their places: see `lag`.
+"""Handlers that sample meshes of splats after Blender may have transformed their positions; see
+`lag`.
 
-Reading even one place has Blender copy all of them, since the display shares them: 10 ms of a
-million splats. So a mesh is looked at only when it has changed together with the turn or scale of
-its object, which is what Apply does, or right after Apply; when it has got another number of
-splats, as by Join; and when Edit Mode is left.
+Reading even one position makes Blender copy all of them, because the display shares them: 10 ms for
+a million splats. So a mesh is sampled only if it changed together with the rotation or scale of its
+object, as by Apply, or right after Apply; if its number of splats changed, as by Join; and when
+Edit Mode is left.
 """
 
 from dataclasses import dataclass, field
@@ -20,26 +21,26 @@ Turn = tuple[float, ...]
 
 @dataclass
 class _Session:
-    """What is remembered: it decides when to look, never what is found."""
+    """State that decides when to sample, never the result."""
 
     all_seen: bool = False
-    """Whether every mesh of the file was looked at."""
+    """True if every mesh of the file was sampled."""
     turns: dict[int, Turn] = field(default_factory=dict)
-    """Rotation and scale of the matrix of each splat object, by its session number."""
+    """Rotation and scale of the matrix of each splat object, by session uid."""
     edited: set[int] = field(default_factory=set)
     """Objects that were in Edit Mode."""
     unseen: set[int] = field(default_factory=set)
-    """Meshes that have changed since they were looked at: they are looked at once more when their
-    object is turned, so that what Apply does then is seen alone."""
+    """Meshes changed since their last sample: sampled again when their object is rotated, so that a
+    following Apply is detected separately."""
     noted: set[int] = field(default_factory=set)
-    """Meshes of which something was noted, which is after the undo step that it belongs to."""
+    """Meshes whose stored state was updated, which happens after the undo step of the change."""
 
 
 _state = _Session()
 
 
 def look_at_all() -> None:
-    """Look at the splats of all objects of the file."""
+    """Sample the splats of all objects of the file."""
     _state.turns.clear()
     _state.edited.clear()
     for ob in bpy.data.objects:
@@ -56,11 +57,10 @@ def _look(mesh: bpy.types.Mesh) -> None:
 
 
 def _remember(ob: bpy.types.Object) -> bool:
-    """Take in how an object is turned and whether it is edited; whether its mesh is to be looked at
-    if it has changed."""
+    """Store the rotation and mode of an object; True if its mesh must be sampled if changed."""
     uid = ob.session_uid
     turn = tuple(value for row in ob.matrix_basis.to_3x3() for value in row)
-    turned = _state.turns.get(uid, turn) != turn  # a new one was looked at when it was made
+    turned = _state.turns.get(uid, turn) != turn  # new objects were sampled at creation
     _state.turns[uid] = turn
     if ob.mode == "EDIT":
         _state.edited.add(uid)
@@ -72,7 +72,7 @@ def _remember(ob: bpy.types.Object) -> bool:
 
 @persistent
 def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    if not _state.all_seen:  # an add-on sees no file while it is registered
+    if not _state.all_seen:  # the file is not accessible during registration
         look_at_all()
         return
     obs, changed = [], set()
@@ -81,17 +81,17 @@ def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
             obs.append(update.id.original)
         elif update.is_updated_geometry and isinstance(update.id, bpy.types.Mesh):
             changed.add(update.id.original)
-    # An object's own geometry is of no use here: with the display's nodes it follows every turn.
+    # Not the objects' geometry updates: the display's nodes cause one at each rotation.
     for ob in filter(is_splats, obs):
-        wanted, uid = _remember(ob) or _applied(), ob.data.session_uid
-        if ob.data in changed and not wanted:
+        due, uid = _remember(ob) or _applied(), ob.data.session_uid
+        if ob.data in changed and not due:
             _state.unseen.add(uid)
-        elif ob.data in changed or (wanted and uid in _state.unseen):
+        elif ob.data in changed or (due and uid in _state.unseen):
             _look(ob.data)
 
 
 def _applied() -> bool:
-    """Whether Apply was the last operator: its settings may be changed then, which does it anew."""
+    """True if Apply was the last operator, because changing its settings runs it again."""
     done = bpy.context.window_manager.operators
     return len(done) > 0 and done[-1].bl_idname == "OBJECT_OT_transform_apply"
 
@@ -120,5 +120,5 @@ HANDLERS = {
 
 
 def on_register() -> None:
-    """Look at all once more."""
+    """Sample all meshes at the next update."""
     _state.all_seen = False

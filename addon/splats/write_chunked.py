@@ -1,7 +1,7 @@
-"""Chunked writing of splats to Blender, so that no single step is long at any number of splats.
+"""Chunked writing of splats to Blender in short steps, for any number of splats.
 
-A new mesh without users is filled attribute by attribute over several timer steps, and then
-replaces the old one at once.
+A new mesh without users is filled attribute by attribute over several steps, and then replaces the
+old one in one change.
 """
 
 import time
@@ -25,13 +25,13 @@ def _new() -> bpy.types.Mesh:
 class ChunkedWrite(Generic[ReadyT]):
     """A mesh being filled. If undo or a file load removes it, filling starts again."""
 
-    # Quoted: see ready.py.
+    # Quoted: see mesh_buffers.py.
     def __init__(self, loaded: ReadyT, make: "Callable[[], bpy.types.Mesh]" = _new) -> None:
         """Start.
 
         Args:
             loaded: Source of the attributes.
-            make: Makes the mesh, which lacks points if it has not as many.
+            make: Creates the mesh; missing points are added.
         """
         self.loaded = loaded
         self._make = make
@@ -91,20 +91,20 @@ class ChunkedWrite(Generic[ReadyT]):
         return mesh
 
 
-# Quoted: see ready.py.
+# Quoted: see mesh_buffers.py.
 def filled(
     fillings: "Sequence[ChunkedWrite[Any]]", check: Callable[[], object] = lambda: None
 ) -> Pieces[list[bpy.types.Mesh]]:
     """Filled meshes, owned by the caller; none is left after an error.
 
     Args:
-        fillings: All of them are complete at the same moment, right before this returns.
+        fillings: The writes, all complete right before this returns.
         check: Called at that moment; may raise.
     """
     try:
         while not all(filling.fill() for filling in fillings):
             share = sum(filling.share for filling in fillings) / len(fillings)
-            yield f"Handing splats to Blender: {share:.0%}"
+            yield f"Writing splats to Blender: {share:.0%}"
         check()
         return [filling.take() for filling in fillings]
     finally:
@@ -113,11 +113,10 @@ def filled(
 
 
 def replace(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
-    """Let a mesh that was made from nothing take the place of an object's own, for all objects that
-    share it; what users have put on that stays.
+    """Replace an object's mesh by a new one for all objects that share it; its metadata stays.
 
     Raises:
-        ValueError: the object's mesh is being edited, is linked, or has what would be lost.
+        ValueError: the object's mesh is being edited, is linked, or has data that would be lost.
     """
     check_replaceable(ob)
     copy_metadata.hand_over(ob.data, mesh)
@@ -125,16 +124,17 @@ def replace(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
 
 
 def check_replaceable(ob: bpy.types.Object) -> None:
-    """Raise ValueError unless another mesh can take the place of an object's own now, with nothing
-    lost but its points."""
+    """Raise ValueError unless an object's mesh can be replaced now without losing other data than
+    its points."""
     objects.check_writable(ob)
     copy_metadata.check_replaceable(ob.data, ob.name)
 
 
 def swap(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
-    """Let a mesh take the place of an object's own, which goes, its name, and its mark as an asset,
-    for all that share it; which of its attributes and vertex groups are active and which are locked
-    stays."""
+    """Replace an object's mesh for all objects that share it, and remove the old one.
+
+    Name, asset mark, active attributes, and active and locked vertex groups stay.
+    """
     old = ob.data
     name = old.name
     copy_metadata.copy_asset_mark(old, mesh)

@@ -69,7 +69,7 @@ class SequenceSettings(bpy.types.PropertyGroup):
         update=_update,
     )
     beyond: EnumProperty(
-        name="Beyond the Ends",
+        name="Before and After",
         description="Frames to show before the first frame and after the last one",
         items=_BEYOND,
         update=_update,

@@ -12,7 +12,7 @@ _FUNCTIONS = ("discard", "job_of", "resume", "train", "wait_for")
 
 
 def __getattr__(name: str) -> Any:
-    """Loaded when first used, because `start_training` needs bpy."""
+    """Import `start_training` at first use, because it needs bpy."""
     if name not in _FUNCTIONS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(".start_training", __name__), name)

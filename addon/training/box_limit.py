@@ -14,43 +14,42 @@ from ..splats.filters import crop_matrix
 
 
 def problem(settings: Any) -> str:
-    """A sentence on settings of a scene that exclude each other; else empty."""
+    """Sentence about conflicting settings of a scene; empty without a conflict."""
     ob = settings.train_within
     if ob is None:
         return ""
     if settings.use_masks and settings.mask_mode == "composite":
         return (
-            f"Masks that are opacity cut the subject out, which {ob.name} cannot narrow: choose "
-            "Masks Mean: Leave Out, or clear Only Within."
+            f"Masks used as opacity already cut out the subject, so {ob.name} cannot limit it: set "
+            "Mask Mode to Ignore Masked, or clear Limit to Object."
         )
     if not settings.sky:
         return ""
     return (
-        f"Nothing but what lies in {ob.name} is trained, so there is no sky: turn Sky off, or "
-        "clear Only Within."
+        f"Only the inside of {ob.name} is trained, so there is no sky: turn Sky off, or "
+        "clear Limit to Object."
     )
 
 
 def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
     """Write the box of a scene's object into `output`; return the trainer's option for it.
 
-    The file is named by what it holds, so that one of an earlier run stays as it is.
+    The file name has a hash of the content, so that the file of an earlier run stays unchanged.
 
     Raises:
-        ValueError: the capture is not in the scene, the object has no volume, or the settings ask
-            for what cannot be had together.
+        ValueError: the capture is not in the scene, the object has no volume, or settings conflict.
         GsError: the file cannot be written.
     """
     ob = scene.gscore.train_within
     if ob is None:
         return []
-    if not_together := problem(scene.gscore):
-        raise ValueError(not_together)
+    if conflict := problem(scene.gscore):
+        raise ValueError(conflict)
     root = panel_root(scene)
     if root is None:
         raise ValueError(
-            f"{ob.name} limits the training by where it stands among the photos: press Import "
-            "Cameras first, or clear Only Within."
+            f"{ob.name} limits the training by its position among the photos: press Import "
+            "Cameras first, or clear Limit to Object."
         )
     to_unit = crop_matrix(root, ob)
     if not abs(np.linalg.det(to_unit[:3, :3])) > 0:

@@ -1,4 +1,4 @@
-"""Captures of a scene: chosen, recent and imported ones, and how one is chosen."""
+"""Captures of a scene: chosen, recent and imported ones, and the operator that chooses one."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,19 +17,18 @@ from ..run_links import holders
 
 def known(scene: bpy.types.Scene) -> list[Path]:
     """Folders of the captures that a scene has chosen or imported, unique and sorted by name."""
-    found: list[Path] = []
-    # A folder comes before those in it.
+    unique: list[Path] = []
+    # Parent folders first.
     for path in sorted(_all(scene), key=lambda path: len(path.parts)):
-        if not any(means_capture(path, other) for other in found):
-            found.append(path)
-    return sorted(found, key=lambda path: (path.name.lower(), str(path)))
+        if not any(means_capture(path, other) for other in unique):
+            unique.append(path)
+    return sorted(unique, key=lambda path: (path.name.lower(), str(path)))
 
 
 def label(path: Path, among: list[Path]) -> str:
-    """What a capture is called among others: its folder's name, with what tells it from those of
-    the same name."""
-    alike = [other for other in among if other.name == path.name]
-    return path.name if len(alike) < 2 else f"{path.name} ({path.parent})"
+    """Label of a capture: its folder's name, with the parent folder if another has that name."""
+    namesakes = [other for other in among if other.name == path.name]
+    return path.name if len(namesakes) < 2 else f"{path.name} ({path.parent})"
 
 
 def _all(scene: bpy.types.Scene) -> Iterator[Path]:
@@ -38,7 +37,7 @@ def _all(scene: bpy.types.Scene) -> Iterator[Path]:
             try:
                 yield absolute(holder.capture_path, "Capture")
             except ValueError:
-                continue  # it lies beside a file that is not saved
+                continue  # relative to an unsaved file
     for root in roots_of(scene):
         if text := stored_paths.read(root, stored_paths.SOURCE):
             yield Path(text)
@@ -51,12 +50,12 @@ class ChooseCapture(OnScene, bpy.types.Operator):
     bl_label = "Choose Capture"
     bl_options: ClassVar = {"REGISTER", "UNDO"}
 
-    path: StringProperty(name="Capture", description="Its folder", options={"SKIP_SAVE"})
+    path: StringProperty(name="Capture", description="Folder of the capture", options={"SKIP_SAVE"})
 
     def act(self, context: bpy.types.Context) -> str:
-        """Choose it."""
+        """Choose the capture."""
         if not self.path.strip():
-            raise ValueError("No capture is named; choose one in the panel.")
+            raise ValueError("No capture is given; choose one in the panel.")
         context.scene.gscore.capture_path = relative(absolute(self.path, "Capture"))
         return ""
 

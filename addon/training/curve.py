@@ -6,15 +6,14 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 LOSS_COLOR, PSNR_COLOR = (0.35, 0.65, 1.0), (1.0, 0.6, 0.2)
-"""Of their lines, RGB in [0, 1]; told apart by those too who do not tell red from green."""
+"""Line colors, RGB in [0, 1]; distinct also for red-green colour blindness."""
 _MOST = 256
 
 
 class Curve:
-    """Loss and PSNR by step, thinned out to at most 256 points evenly spread over the run.
+    """Loss and PSNR by step, as at most 256 points evenly spread over the run.
 
-    When there are too many points, neighbours are averaged and from then on twice as many values
-    go into a point.
+    When it is full, neighbours are averaged and each further point averages twice as many values.
     """
 
     def __init__(self) -> None:
@@ -36,10 +35,10 @@ class Curve:
         return curve
 
     def add(self, step: int, loss: float, psnr: float) -> None:
-        """Take both of a step; non-finite values are skipped.
+        """Add the values of a step; non-finite ones are skipped.
 
-        A step that is not later than the last one means that the run went back: what came after
-        it is forgotten.
+        A step that is not after the last one means that the run went back to a checkpoint: later
+        points are removed.
         """
         if not (math.isfinite(loss) and math.isfinite(psnr)):
             return
@@ -61,8 +60,8 @@ class Curve:
             self._per_point *= 2
 
     def picture(self, width: int, height: int, *, last_step: int) -> np.ndarray:
-        """Both over the whole run, from their lowest to their highest: the loss on a logarithmic
-        axis, with a tint below it, and the PSNR over it.
+        """Picture of both curves, each scaled to its range: the loss on a logarithmic axis, with a
+        tint below it, and the PSNR above.
 
         Args:
             width: Pixels.
@@ -70,7 +69,7 @@ class Curve:
             last_step: Step at the right edge.
 
         Returns:
-            [height, width, 4] float32 RGBA, premultiplied, bottom row first, as icons are.
+            [height, width, 4] float32 RGBA, premultiplied, bottom row first, for icons.
         """
         if len(self.steps) < 2:
             return np.zeros((height, width, 4), np.float32)
@@ -80,7 +79,7 @@ class Curve:
         under = np.where(np.arange(height)[:, None] < y, 0.18, 0.0)
         below = np.maximum(line, under * inside)
         _, over, _ = _line(x, np.array(self.psnrs), 0.2, width, height)
-        # Dark around the upper line, so that both are seen where they cross.
+        # A gap around the upper line keeps both visible at crossings.
         clear = np.clip(1 - _widened(over), 0, 1)
         pixels = np.empty((height, width, 4), np.float32)
         pixels[..., 3] = over + (1 - over) * below * clear
@@ -99,23 +98,24 @@ def _line(
     """A line through points, rasterized.
 
     Args:
-        x: Columns of the points, rising.
-        values: Their heights, in any unit; the lowest is at the bottom and the highest at the top.
-        least: What is between bottom and top at least, in that unit.
-        width: Of the picture.
-        height: Of the picture.
+        x: Columns of the points, increasing.
+        values: Values of the points; the lowest is at the bottom and the highest at the top.
+        least: Smallest range between bottom and top, in units of `values`.
+        width: Width of the picture, pixels.
+        height: Height of the picture, pixels.
 
     Returns:
-        Its row in each column, how much of each pixel it covers, and which columns it goes through.
+        Row of the line in each column [width], coverage of each pixel [height, width], and the
+        mask of the columns that it crosses [width].
     """
     columns = np.arange(width)
     low, high = values.min(), max(values.max(), values.min() + least)
     y = np.interp(columns, x, (values - low) / (high - low)) * (height - 3) + 1
     inside = (columns >= math.floor(x[0])) & (columns <= math.ceil(x[-1]))
     rows = np.arange(height)[:, None]
-    # A steep part must not tear: the line covers all rows that it crosses in its column.
-    beside = np.stack([y, np.r_[y[:1], (y[1:] + y[:-1]) / 2], np.r_[(y[1:] + y[:-1]) / 2, y[-1:]]])
-    distance = np.maximum(np.maximum(beside.min(axis=0) - rows, rows - beside.max(axis=0)), 0)
+    # The line covers all rows that it crosses in a column, so that steep parts have no gaps.
+    spans = np.stack([y, np.r_[y[:1], (y[1:] + y[:-1]) / 2], np.r_[(y[1:] + y[:-1]) / 2, y[-1:]]])
+    distance = np.maximum(np.maximum(spans.min(axis=0) - rows, rows - spans.max(axis=0)), 0)
     return y, np.clip(1.5 - distance, 0, 1) * inside, inside
 
 

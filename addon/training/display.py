@@ -30,7 +30,7 @@ from .training_job import Job
 
 
 def place_of(job: Job) -> Place | None:
-    """Where the open file shows what a job makes: its own scene first, then any of that output."""
+    """Place of a job's results in the open file: its own scene first, then any with its output."""
     own = [scene for scene in bpy.data.scenes if editable_check.keeps(scene)]
     scenes = sorted(own, key=lambda scene: scene.session_uid != job.scene_uid)
     for scene in scenes:
@@ -41,7 +41,7 @@ def place_of(job: Job) -> Place | None:
 
 
 def _leads_to(scene: bpy.types.Scene, holder: Any, job: Job) -> bool:
-    """Whether a holder's output folder is that of a job."""
+    """True if a holder's output folder is that of a job."""
     try:
         if holder == scene.gscore:
             folder = output_folder(scene, preferences.get().output_folder)
@@ -54,22 +54,22 @@ def _leads_to(scene: bpy.types.Scene, holder: Any, job: Job) -> bool:
 
 
 def waits(job: Job) -> bool:
-    """Whether work is pending: a running trainer, or splats to show here."""
+    """True while work is pending: a running trainer, or splats to show here."""
     if not job.state.ended or job.loader.busy:
         return True
     return job.result_wanted and place_of(job) is not None
 
 
 def is_importing() -> bool:
-    """Whether splats are on their way, or what shows them, so that the next beat should come
+    """True while splats or their node groups are being created, so that the next poll is due
     soon."""
     return any(job.filling is not None or job.chores for job in registry.jobs())
 
 
 def update(job: Job) -> bool:
-    """Do the next small thing for a job: show its picture or its splats; whether it did.
+    """Run the next step of showing a job's picture or splats; True if there was one.
 
-    Nothing is touched while Blender renders, which reads the same data in another thread.
+    Does nothing while Blender renders, because the render thread reads the same data.
     """
     if bpy.app.is_job_running("RENDER"):
         return False
@@ -95,7 +95,7 @@ def show_picture(holder: Any, path: Path, name: str) -> bpy.types.Image:
     """Show a picture as a capture's test view, in every image editor that shows it."""
     image = holder.preview
     if image is None:
-        # `images.load` looks into the file, which may take a tenth of a second the first time.
+        # `images.load` opens the file, which may take 0.1 s the first time.
         image = bpy.data.images.new(name, 1, 1)
         image.source = "FILE"
         holder.preview = image
@@ -105,7 +105,7 @@ def show_picture(holder: Any, path: Path, name: str) -> bpy.types.Image:
 
 
 def _remove_discarded(job: Job, place: Place) -> bool:
-    """Remove the live splats of a discarded run; return whether there were any."""
+    """Remove the live splats of a discarded run; True if there were any."""
     ob = shown_object(place.holder, job.output, job.sources)
     over = job.state.status == run_state.DISCARDED and not job.resumed
     if not over or ob is None or not is_own(ob, job) or ob.mode != "OBJECT":
@@ -121,14 +121,14 @@ def _remove_discarded(job: Job, place: Place) -> bool:
 
 
 def _update_splats(job: Job, place: Place) -> bool:
-    """Do the next step of importing splats into the scene; return whether there was one."""
+    """Run the next step of importing splats into the scene; True if there was one."""
     result = job.state.result
     if job.result_wanted and not job.result_requested and result is not None:
         job.result_requested = True
         job.loader.request(result, final=True)
     ob = place.holder.result
     if ob is not None and ob.mode != "OBJECT":
-        return False  # what the user edits stays; splats wait
+        return False  # wait while the user edits the object
     if job.filling is None:
         loaded = job.take_loaded()
         if loaded is None:
@@ -142,7 +142,7 @@ def _update_splats(job: Job, place: Place) -> bool:
             return True
     filling = job.filling
     if not filling.loaded.final and (job.result_requested or not place.scene.gscore.live_splats):
-        filling.drop()  # late
+        filling.drop()  # outdated
         job.filling = None
         return True
     mesh = filling.step()
@@ -162,7 +162,7 @@ def _update_splats(job: Job, place: Place) -> bool:
             if ob != before:
                 hide_points(place.scene, root)
         if filling.loaded.final:
-            drop_maps(ob)  # of what it showed before
+            drop_maps(ob)  # of the previous splats
         if filling.loaded.final or ob != before:
             undo.push("Training Result" if filling.loaded.final else "Live Splats")
     except ValueError as error:

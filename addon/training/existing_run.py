@@ -9,25 +9,25 @@ from ..core import RunInfo, find_capture, read_run
 from ..interface.option_labels import panel_words
 
 _BEGINNING = 65_536
-"""Bytes of a file that tell it from others."""
+"""Bytes at the beginning of a file that go into its fingerprint."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EarlierRun:
-    """A run on the disk."""
+    """A run on disk."""
 
     info: RunInfo
-    """Its problem is phrased with panel labels."""
+    """Facts of the run; its problem has panel labels."""
     trained: float
-    """When its newest file was written, seconds since the epoch."""
+    """Modification time of its newest file, seconds since the epoch."""
     content: str
-    """`content` of its splats; empty where there are none."""
+    """`content` of its splats; empty without splats."""
     foreign: bool
-    """Whether it certainly belongs to another capture than the chosen one."""
+    """True if it certainly belongs to another capture than the chosen one."""
 
     @property
     def words(self) -> str:
-        """A sentence with folder, steps and date."""
+        """Folder, steps and date."""
         steps = f"{self.info.steps:,} steps" if self.info.checkpoint else "no checkpoint"
         date = time.strftime("%Y-%m-%d %H:%M", time.localtime(self.trained))
         return f"{self.info.path} ({steps}, written {date})"
@@ -37,13 +37,13 @@ class EarlierRun:
         """Message for a run of another capture: why it is not changed, and what to do."""
         whose = "" if self.info.data is None else f", {self.info.data.source}"
         return (
-            f"The output folder holds the run of another capture{whose}: {self.words}. Choose that "
+            f"The output folder has the run of another capture{whose}: {self.words}. Choose that "
             "capture again, or another output folder."
         )
 
 
 def read_existing_run(folder: Path, capture: Path | None) -> EarlierRun | None:
-    """The run in an output folder, or None if no training has written there.
+    """The run in an output folder; None if no training has written there.
 
     Args:
         folder: The output folder.
@@ -79,7 +79,7 @@ def _written(info: RunInfo) -> float:
 
 
 def _is_foreign(info: RunInfo, capture: Path | None) -> bool:
-    """Certain only where the run's own capture is still in its place: else it may have moved."""
+    """True if the run's capture still exists at another path; a missing one may have moved."""
     if capture is None or info.data is None or not info.data.source.exists():
         return False
     return find_capture(capture).resolve() != info.data.source.resolve()

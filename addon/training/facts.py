@@ -1,4 +1,4 @@
-"""Facts about a scene's folders for panels, without waiting for the disk."""
+"""Cached facts about a scene's folders for panels; never waits for the disk."""
 
 import bpy
 
@@ -27,7 +27,7 @@ def capture(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
 
 
 def refresh(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
-    """As `capture`, but reads the disk now and waits; for scripts and before a training."""
+    """As `capture`, but reads the disk and waits; for scripts and before a training."""
     path = absolute(scene.gscore.capture_path, "Capture")
     return lookups.captures.wait((str(path), scene.gscore.images))
 
@@ -37,8 +37,8 @@ def forecast_of(scene: bpy.types.Scene) -> tuple[Estimate | None, str]:
     found = capture(scene)[0]
     if found is None or not found.can_train:
         return None, ""
-    asked = forecast.question(scene.gscore, found, threads=preferences.get().threads)
-    answer = lookups.forecasts.get(asked)
+    question = forecast.question(scene.gscore, found, threads=preferences.get().threads)
+    answer = lookups.forecasts.get(question)
     poll_timer.ensure()
     return answer
 
@@ -50,7 +50,7 @@ def run(scene: bpy.types.Scene) -> tuple[EarlierRun | None, str]:
         chosen = absolute(text, "Capture") if text.strip() else None
         folder = output_folder(scene, preferences.get().output_folder)
     except ValueError:
-        return None, ""  # the panel says what is missing where the capture is chosen
+        return None, ""  # the Capture panel reports what is missing
     answer = lookups.runs.get((folder, chosen))
     poll_timer.ensure()
     return answer

@@ -19,11 +19,11 @@ from .options import AS_PRESET, BY_WIDTH, Settings
 
 @dataclass(frozen=True, kw_only=True)
 class Question:
-    """Input of a forecast; equal inputs have the same result while the free memory is the same."""
+    """Input of a forecast; equal inputs have equal results while the free memory is the same."""
 
     train: TrainConfig
     sizes: tuple[tuple[tuple[int, int], int], ...]
-    """Sizes of photos as trained on, pixels, and how many photos have each."""
+    """Training sizes of photos, width and height in pixels, and the number of photos of each."""
     points: int
     cloud: int
     """Number of SfM points."""
@@ -31,7 +31,7 @@ class Question:
     """Number of pixels of all photos as stored."""
     masks: bool
     subject: bool
-    """Whether these are opacity, as far as that is known without decoding a photo."""
+    """True if masks are opacity, as far as known without decoding a photo."""
     depths: bool
 
 
@@ -51,11 +51,11 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
         strategy=Strategy(settings.strategy),
         time_budget=settings.time_budget,
         threads=threads,
-        # A number that somebody chose is meant, as for `gscore train`.
+        # A number set by the user is not capped, as in `gscore train`.
         steps_a_photo=train.steps_a_photo if settings.iterations == train.iterations else 0,
         splats_a_photo=train.splats_a_photo if settings.max_splats == train.max_splats else 0,
     )
-    # Alpha is most often a matte, of which more steps are taken; photos are not decoded here.
+    # Alpha is most often a matte, which takes more steps; photos are not decoded here.
     subject = settings.use_masks and bool(facts.alphas)
     photos = sum(facts.sizes.values())
     if settings.eval:
@@ -81,22 +81,22 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
     )
 
 
-def answer(asked: Question) -> Estimate:
-    """The forecast. The first answer of a session draws some pictures to time this machine.
+def answer(inputs: Question) -> Estimate:
+    """The forecast. The first one of a session renders some pictures to time this machine.
 
     Raises:
         GsError: the native library is missing.
     """
-    sizes = [size for size, count in asked.sizes for _ in range(count)]
+    sizes = [size for size, count in inputs.sizes for _ in range(count)]
     return estimate(
-        asked.train,
+        inputs.train,
         sizes,
-        points=asked.points,
-        cloud=asked.cloud,
-        stored=asked.stored,
-        masks=asked.masks,
-        subject=asked.subject,
-        depths=asked.depths,
+        points=inputs.points,
+        cloud=inputs.cloud,
+        stored=inputs.stored,
+        masks=inputs.masks,
+        subject=inputs.subject,
+        depths=inputs.depths,
     )
 
 
@@ -106,11 +106,11 @@ def words(found: Estimate) -> str:
     if found.reading_seconds > max(1.0, 0.1 * found.seconds):
         text += f" after {duration(found.reading_seconds)} of reading"
     text += f" and {memory(found.peak_bytes)} of memory."
-    return text if found.photos_kept else text + " Photos are read again and again to save some."
+    return text if found.photos_kept else text + " Photos are read repeatedly to save memory."
 
 
 def warning(found: Estimate) -> str:
-    """Why the training does not fit into memory, and what would; empty if it fits."""
+    """Sentences on missing memory and settings that would fit; empty if the training fits."""
     if found.fits or found.free_bytes is None:
         return ""
     ways = []
@@ -120,13 +120,13 @@ def warning(found: Estimate) -> str:
         ways.append(f"photos {found.fitting_width} px wide")
     fits = " or ".join(ways) + " would fit; else close" if ways else "Close"
     return (
-        f"Too large for this computer: {memory(found.peak_bytes)} are needed, "
+        f"Too large for this computer: it needs {memory(found.peak_bytes)}, "
         f"{memory(found.free_bytes)} are free. {fits[0].upper()}{fits[1:]} other programs."
     )
 
 
 def duration(seconds: float) -> str:
-    """Seconds, minutes or hours, as coarse as an estimate is."""
+    """Seconds, minutes or hours, rounded coarsely."""
     if seconds < 90:
         return f"{max(5 * round(seconds / 5), 5)} s"
     if seconds < 90 * 60:

@@ -18,7 +18,7 @@ class AddGuides(OnScene, bpy.types.Operator):
 
     role: EnumProperty(
         name="Role",
-        description="How the training uses the meshes",
+        description="Use of the meshes in the training",
         items=(
             ("surface", "Surface Mesh", "Splats are pulled onto these meshes"),
             ("free", "Free-Space Mesh", "Splats between the cameras and these meshes are removed"),
@@ -27,19 +27,19 @@ class AddGuides(OnScene, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Something is selected."""
+        """True if something is selected."""
         if context.selected_objects:
             return True
         cls.poll_message_set("Select the meshes first")
         return False
 
     def act(self, context: bpy.types.Context) -> str:
-        """Link them."""
+        """Link the objects."""
         obs = [ob for ob in context.selected_objects if guides.may_guide(ob)]
         if not obs:
-            raise ValueError("None of the selected objects is a mesh, or becomes one.")
+            raise ValueError("None of the selected objects is a mesh or can be converted to one.")
         collection = guides.add_to_guides(context.scene, self.role, obs)
-        return f"{len(obs)} of the selected objects are in {collection.name}."
+        return f"Added {len(obs)} objects to {collection.name}."
 
 
 CLASSES = (AddGuides,)

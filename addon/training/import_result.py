@@ -1,4 +1,4 @@
-"""Import operator for the result of a finished run that the open file does not show yet."""
+"""Import operator for the result of a finished run that the open file does not have yet."""
 
 from typing import ClassVar
 
@@ -18,12 +18,12 @@ class ImportResult(ImportOperator, bpy.types.Operator):
     bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     def wanted(self, context: bpy.types.Context) -> list[splat_files.Wanted]:
-        """Those of the run."""
-        # As it is now: the panel may name another meanwhile.
+        """The splats of the run."""
+        # Read now, because the panel may name another run during the import.
         self._source, self._run = start_training.run_of(context.scene)
         info = self._run.info
         if info.splats is None:
-            raise ValueError(f"{info.path} holds no splats yet: go on with its training.")
+            raise ValueError(f"{info.path} holds no splats yet: continue its training.")
         return [
             splat_files.want(info.splats, parent=results.capture_of(context.scene, self._source))
         ]
@@ -31,7 +31,7 @@ class ImportResult(ImportOperator, bpy.types.Operator):
     def show(
         self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
     ) -> str:
-        """Take the object for the result of the training."""
+        """Make the object the result of the training."""
         self.warn(warnings)
         ob = results.adopt(context.scene, made[0], self._run, self._source)
         if context.mode == "OBJECT" and ob.name in context.view_layer.objects:

@@ -15,8 +15,8 @@ from .verb_jobs import VerbJobs
 JobT = TypeVar("JobT")
 VerbJobT = TypeVar("VerbJobT", bound=VerbJob)
 
-_BEAT = 0.02
-"""Seconds between two looks at work that is waited for."""
+_INTERVAL = 0.02
+"""Seconds between two polls of pending work."""
 
 
 def launch(make: Callable[[str | Path], JobT], python: str | Path | None) -> JobT:
@@ -24,10 +24,10 @@ def launch(make: Callable[[str | Path], JobT], python: str | Path | None) -> Job
 
     Args:
         make: Starts it with a given Python; raises OSError if that cannot be run.
-        python: The Python to run; None: that of the preferences.
+        python: The Python to run; None: the one of the preferences.
 
     Raises:
-        ValueError: there is no such Python, or it cannot be run; the message says what to do.
+        ValueError: there is no such Python, or it cannot be run.
     """
     program = python or setup.trainer_python(preferences.get())
     return begin(program, lambda: make(program))
@@ -37,7 +37,7 @@ def begin(program: str | Path, start: Callable[[], JobT]) -> JobT:
     """Call a function that starts a process.
 
     Raises:
-        ValueError: OSError was raised; the message names `program`, and what to do.
+        ValueError: OSError was raised; the message names `program` and the remedy.
     """
     try:
         return start()
@@ -52,7 +52,7 @@ def follow(waits: Callable[[], bool]) -> None:
     """Run the poll timer's work until nothing is pending; needed without a window."""
     while waits():
         poll_timer.poll()
-        time.sleep(_BEAT)
+        time.sleep(_INTERVAL)
 
 
 def following_verb(
@@ -66,11 +66,11 @@ def following_verb(
     """The poller of the jobs of a verb.
 
     Args:
-        jobs: Of this Blender session.
-        ended: Called when a job has ended, as cached lookups may be outdated.
-        bring_in: Called in a poll for a job without new events; returns whether panels changed.
-        wanted: Whether the result of an ended job is still to be imported; None: never.
-        hurries: Whether its import is running, so that the next poll is due soon; None: never.
+        jobs: Jobs of this Blender session.
+        ended: Called when a job has ended, because cached lookups may be outdated.
+        bring_in: Called in a poll for a job without new events; returns True if panels changed.
+        wanted: True while the result of an ended job is not imported; None: never.
+        hurries: True while its import is running and the next poll is due soon; None: never.
     """
 
     def collect() -> bool:
@@ -103,7 +103,7 @@ class Following:
 
         Args:
             pollers: Pollers, in order.
-            leave_all: Releases all jobs, which then end by themselves.
+            leave_all: Releases all jobs, which then end on their own.
         """
         self._pollers, self._leave_all = tuple(pollers), leave_all
 

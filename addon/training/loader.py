@@ -16,7 +16,7 @@ from ..process import threads
 from .existing_run import content
 
 _GROUND_POINTS = 20_000
-"""Splats among which the ground is looked for."""
+"""Number of splats used to find the ground."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,14 +25,14 @@ class Loaded:
 
     path: Path
     final: bool
-    """Whether this is the result and not a snapshot."""
+    """True for the result, False for a snapshot."""
     problem: str = ""
     count: int = 0
     """Number of splats."""
     origin: np.ndarray | None = None
-    """[3] their local origin; None: there is none."""
+    """[3] local origin; None: there is none."""
     content: str = ""
-    """`earlier.content` of a result; empty for snapshots."""
+    """`existing_run.content` of a result; empty for snapshots."""
     columns: tuple[tuple[str, str, np.ndarray], ...] = ()
     """`attributes.columns`; empty if there is a problem."""
     typical_size: float = 0.0
@@ -40,7 +40,7 @@ class Loaded:
     upright: np.ndarray | None = None
     """[4, 4] that aligns up and ground, from the cameras of the run; None: unknown."""
     moves: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Degrees and world units that the run moved its cameras, by image name; of a result."""
+    """Pose refinement of the run's cameras by image name, degrees and world units; of a result."""
 
 
 class Loader:
@@ -54,7 +54,7 @@ class Loader:
 
     @property
     def busy(self) -> bool:
-        """Whether a file is being read or is queued."""
+        """True while a file is being read or is queued."""
         with self._lock:
             return self._busy
 
@@ -63,9 +63,9 @@ class Loader:
 
         Args:
             path: The PLY.
-            most: Keep at most this many splats, evenly chosen, and without view-dependent colour:
-                a quick look while training goes on; 0: everything.
-            final: Handed back in `LoadedPhotos.final`.
+            most: Maximum number of splats, sampled evenly and without view-dependent colour, for a
+                preview during training; 0: everything.
+            final: Returned in `Loaded.final`.
         """
         with self._lock:
             self._waiting.append((path, most, final))
@@ -93,20 +93,20 @@ class Loader:
 
 def _load(path: Path, most: int, final: bool) -> Loaded:
     try:
-        found = read_splat_file(path)
-        splats = found.splats
+        file = read_splat_file(path)
+        splats = file.splats
         if most:
-            splats = _quick_look(splats, most)
+            splats = _preview(splats, most)
         sizes = splats.scales.max(axis=1)
         return Loaded(
             path=path,
             final=final,
             count=len(splats),
-            origin=found.origin,
+            origin=file.origin,
             content=content(path) if final else "",
             columns=tuple(attributes.columns(splats)),
             typical_size=float(np.exp(np.median(sizes))) if len(splats) else 0.0,
-            upright=_upright(path, splats, found.origin),
+            upright=_upright(path, splats, file.origin),
             moves=read_moves(path.with_name(POSES_FILE)) if final else {},
         )
     except GsError as error:
@@ -130,8 +130,8 @@ def _upright(path: Path, splats: Splats, origin: np.ndarray | None) -> np.ndarra
     return None
 
 
-def _quick_look(splats: Splats, most: int) -> Splats:
-    """At most `most` splats, evenly chosen, of SH degree 0."""
+def _preview(splats: Splats, most: int) -> Splats:
+    """At most `most` splats, sampled evenly, of SH degree 0."""
     every = max(1, -(-len(splats) // most))
     chosen = splats.subset(np.arange(0, len(splats), every))
     return replace(chosen, shN=np.zeros((len(chosen), 0, 3), np.float32))

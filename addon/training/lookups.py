@@ -28,27 +28,27 @@ def _report(output: Path) -> DepthReport | None:
 
 
 captures: Lookup[tuple[str, str], ShownFacts] = Lookup(_inspected, max_age=600.0)
-"""What a capture holds, by its path and the name of its photo folder."""
+"""Facts of captures, by path and name of the photo folder."""
 runs: Lookup[tuple[Path, Path | None], existing_run.EarlierRun | None] = Lookup(
     lambda key: existing_run.read_existing_run(*key), max_age=3.0
 )
-"""What an output folder holds already, by its path and the chosen capture's."""
+"""Existing runs, by output folder and path of the chosen capture."""
 depth_runs: Lookup[Path, DepthReport | None] = Lookup(_report, max_age=10.0)
-"""What became of the depth maps in the training in an output folder."""
+"""Depth reports of runs, by output folder."""
 figures: Lookup[Path, Figures | None] = Lookup(measured, max_age=10.0)
-"""How well a run meets all its photos, by its folder, where that was measured."""
+"""Measured errors of runs on all photos, by output folder."""
 forecasts: Lookup[forecast.Question, Estimate] = Lookup(forecast.answer, max_age=20.0)
-"""What a training would take."""
+"""Forecasts of time and memory."""
 networks: Lookup[str, frozenset[str]] = Lookup(networks_here, max_age=300.0)
-"""Names of the depth networks that are on this computer, by the Python that predicts."""
+"""Names of the depth networks on this computer, by the Python that predicts."""
 _ALL = (captures, runs, depth_runs, figures, forecasts, networks)
 
 
 def collect() -> bool:
-    """Collect finished lookups; return whether there were any."""
-    return sum(found.collect() for found in _ALL) > 0  # any() would stop at the first
+    """Collect finished lookups; True if there were any."""
+    return sum(lookup.collect() for lookup in _ALL) > 0  # any() would stop at the first
 
 
 def busy() -> bool:
-    """Whether a lookup is running."""
-    return any(found.busy for found in _ALL)
+    """True while a lookup is running."""
+    return any(lookup.busy for lookup in _ALL)

@@ -17,7 +17,7 @@ def networks_here(python: str) -> frozenset[str]:
     """Names of the installed networks; for a thread.
 
     Raises:
-        ValueError: the Python gave no answer; the message says what to do.
+        ValueError: the Python gave no answer.
     """
     problem = f"{python} cannot list depth networks; press Check in the add-on's preferences."
     try:

@@ -19,7 +19,7 @@ class _OnJob(BaseOperator):
 
     job_id: StringProperty(
         name="Training",
-        description="Id of the training; empty: that of this scene",
+        description="Id of the training; empty: the training of this scene",
         options={"HIDDEN", "SKIP_SAVE"},
     )
     allowed: ClassVar[tuple[str, ...]] = (run_state.STARTING, run_state.RUNNING, run_state.PAUSED)
@@ -28,7 +28,7 @@ class _OnJob(BaseOperator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if any(job.state.status in cls.allowed for job in registry.jobs()):
             return True
-        cls.poll_message_set("No training is in the state for this")
+        cls.poll_message_set("No training is in a state that allows this")
         return False
 
     def job(self, context: bpy.types.Context) -> Job | None:
@@ -38,7 +38,7 @@ class _OnJob(BaseOperator):
     def act(self, context: bpy.types.Context) -> str:
         job = self.job(context)
         if job is None or job.state.status not in self.allowed:
-            raise ValueError("This scene has no training in the state for this.")
+            raise ValueError("This scene has no training in a state that allows this.")
         self.ask(job)
         poll_timer.redraw()
         return ""
@@ -48,7 +48,7 @@ class _OnJob(BaseOperator):
 
 
 class Train(ConfirmMixin, OnScene, bpy.types.Operator):
-    """Train splats from the capture in the background; Blender stays usable"""
+    """Train splats from the capture in the background"""
 
     bl_idname = "gscore.train"
     bl_label = "Train"
@@ -68,15 +68,17 @@ class Train(ConfirmMixin, OnScene, bpy.types.Operator):
     confirm = "Start Over"
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """List what is overwritten, and what the training would not use."""
+        """List overwritten files, and data that the training would not use."""
         lines = start_training.replaced(context.scene) if self.overwrite else []
         self.confirm = "Start Over" if lines else "Train Without"
         return lines + start_training.unsaved(context.scene)
 
     def act(self, context: bpy.types.Context) -> str:
-        """Start."""
+        """Start the training."""
         self.warn(start_training.unsaved(context.scene))
-        return _told(start_training.train(context.scene, overwrite=self.overwrite, wait=self.wait))
+        return _report(
+            start_training.train(context.scene, overwrite=self.overwrite, wait=self.wait)
+        )
 
 
 class FitTraining(OnScene, bpy.types.Operator):
@@ -102,7 +104,7 @@ class FitTraining(OnScene, bpy.types.Operator):
         splats = self.which == "SPLATS"
         value = 0 if found is None else found.fitting_splats if splats else found.fitting_width
         if not value:
-            raise ValueError(problem or "There is nothing to make smaller; see the panel.")
+            raise ValueError(problem or "The training fits already, or nothing can be reduced.")
         if splats:
             settings.max_splats = value
         else:
@@ -124,12 +126,12 @@ class ResumeTraining(OnScene, bpy.types.Operator):
     )
 
     def act(self, context: bpy.types.Context) -> str:
-        """Start."""
-        return _told(start_training.resume(context.scene, wait=self.wait))
+        """Resume the training."""
+        return _report(start_training.resume(context.scene, wait=self.wait))
 
 
 class PauseTraining(_OnJob, bpy.types.Operator):
-    """Pause the trainer: it keeps its memory and frees its CPU cores"""
+    """Pause the training; it keeps its memory and frees its CPU cores"""
 
     bl_idname = "gscore.pause_training"
     bl_label = "Pause"
@@ -173,16 +175,16 @@ class FollowTraining(OnScene, bpy.types.Operator):
     job_id: StringProperty(name="Training", description="Id of the training", options={"HIDDEN"})
 
     def act(self, context: bpy.types.Context) -> str:
-        """Choose them."""
+        """Choose the training's capture and output folder."""
         job = registry.by_id(self.job_id)
         if job is None:
-            raise ValueError("This training is gone; press Show Trained Splats under Train.")
+            raise ValueError("This training was removed; press Show Trained Splats under Train.")
         start_training.follow(context.scene, job)
         return f"This scene shows the training of {job.source.name}."
 
 
 class DiscardTraining(ConfirmMixin, _OnJob, bpy.types.Operator):
-    """End at once and remove what this run wrote; a resumed run keeps its last checkpoint"""
+    """End the training immediately and remove its files; a resumed run keeps its last checkpoint"""
 
     bl_idname = "gscore.discard_training"
     bl_label = "Discard"
@@ -191,7 +193,7 @@ class DiscardTraining(ConfirmMixin, _OnJob, bpy.types.Operator):
     confirm = "Discard"
 
     def question(self, context: bpy.types.Context) -> list[str]:
-        """Name the run, as it cannot be restored."""
+        """Name the run, because it cannot be restored."""
         job = self.job(context)
         if job is None:
             return []
@@ -199,7 +201,7 @@ class DiscardTraining(ConfirmMixin, _OnJob, bpy.types.Operator):
         return [f"The training of {job.source} into {job.output} ends and is lost, {what}."]
 
     def ask(self, job: Job) -> None:
-        """End it."""
+        """End the training."""
         start_training.discard(job)
 
 
@@ -223,11 +225,11 @@ class ShowTestView(BaseOperator, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """There is a picture."""
+        """True if there is a picture."""
         return context.scene.gscore.preview is not None
 
     def act(self, context: bpy.types.Context) -> str:
-        """Show it."""
+        """Show the picture."""
         if not show_image(context, context.scene.gscore.preview, new_window=True):
             raise ValueError("There is no window to show a picture in.")
         return ""
@@ -244,7 +246,7 @@ class SelectResult(BaseOperator, bpy.types.Operator):
         """Select."""
         ob = context.scene.gscore.result
         if ob is None or context.view_layer.objects.get(ob.name) is None:
-            raise ValueError("This scene shows no splats of a training; train some first.")
+            raise ValueError("This scene has no trained splats; press Train first.")
         make_active(context, ob)
         return ""
 
@@ -256,12 +258,12 @@ class ShowReport(BaseOperator, bpy.types.Operator):
     bl_label = "Show Report"
 
     def act(self, context: bpy.types.Context) -> str:
-        """Open it."""
+        """Open the report."""
         bpy.ops.wm.url_open(url=start_training.report_of(context.scene).as_uri())
         return ""
 
 
-def _told(job: Job) -> str:
+def _report(job: Job) -> str:
     """Message on the end of an awaited training; empty while it is running.
 
     Raises:

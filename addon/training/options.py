@@ -10,11 +10,11 @@ from ..capture.inspection import DEPTHS
 from ..core import PRESETS, RunInfo, Switch
 
 AS_PRESET, BY_WIDTH = "PRESET", "WIDTH"
-"""Values of `resolution` beside the divisors 1, 2, 4 and 8."""
+"""Values of `resolution` other than the divisors 1, 2, 4 and 8."""
 
 
 class Settings(Protocol):
-    """Scene settings for the trainer; `properties.SceneSettings` has them."""
+    """Scene settings for the trainer, implemented by `properties.SceneSettings`."""
 
     preset: str
     iterations: int
@@ -48,9 +48,9 @@ class Machine:
     threads: int = 0
     """CPU threads; 0: all."""
     lpips: Path | None = None
-    """Network to measure LPIPS with."""
+    """Network that measures LPIPS."""
     preview_seconds: float = 0.0
-    """Training time between two pictures of a test view; 0: none."""
+    """Training time between two pictures of a test view, seconds; 0: none."""
 
 
 def new_run(
@@ -62,26 +62,26 @@ def new_run(
     overwrite: bool = False,
     depths: bool = False,
 ) -> list[str]:
-    """Arguments that start a run: the preset, and only what differs from it.
+    """Arguments that start a run: the preset, and the options that differ from it.
 
     Args:
-        settings: Of the scene.
+        settings: Settings of the scene.
         source: Folder of the capture.
         output: Folder for the results.
-        machine: Of the preferences.
+        machine: Settings of the preferences.
         overwrite: Replace another run in `output`.
-        depths: Whether the capture has depth maps.
+        depths: True if the capture has depth maps.
     """
     data, train = PRESETS[settings.preset](source)
     arguments = ["train", str(source), "-o", str(output), "--preset", settings.preset]
     for name in ("iterations", "max_splats", "sh_degree", "strategy", "background", "seed"):
         value = getattr(settings, name)
         if name == "iterations" and settings.time_budget:
-            continue  # a budget finds the number of steps itself
+            continue  # a time budget determines the number of steps
         if value != getattr(train, name):
             arguments += [_flag(name), str(value)]
     for name in ("time_budget", "target_psnr", "finest", "free_space"):
-        value = getattr(settings, name)  # of single precision
+        value = getattr(settings, name)  # single precision
         if abs(value - getattr(train, name)) > 1e-5 * value:
             arguments += [_flag(name), f"{value:g}"]
     for name in ("antialias", "sky", "early_stop"):
@@ -107,10 +107,10 @@ def new_run(
 
 
 def continuation(settings: Settings, info: RunInfo) -> dict[str, float]:
-    """Options that differ from those of the start of a resumed run, because the limits were raised.
+    """Options of a resumed run whose limits were raised since its start.
 
     Raises:
-        ValueError: it has nothing left to do; the message says what to ask for.
+        ValueError: the run has no steps left; the message names the setting to raise.
     """
     budget = info.train.time_budget if info.train is not None else 0.0
     if budget:
@@ -118,25 +118,24 @@ def continuation(settings: Settings, info: RunInfo) -> dict[str, float]:
             return {"time_budget": settings.time_budget}
         if info.finished:
             raise ValueError(
-                f"The run has ended within its {budget:g} s; ask for a longer Time Budget to go on."
+                f"The run has used its time budget of {budget:g} s; raise Time Budget to continue."
             )
         return {}
-    wanted = info.iterations
+    iterations = info.iterations
     if not _limited(settings, info):
-        wanted = max(settings.iterations, wanted)
-    if info.steps >= wanted:
+        iterations = max(settings.iterations, iterations)
+    if info.steps >= iterations:
         raise ValueError(
-            f"The run has taken all of its {info.steps:,} steps; ask for more Steps to go on."
+            f"The run has taken all of its {info.steps:,} steps; raise Steps to continue."
         )
-    return {"iterations": wanted} if wanted != info.iterations else {}
+    return {"iterations": iterations} if iterations != info.iterations else {}
 
 
 def _limited(settings: Settings, info: RunInfo) -> bool:
-    """Whether the steps of the settings are those of the preset, which a run takes only as far as
-    its photos are good for."""
+    """True if the steps are the preset's, which the number of photos caps."""
     preset = PRESETS[settings.preset](Path())[1]
-    held = info.train is not None and info.train.steps_a_photo > 0
-    return held and settings.iterations == preset.iterations
+    capped = info.train is not None and info.train.steps_a_photo > 0
+    return capped and settings.iterations == preset.iterations
 
 
 def resumed_run(
@@ -146,13 +145,13 @@ def resumed_run(
     machine: Machine,
     changes: Mapping[str, float] = MappingProxyType({}),
 ) -> list[str]:
-    """Arguments that resume the run in `output`, with the options it was started with.
+    """Arguments that resume the run in `output`, with its original options.
 
     Args:
-        source: Where the capture lies now; None: where it was.
+        source: Current folder of the capture; None: unchanged.
         output: Folder of the run.
-        machine: Of the preferences.
-        changes: Options other than those it was started with, see `continuation`.
+        machine: Settings of the preferences.
+        changes: Changed options, see `continuation`.
     """
     arguments = ["train", *([str(source)] if source else []), "-o", str(output), "--resume"]
     for name, value in changes.items():
@@ -173,14 +172,14 @@ def depth_run(
     download: bool = False,
     overwrite: bool = False,
 ) -> list[str]:
-    """Arguments that predict depth maps, or compare those that are there with the points.
+    """Arguments that predict depth maps, or compare existing ones with the points.
 
     Args:
-        settings: Of the scene.
+        settings: Settings of the scene.
         source: Folder of the capture.
         threads: CPU threads; 0: all.
         model: ONNX file or name of the network to predict with; None: compare, and write nothing.
-        download: Fetch a network with a name where it is not on this computer.
+        download: Download a named network if it is not on this computer.
         overwrite: Predict views that have a map.
     """
     data, _ = PRESETS[settings.preset](source)
@@ -200,7 +199,7 @@ def search(settings: Settings, *, source: Path, capture: Path, threads: int) -> 
     """Arguments that find the cameras of photos or of a video.
 
     Args:
-        settings: Of the scene.
+        settings: Settings of the scene.
         source: The photos or the video.
         capture: The capture to make.
         threads: CPU threads; 0: all.
@@ -213,10 +212,10 @@ def search(settings: Settings, *, source: Path, capture: Path, threads: int) -> 
     return [*arguments, "--threads", str(threads), "--events", "jsonl"]
 
 
-def _masks(settings: Settings, usual: str) -> list[str]:
-    """Options for the mask mode, if it is not the `usual` mode."""
+def _masks(settings: Settings, default: str) -> list[str]:
+    """Options for the mask mode, if it is not the `default` mode."""
     mask_mode = settings.mask_mode if settings.use_masks else "none"
-    arguments = [] if mask_mode == usual else ["--mask-mode", mask_mode]
+    arguments = [] if mask_mode == default else ["--mask-mode", mask_mode]
     if settings.use_masks and settings.invert_masks:
         arguments.append("--invert-masks")
     return arguments

@@ -22,36 +22,36 @@ from .options import AS_PRESET, BY_WIDTH
 _DATA, _TRAIN = PRESETS["normal"](Path())
 
 _STRATEGIES = {
-    Strategy.DEFAULT: ("Grow by Gradient", "Splats are added where the picture is still wrong"),
-    Strategy.MCMC: ("Relocate", "Splats without effect move to where they are needed (MCMC)"),
+    Strategy.DEFAULT: ("Grow by Gradient", "Add splats where the rendered photos have errors"),
+    Strategy.MCMC: ("Relocate", "Move splats without effect to where they are needed (MCMC)"),
 }
 _BACKGROUNDS = {
-    Background.AUTO: ("By Itself", "Changing colors for photos with opacity, else black"),
-    Background.BLACK: ("Black", "Black lies behind the splats"),
-    Background.WHITE: ("White", "White lies behind the splats"),
-    Background.RANDOM: ("Changing", "Another color at each step, so that nothing hides in it"),
+    Background.AUTO: ("Automatic", "Random colors for photos with opacity, else black"),
+    Background.BLACK: ("Black", "Black behind the splats"),
+    Background.WHITE: ("White", "White behind the splats"),
+    Background.RANDOM: ("Random", "Another color at each step, so that no splats can imitate it"),
 }
 _DEPTH_MODES = {
-    Switch.AUTO: ("By Itself", "Where views are few; dense captures do not need it"),
-    Switch.ON: ("Always", "Wherever there are depth maps"),
+    Switch.AUTO: ("Automatic", "Use depth maps for captures with few photos"),
+    Switch.ON: ("Always", "Use all depth maps"),
     Switch.OFF: ("Never", "Train from the photos alone"),
 }
 _DEPTH_REPORTS = (
-    ("MAPS", "Maps", "The maps as they are now, and how they agree with the SfM points"),
-    ("RUN", "Training", "What the training in the output folder made of the maps"),
+    ("MAPS", "Maps", "The current depth maps, and their agreement with the SfM points"),
+    ("RUN", "Training", "Use of the depth maps in the training of the output folder"),
 )
 _RESOLUTIONS = (
-    (AS_PRESET, "As the Preset Says", "Photos are scaled down to the width of the preset"),
-    ("1", "Full", "Photos as they are"),
+    (AS_PRESET, "From Preset", "Scale photos down to the width of the preset"),
+    ("1", "Full", "Original size"),
     ("2", "Half", "Half the width and height"),
-    ("4", "A Quarter", "A quarter of the width and height"),
-    ("8", "An Eighth", "An eighth of the width and height"),
-    (BY_WIDTH, "Width", "Scaled to a width in pixels"),
+    ("4", "Quarter", "A quarter of the width and height"),
+    ("8", "Eighth", "An eighth of the width and height"),
+    (BY_WIDTH, "Width", "Scale photos to a width in pixels"),
 )
 _MASK_MODES = (
-    ("auto", "By Itself", "Opacity of the photos if they have any, else the masks folder"),
+    ("auto", "Automatic", "Opacity of the photos if they have any, else the masks folder"),
     ("composite", "Opacity", "Masks are opacity: splats appear only where the mask is white"),
-    ("ignore", "Leave Out", "What is black in the mask does not count"),
+    ("ignore", "Ignore Masked", "Pixels with a black mask are not trained"),
 )
 
 
@@ -60,13 +60,13 @@ def _may_bound(_: bpy.types.PropertyGroup, ob: bpy.types.Object) -> bool:
 
 
 def preset_items() -> list[tuple[str, str, str]]:
-    """Presets as an enum: gscore's names, and what each is for."""
+    """Presets as enum items: gscore's names, and their purposes."""
     return [(name, name.capitalize(), purpose_of(name)) for name in PRESETS]
 
 
 def purpose_of(preset: str) -> str:
-    """The beginning of gscore's own sentence about a preset, without a full stop. Its end says how
-    long a usual capture takes; the panel has an estimate of this one on this computer."""
+    """The first clause of a preset's docstring. The rest states the duration for a typical capture;
+    the panel has an estimate for this one."""
     return (PRESETS[preset].__doc__ or "").partition(", ")[0].strip()
 
 
@@ -84,7 +84,7 @@ def apply_preset(settings: "SceneSettings") -> None:
 
 
 def _capture_chosen(settings: "SceneSettings", context: bpy.types.Context) -> None:
-    """Output, splats and test view follow the capture."""
+    """Load the output folder, splats and test view of the capture."""
     run_links.follow_capture(settings)
     _capture_changed(settings, context)
 
@@ -99,7 +99,7 @@ def _preset_changed(settings: "SceneSettings", context: bpy.types.Context) -> No
 
 
 class SceneSettings(bpy.types.PropertyGroup):
-    """`Scene.gscore`; names are those of gscore's options where there is one."""
+    """`Scene.gscore`; properties have the names of gscore's options."""
 
     capture_path: StringProperty(
         name="Capture",
@@ -122,27 +122,27 @@ class SceneSettings(bpy.types.PropertyGroup):
         update=_preset_changed,
     )
     iterations: declared(_TRAIN, "iterations", "Steps", soft_min=100, soft_max=30_000)
-    max_splats: declared(_TRAIN, "max_splats", "Most Splats", soft_min=10_000, soft_max=2_000_000)
+    max_splats: declared(_TRAIN, "max_splats", "Max Splats", soft_min=10_000, soft_max=2_000_000)
     sh_degree: declared(_TRAIN, "sh_degree", "Color Degree")
     resolution: EnumProperty(
         name="Photo Size",
-        description="Size at which photos are trained; half the width takes a quarter of the time",
+        description="Size of the photos in training; half the width takes a quarter of the time",
         items=_RESOLUTIONS,
         default=AS_PRESET,
     )
     width: IntProperty(
         name="Photo Width",
-        description="Width at which photos are trained, pixels",
+        description="Width of the photos in training, in pixels",
         default=_DATA.max_width,
         min=9,
         soft_min=200,
         soft_max=3200,
         subtype="PIXEL",
     )
-    eval: declared(_DATA, "eval", "Hold Test Views Out", default=True)
+    eval: declared(_DATA, "eval", "Hold Out Test Views", default=True)
     test_every: IntProperty(
-        name="Every n-th View",
-        description="Every n-th photo by name is a test view, unless the capture names its own",
+        name="Every n-th Photo",
+        description="Every n-th photo by name is a test view, unless the capture has its own split",
         default=_DATA.test_every,
         min=2,
         soft_max=50,
@@ -152,7 +152,7 @@ class SceneSettings(bpy.types.PropertyGroup):
         description="Use the alpha channel of the photos, or the masks folder of the capture",
         default=True,
     )
-    mask_mode: declared(_DATA, "mask_mode", "Masks Mean", items=_MASK_MODES)
+    mask_mode: declared(_DATA, "mask_mode", "Mask Mode", items=_MASK_MODES)
     invert_masks: declared(_DATA, "invert_masks", "Invert Masks")
     depth_mode: declared(_TRAIN, "depth_mode", "Use Depth", items=_items(Switch, _DEPTH_MODES))
     depth_shown: EnumProperty(
@@ -178,7 +178,7 @@ class SceneSettings(bpy.types.PropertyGroup):
         unit="TIME_ABSOLUTE",
     )
     target_psnr: declared(_TRAIN, "target_psnr", "Target PSNR", soft_max=40.0)
-    early_stop: declared(_TRAIN, "early_stop", "Stop When Nothing Improves")
+    early_stop: declared(_TRAIN, "early_stop", "Stop Early")
     guide_surface: PointerProperty(
         name="Surface Mesh",
         description="Collection of meshes onto which splats are pulled: walls, floors, a scan. "
@@ -192,9 +192,9 @@ class SceneSettings(bpy.types.PropertyGroup):
         type=bpy.types.Collection,
     )
     train_within: PointerProperty(
-        name="Only Within",
-        description="Object whose bounding box limits the training, a crop box or an empty: only "
-        "pixels that show the box are used. Import the cameras first, then place it",
+        name="Limit to Object",
+        description="Crop box, mesh or empty whose bounding box limits the training: only pixels "
+        "that show the box are used. Import the cameras first, then place it",
         type=bpy.types.Object,
         poll=_may_bound,
     )
@@ -205,7 +205,7 @@ class SceneSettings(bpy.types.PropertyGroup):
     )
     result: PointerProperty(
         name="Result",
-        description="Object that shows the splats of the training",
+        description="Object with the splats of the training",
         type=bpy.types.Object,
     )
     preview: PointerProperty(
@@ -220,7 +220,7 @@ class SceneSettings(bpy.types.PropertyGroup):
     )
     outcomes: CollectionProperty(
         name="Outcomes",
-        description="Output, Result and Test View of the captures that are not chosen",
+        description="Output, Result and Test View of the other captures",
         type=run_links.RunLinks,
     )
 
@@ -229,10 +229,10 @@ CLASSES = (SceneSettings,)
 
 
 def on_register() -> None:
-    """Give scenes their settings."""
+    """Add the settings to scenes."""
     bpy.types.Scene.gscore = PointerProperty(type=SceneSettings)
 
 
 def on_unregister() -> None:
-    """Take them back."""
+    """Remove the settings."""
     del bpy.types.Scene.gscore

@@ -9,14 +9,14 @@ _jobs: dict[str, Job] = {}
 
 
 def add(job: Job) -> None:
-    """Keep a job; an earlier one of the same folder, which has ended, is forgotten."""
+    """Add a job; replaces an earlier one of the same folder, which has ended."""
     for other in [j for j in _jobs.values() if same_folder(j.output, job.output)]:
         del _jobs[other.id]
     _jobs[job.id] = job
 
 
 def remove(job: Job) -> None:
-    """Forget a job."""
+    """Remove a job."""
     _jobs.pop(job.id, None)
 
 

@@ -1,4 +1,4 @@
-"""Result object of a run: which object shows its splats, and which file of the run it shows."""
+"""Result object of a run: the object with its splats, and the file that they came from."""
 
 import zlib
 from collections.abc import Sequence
@@ -24,28 +24,27 @@ from .loader import Loaded
 from .training_job import Job
 
 _FILLED = "gs_filled"
-"""Custom property of a result: its `signature` as it came, to know whether it was edited."""
+"""Custom property of a result: its `signature` at the import, to detect edits."""
 _FILLED_BY = "gs_job"
-"""Custom property of a result: the id of the job that filled it last."""
+"""Custom property of a result: id of the job that wrote its splats last."""
 _CONTENT = "gs_content"
-"""Custom property of a result: `content` of the file that it shows; empty: a snapshot's."""
+"""Custom property of a result: `content` of its file; empty: a snapshot."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where the open file shows what a job makes."""
+    """Place of a job's results in the open file."""
 
     scene: bpy.types.Scene
     holder: Any
-    """Has `result` and `preview`: the scene's settings, or the outcome of a capture that is not the
-    chosen one."""
+    """Has `result` and `preview`: the scene's settings, or the links of another capture."""
 
 
 def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
-    """The object that shows the splats of a run: the one it has, or a new and empty one.
+    """The object for the splats of a run: the existing one, or a new, empty one.
 
-    One that was edited stays as it is, as does one of an earlier run that this one was not asked to
-    replace; the splats go into a new one.
+    An object that was edited is kept, and one of an earlier run that is not to be replaced; the
+    splats then go into a new object.
     """
     scene = place.scene
     ob = shown_object(place.holder, job.output, job.sources)
@@ -55,7 +54,7 @@ def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
         if own and not edited:
             _note_antialias(ob, job.antialias)
             return ob
-        _let_go(scene, ob)
+        _release(scene, ob)
         why = "was edited" if edited else "is of an earlier training"
         job.state.warn(f"{ob.name} {why} and is kept, hidden; the training goes into a new object.")
     root = capture_of(scene, job.source)
@@ -67,7 +66,7 @@ def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
         ob.gscore.point_size = 0.5 * loaded.typical_size
     _note_antialias(ob, job.antialias)
     if root is None:
-        # Else as a first camera that was held level: COLMAP's own worlds have no up.
+        # Without an alignment assume a level first camera: COLMAP's worlds have no up direction.
         splat_files.place(
             ob, splat_files.UP_AXES["-Y"] if loaded.upright is None else loaded.upright
         )
@@ -76,12 +75,12 @@ def result_object(place: Place, job: Job, loaded: Loaded) -> bpy.types.Object:
 
 
 def shown_object(holder: Any, output: Path, sources: Sequence[Path]) -> bpy.types.Object | None:
-    """The object that shows the splats of a run, if a holder has it.
+    """The object with the splats of a run, if a holder has it.
 
     Args:
         holder: See `Place`.
         output: Folder of the run.
-        sources: Folders that the capture has, and had; an object of any other is not the run's.
+        sources: Current and earlier folders of the capture; objects of others are not the run's.
     """
     ob = holder.result
     if ob is None:
@@ -92,7 +91,7 @@ def shown_object(holder: Any, output: Path, sources: Sequence[Path]) -> bpy.type
 
 
 def is_of_run(ob: bpy.types.Object, output: Path) -> bool:
-    """Whether an object holds splats of the run in a folder."""
+    """True if an object has splats of the run in a folder."""
     run = stored_paths.read(ob, stored_paths.RUN)
     return bool(run) and same_folder(Path(run), output)
 
@@ -113,28 +112,28 @@ def _name(source: Path) -> str:
 
 
 def note_filled(ob: bpy.types.Object, job: Job, loaded: Loaded) -> None:
-    """Note whose splats an object has got, and as which they came."""
+    """Store the job and the signature of an object's splats."""
     ob[_FILLED], ob[_FILLED_BY], ob[_CONTENT] = signature(ob), job.id, loaded.content
 
 
 def is_own(ob: bpy.types.Object, job: Job) -> bool:
-    """Whether the splats of an object came from a job."""
+    """True if the splats of an object came from a job."""
     return ob.get(_FILLED_BY) == job.id
 
 
 def adopt(
     scene: bpy.types.Scene, made: bpy.types.Object, run: EarlierRun, source: Path
 ) -> bpy.types.Object:
-    """Let an imported object with the splats of a run be what a scene shows of it.
+    """Make an imported object with the splats of a run the scene's result.
 
-    An object that shows the run already gets the splats, unless it was edited: then it is let go
+    An existing result object of the run gets the splats, unless it was edited: then it is released
     and hidden.
 
     Returns:
-        The object that has the splats now; `made` is gone where it is another.
+        The object with the splats; `made` is removed if it is another.
 
     Raises:
-        ValueError: the object that is there cannot be written now; `made` is gone.
+        ValueError: the existing object cannot be written now; `made` is removed.
     """
     output = run.info.path
     ob = shown_object(scene.gscore, output, (source,))
@@ -151,10 +150,10 @@ def adopt(
         splat_files.stand(ob, noted_origin(made))
         _note_antialias(ob, bool(made.get(ANTIALIAS)))
         bpy.data.objects.remove(made)
-        drop_maps(ob)  # of what it showed before
+        drop_maps(ob)  # of the previous splats
     else:
         if ob is not None:
-            _let_go(scene, ob)
+            _release(scene, ob)
         ob = made
         ob.name = ob.data.name = _name(source)
         _note_run(ob, output, source)
@@ -169,13 +168,13 @@ def adopt(
 
 
 def is_outdated(ob: bpy.types.Object, run: EarlierRun) -> bool:
-    """Whether an object shows other splats of a run than it has now, as far as is known."""
+    """True if an object's splats are known to differ from the current ones of a run."""
     known = ob.get(_CONTENT)
     return known is not None and run.info.splats is not None and known != run.content
 
 
-def _let_go(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
-    """Make the result of a run an object like any other, hidden: another one stands there now."""
+def _release(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
+    """Unlink an object from its run and hide it, because another one replaces it."""
     for key in (stored_paths.RUN, _FILLED, _FILLED_BY, _CONTENT):
         ob.pop(key, None)
     objects.hide(ob, scene)
@@ -183,19 +182,19 @@ def _let_go(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
 
 
 def was_edited(ob: bpy.types.Object) -> bool:
-    """Whether splats of a result were deleted, added or moved since they came."""
+    """True if splats of a result were deleted, added or moved since the import."""
     return ob.get(_FILLED, "") not in ("", signature(ob))
 
 
 def signature(ob: bpy.types.Object) -> str:
-    """Tells whether splats were deleted, added or moved; 15 ms for a million."""
+    """Hash that changes if splats are deleted, added or moved; 15 ms for a million."""
     positions = np.empty(3 * len(ob.data.vertices), np.float32)
     ob.data.attributes["position"].data.foreach_get("vector", positions)
     return f"{len(positions) // 3}-{zlib.crc32(positions):08x}"
 
 
 def capture_of(scene: bpy.types.Scene, source: Path) -> bpy.types.Object | None:
-    """The empty that carries the alignment of a capture, if the scene has it."""
+    """The empty of a capture, if the scene has it."""
     for ob in scene.objects:
         text = stored_paths.read(ob, stored_paths.SOURCE)
         if is_kind(ob, "capture") and text and same_folder(Path(text), source):

@@ -27,12 +27,12 @@ from ..interface.option_labels import panel_words
 from .curve import Curve
 
 BUDGET = 0.005
-"""Seconds that a poll may spend on lines of output."""
+"""Maximum duration of reading output in a poll, seconds."""
 _WARNINGS_KEPT = 50
 _ENDS = {
     "finished": "Finished",
     "converged": "Finished early, no more to learn,",
-    "target": "Finished early, the PSNR asked for was reached,",
+    "target": "Finished early, the target PSNR was reached,",
 }
 """Words for the reasons of trainings that need no more steps."""
 
@@ -43,7 +43,7 @@ ENDED = (FINISHED, STOPPED, FAILED, DISCARDED)
 
 
 def read_event(line: str) -> Event | None:
-    """The event in a line of the trainer's output, or None if it is none or makes no sense."""
+    """The event in a line of the trainer's output; None for other lines and invalid events."""
     event = from_line(line)
     if event is None:
         return None
@@ -60,7 +60,7 @@ def read_event(line: str) -> Event | None:
 
 
 def events(lines: Iterable[str]) -> Iterator[Event]:
-    """The events in lines of a program's output; other lines are passed over."""
+    """The events in lines of a program's output; other lines are skipped."""
     for line in lines:
         event = read_event(line)
         if event is not None:
@@ -69,7 +69,7 @@ def events(lines: Iterable[str]) -> Iterator[Event]:
 
 @dataclass
 class RunState:
-    """Where a run stands."""
+    """Progress of a run."""
 
     status: str = STARTING
     step: int = 0
@@ -81,11 +81,11 @@ class RunState:
     steps_per_s: float = 0.0
     eta_s: float | None = None
     elapsed_s: float = 0.0
-    """Spent in steps."""
+    """Seconds spent in steps."""
     phase: str = "starting the trainer"
     curve: Curve = field(default_factory=Curve)
     warnings: list[str] = field(default_factory=list)
-    """The latest last, none twice."""
+    """Unique warnings, the latest last."""
     started: Started | None = None
     preview: Preview | None = None
     snapshot: Snapshot | None = None
@@ -93,11 +93,11 @@ class RunState:
     result: Path | None = None
     """point_cloud.ply, written completely."""
     metrics: dict[str, Any] = field(default_factory=dict)
-    """Of the last evaluation, with `split`."""
+    """Metrics of the last evaluation, with `split`."""
     failure: Failed | None = None
     done: Done | None = None
     sentence: str = ""
-    """How it ended, for people; empty before the end."""
+    """Message on the end; empty before it."""
 
     @property
     def decisions(self) -> list[str]:
@@ -108,16 +108,16 @@ class RunState:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing will change any more."""
+        """True after the end."""
         return self.status in ENDED
 
     @property
     def share(self) -> float:
-        """Part of the steps taken, 0 to 1."""
+        """Share of the steps taken, 0 to 1."""
         return min(self.step / self.iterations, 1.0) if self.iterations else 0.0
 
     def apply(self, event: Event) -> None:
-        """Take note of an event."""
+        """Update the state from an event."""
         match event:
             case Started():
                 self._started(event)
@@ -139,12 +139,12 @@ class RunState:
                 self.failure = event
 
     def warn(self, message: str) -> None:
-        """Keep a warning once, as the latest."""
+        """Add a warning as the latest; removes an equal earlier one."""
         self.warnings = [w for w in self.warnings if w != message][-_WARNINGS_KEPT + 1 :]
         self.warnings.append(message)
 
     def end(self, code: int | None, stderr: Sequence[str], *, python: str) -> None:
-        """Decide how the run ended, once its process is gone.
+        """Set the final status after the process has ended.
 
         Args:
             code: Exit code, negative for a signal.
@@ -163,7 +163,7 @@ class RunState:
             self.status = FAILED
             self.sentence = failure_sentence(self.failure, code, stderr, python=python)
             if self.checkpoint is not None:
-                self.sentence += f" The checkpoint at {_step_of(self.checkpoint)} is kept: Resume."
+                self.sentence += f" Resume continues from {_step_of(self.checkpoint)}."
 
     def _started(self, event: Started) -> None:
         self.started = event
@@ -206,14 +206,14 @@ def failure_sentence(
     python: str,
     less: str = "use fewer splats or smaller photos, then Resume",
 ) -> str:
-    """What went wrong and what to do, for work of gscore that did not end by itself.
+    """Cause and remedy of a failed gscore process.
 
     Args:
-        failure: What it said itself, if anything.
+        failure: Its own error event, if any.
         code: Exit code, negative for a signal.
         stderr: The last lines of the error output.
         python: The Python that ran it.
-        less: What to do if memory ran out.
+        less: Advice if memory ran out.
     """
     text = "\n".join(stderr)
     if failure is not None:
@@ -230,15 +230,15 @@ def failure_sentence(
         )
     if code is not None and code < 0:
         return (
-            f"The process was ended by signal {-code} from outside; if you did not do that, memory "
+            f"The process was ended from outside by signal {-code}; unless you ended it, memory "
             f"ran out: {less}."
         )
     if match := re.search(r"gscore \w+: error: (.+)", text):
         return _sentence(match[1])
     last = next((line.strip() for line in reversed(stderr) if line.strip()), "")
-    said = f' It said: "{last[:200]}".' if last else ""
+    output = f' Its last output: "{last[:200]}".' if last else ""
     return (
-        f"The process ended early (exit code {code}).{said} Press Check in the add-on's "
+        f"The process ended early (exit code {code}).{output} Press Check in the add-on's "
         f"preferences to test {python}."
     )
 
@@ -251,7 +251,7 @@ def _done_sentence(done: Done) -> str:
     count = f"{done.splats:,} splats{tail}"
     if done.reason in _ENDS:
         return f"{_ENDS[done.reason]} after {done.step:,} steps: {count}."
-    return f"Stopped at step {done.step:,} with a checkpoint: {count}. Resume goes on from there."
+    return f"Stopped at step {done.step:,} with a checkpoint: {count}. Resume continues from there."
 
 
 def _sentence(text: str) -> str:
@@ -266,6 +266,6 @@ def _step_of(checkpoint: Path) -> str:
 
 
 def _finite(value: float | None) -> float | None:
-    """None for what an event could not tell: null, NaN or infinity."""
+    """A float; None for null, NaN or infinity."""
     good = isinstance(value, int | float) and math.isfinite(value)
     return float(value) if good else None

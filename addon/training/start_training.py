@@ -1,4 +1,4 @@
-"""Start of trainings from scripts and operators, and resume, wait, pause, stop, discard."""
+"""Start of trainings from scripts and operators; resume, wait, follow and discard."""
 
 import time
 from collections.abc import Callable
@@ -17,9 +17,9 @@ from .curve import Curve
 from .launch import launch
 from .training_job import Job
 
-_BEAT = 0.02
+_INTERVAL = 0.02
 UNSAVED: list[Callable[[Path], list[str]]] = []
-"""Each says in sentences what of a capture is not saved yet, which a training would not see."""
+"""Functions that return sentences on unsaved data of a capture, which a training would not use."""
 
 
 def job_of(scene: bpy.types.Scene) -> Job | None:
@@ -42,13 +42,13 @@ def train(
     """Start a training of the scene's capture.
 
     Args:
-        scene: Its `gscore` settings say what and how; the output folder is filled in.
+        scene: Has the `gscore` settings; its output folder is set.
         overwrite: Replace another run in the output folder.
         wait: Return when it has ended and its splats are in the scene.
-        python: The Python that trains; None: as the preferences say.
+        python: The Python that trains; None: the one of the preferences.
 
     Raises:
-        ValueError: something is missing or in the way; the message says what to do.
+        ValueError: an input is missing or invalid, or the output folder is in use.
     """
     source = capture_folder(scene)
     output = output_folder(scene, preferences.get().output_folder)
@@ -57,7 +57,7 @@ def train(
     before = _own_run(output, source)
     if before is not None and not overwrite:
         raise ValueError(
-            f"{output} holds another run; press Resume to go on with it, Start Over to replace it, "
+            f"{output} holds another run; press Resume to continue it, Start Over to replace it, "
             "or choose another output folder."
         )
     box = box_limit.arguments(scene, output)
@@ -80,15 +80,15 @@ def train(
 
 
 def replaced(scene: bpy.types.Scene) -> list[str]:
-    """What a training that starts over replaces for good, in sentences.
+    """Sentences on files and objects that a new training replaces.
 
     Raises:
-        ValueError: it cannot start there; the message says why.
+        ValueError: it cannot start in the output folder.
     """
     source = capture_folder(scene)
     output = output_folder(scene, preferences.get().output_folder)
     before = _own_run(output, source)
-    lines = [] if before is None else [f"The run in {before.words} is replaced for good."]
+    lines = [] if before is None else [f"The run in {before.words} is overwritten."]
     ob = results.shown_object(scene.gscore, output, (source,))
     if ob is not None and results.was_edited(ob):
         lines.append(f"Its object {ob.name} was edited and is kept, hidden.")
@@ -99,48 +99,46 @@ def replaced(scene: bpy.types.Scene) -> list[str]:
 
 
 def unsaved(scene: bpy.types.Scene) -> list[str]:
-    """What of the scene and its capture a training would not see, because it is not saved, or
-    hidden, or no mesh.
+    """Sentences on data that a training would not use: unsaved, hidden, or no mesh.
 
     Raises:
-        ValueError: no capture is chosen, or it is not there.
+        ValueError: no capture is chosen, or it does not exist.
     """
     source = capture_folder(scene)
-    lines = [line for told in UNSAVED for line in told(source)]
+    lines = [line for list_unsaved in UNSAVED for line in list_unsaved(source)]
     return lines + guides.left_out(scene)
 
 
 def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None) -> Job:
     """Resume the run in the scene's output folder from its last checkpoint.
 
-    With more steps, or a longer time budget, in the settings than the run was asked for, it is
-    trained up to those.
+    If the settings have more steps or a longer time budget than the run, it continues up to those.
 
     Args:
-        scene: Its output folder holds the run.
+        scene: Its output folder has the run.
         wait: As in `train`.
         python: As in `train`.
 
     Raises:
-        ValueError: there is nothing to go on with; the message says why.
+        ValueError: there is no checkpoint, or the run cannot continue.
     """
     output = output_folder(scene, preferences.get().output_folder)
     _check_free(output)
     before = existing_run.read_existing_run(output, _chosen_capture(scene))
     info = None if before is None else before.info
     if before is None or info is None or info.checkpoint is None:
-        raise ValueError(f"{output} holds no checkpoint to go on from; press Train instead.")
+        raise ValueError(f"{output} holds no checkpoint to resume; press Train instead.")
     if before.foreign:
         raise ValueError(before.foreign_words)
     if info.problem:
-        raise ValueError(f"The run cannot go on: {info.problem} Press Start Over instead.")
+        raise ValueError(f"The run cannot continue: {info.problem} Press Start Over instead.")
     changes = options.continuation(scene.gscore, info)
     assert info.data is not None
     source = info.data.source
     if scene.gscore.capture_path.strip():
         source = capture_folder(scene)  # it may have moved
     elif not source.exists():
-        raise ValueError(f"The capture of the run, {source}, is not there; choose where it is now.")
+        raise ValueError(f"The capture of the run, {source}, is missing; choose its folder.")
     arguments = options.resumed_run(
         source=source,
         output=output,
@@ -169,11 +167,11 @@ def wait_for(
 
     Args:
         job: The training.
-        timeout: Seconds after which to give up following; the training goes on.
+        timeout: Seconds after which to return; the training continues.
         on_tick: Called several times a second.
 
     Returns:
-        Whether it has ended.
+        True if it has ended.
     """
     until = time.monotonic() + timeout
     while display.waits(job):
@@ -182,14 +180,14 @@ def wait_for(
             on_tick(job)
         if time.monotonic() > until:
             return False
-        time.sleep(_BEAT)
+        time.sleep(_INTERVAL)
     return True
 
 
 def discard(job: Job) -> None:
-    """End a training at once and remove its files and live splats.
+    """End a training immediately and remove its files and live splats.
 
-    A run that began earlier goes back to its last checkpoint instead.
+    A resumed run goes back to its last checkpoint instead.
     """
     job.discard()
     poll_timer.ensure()
@@ -211,7 +209,7 @@ def machine() -> options.Machine:
     """Preferences for this computer.
 
     Raises:
-        ValueError: the LPIPS network is not there.
+        ValueError: the LPIPS network does not exist.
     """
     prefs = preferences.get()
     lpips = None
@@ -231,7 +229,7 @@ def run_of(scene: bpy.types.Scene) -> tuple[Path, existing_run.EarlierRun]:
     """Folder of the capture, and the run in the scene's output folder.
 
     Raises:
-        ValueError: there is none, or it is of another capture.
+        ValueError: there is none, or it belongs to another capture.
     """
     output = output_folder(scene, preferences.get().output_folder)
     before = _own_run(output, _chosen_capture(scene))
@@ -241,7 +239,7 @@ def run_of(scene: bpy.types.Scene) -> tuple[Path, existing_run.EarlierRun]:
 
 
 def _own_run(output: Path, capture: Path | None) -> existing_run.EarlierRun | None:
-    """The run in a folder, if there is one; ValueError where it is of another capture."""
+    """The run in a folder, if there is one; ValueError if it belongs to another capture."""
     before = existing_run.read_existing_run(output, capture)
     if before is not None and before.foreign:
         raise ValueError(before.foreign_words)
@@ -263,9 +261,9 @@ def check_capture(scene: bpy.types.Scene) -> ShownFacts:
     """Facts of the scene's capture; ValueError unless it can be trained."""
     found, problem = facts.capture(scene)
     if found is None or not found.can_train:
-        found, problem = facts.refresh(scene)  # it may have been mended
+        found, problem = facts.refresh(scene)  # it may have changed on disk
     if found is None:
-        raise ValueError(problem or "The capture could not be looked into; try again.")
+        raise ValueError(problem or "The capture could not be inspected; try again.")
     if found.bare:
         raise ValueError(f"{found.source} has no cameras yet; press Find Cameras first.")
     errors = [p.text for p in found.problems if p.is_error]
@@ -284,7 +282,7 @@ def _start(
     replaces: bool = False,
     earlier_source: Path | None = None,
 ) -> Job:
-    """Start the trainer; `earlier_source` makes it one that goes on."""
+    """Start the trainer; with `earlier_source` it resumes a run."""
     places = {"source": source, "output": output, "scene_uid": scene.session_uid}
     began = {"resumed": earlier_source is not None, "earlier_source": earlier_source}
     job = launch(

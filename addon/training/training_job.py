@@ -14,9 +14,9 @@ from . import run_state
 from .loader import Loaded, Loader
 
 STOP_GRACE = 120.0
-"""Seconds without a sign of life after which a trainer that was asked to stop is killed."""
+"""Seconds without output after which a stopping trainer is killed."""
 SILENT = 20.0
-"""Seconds without a sign of life that are worth telling."""
+"""Seconds without output after which the panel reports it."""
 
 
 class Job:
@@ -38,13 +38,13 @@ class Job:
 
         Args:
             python: The Python that has gscore and torch.
-            arguments: Of `gscore`, see `options`.
+            arguments: Arguments of `gscore`, see `options`.
             source: Folder of the capture.
             output: Folder of the results.
-            resumed: Whether the run began earlier; then its folder is never removed.
-            replaces: Whether it replaces an earlier run there.
-            earlier_source: Folder that the capture had when a resumed run began.
-            scene_uid: Session number of the scene that it was started from.
+            resumed: True for a resumed run, whose folder is never removed.
+            replaces: True if it replaces an earlier run there.
+            earlier_source: Folder of the capture when a resumed run was started.
+            scene_uid: Session uid of the scene that started it.
 
         Raises:
             OSError: `python` cannot be run.
@@ -53,42 +53,42 @@ class Job:
         self.python, self.source, self.output = str(python), source, output
         self.resumed = resumed
         self.may_replace = resumed or replaces
-        """Whether the splats of an earlier run in the same folder may be replaced."""
+        """True if the splats of an earlier run in the same folder may be replaced."""
         self.sources = (source,) if earlier_source is None else (source, earlier_source)
-        """Folders that the capture has, and had."""
+        """Current and earlier folders of the capture."""
         self.scene_uid = scene_uid
         self.state = run_state.RunState()
         self.live_seconds = 0.0
         """Seconds between two requested snapshots; 0: none."""
         self.live_most = 0
-        """Splats of a snapshot that are kept at most; 0: all."""
+        """Maximum number of splats of a snapshot; 0: all."""
         self.loader = Loader()
         self.result_wanted = False
-        """Whether the result still has to be shown."""
+        """True while the result is not shown yet."""
         self.result_requested = False
-        """Whether the result is being read in order to be shown."""
+        """True once the loader has received the result."""
         self.filling: Any = None
         """The running import of splats; set by `display`."""
         self.chores: list[Callable[[], Any]] = []
-        """Preparations of the import that remain, one per poll; set by `start_training` and
+        """Remaining preparations of the import, one per poll; set by `start_training` and
         `display`."""
         self.preview_shown = ""
         self.told = False
-        """Whether the last poll received events; set by `training_poller`."""
+        """True if the last poll received events; set by `training_poller`."""
         self._discarding = False
         self._clearer: threading.Thread | None = None
-        self._asked_for_live = time.monotonic()
-        self._live_underway = False
+        self._snapshot_requested_at = time.monotonic()
+        self._snapshot_pending = False
         self._process = Process([str(python), "-u", "-m", "gscore", *arguments])
 
     @property
     def pid(self) -> int:
-        """Number of the trainer's process."""
+        """Process id of the trainer."""
         return self._process.pid
 
     @property
     def antialias(self) -> bool:
-        """Whether the run was trained with antialiasing, which renders must use too."""
+        """True if the run was trained with antialiasing, which renders must use too."""
         started = self.state.started
         train = started.config.get("train") if started else None
         return isinstance(train, dict) and train.get("antialias") is True
@@ -102,19 +102,19 @@ class Job:
 
     @property
     def silence(self) -> str:
-        """A sentence on a trainer without events for long; else empty."""
+        """Message on a long time without output; else empty."""
         if self.silent_s < SILENT:
             return ""
-        return f"No sign of life for {self.silent_s:.0f} s"
+        return f"No response for {self.silent_s:.0f} s"
 
     def poll(self, budget: float = run_state.BUDGET) -> bool:
         """Process the trainer's events since the last call.
 
         Args:
-            budget: Seconds to spend at most; what is left is taken by the next call.
+            budget: Maximum duration, seconds; the next call reads the rest.
 
         Returns:
-            Whether something changed.
+            True if something changed.
         """
         if self.state.ended:
             return False
@@ -123,14 +123,14 @@ class Job:
             changed = True
             self.state.apply(event)
             if isinstance(event, Snapshot):
-                self._live_underway = False
+                self._snapshot_pending = False
                 self.loader.request(Path(event.path), most=self.live_most)
         if self._process.ended and not self._clearing():
             self._end()
             return True
         if self.state.status == run_state.STOPPING and self.silent_s > STOP_GRACE:
             self._process.kill()
-        self._ask_for_live()
+        self._request_live()
         return changed
 
     def take_loaded(self) -> Loaded | None:
@@ -147,7 +147,7 @@ class Job:
 
     def snapshot(self) -> None:
         """Request a snapshot of the current splats."""
-        self._live_underway, self._asked_for_live = True, time.monotonic()
+        self._snapshot_pending, self._snapshot_requested_at = True, time.monotonic()
         self._process.send("snapshot")
 
     def stop(self) -> None:
@@ -161,16 +161,16 @@ class Job:
         self._process.end_input()
 
     def kill(self) -> None:
-        """End the trainer at once; checkpoints that are written stay."""
+        """Kill the trainer; written checkpoints stay."""
         self._process.kill()
 
     def discard(self) -> None:
-        """End the trainer at once and remove the files of this run, unless it was resumed."""
+        """Kill the trainer and remove the files of this run, unless it was resumed."""
         self._discarding, self.result_wanted = True, False
         self._process.kill()
 
     def wait(self, timeout: float) -> bool:
-        """Wait for the process without reading its events; return whether it has ended."""
+        """Wait for the process without reading its events; True if it has ended."""
         return self._process.wait(timeout)
 
     def _end(self) -> None:
@@ -180,11 +180,11 @@ class Job:
             earlier = self.output / "point_cloud.ply"
             if self.resumed and earlier.is_file():
                 state.result, self.result_wanted = earlier, True
-            state.sentence = "Discarded: the files of this run are removed."
+            state.sentence = "Discarded; the files of this run were removed."
             if self.resumed:
                 state.sentence = (
-                    "Stopped; what was trained since the last checkpoint is discarded, earlier "
-                    "files of the run are kept."
+                    "Stopped; the steps since the last checkpoint were discarded, earlier files of "
+                    "the run are kept."
                 )
             elif state.started is None:
                 state.sentence = "Discarded before the first step."
@@ -194,15 +194,15 @@ class Job:
             self.result_wanted = True
 
     def _clearing(self) -> bool:
-        """Whether files of a discarded run are being removed, which a slow disk makes long."""
-        # Before it has started, a trainer has written nothing: files there are somebody else's.
+        """True while files of a discarded run are being removed, in a thread for slow disks."""
+        # A trainer that has not started has written nothing, so the files belong to others.
         if not self._discarding or self.resumed or self.state.started is None:
             return False
         if self._clearer is None:
             self._clearer = threads.start(lambda: clear_run(self.output), "gscore-clearer")
         return self._clearer.is_alive()
 
-    def _ask_for_live(self) -> None:
-        due = time.monotonic() - self._asked_for_live >= self.live_seconds > 0
-        if due and not self._live_underway and self.state.status == run_state.RUNNING:
+    def _request_live(self) -> None:
+        due = time.monotonic() - self._snapshot_requested_at >= self.live_seconds > 0
+        if due and not self._snapshot_pending and self.state.status == run_state.RUNNING:
             self.snapshot()

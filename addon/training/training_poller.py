@@ -6,10 +6,10 @@ from .launch import Following
 
 
 def _collect() -> bool:
-    """Do one task of milliseconds per poll: read events, show a picture, import splats.
+    """Run one task of milliseconds per poll: read events, show a picture, import splats.
 
-    Reading and display alternate, as continuous redraws leave so few polls that each finds new
-    events.
+    Reading and display alternate, because continuous redraws leave so few polls that each one
+    finds new events.
     """
     stale = False
     for job in registry.jobs():

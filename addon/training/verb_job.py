@@ -11,7 +11,7 @@ from ..process.child_program import Process
 from . import run_state
 
 STOP_GRACE = 10.0
-"""Seconds after which work that was asked to end is ended."""
+"""Seconds after which a cancelled process is killed."""
 
 _LACKS = re.compile(r"which is not installed|needs the package \w+; install it with")
 
@@ -41,15 +41,15 @@ class VerbJob:
         later: bool = False,
         after: "VerbJob | None" = None,
     ) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
             python: The Python that has gscore.
-            arguments: Of `gscore`.
-            source: What it works on.
-            later: It starts with `begin`, once all that it needs is there.
-            after: A job of the same source that was asked to end: it starts by itself once that
-                has ended, which this one polls from now on. None: at once.
+            arguments: Arguments of `gscore`.
+            source: Input of the job.
+            later: Wait for `begin`, until all inputs exist.
+            after: A cancelled job of the same source, which this one polls; the process starts
+                when it has ended. None: start immediately.
 
         Raises:
             OSError: `python` cannot be run.
@@ -77,16 +77,16 @@ class VerbJob:
 
     @property
     def ended(self) -> bool:
-        """Whether the job has ended."""
+        """True if the job has ended."""
         return self.status in (FINISHED, CANCELLED, FAILED)
 
     @property
     def busy(self) -> bool:
-        """Whether it is running and was not cancelled."""
+        """True if it is running and was not cancelled."""
         return not self.ended and self.status != STOPPING
 
     def poll(self, budget: float = run_state.BUDGET) -> bool:
-        """Process events since the last call; return whether something changed."""
+        """Process events since the last call; True if something changed."""
         if self._after is not None:
             return self._poll_before(self._after, budget)
         if self.ended or self._process is None:
@@ -119,7 +119,7 @@ class VerbJob:
             self._process.send("stop")
 
     def leave(self) -> None:
-        """Release the job because Blender quits: the process ends by itself soon."""
+        """Release the job because Blender quits: the process ends soon."""
         if self._after is not None:
             self._after.leave()
         if self._process is not None:
@@ -137,7 +137,7 @@ class VerbJob:
         raise NotImplementedError
 
     def takes(self, other: "VerbJob") -> bool:
-        """Whether the result of the job before is the result of this one, which then adopts it."""
+        """Take over the result of the previous job; True if it has one."""
         return False
 
     def finish(self) -> str:
@@ -149,7 +149,7 @@ class VerbJob:
         raise NotImplementedError
 
     def _poll_before(self, other: "VerbJob", budget: float) -> bool:
-        """Poll the job before until it ends; return whether something changed."""
+        """Poll the previous job until it ends; True if something changed."""
         other.poll(budget)
         if not other.ended:
             return False
@@ -168,15 +168,15 @@ class VerbJob:
         return True
 
     def _end(self) -> None:
-        asked = self.status == STOPPING
+        cancelled = self.status == STOPPING
         try:
-            told = self.finish()
+            message = self.finish()
         except ValueError as error:
             self.status, self.sentence = FAILED, error_words(error)
             return
-        if told:
-            self.status, self.sentence = FINISHED, told
-        elif asked or (self._failure is not None and self._failure.type == "Cancelled"):
+        if message:
+            self.status, self.sentence = FINISHED, message
+        elif cancelled or (self._failure is not None and self._failure.type == "Cancelled"):
             self.status, self.sentence = CANCELLED, self.kept
         else:
             self.status = FAILED
@@ -189,4 +189,4 @@ class VerbJob:
             )
             self.sentence = failure
             if _LACKS.search(failure):
-                self.sentence += " Make Environment in the add-on's preferences does that too."
+                self.sentence += " Make Environment in the add-on's preferences installs it too."

@@ -16,12 +16,12 @@ class VerbJobs(Generic[JobT]):
         self._jobs: list[JobT] = []
 
     def add(self, job: JobT) -> None:
-        """Keep a job; an earlier one of the same source, which has ended, is forgotten."""
+        """Add a job; replaces an earlier one of the same source, which has ended."""
         self._jobs[:] = [other for other in self._jobs if not same_folder(other.source, job.source)]
         self._jobs.append(job)
 
     def jobs(self) -> list[JobT]:
-        """All of them."""
+        """All jobs."""
         return list(self._jobs)
 
     def of_source(self, source: Path) -> JobT | None:
@@ -29,11 +29,11 @@ class VerbJobs(Generic[JobT]):
         return next((job for job in self._jobs if same_folder(job.source, source)), None)
 
     def waits(self) -> bool:
-        """Whether any is running."""
+        """True if a job is running."""
         return any(not job.ended for job in self._jobs)
 
     def leave_all(self) -> None:
-        """Release all jobs: they end by themselves soon."""
+        """Release all jobs: they end soon."""
         for job in self._jobs:
             job.leave()
         self._jobs.clear()

@@ -9,7 +9,7 @@ of the longest step of the main thread, without those of Blender itself (enterin
 scene is evaluated before), and those of Blender; and the largest delay of the main thread's wake-up
 in milliseconds, caused by threads that hold Python's lock or by other programs, as in *Nothing*.
 
-*Separate* removes half of the splats, *Join* adds as many, rotated, *Turn Shapes and Colors Along*
+*Separate* removes half of the splats, *Join* adds as many, rotated, *Update Shapes and Colors*
 follows Blender's Apply, *Decimate* keeps half, and compares pictures from the capture's cameras.
 *Compare with Photo* uses a camera of the capture.
 """
@@ -208,7 +208,7 @@ def main() -> None:
             bpy.ops.object.select_all(action="DESELECT")
             ob.select_set(True)
             bpy.ops.object.transform_apply()
-            timed("Turn Shapes and Colors Along", "mend_splats")
+            timed("Update Shapes and Colors", "mend_splats")
             timed("Decimate", "decimate_splats", count=options.splats // 2)
             ob.gscore.opacity_min = 0.5
             timed("Delete Hidden Splats", "apply_filters")

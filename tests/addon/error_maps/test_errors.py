@@ -203,7 +203,7 @@ def test_what_cannot_be_measured(result: bpy.types.Object, tmp_path: Path) -> No
         bpy.ops.gscore.measure_errors()
     del result[stored_paths.RUN]
     assert not bpy.ops.gscore.measure_errors.poll()
-    with pytest.raises(ValueError, match="comes from no training"):
+    with pytest.raises(ValueError, match="is not from a training"):
         measure_errors.measure(result)
 
 

@@ -21,14 +21,14 @@ ADDON = Path(addon.__file__).parent
     ("said", "shown"),
     [
         ("Not used; --depth-mode on uses it.", 'Not used; "Use Depth: Always" uses it.'),
-        ("Give fewer --max-splats.", 'Give fewer "Most Splats".'),
+        ("Give fewer --max-splats.", 'Give fewer "Max Splats".'),
         ("--exposure off takes colours as they are.", "the option exposure (off) takes"),
-        ("Give --mask-mode ignore: then", 'Give "Masks Mean: Leave Out": then'),
+        ("Give --mask-mode ignore: then", 'Give "Mask Mode: Ignore Masked": then'),
         (
             'SOG: install it with: pip install "gscore[train]" --extra-index-url https://a.b/cpu. '
             "Give fewer --max-splats.",
             'SOG: install it with: pip install "gscore[train]" --extra-index-url https://a.b/cpu. '
-            'Give fewer "Most Splats".',
+            'Give fewer "Max Splats".',
         ),
         ('pip install --upgrade "pycolmap>=4.2"; --depth-mode on', 'pip install --upgrade "pyco'),
         ("/tmp/a--b and x-- y stay", "/tmp/a--b and x-- y stay"),
@@ -37,7 +37,7 @@ ADDON = Path(addon.__file__).parent
 def test_names_of_panels(scene: bpy.types.Scene, said: str, shown: str) -> None:
     """Oracle: the names of the panel's own properties."""
     assert scene.gscore.bl_rna.properties["depth_mode"].name == "Use Depth"
-    assert scene.gscore.bl_rna.properties["max_splats"].name == "Most Splats"
+    assert scene.gscore.bl_rna.properties["max_splats"].name == "Max Splats"
     assert panel_words(said).startswith(shown)
 
 
@@ -46,7 +46,7 @@ def test_warnings_and_failures_of_a_process(scene: bpy.types.Scene) -> None:
     warned = read_event(to_line(Warn(message="Try --depth-mode off.", code="depth")))
     assert isinstance(warned, Warn) and warned.message == 'Try "Use Depth: Never".'
     failed = read_event(to_line(Failed(message="Needs --max-splats.")))
-    assert isinstance(failed, Failed) and failed.message == 'Needs "Most Splats".'
+    assert isinstance(failed, Failed) and failed.message == 'Needs "Max Splats".'
 
 
 @pytest.mark.parametrize(

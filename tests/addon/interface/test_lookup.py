@@ -36,7 +36,7 @@ from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import fake_python
 from tests.addon.trainings import splats, until
 
-SAID, SHOWN = "Needs fewer --max-splats.", 'Needs fewer "Most Splats".'
+SAID, SHOWN = "Needs fewer --max-splats.", 'Needs fewer "Max Splats".'
 
 
 @pytest.fixture
@@ -126,8 +126,8 @@ def test_a_run_that_cannot_go_on(
         problem=SAID,
     )
     monkeypatch.setattr(existing_run, "read_run", lambda _: info)
-    shows(TrainPanel, f"cannot go on: {SHOWN}")
-    with pytest.raises(RuntimeError, match=f"cannot go on: {SHOWN}"):
+    shows(TrainPanel, f"cannot continue: {SHOWN}")
+    with pytest.raises(RuntimeError, match=f"cannot continue: {SHOWN}"):
         bpy.ops.gscore.resume_training()
 
 
@@ -174,7 +174,7 @@ def test_what_is_said_of_cameras(
 
 def test_masks_that_will_be_used_are_named(studio: bpy.types.Scene) -> None:
     """Once the capture is known; not if they are switched off."""
-    said = "The masks are used"
+    said = "Masks are used"
     shows(TrainPanel, said)
     studio.gscore.use_masks = False
     assert said not in drawn(TrainPanel)

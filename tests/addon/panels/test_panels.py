@@ -83,9 +83,9 @@ def test_whose_colors_soft_splats_have(scene: bpy.types.Scene) -> None:
     ob.gscore.display = "POINTS"
     assert said() == ""
     ob.gscore.display = "SOFT"
-    assert "from all sides" in said()
+    assert "do not depend on the view" in said()
     lab.prepare(scene)
-    assert "scene's camera sees" in said()
+    assert "from the scene camera" in said()
     ob.gscore.colour_by = "SIZE"
     assert said() == ""
     ob = objects.create(replace(lab.blob(20), shN=np.zeros((20, 0, 3), np.float32)), "plain")
@@ -166,7 +166,7 @@ def test_what_the_output_folder_holds() -> None:
     assert done.endswith("a finished run: 5,000 steps, PSNR 27.46 dB.")
     assert "without a checkpoint" in text(steps=0, iterations=5, checkpoint=None)
     broken = text(steps=9, iterations=0, checkpoint=point, problem="config.json: bad.")
-    assert "cannot go on: config.json: bad." in broken
+    assert "cannot continue: config.json: bad." in broken
 
 
 def test_the_curve_is_thinned_out_evenly() -> None:

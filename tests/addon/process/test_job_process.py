@@ -119,7 +119,7 @@ def test_silence_is_told(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     run_until(job, lambda: job.state.started is not None)
     assert job.silence == ""
     run_until(job, lambda: job.silence != "")
-    assert "No sign of life for" in job.silence
+    assert "No response for" in job.silence
     run_until(job, lambda: job.state.step == 5)
     assert job.silence == ""
     assert run_to_end(job).status == run_state.FINISHED
@@ -143,7 +143,7 @@ def test_a_crash_names_the_signal_and_the_checkpoint(start: Start) -> None:
     state = run_to_end(start({"say": STARTED}, step(60), {"say": saved}, {"signal": 9}))
     assert state.status == run_state.FAILED
     assert "signal 9" in state.sentence
-    assert "The checkpoint at step 60 is kept: Resume." in state.sentence
+    assert "Resume continues from step 60." in state.sentence
 
 
 def test_a_full_disk_is_said_in_the_trainers_words(start: Start) -> None:

@@ -298,7 +298,7 @@ def test_a_start_that_cannot_be_written(
     bpy.data.meshes.remove(next(m for m in bpy.data.meshes if "gs_temporary" in m))
     job = train_region.job_of(studio)
     until(lambda: job.ended)
-    assert job.status == verb_job.FAILED and "taken away" in job.sentence
+    assert job.status == verb_job.FAILED and "was removed" in job.sentence
 
 
 @pytest.mark.parametrize("error", [MemoryError, OSError("no space left")])

@@ -307,7 +307,7 @@ def test_holes_come_and_go_with_what_is_held_out(lit, tmp_path):
 def test_the_panel_names_a_composite_of_an_earlier_version(lit):
     """Oracle: its message, until the button is pressed."""
     lab.add(lit, lab.wall(9.0, (0.9, 0.1, 0.1)))
-    sentence = "An earlier version has set compositing up"
+    sentence = "Compositing was set up by an earlier version"
     assert sentence not in drawn(RenderPanel)
     compositor.set_up(lit)
     assert sentence not in drawn(RenderPanel)

@@ -73,7 +73,7 @@ def test_meshes_that_move_are_written_at_each_frame(
     ob = a_wall(video)
     video.frame_set(7)
     text = panel()
-    assert "import its cameras" in text and "(Import Frame 0)" in text
+    assert "need the cameras of frame 0" in text and "(Import Frame 0)" in text
     assert "Import the cameras" not in drawn(GuidesPanel)
     called = play({"say": DONE})
     with pytest.raises(RuntimeError, match="import the cameras of frame 0 first"):
@@ -82,7 +82,7 @@ def test_meshes_that_move_are_written_at_each_frame(
     root = bring_first(video, tmp_path)
     assert len(cameras_of(root)) == 60
     text = drawn(TrainSequencePanel)
-    assert "import its cameras" not in text and "<guide_start>" in text
+    assert "need the cameras of frame 0" not in text and "<guide_start>" in text
     for frame in (11, 14):
         ob.location.x = 0.1 * frame
         ob.keyframe_insert("location", frame=frame)
@@ -192,7 +192,7 @@ def test_what_a_sequence_does_not_see_is_told(
     play: Play,  # noqa: F811
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    """Oracle: messages about a hidden mesh, one that is missing at a frame, and Only Within."""
+    """Oracle: messages about a hidden mesh, one that is missing at a frame, and Limit to Object."""
     play({"say": DONE})
     ob, hidden = a_wall(video), a_wall(video, "Hidden")
     hidden.hide_set(True)
@@ -200,9 +200,11 @@ def test_what_a_sequence_does_not_see_is_told(
     box = bpy.data.objects.new("Box", None)
     video.collection.objects.link(box)
     video.gscore.train_within = box
-    assert "Only Within (Box) is for single trainings" in panel()
+    assert "Limit to Object (Box) is only for single" in panel()
     lines = train_sequence.not_seen(video)
-    assert "Only Within (Box) is for single" in lines[0] and "Hidden in Guide Sur" in lines[1]
+    assert (
+        "Limit to Object (Box) is only for single" in lines[0] and "Hidden in Guide Sur" in lines[1]
+    )
     for frame, value in ((1, False), (3, True)):
         ob.hide_viewport = value
         ob.keyframe_insert("hide_viewport", frame=frame)
@@ -212,7 +214,7 @@ def test_what_a_sequence_does_not_see_is_told(
     ):
         bpy.ops.gscore.train_sequence()
     assert video.frame_current == 1
-    assert "Only Within (Box)" in capfd.readouterr().out
+    assert "Limit to Object (Box)" in capfd.readouterr().out
 
 
 @needs_trainer

@@ -92,7 +92,7 @@ def test_from_button_to_timeline(video, tmp_path: Path, play: Play) -> None:
     text = panel()
     facts.refresh(video)
     said = drawn(CapturePanel)
-    assert "4 frames, a capture each" in said and "Find Cameras" not in said
+    assert "4 captures, one per frame" in said and "Find Cameras" not in said
     assert "4: 0 to 12" in text and "(Train Sequence)" in text and "<next_iterations>" in text
     video.gscore_train_sequence.frames = "0:12:4"
     assert bpy.ops.gscore.train_sequence() == {"FINISHED"}

@@ -143,7 +143,7 @@ def test_what_is_gone_meanwhile(scene: bpy.types.Scene, paths: list[Path]) -> No
     bpy.data.collections.remove(own)
     ob = finished(coming)[0]
     assert ob.parent is None and ob.users_collection == (scene.collection,)
-    assert "chair" in coming.warnings[0] and "gone" in coming.warnings[0]
+    assert "chair" in coming.warnings[0] and "was removed" in coming.warnings[0]
     same(ob, splat_files.import_splats(bpy.context, paths[0]))
 
     other = bpy.data.scenes.new("other")

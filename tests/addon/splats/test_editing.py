@@ -119,7 +119,7 @@ def test_the_context_owns_what_it_did(run_blender: Callable[..., str]) -> None:
 
 def test_by_color(ob: bpy.types.Object) -> None:
     """Oracle: distances from the mean of selected splats, or from the chosen colour."""
-    with pytest.raises(RuntimeError, match="Select a splat"):
+    with pytest.raises(RuntimeError, match="Select one or more splats"):
         bpy.ops.gscore.select_by_color()
     seeds = np.arange(COUNT) < 2
     choose(ob, seeds)
@@ -351,7 +351,7 @@ def test_the_panel_leads_to_a_display_that_follows(
     bpy.ops.gscore.select_by_opacity()
     assert "Show Edits" not in drawn(EditPanel)
     monkeypatch.setattr(edit_panel, "EDITED_AT_ONCE", len(ob.data.vertices) - 1)
-    assert "(Show Edits at Once)" in drawn(EditPanel)
+    assert "(Show Edits Live)" in drawn(EditPanel)
     ob.gscore.display = "POINTS"
     assert "Show Edits" not in drawn(EditPanel)
     bpy.ops.object.mode_set(mode="OBJECT")

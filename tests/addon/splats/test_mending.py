@@ -20,7 +20,7 @@ from tests.addon import splat_scenes as lab
 from tests.addon.drawn import Layout
 from tests.addon.points import keep as keep_points
 
-BUTTON, BACK = "(Turn Shapes and Colors Along)", "(Take Stretching Back)"
+BUTTON, BACK = "(Update Shapes and Colors)", "(Undo Stretching)"
 
 
 @pytest.fixture

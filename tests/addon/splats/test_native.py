@@ -106,7 +106,7 @@ def test_what_blender_imports_is_taken_over(
     cloud = bpy.context.object
     assert cloud.data.type == "GAUSSIAN_SPLAT"
     told = drawn(result.ResultPanel)
-    assert "Splats of Blender's own" in told and "(Make Splat Object)" in told
+    assert "Blender's own splats" in told and "(Make Splat Object)" in told
     assert bpy.ops.gscore.take_native_splats() == {"FINISHED"}
     made = bpy.context.object
     assert objects.is_splats(made) and cloud.hide_get() and cloud.hide_render

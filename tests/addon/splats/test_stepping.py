@@ -131,7 +131,7 @@ def test_bit_by_bit_as_at_once(name: str, settings: dict[str, Any], capfd: Any) 
 
 
 @pytest.mark.parametrize(("name", "settings"), EDITS, ids=IDS)
-@pytest.mark.parametrize("doing", ["Reading", "Handing"])
+@pytest.mark.parametrize("doing", ["Reading", "Writing"])
 def test_cancelled_leaves_all_as_it_was(name: str, settings: dict[str, Any], doing: str) -> None:
     """In each phase that an operator has: no new datablock, no changed value, the same
     selection."""
@@ -140,7 +140,7 @@ def test_cancelled_leaves_all_as_it_was(name: str, settings: dict[str, Any], doi
     going = begun(name, settings)
     replaces = not name.startswith(("select", "grade"))
     done = until(going, lambda: going.sentence.startswith(doing))
-    assert done == (doing == "Handing" and not replaces)
+    assert done == (doing == "Writing" and not replaces)
     if not done:
         going.cancel()
         assert state() == before and bpy.context.selected_objects[:] == selected
@@ -174,7 +174,7 @@ def test_what_changes_meanwhile_stays(name: str, settings: dict[str, Any], what:
     bpy.context.view_layer.update()
     before = state()
     before["meshes"] = [m for m in before["meshes"] if not m.startswith("splats.")]
-    with pytest.raises(ValueError, match="begin again"):
+    with pytest.raises(ValueError, match="try again"):
         until(going, lambda: False)
     assert state() == before
     if what == "another mode":
@@ -218,7 +218,7 @@ def test_of_two_at_once_one_is_done() -> None:
     first = begun("decimate_splats", {"count": 150})
     second = begun("separate_splats", {})
     assert until(first, lambda: False)
-    with pytest.raises(ValueError, match="begin again"):
+    with pytest.raises(ValueError, match="try again"):
         until(second, lambda: False)
     assert len(ob.data.vertices) == 150 and "splats part" not in bpy.data.objects
 

@@ -91,7 +91,7 @@ def test_there_is_no_sky_within_an_object(studio: bpy.types.Scene, tmp_path: Pat
     begins, and nothing is written."""
     import_capture(bpy.context.scene, STUDIO)
     around(studio, (1, 1, 1))
-    said = "subject is trained, so there is no sky: turn Sky off, or clear Only Within"
+    said = "inside of subject is trained, so there is no sky: turn Sky off, or clear Limit"
     assert said not in drawn(TrainPanel)
     studio.gscore.sky = True
     assert said in drawn(TrainPanel)
@@ -107,11 +107,11 @@ def test_masks_that_are_opacity_are_not_narrowed(studio: bpy.types.Scene, tmp_pa
     """Oracle: the error in the panel and of the button, with the panel's labels."""
     around(studio, (1, 1, 1))
     studio.gscore.mask_mode = "composite"
-    assert "choose Masks Mean: Leave Out" in drawn(TrainPanel)
-    with pytest.raises(RuntimeError, match="choose Masks Mean: Leave Out"):
+    assert "set Mask Mode to Ignore Masked" in drawn(TrainPanel)
+    with pytest.raises(RuntimeError, match="set Mask Mode to Ignore Masked"):
         bpy.ops.gscore.train()
     studio.gscore.mask_mode = "ignore"
-    assert "Masks Mean" not in drawn(TrainPanel)
+    assert "Mask Mode" not in drawn(TrainPanel)
 
 
 def test_it_belongs_to_its_capture(studio: bpy.types.Scene, tmp_path: Path) -> None:

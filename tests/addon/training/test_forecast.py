@@ -55,7 +55,7 @@ def test_words() -> None:
     """Oracle: by hand."""
     text = "About 2 min of training and 1.2 GB of memory."
     assert (forecast.words(found()), forecast.warning(found())) == (text, "")
-    assert "again and again" in forecast.words(found(photos_kept=False))
+    assert "repeatedly" in forecast.words(found(photos_kept=False))
     assert [forecast.duration(s) for s in (1, 52, 89, 91, 5000, 9000)] == [
         "5 s",
         "50 s",
@@ -66,7 +66,7 @@ def test_words() -> None:
     ]
     assert forecast.memory(644_000_000) == "640 MB"
     large = {"fits": False, "peak_bytes": 9e9, "free_bytes": 4e9}
-    needed = "Too large for this computer: 9.0 GB are needed, 4.0 GB are free. "
+    needed = "Too large for this computer: it needs 9.0 GB, 4.0 GB are free. "
     both = found(**large, fitting_splats=340_000, fitting_width=820)
     assert forecast.warning(both) == (
         needed + "At most 340,000 splats or photos 820 px wide would fit; else close other "
@@ -94,7 +94,7 @@ def test_the_panel_never_waits(scene: bpy.types.Scene) -> None:
 
 def test_what_does_not_fit_is_made_to_fit(scene: bpy.types.Scene) -> None:
     """Oracle: the estimate with the changed settings; without a capture, an error."""
-    with pytest.raises(RuntimeError, match="nothing to make smaller"):
+    with pytest.raises(RuntimeError, match="nothing can be reduced"):
         bpy.ops.gscore.fit_training(which="SPLATS")
     scene.gscore.capture_path, scene.gscore.preset = str(STUDIO), "draft"
     facts.refresh(scene)

@@ -167,7 +167,7 @@ def test_instances_modifiers_and_text_count_and_hidden_ones_do_not(
     letter = len(found.triangles) - 2 * 2 - 3 * 2 - 2 * 4
     assert 2 <= letter <= 60
     told = start_training.unsaved(studio)
-    assert told[0] == "Hidden in Guide Surfaces, so no guides: Hidden."
+    assert told[0] == "Hidden in Guide Surfaces, so not used: Hidden."
     assert "No meshes" in told[1] and "Empty" in told[1] and "a" in told[1]
     assert len(told) == 2
 
@@ -261,15 +261,15 @@ def test_what_cannot_guide_is_told(studio: bpy.types.Scene) -> None:
     wall = an_object("Wall", a_grid("Wall", 2))
     collection = into(studio, "surface", wall)
     wall.hide_set(True)
-    with pytest.raises(RuntimeError, match="Guide Surfaces shows no faces"):
+    with pytest.raises(RuntimeError, match="Guide Surfaces has no visible faces"):
         bpy.ops.gscore.train()
     wall.hide_set(False)
     wall.data.vertices[3].co.x = float("nan")
-    with pytest.raises(RuntimeError, match="Corners of Wall are no places"):
+    with pytest.raises(RuntimeError, match="Wall has vertices that are not finite"):
         bpy.ops.gscore.train()
     wall.data.vertices[3].co.x = 0
     collection.objects.unlink(wall)
-    with pytest.raises(RuntimeError, match="shows no faces"):
+    with pytest.raises(RuntimeError, match="has no visible faces"):
         bpy.ops.gscore.train()
     for ob in studio.objects:
         ob.select_set(ob.type == "CAMERA")

@@ -85,11 +85,11 @@ def test_a_run_that_went_on_elsewhere_is_told(
     (tmp_path / "copy").rename(run)
     scene.gscore.output_path = str(run)
     look_again(scene)
-    assert "shows other splats" not in drawn(TrainPanel)
+    assert "has earlier splats" not in drawn(TrainPanel)
     write_splats(run / "point_cloud.ply", splats(71))
     look_again(scene)
     told = drawn(TrainPanel)
-    assert f"{ob.name} shows other splats than this run has now." in told
+    assert f"{ob.name} has earlier splats of this run." in told
     assert bpy.ops.gscore.import_result() == {"FINISHED"}
     assert scene.gscore.result == ob and bpy.data.objects[:] == [ob] and len(bpy.data.meshes) == 1
     np.testing.assert_array_equal(positions(ob), splats(71).means)

@@ -366,7 +366,7 @@ def test_a_training_is_followed_in_another_file(
     np.testing.assert_array_equal(positions(other.gscore.result), splats(30).means)
     assert drawn(NowPanel) == ""
     registry.remove(job)
-    assert "is gone" in error_of(lambda: bpy.ops.gscore.follow_training(job_id=job.id))
+    assert "was removed" in error_of(lambda: bpy.ops.gscore.follow_training(job_id=job.id))
 
 
 def test_two_scenes_train_at_once(studio: bpy.types.Scene, play: Play, tmp_path: Path) -> None:
@@ -479,11 +479,11 @@ def test_bad_input_is_a_sentence(studio: bpy.types.Scene, play: Play, tmp_path: 
     preferences.get().lpips_path = str(tmp_path / "no.onnx")
     assert "There is no LPIPS network" in _error(train)
     preferences.get().lpips_path = ""
-    assert "holds no checkpoint to go on from" in _error(bpy.ops.gscore.resume_training)
+    assert "holds no checkpoint to resume" in _error(bpy.ops.gscore.resume_training)
     assert registry.jobs() == []
     assert not (tmp_path / "out").exists()
     for name in ("pause_training", "stop_training", "discard_training"):
-        assert "in the state for this" in _error(getattr(bpy.ops.gscore, name))
+        assert "in a state that allows this" in _error(getattr(bpy.ops.gscore, name))
 
 
 def test_resume_needs_the_capture_of_the_run(
@@ -508,7 +508,7 @@ def test_resume_needs_the_capture_of_the_run(
     studio.gscore.output_path = str(out)
     gone.rename(capture)
     studio.gscore.capture_path = ""
-    assert "is not there; choose where it is now" in _error(bpy.ops.gscore.resume_training)
+    assert "is missing; choose its folder" in _error(bpy.ops.gscore.resume_training)
     studio.gscore.capture_path = str(capture / "sparse" / "0")
     job = start_training.resume(studio, wait=True)
     assert job.state.curve.steps == [5, 10, 15]
