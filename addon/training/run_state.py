@@ -101,8 +101,7 @@ class RunState:
 
     @property
     def decisions(self) -> list[str]:
-        """What the training decided by what the capture is like, in sentences with the names of
-        panels."""
+        """Decisions of the training for this capture, as sentences with panel labels."""
         found = self.started.decisions if self.started else ()
         return [panel_words(one.text) for one in found]
 
