@@ -160,7 +160,7 @@ def test_runs_that_do_not_fit_together(gscore, blocks, trained, tmp_path):
     """Oracle: one sentence each, code 2, nothing written; options that differ are told."""
     out = tmp_path / "merged.ply"
     for runs, words in (
-        ([blocks / "runs/1"], "1 of 2 blocks is not there: 0. Train what is missing (gscore train"),
+        ([blocks / "runs/1"], "1 of 2 blocks is missing: 0. Train them (gscore train"),
         ([blocks / "runs/1", blocks / "runs/1"], "on the same block, 1"),
         ([trained], "which is not a block"),
         ([blocks / "blocks"], "is not a run and contains none"),

@@ -148,7 +148,7 @@ def test_a_hidden_folder_of_somebody_else_stays(film: Film, tmp_path: Path, name
     theirs = tmp_path / ".new.frames" / name
     theirs.parent.mkdir()
     theirs.write_text("mine")
-    with pytest.raises(ConfigError, match=r"\.new\.frames is where frames are written"):
+    with pytest.raises(ConfigError, match=r"\.new\.frames is the temporary folder"):
         extract_frames(ExtractRequest(video=film.path, output=tmp_path / "new"))
     assert theirs.read_text() == "mine" and not (tmp_path / "new").exists()
 
@@ -240,7 +240,7 @@ def test_a_standing_camera_is_refused(tmp_path: Path) -> None:
     view = films.seen(films.wall(600), 10).astype(int)
     noisy = (np.clip(view + rng.integers(-3, 4, view.shape), 0, 255) for _ in range(30))
     path = films.write(tmp_path / "still.mp4", (picture.astype(np.uint8) for picture in noisy))
-    with pytest.raises(DatasetError, match="stands still"):
+    with pytest.raises(DatasetError, match="does not move"):
         extract_frames(ExtractRequest(video=path, output=tmp_path / "out"))
 
 
