@@ -41,7 +41,7 @@ def make_photos() -> Callable[..., ToyPhotos]:
 
 @pytest.fixture(scope="session")
 def known_splats() -> Splats:
-    """What the pictures of the toy capture show. Do not change it."""
+    """The splats that the toy capture was rendered from. Do not change them."""
     return toy_splats()
 
 
@@ -109,7 +109,8 @@ def frames(capture: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def deep(capture: Path, known_splats: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The toy capture, its true inverse depth in depths/ and the maps' scale. Do not change it."""
+    """The toy capture with its true inverse depth in depths/ and the scale of the maps. Do not
+    change it."""
     root = tmp_path_factory.mktemp("deep") / "capture"
     shutil.copytree(capture, root)
     cameras = load_dataset(DataConfig(source=root)).scene.cameras
@@ -130,10 +131,10 @@ def deep(capture: Path, known_splats: Any, tmp_path_factory: pytest.TempPathFact
 
 @pytest.fixture
 def marked_model() -> Callable[..., Model]:
-    """`make(n)`: a model of n rows in which every number tells its row.
+    """`make(n)`: a model of n rows in which every number encodes its row.
 
-    Parameters hold the row, first moments 1000 + row, second moments 2000 + row, and the counter
-    `seen` 3000 + row, so that a row that gets lost on the way shows.
+    Parameters are the row, first moments 1000 + row, second moments 2000 + row, and the counter
+    `seen` 3000 + row, so that a misplaced row shows.
     """
 
     def make(n: int, *, sh_rest: int = 3) -> Model:
@@ -160,7 +161,7 @@ def marked_model() -> Callable[..., Model]:
 
 @pytest.fixture(autouse=True)
 def one_torch_thread() -> Iterator[None]:
-    """As in a run: torch has one thread."""
+    """One torch thread, as in a run."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
@@ -169,7 +170,7 @@ def one_torch_thread() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def no_lpips(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Results must not depend on the network for LPIPS that this machine may have."""
+    """No LPIPS network, because results must not depend on one that this machine may have."""
     if request.node.get_closest_marker("data") is None:
         for name in ("GSCORE_DATA", "GSCORE_LPIPS"):
             monkeypatch.delenv(name, raising=False)

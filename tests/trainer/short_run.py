@@ -1,4 +1,4 @@
-"""A run in which everything happens within 60 steps."""
+"""A run with all training events within 60 steps."""
 
 from gscore.config import Background, TrainConfig
 

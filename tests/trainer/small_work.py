@@ -1,4 +1,4 @@
-"""Everything that touches tensors, on a toy capture, and a fingerprint of what came out."""
+"""Every tensor operation on a toy capture, and a fingerprint of the results."""
 
 import hashlib
 import sys
@@ -43,7 +43,7 @@ _RUNS = (
 
 
 def work(capture: Path, folder: Path) -> str:
-    """Train, resume, render and differentiate; the same text where all bits are the same.
+    """Train, resume, render and differentiate; return a text that is equal where all bits are.
 
     Args:
         capture: With depth maps in `depths`.

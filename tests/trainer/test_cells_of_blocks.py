@@ -1,4 +1,4 @@
-"""The cell of a block: what lies in it, in the world and in the training world."""
+"""The cell of a block, in the world and in the training world."""
 
 from typing import Any
 
@@ -18,9 +18,9 @@ RECORD = BlockRecord(split="s", index=1, axes=AXES, bounds=BOUNDS)
 
 
 def test_a_cell_holds_what_lies_between_its_ends() -> None:
-    """Oracle: the ends, written out; the cells of `gscore split` hold the same."""
+    """Oracle: the ends, written out; the same content as the cells of `gscore split`."""
     means = np.random.default_rng(0).normal(size=(500, 3)).astype(np.float32).astype(np.float64)
-    means[0] = 0.5 * AXES[0]  # on the end where it begins
+    means[0] = 0.5 * AXES[0]  # on the end at which it begins
     x, y = means @ AXES[0], means @ AXES[1]
     wanted = (x >= 0.5) & (y < 0.25)
     np.testing.assert_array_equal(RECORD.holds(means), wanted)

@@ -1,4 +1,4 @@
-"""`gscore train` as people and programs use it; oracle: exit codes, lines and files."""
+"""`gscore train` for people and programs; oracle: exit codes, lines and files."""
 
 import argparse
 import json
@@ -49,7 +49,7 @@ def test_json_is_the_last_line(
 def test_people_get_a_summary_and_programs_silence(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: what is on which stream."""
+    """Oracle: the content of each stream."""
     base = ["train", str(capture), "-o", str(tmp_path), *SHORT, "--overwrite"]
     assert main(base) == 0
     seen = capsys.readouterr()
@@ -65,7 +65,7 @@ def test_people_get_a_summary_and_programs_silence(
 def test_the_summary_says_what_was_asked_for_and_not_reached(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: a target far above anything, within a budget of half a second."""
+    """Oracle: a target far above reach, within a budget of half a second."""
     options = ["--preset", "preview", "--time-budget", "0.5", "--target-psnr", "90"]
     assert main(["train", str(capture), "-o", str(tmp_path), *options]) == 0
     seen = capsys.readouterr().out
@@ -100,7 +100,7 @@ def test_options_reach_the_config_under_all_names(capture: Path, tmp_path: Path)
 
 
 def test_a_config_file_repeats_a_run(capture: Path, tmp_path: Path) -> None:
-    """Oracle: equal bytes of the model; options given besides win."""
+    """Oracle: equal bytes of the model; precedence of options on the command line."""
     assert main(["train", str(capture), "-o", str(tmp_path / "a"), *SHORT, "--quiet"]) == 0
     config = ["--config", str(tmp_path / "a/config.json"), "--quiet"]
     assert main(["train", "-o", str(tmp_path / "b"), *config]) == 0
@@ -113,8 +113,8 @@ def test_a_config_file_repeats_a_run(capture: Path, tmp_path: Path) -> None:
 def test_models_side_by_side_are_told(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: 150 points of the capture, from all of which each model starts; what a run of one
-    model says, before and after its evaluation."""
+    """Oracle: 150 points of the capture, from which each model starts; the messages of a run of one
+    model, before and after its evaluation."""
     one, two = tmp_path / "one", tmp_path / "two"
     words = ["train", str(capture), *SHORT, "--max-splats", "400"]
     assert main([*words, "-o", str(one), "--quiet"]) == 0
@@ -138,7 +138,7 @@ def test_models_side_by_side_are_told(
 def test_what_photos_decide_is_kept_and_nobody_types_it(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: what was typed; a run that goes on, and an evaluation, know it still."""
+    """Oracle: the command line; it is kept in a resumed run and an evaluation."""
     monkeypatch.setattr(caps, "_FEWEST_STEPS", 5)
     typed = ["--preset", "draft", "--steps-a-photo", "2"]
     assert main(["train", str(capture), "-o", str(tmp_path), *typed, "--quiet"]) == 0
@@ -164,7 +164,7 @@ def test_what_photos_decide_is_kept_and_nobody_types_it(
 def test_each_model_may_have_what_photos_allow_one(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: 2 and 1 times 20 splats for each of 8 photos, of the 600 that were asked for."""
+    """Oracle: 2 and 1 times 20 splats for each of 8 photos, of the requested 600."""
     monkeypatch.setattr(caps, "_FEWEST_SPLATS", 10)
     for models in (2, 1):
         out = tmp_path / str(models)
@@ -179,7 +179,7 @@ def test_each_model_may_have_what_photos_allow_one(
 def test_a_run_that_photos_limit_goes_on_by_the_line_that_began_it(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the splats of the whole run; what was typed, without what was lifted since."""
+    """Oracle: the splats of the whole run; the command line without the limits lifted since."""
     monkeypatch.setattr(caps, "_FEWEST_SPLATS", 10)
     monkeypatch.setattr(caps, "_FEWEST_STEPS", 5)
     line = ["train", str(capture), "-o", str(tmp_path), "--quiet", "--sh-degree", "0"]
@@ -216,7 +216,7 @@ def test_resume_needs_no_options(capture: Path, tmp_path: Path) -> None:
 def test_resuming_says_from_where_and_that_nothing_is_left(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the lines; the files' bytes and times where there was nothing to do."""
+    """Oracle: the lines; bytes and times of the files where no work was left."""
     assert main(["train", str(capture), "-o", str(tmp_path), *SHORT, "--quiet"]) == 0
     again = ["train", "-o", str(tmp_path), "--resume"]
     assert main([*again, "--iterations", "15"]) == 0
@@ -243,7 +243,7 @@ def test_resuming_says_from_where_and_that_nothing_is_left(
 def test_resuming_with_other_options_says_which(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: each option that differs once, under its name, and what may be changed."""
+    """Oracle: each changed option once, under its name, and the options that may change."""
     assert main(["train", str(capture), "-o", str(tmp_path), *SHORT, "--quiet"]) == 0
     again = ["train", "-o", str(tmp_path), "--resume", "--quiet"]
     assert main([*again, "-r", "20"]) == 2
@@ -292,21 +292,21 @@ def test_resuming_with_other_options_says_which(
 def test_bad_input_is_one_sentence_and_leaves_nothing(
     capture: Path, refused: Callable[..., None], arguments: list[str], message: str
 ) -> None:
-    """Oracle: code 2, one line that says what is wrong, no output folder."""
+    """Oracle: code 2, one line with the error, no output folder."""
     refused("train", arguments, message.format(capture=capture), capture=capture)
 
 
 def test_depth_maps_are_missed_before_photos_are_read(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: no photo is decoded."""
+    """Oracle: no decoded photo."""
     monkeypatch.setattr("gscore.trainer.prepare.load_photos", lambda *a, **k: pytest.fail("read"))
     line = ["train", str(capture), "-o", str(tmp_path / "o"), "-d", "nodepth", "--quiet"]
     assert main(line) == 2
 
 
 def test_a_way_to_split_takes_the_place_of_another(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the later one alone, over a config file that had another."""
+    """Oracle: the later option alone, over a config file with another."""
     line = ["train", str(capture), "-o", str(tmp_path / "a"), *SHORT, "--quiet"]
     assert main([*line, "--test-first", "1", "--test-last", "2"]) == 0
     config = tmp_path / "a" / "config.json"
@@ -322,7 +322,7 @@ def test_a_way_to_split_takes_the_place_of_another(capture: Path, tmp_path: Path
 def test_a_place_that_is_refused_is_not_searched(
     capture: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: one sentence, without what lies there."""
+    """Oracle: one sentence, without the files there."""
     assert main(["train", str(capture), "-o", "/", *SHORT]) == 2
     told = capsys.readouterr()
     assert "is the root folder" in told.err and "they stay" not in told.err
@@ -331,7 +331,7 @@ def test_a_place_that_is_refused_is_not_searched(
 def test_other_files_in_the_output_folder_are_told(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: their names, and that they stay."""
+    """Oracle: their names, and unchanged files."""
     for name in "dcba":
         (tmp_path / f"{name}.jpg").write_text(name)
     assert main(["train", str(capture), "-o", str(tmp_path), *SHORT]) == 0
@@ -344,7 +344,7 @@ def test_other_files_in_the_output_folder_are_told(
 def test_a_folder_that_is_refused_keeps_no_files(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: one sentence, which says that it is another run's."""
+    """Oracle: one sentence about another run's folder."""
     line = ["train", str(capture), "-o", str(tmp_path / "out"), *SHORT]
     assert main([*line, "--quiet"]) == 0
     (tmp_path / "out" / "holiday.jpg").write_text("mine")
@@ -369,7 +369,7 @@ def test_flags_of_3dgs_scripts_mean_what_they_mean_there() -> None:
 def test_black_masks_are_refused_and_some_are_warned_about(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: masks written here; what is said where masks are in use."""
+    """Oracle: masks written here; the message where masks are in use."""
     shutil.copytree(capture, tmp_path / "in")
     masks = tmp_path / "in" / "masks"
     masks.mkdir()
@@ -419,7 +419,7 @@ class Job:
         pytest.fail(f"no {kind.__name__}; stderr: {self.process.stderr.read()}")
 
     def end(self) -> int:
-        """Read to the end, and the exit code."""
+        """Read to the end; return the exit code."""
         assert self.process.stdout
         self.events += [e for line in self.process.stdout if (e := from_line(line))]
         return self.process.wait(timeout=20)
@@ -427,7 +427,7 @@ class Job:
 
 @pytest.fixture
 def job(capture: Path, tmp_path: Path) -> Iterator[Callable[..., Job]]:
-    """`start(*arguments)`: a run that would take very long."""
+    """`start(*arguments)`: a very long run."""
     jobs: list[Job] = []
 
     def start(*arguments: str, **kwargs: Any) -> Job:
@@ -453,7 +453,7 @@ def checkpoint_step(path: Path) -> int:
 def test_signals_end_with_a_checkpoint(
     job: Callable[..., Job], tmp_path: Path, number: signal.Signals, code: int
 ) -> None:
-    """Oracle: the shell's exit code, a Done event, and a checkpoint from which a run goes on."""
+    """Oracle: the shell's exit code, a Done event, and a checkpoint that can be resumed."""
     run = job()
     run.until(Progress, lambda e: e.step > 5)
     run.process.send_signal(number)
@@ -486,7 +486,7 @@ def test_stop_on_stdin_ends_well(job: Callable[..., Job], tmp_path: Path) -> Non
 def test_the_end_of_stdin_means_that_the_parent_died(
     job: Callable[..., Job], tmp_path: Path
 ) -> None:
-    """Oracle: a checkpoint, although nobody asked."""
+    """Oracle: a checkpoint without a request."""
     run = job()
     run.until(Progress, lambda e: e.step > 5)
     assert run.process.stdin
@@ -498,7 +498,7 @@ def test_the_end_of_stdin_means_that_the_parent_died(
 
 
 def test_dev_null_as_stdin_does_not_end_a_run(capture: Path, tmp_path: Path) -> None:
-    """Oracle: it runs to its last step."""
+    """Oracle: a run to its last step."""
     run = Job(str(capture), "-o", str(tmp_path / "out"), *SHORT, stdin=subprocess.DEVNULL)
     assert run.end() == 0
     assert isinstance(run.events[-1], Done)
@@ -508,7 +508,7 @@ def test_dev_null_as_stdin_does_not_end_a_run(capture: Path, tmp_path: Path) -> 
 def test_a_second_run_in_the_same_folder_is_refused(
     job: Callable[..., Job], capture: Path, tmp_path: Path
 ) -> None:
-    """Oracle: the second says which process holds the folder; the first goes on."""
+    """Oracle: the process that has locked the folder, named by the second; the first continues."""
     run = job()
     run.until(Progress, lambda e: e.step > 5)
     second = Job(str(capture), "-o", str(tmp_path / "out"), "--overwrite")
@@ -520,7 +520,7 @@ def test_a_second_run_in_the_same_folder_is_refused(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_events_that_cannot_be_written_end_the_run_in_order(capture: Path, tmp_path: Path) -> None:
-    """Oracle: a device that is always full: no traceback, and a checkpoint if anything."""
+    """Oracle: a device that is always full: no traceback, and at most a checkpoint."""
     with Path("/dev/full").open("w") as full:
         command = [sys.executable, "-m", "gscore", "train", str(capture), "-o", str(tmp_path)]
         ended = subprocess.run(
@@ -543,7 +543,7 @@ def _no_large_files() -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="limits of POSIX")
 def test_a_write_that_fails_is_one_sentence(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the system refuses files of over 20 kB, as a full disk would, in mid-write."""
+    """Oracle: a system limit of 20 kB on files, which fails in mid-write as a full disk would."""
     command = [sys.executable, "-m", "gscore", "train", str(capture), "-o", str(tmp_path), *SHORT]
     ended = subprocess.run(
         [*command, "--quiet"],

@@ -1,4 +1,4 @@
-"""How a run ends when somebody ends it; oracle: exit codes, sentences, files that can be read."""
+"""Runs that are stopped; oracle: exit codes, sentences, readable files."""
 
 import os
 import random
@@ -29,8 +29,8 @@ def command(capture: Path, out: Path, *options: str) -> list[str]:
 
 @pytest.fixture
 def begin() -> Iterator[Callable[..., subprocess.Popen]]:
-    """`start(arguments, **options)`: a process, gone when the test is over. It heeds SIGHUP, which
-    nohup may have these tests ignore."""
+    """`start(arguments, **options)`: a process, killed after the test. It handles SIGHUP, which
+    nohup may make these tests ignore."""
     made: list[subprocess.Popen] = []
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
@@ -60,8 +60,8 @@ def is_training(process: subprocess.Popen, out: Path) -> None:
 def test_every_signal_leaves_a_checkpoint(
     capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen], number: int, code: int
 ) -> None:
-    """Oracle: 128 + the signal, results and a checkpoint of the last step; twice is as once where
-    nobody pressed a key."""
+    """Oracle: 128 + the signal, results and a checkpoint of the last step; a second signal that is
+    not from a key changes nothing."""
     process = begin(command(capture, tmp_path, *LONG))
     is_training(process, tmp_path)
     process.send_signal(number)
@@ -79,9 +79,9 @@ def test_every_signal_leaves_a_checkpoint(
 def test_a_second_ctrl_c_ends_at_once(
     capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen]
 ) -> None:
-    """Oracle: both sentences and nothing else after the progress; the checkpoints are whole. The
-    steps take two seconds, so that the second key comes while the first is not yet obeyed, and
-    keys are half a second apart, so that two do not become one on a busy machine."""
+    """Oracle: both sentences and no other output after the progress; intact checkpoints. The steps
+    take two seconds, so that the second key comes before the first is handled, and keys are half a
+    second apart, so that two do not become one on a busy machine."""
     code = (
         "import sys, time; from gscore.__main__ import main\n"
         "from gscore.trainer.trainer import Trainer; real = Trainer.step\n"
@@ -105,8 +105,8 @@ def test_a_second_ctrl_c_ends_at_once(
 def test_ctrl_c_at_any_moment(
     capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen], runs: int
 ) -> None:
-    """Oracle: no traceback, and nothing torn, for one to three keys at random moments from the
-    start of the interpreter on: imports, reading, checkpoints, evaluation, report."""
+    """Oracle: no traceback and no torn file, for one to three keys at random moments from the start
+    of the interpreter on: imports, reading, checkpoints, evaluation, report."""
     chance = random.Random(runs)
     options = ["--iterations", "60", "--max-splats", "200", "--checkpoint-seconds", "0.05"]
     began = time.monotonic()
@@ -134,7 +134,7 @@ def test_ctrl_c_at_any_moment(
 def test_streams_that_are_closed_from_the_start_are_not_missed(
     capture: Path, tmp_path: Path, closed: str, more: list[str]
 ) -> None:
-    """Oracle: the whole run, code 0, and nothing of its text in its files."""
+    """Oracle: the whole run, code 0, and none of its text in its files."""
     line = " ".join(f"'{word}'" for word in command(capture, tmp_path, *SHORT, *more))
     ended = subprocess.run(["sh", "-c", f"{line} {closed}"], capture_output=True, text=True)
     assert (ended.returncode, "Traceback" in ended.stderr) == (0, False)
@@ -146,7 +146,7 @@ def test_streams_that_are_closed_from_the_start_are_not_missed(
 def test_a_reader_that_goes_away_ends_a_run_with_a_checkpoint(
     capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen], stream: str
 ) -> None:
-    """Oracle: 141, what shells give for a closed pipe, and a run that can go on."""
+    """Oracle: 141, the shells' code for a closed pipe, and a run that can be resumed."""
     events = ["--events", "jsonl"] if stream == "stdout" else []
     process = begin(command(capture, tmp_path, *LONG, *events))
     is_training(process, tmp_path)
@@ -161,7 +161,7 @@ def test_a_reader_that_goes_away_ends_a_run_with_a_checkpoint(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_output_onto_a_full_disk_is_told_and_loses_nothing(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the summary cannot be written: the results are there, a sentence, code 2."""
+    """Oracle: the results, a sentence and code 2, although the summary cannot be written."""
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(
             command(capture, tmp_path, *SHORT),
@@ -179,7 +179,7 @@ def test_output_onto_a_full_disk_is_told_and_loses_nothing(capture: Path, tmp_pa
 def test_a_stop_before_the_first_step_has_a_code_of_its_own(
     capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen]
 ) -> None:
-    """Oracle: 3, an event that says so, and no folder."""
+    """Oracle: code 3, its event, and no folder."""
     process = begin(
         command(capture, tmp_path / "out", *LONG, "--events", "jsonl"), stdin=subprocess.PIPE
     )
@@ -193,7 +193,7 @@ def test_a_stop_before_the_first_step_has_a_code_of_its_own(
 
 @pytest.mark.parametrize("name", ["SIGHUP", "SIGINT", "SIGTERM"])
 def test_a_signal_that_is_ignored_stays_so(capture: Path, tmp_path: Path, name: str) -> None:
-    """Oracle: a run under nohup, or in the background of a script, goes to its end."""
+    """Oracle: a run under nohup, or in the background of a script, to its end."""
     code = (
         f"import os, signal, sys; signal.signal(signal.{name}, signal.SIG_IGN)\n"
         "from gscore.__main__ import main; from gscore.trainer.trainer import Trainer\n"
@@ -208,7 +208,7 @@ def test_a_signal_that_is_ignored_stays_so(capture: Path, tmp_path: Path, name: 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX shells")
 def test_in_the_background_of_a_script_ctrl_c_ends_nothing(capture: Path, tmp_path: Path) -> None:
-    """Oracle: what sh ignores for a job in the background, pressed as often as the job looks."""
+    """Oracle: the signals that sh ignores for a background job, sent at every poll."""
     words = shlex.join([*command(capture, tmp_path, *SHORT, "--quiet")])
     script = (
         f"{words} & job=$!; for i in 1 2 3 4 5 6; do sleep 0.3; kill -INT $job; done; wait $job"

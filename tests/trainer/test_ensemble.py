@@ -45,8 +45,8 @@ def trained(config: TrainConfig, photos: Any, steps: int = 60) -> Trainer:
 def test_each_model_is_as_if_it_were_trained_alone(
     photos: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: runs of one model with half the splats, the second with half an epoch's other views;
-    to the bit."""
+    """Oracle: runs of one model with half the splats, the second with the views of another half
+    epoch; to the bit."""
     both = trained(TWO, photos)
     batch_neighbours = ViewSampler.batch_neighbours
     for place, member in enumerate(both.members):
@@ -64,7 +64,8 @@ def test_each_model_is_as_if_it_were_trained_alone(
 
 
 def test_each_model_sees_each_view_once_an_epoch() -> None:
-    """Oracle: the set of views; no two see the same at one step; what comes next is foretold."""
+    """Oracle: the set of views; different views at each step; a correct prediction of the next
+    ones."""
     sampler, generator = ViewSampler(range(7)), torch.Generator(device="cpu").manual_seed(1)
     seen: list[list[int]] = []
     for place in range(7):
@@ -78,7 +79,7 @@ def test_each_model_sees_each_view_once_an_epoch() -> None:
 
 
 def light_taken(opacity: float) -> float:
-    """Optical depth of a round splat where it is drawn, added up ring by ring, float64."""
+    """Optical depth of a round splat where it is drawn, summed ring by ring, float64."""
     if opacity <= 1 / 255:
         return 0.0
     radii = np.linspace(0, math.sqrt(2 * math.log(255 * opacity)), 20_001)
@@ -88,7 +89,7 @@ def light_taken(opacity: float) -> float:
 
 @pytest.mark.parametrize("models", [2, 3, 8])
 def test_as_many_splats_in_one_place_take_as_much_light_as_one_did(models: int) -> None:
-    """Oracle: optical depths of rings; what is not drawn stays, what is drawn is still drawn."""
+    """Oracle: optical depths of rings; undrawn splats stay, drawn ones are still drawn."""
     for opacity in (0.0045, 0.01, 0.1, 0.5, 0.9, 0.99):
         logit = torch.logit(torch.tensor([opacity]))
         shared = float(torch.sigmoid(divide_opacities(logit, models).double()))
@@ -103,7 +104,7 @@ def test_as_many_splats_in_one_place_take_as_much_light_as_one_did(models: int) 
 
 
 def test_what_is_shown_is_what_is_written(photos: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the renderer on the splats that come out; parts and the whole are the same splats."""
+    """Oracle: the renderer on the merged splats; the same splats in parts and as a whole."""
     monkeypatch.setattr("gscore.trainer.trainer._ROWS_A_PART", 70)
     trainer = trained(RANDOM, photos, 30)
     whole, parts = trainer.splats(), list(trainer.parts())
@@ -123,7 +124,7 @@ def test_what_is_shown_is_what_is_written(photos: Any, monkeypatch: pytest.Monke
 
 
 def test_it_shows_the_mean_of_its_models(make_photos: Callable[..., Any]) -> None:
-    """Oracle: the mean of the pictures of both; the better of them alone is further from it."""
+    """Oracle: the mean of the pictures of both; the better model alone is further from it."""
     photos = make_photos()
     trainer = trained(replace(RANDOM, iterations=400, max_splats=800), photos, 400)
     cameras = photos.scene.cameras
@@ -159,7 +160,7 @@ def test_same_bits_for_any_number_of_threads_and_after_going_on(
 def test_a_run_keeps_the_models_that_photos_decided_on(
     photos: Any, monkeypatch: pytest.MonkeyPatch, models: int
 ) -> None:
-    """Oracle: bit equality with the run that goes on, though the rule finds another number now."""
+    """Oracle: bit equality with the uninterrupted run, though the rule now finds another number."""
     config = replace(TWO, ensemble_below=0.35)
     monkeypatch.setattr(trainer_module, "model_count", lambda *_, **__: (models, "then"))
     begun = trained(config, photos, 20)
@@ -176,7 +177,7 @@ def test_a_run_keeps_the_models_that_photos_decided_on(
 
 
 def test_a_state_of_other_models_is_refused(photos: Any) -> None:
-    """Oracle: the sentence; nothing of it is taken over."""
+    """Oracle: the sentence; no part of the state is loaded."""
     one, two = trained(ONE, photos, 3), trained(TWO, photos, 3)
     before = bits(two.tensors())
     with pytest.raises(ValueError, match="it has 1 models, expected 2"):
@@ -197,7 +198,7 @@ def test_a_state_of_other_models_is_refused(photos: Any) -> None:
 def test_where_one_loss_is_not_finite_the_other_model_takes_its_step(
     photos: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the bits of a run whose losses are finite; those of before."""
+    """Oracle: the bits of a run with finite losses, and those before the step."""
     well, ill = Trainer(TWO, photos), Trainer(TWO, photos)
     before = bits(ill.members[1].tensors())
     found = step_loss.image_loss_gradient
@@ -237,9 +238,9 @@ def test_where_one_loss_is_not_finite_the_other_model_takes_its_step(
 def test_how_many_models_there_are(
     ensemble: int, below: float, known: float | None, mask_mode: str, points: int, models: int
 ) -> None:
-    """Oracle: the text of the options, 400,000 splats at most; the sentence comes with the
-    condition; what is expected before photos are compared is no less, but of a subject. Of one of
-    which no splats are left out there is one model."""
+    """Oracle: the text of the options, 400,000 splats at most; the sentence that comes with the
+    condition; an expectation before photos are compared that is no less, but for a subject; one
+    model for a subject without dropout."""
     config = TrainConfig(ensemble=ensemble, ensemble_below=below, stereo=Stereo.AUTO, drop_rate=0.1)
     found, words = model_count(config, photos=50, mask_mode=mask_mode, known=known, points=points)
     subject = mask_mode == "composite"
@@ -261,14 +262,14 @@ def test_how_many_models_there_are(
 
 
 def test_which_presets_train_several() -> None:
-    """Oracle: those that ask stereo, without which the condition is never met."""
+    """Oracle: the presets with stereo, without which the condition is never met."""
     found = {name: make(Path())[1] for name, make in PRESETS.items()}
     models = {name: (config.ensemble, config.ensemble_below) for name, config in found.items()}
     assert models == {"preview": (1, 0), "draft": (1, 0), "normal": (2, 0.35), "high": (3, 0.35)}
 
 
 def test_given_splats_are_one_model(photos: Any) -> None:
-    """Oracle: as many splats as were given."""
+    """Oracle: the number of given splats."""
     start = trained(ONE, photos, 20).splats()
     assert Trainer(
         replace(TWO, start_splats=Path("x.ply")), photos, start=start
@@ -276,8 +277,8 @@ def test_given_splats_are_one_model(photos: Any) -> None:
 
 
 def test_models_share_the_splats_and_cost_more(photos: Any) -> None:
-    """Oracle: halves; at the start as many splats as two runs have; a step of two models of half
-    the splats costs more than one of them and less than twice that of one with all."""
+    """Oracle: halves; the initial splats of two runs; a step of two models of half the splats costs
+    more than one of them and less than twice that of one with all."""
     one, two = Trainer(replace(TWO, ensemble=1), photos), Trainer(TWO, photos)
     assert two.plan.max_splats == 200 and one.plan.max_splats == 400
     assert two.splat_count == 2 * one.splat_count
@@ -297,7 +298,7 @@ def test_no_more_splats_start_than_are_allowed(photos: Any, sky: bool) -> None:
 
 
 def test_pictures_between_steps_are_of_the_splats_there_are(photos: Any) -> None:
-    """Oracle: a trainer that did not look before."""
+    """Oracle: a trainer without earlier pictures."""
     looked, fresh = Trainer(RANDOM, photos), Trainer(RANDOM, photos)
     for _ in range(3):
         looked.renderer.picture(0, background=(0.0, 0.0, 0.0))

@@ -1,4 +1,4 @@
-"""What is looked over before a training; oracle: captures damaged by hand."""
+"""Preflight checks of a training; oracle: captures damaged by hand."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +29,7 @@ def with_points(photos: Any, points: np.ndarray) -> Any:
 
 
 def test_a_sound_capture_has_no_warning(photos: Any) -> None:
-    """Oracle: none is expected."""
+    """Oracle: no warnings."""
     assert warnings(photos) == []
 
 
@@ -60,7 +60,7 @@ def test_a_higher_degree_than_a_training_has_is_said(photos: Any, degree: int, t
 def test_splats_of_another_scene_are_told(
     photos: Any, known_splats: Splats, tmp_path: Path, strange: bool
 ) -> None:
-    """Oracle: what the photos show; and the same with colours turned round."""
+    """Oracle: the photos; the same with inverted colours."""
     start = replace(known_splats, sh0=-3 * known_splats.sh0) if strange else known_splats
     write_splat_file(tmp_path / "a.ply", start)
     config = replace(CONFIG, start_splats=tmp_path / "a.ply", sh_degree=1)
@@ -73,7 +73,7 @@ def test_splats_of_another_scene_are_told(
 def test_a_region_that_holds_next_to_nothing_is_told(
     photos: Any, known_splats: Splats, tmp_path: Path, count: int
 ) -> None:
-    """Oracle: how many splats there are."""
+    """Oracle: the number of splats."""
     start = known_splats.subset(np.arange(count))
     write_splat_file(tmp_path / "a.ply", start)
     given = {"start_splats": tmp_path / "a.ply", "region": tmp_path / "r.json", "sh_degree": 1}
@@ -85,14 +85,14 @@ def test_a_region_that_holds_next_to_nothing_is_told(
 
 
 def test_points_that_no_view_shows_are_an_error(photos: Any) -> None:
-    """Oracle: all points 1e4 aside."""
+    """Oracle: all points shifted by 1e4."""
     aside = photos.scene.points.points + np.array([0.0, 1e4, 0.0])
     with pytest.raises(DatasetError, match=r"None of the \d+ training views shows any"):
         warnings(with_points(photos, aside))
 
 
 def test_a_view_that_looks_away_is_named(photos: Any) -> None:
-    """Oracle: one camera turned about; the others see the points."""
+    """Oracle: one camera turned round; the points are in the other views."""
     cameras = photos.scene.cameras
     viewmats = cameras.viewmats.copy()
     index = photos.train[2]
@@ -125,7 +125,7 @@ def test_an_impossible_principal_point_is_named(photos: Any) -> None:
 
 
 def test_stray_points_are_counted(photos: Any) -> None:
-    """Oracle: five points 1e5 times as far as they were."""
+    """Oracle: five points 1e5 times as far away."""
     points = photos.scene.points.points.copy()
     points[:5] *= 1e5
     told = [w for w in warnings(with_points(photos, points)) if "points are" in w]

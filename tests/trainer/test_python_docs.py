@@ -1,4 +1,4 @@
-"""docs/python.md; oracle: its code runs as it stands there, on a small capture."""
+"""docs/python.md; oracle: its code, run unchanged on a small capture."""
 
 import contextlib
 import io
@@ -12,7 +12,7 @@ DOC = Path(__file__).parents[2] / "docs" / "python.md"
 
 
 def test_the_code_runs(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: what it prints: a PSNR of the run, the same of the rendered views, a gradient."""
+    """Oracle: its output: a PSNR of the run, the same of the rendered views, a gradient."""
     (tmp_path / "photos").symlink_to(capture)
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", DOC.read_text(encoding="utf-8"), re.S)

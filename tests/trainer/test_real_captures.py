@@ -1,4 +1,5 @@
-"""Real photos, shortly and small; oracle: what such a run reached when written, less 1 dB."""
+"""Short, small runs on real photos; oracle: the PSNR of such a run when the test was written, less
+1 dB."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""A run that is interrupted and goes on; oracle: bit equality with one that never stopped."""
+"""Interrupted and resumed runs; oracle: bit equality with an uninterrupted one."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,7 +18,7 @@ STOPS = (1, 5, 8, 9, 10, 12, 13, 19, 20, 21, 25, 26, 33, 59)
 
 @pytest.fixture
 def near(make_photos: Callable[..., Any]) -> Any:
-    """The toy capture through lenses so long that no view shows every splat."""
+    """The toy capture with such long lenses that no view shows every splat."""
     photos = make_photos()
     photos.scene.cameras.Ks[:, :2, :2] *= 3
     return photos
@@ -55,8 +55,8 @@ def test_resume_is_bit_equal(photos: Any, tmp_path: Path, strategy: Strategy) ->
 def test_resume_while_gradients_gather_is_bit_equal(
     near: Any, tmp_path: Path, strategy: Strategy
 ) -> None:
-    """Oracle: as above, between two steps of the higher SH coefficients, which take what has
-    gathered of the gradients of four views, in the rows that these showed."""
+    """Oracle: as above, between two steps of the higher SH coefficients, which use the accumulated
+    gradients of four views, in the visible rows."""
     config = replace(CONFIG, strategy=strategy, shN_every=4)
     whole, stops = Trainer(config, near), (14, 22, 35, 59)
     for step in range(1, 61):
@@ -76,7 +76,7 @@ def test_resume_while_gradients_gather_is_bit_equal(
 
 
 def test_resume_with_other_threads_is_bit_equal(photos: Any, tmp_path: Path) -> None:
-    """Oracle: as above; the number of threads may change on the way."""
+    """Oracle: as above, with another number of threads after the resume."""
     whole = Trainer(replace(CONFIG, threads=1), photos)
     for _ in range(15):
         whole.step()

@@ -74,8 +74,8 @@ def test_a_report_knows_when_and_how_and_at_which_sizes(capture: Path, tmp_path:
 def test_a_run_takes_as_many_steps_as_its_photos_are_good_for(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the product of photos and steps a photo; the files say what was taken, so that a
-    resume finds nothing left to do, more steps can be asked for, and none are taken back."""
+    """Oracle: the product of photos and steps per photo; the files record it, so that a resume has
+    no steps left, more steps can be requested, and none are undone."""
     monkeypatch.setattr(caps, "_FEWEST_STEPS", 10)
     config, data, out = replace(CONFIG, steps_a_photo=2), data_of(capture), tmp_path / "run"
     events: list[Event] = []
@@ -95,8 +95,8 @@ def test_a_run_takes_as_many_steps_as_its_photos_are_good_for(
 
 
 def test_decisions_are_one_list_everywhere(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the list of the first event, in the order of the topics: the terminal, metrics.json
-    and the checkpoint have its texts, and so has the event of the resumed run."""
+    """Oracle: the list of the first event, in the order of the topics; the same texts in the
+    terminal, metrics.json, the checkpoint and the event of the resumed run."""
     config = replace(CONFIG, iterations=4, splats_a_photo=1, max_splats=10**6)
     config = replace(config, exposure=Switch.AUTO, refine_poses=Switch.AUTO, stereo=Stereo.AUTO)
     data, out, events = data_of(capture), tmp_path / "run", list[Event]()
@@ -130,7 +130,7 @@ def test_a_run_tells_everything_in_order_and_leaves_all_files(
     events: list[Event] = []
     result = train(config, data_of(capture), tmp_path, events.append)
     kinds = [type(e) for e in events]
-    # A machine that is busy has time to tell that it reads photos.
+    # A busy machine is slow enough to report that it reads photos.
     early = events[: kinds.index(Started)]
     assert all(e.step == 0 for e in early if isinstance(e, Progress))
     assert Progress in kinds[kinds.index(Started) :]
@@ -186,7 +186,7 @@ def test_without_held_out_views_training_views_are_measured(capture: Path, tmp_p
 
 
 def test_a_run_in_two_parts_gives_the_same_file(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the bytes of point_cloud.ply of a run that was not stopped."""
+    """Oracle: the bytes of point_cloud.ply of an uninterrupted run."""
     train(CONFIG, data_of(capture), tmp_path / "whole")
     control, seen = Control(), []
 
@@ -222,7 +222,7 @@ def test_a_run_in_two_parts_gives_the_same_file(capture: Path, tmp_path: Path) -
 def test_a_run_killed_before_its_report_writes_it_later(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the files. A process may end at any of them; without its last one, metrics.json, a
+    """Oracle: the files. A process may end after any of them; without the last one, metrics.json, a
     run has not ended."""
 
     class Killed(BaseException):
@@ -243,7 +243,7 @@ def test_a_run_killed_before_its_report_writes_it_later(
 
 
 def test_start_checkpoint_goes_on_in_another_folder(capture: Path, tmp_path: Path) -> None:
-    """Oracle: longer by 10 steps; the first folder is as before."""
+    """Oracle: 10 more steps; the first folder is unchanged."""
     train(CONFIG, data_of(capture), tmp_path / "a")
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "a").rglob("*")}
     result = train(
@@ -320,7 +320,7 @@ def test_stop_before_the_first_step_leaves_nothing(capture: Path, tmp_path: Path
 
 
 def test_bad_input_leaves_the_other_run_alone(capture: Path, tmp_path: Path) -> None:
-    """Oracle: every file of the run that is there, after each kind of failure."""
+    """Oracle: every file of the existing run, after each kind of failure."""
     train(CONFIG, data_of(capture), tmp_path)
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     nowhere = DataConfig(source=capture / "nothing")
@@ -345,7 +345,7 @@ def test_bad_input_leaves_the_other_run_alone(capture: Path, tmp_path: Path) -> 
 def test_too_little_memory_is_told_before_the_start(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: 2 GB free do not hold 10 million splats; the number that is offered fits."""
+    """Oracle: 10 million splats, too many for 2 GB; the proposed number fits."""
     monkeypatch.setattr(memory, "available_memory_bytes", lambda: 2_000_000_000)
     config = replace(CONFIG, max_splats=10_000_000, sh_degree=3)
     with pytest.raises(GsError, match=r"use --max-splats (\d+)") as error:
@@ -361,7 +361,7 @@ def test_too_little_memory_is_told_before_the_start(
 def test_running_out_of_memory_is_one_sentence(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: an allocation of torch that fails for real, in the fifth step."""
+    """Oracle: a real failure of a torch allocation in the fifth step."""
     real = Trainer.step
 
     def step(self: Trainer) -> Any:
@@ -377,7 +377,7 @@ def test_running_out_of_memory_is_one_sentence(
 def test_a_capture_far_from_its_origin_is_trained_and_warned_about(
     make_photos: Callable[..., Any],
 ) -> None:
-    """Oracle: the first pictures are those of the same capture at the origin."""
+    """Oracle: the first pictures of the same capture at the origin."""
     near, far = make_photos(), make_photos()
     cameras, cloud = far.scene.cameras, far.scene.points
     offset = np.array([1e6, -2e6, 3e6])

@@ -1,4 +1,4 @@
-"""Frames trained one after another; oracle: the files they leave and the events they tell."""
+"""Frames trained one after another; oracle: their files and events."""
 
 import argparse
 import json
@@ -68,7 +68,7 @@ def test_each_frame_starts_from_the_one_before(frames: Path, tmp_path: Path) -> 
     for frame in result.frames:
         assert (frame.folder / "report.html").is_file()
         assert not list(frame.folder.glob("checkpoints/*")), "complete frames need none"
-    # The photos are the same in all frames, so in one world the splats go on where they were.
+    # The photos are the same in all frames, so in one world the training simply continues.
     psnr = [frame.metrics["psnr"] for frame in result.frames]
     assert psnr[2] > psnr[0] > 8
     assert isinstance(events[-1], SequenceDone)
@@ -108,7 +108,7 @@ def test_without_warm_start_and_rig_frames_know_nothing_of_each_other(
 
 
 def test_an_interrupted_sequence_goes_on(frames: Path, tmp_path: Path) -> None:
-    """Oracle: the bits of the sequence that was not interrupted; complete frames are untouched."""
+    """Oracle: the bits of the uninterrupted sequence; unchanged complete frames."""
     data = DataConfig(source=frames)
     options = SequenceOptions(next_iterations=12)
     whole, cut = tmp_path / "whole", tmp_path / "cut"
@@ -140,7 +140,7 @@ def test_an_interrupted_sequence_goes_on(frames: Path, tmp_path: Path) -> None:
 def test_a_frame_stopped_before_its_evaluation_is_not_complete(
     frames: Path, tmp_path: Path
 ) -> None:
-    """Oracle: the frames and the figures of a sequence that was not stopped."""
+    """Oracle: the frames and figures of an uninterrupted sequence."""
     data, control = DataConfig(source=frames), Control()
     options = SequenceOptions(next_iterations=12, frames="0:5")
     whole = train_sequence(CONFIG, data, tmp_path / "whole", options=options)
@@ -166,7 +166,7 @@ def test_stopping_before_the_first_step_leaves_nothing(frames: Path, tmp_path: P
 
 
 def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: JSON at the end, events of every line, options kept for --resume."""
+    """Oracle: JSON at the end, an event on every line, options kept for --resume."""
     out = tmp_path / "out"
     base = ["sequence", str(frames), "-o", str(out), "--sh-degree", "0", "--max-splats", "200"]
     base += ["--iterations", "20", "--next-iterations", "5", "--eval", "--frames", "0:5:5"]
@@ -223,12 +223,12 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
 def test_bad_input_is_one_sentence_and_leaves_nothing(
     frames: Path, refused: Callable[..., None], arguments: list[str], message: str
 ) -> None:
-    """Oracle: code 2, one line that says what is wrong, no output folder."""
+    """Oracle: code 2, one line with the error, no output folder."""
     refused("sequence", arguments, message, video=frames)
 
 
 def test_a_broken_frame_is_named_and_the_others_stay(frames: Path, tmp_path: Path) -> None:
-    """Oracle: the frames before it, complete, and a resumption once it is mended."""
+    """Oracle: the complete frames before it, and a resume after the repair."""
     data, out = DataConfig(source=frames), tmp_path / "out"
     points = frames / "000005/sparse/0/images.bin"
     good = points.read_bytes()
@@ -246,7 +246,7 @@ def test_a_broken_frame_is_named_and_the_others_stay(frames: Path, tmp_path: Pat
 
 
 def test_moving_cameras_are_refused_as_a_rig(frames: Path, tmp_path: Path) -> None:
-    """Oracle: a frame whose cameras have been mixed up."""
+    """Oracle: a frame with exchanged cameras."""
     folder = frames / "000005"
     model = read_model(folder)
     names = [image.name for image in model.images]
@@ -258,7 +258,7 @@ def test_moving_cameras_are_refused_as_a_rig(frames: Path, tmp_path: Path) -> No
 
 
 def test_frames_are_found_by_pattern(frames: Path, capture: Path, tmp_path: Path) -> None:
-    """Oracle: the folders that were made; one model for all frames where photos alone change."""
+    """Oracle: the new folders; one model for all frames where photos alone change."""
     found = find_frames(DataConfig(source=Path(f"{frames}/{{frame:06d}}")))
     assert [frame.number for frame in found] == [0, 5, 10]
     assert found[1].data.source == frames / "000005"
@@ -301,7 +301,7 @@ def test_frames_are_chosen() -> None:
         ":5, 21": [0, 5, 21],
         "10": [10],
         "0::10": [0, 10, 20],
-        "5:999999999999999999:5": [5, 10, 15, 20],  # in no time, whatever lies between
+        "5:999999999999999999:5": [5, 10, 15, 20],  # immediately, for any frames between
     }
     for wanted, numbers in cases.items():
         assert [frame.number for frame in choose_frames(frames, wanted)] == numbers, wanted
@@ -320,7 +320,7 @@ def test_flags_have_the_defaults_of_the_options() -> None:
 
 
 def test_overwriting_a_sequence_spares_what_is_not_of_it(frames: Path, tmp_path: Path) -> None:
-    """Oracle: a user's files beside the frames and in one, and a frame that gscore did not make."""
+    """Oracle: a user's files next to the frames and in one, and a frame not made by gscore."""
     out = tmp_path / "out"
     options = SequenceOptions(frames="0,5", next_iterations=2)
     config, data = replace(CONFIG, iterations=3), DataConfig(source=frames)
@@ -352,7 +352,7 @@ def test_a_sequence_takes_no_place_of_a_run_or_the_capture(frames: Path, tmp_pat
 def test_frames_with_masks_are_judged_inside_them(
     frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: psnr_masked of the frame's own metrics.json, in the list, the mean and the words."""
+    """Oracle: psnr_masked of the frame's own metrics.json, in the list, the mean and the text."""
     capture = frames / "000000"
     (capture / "masks").mkdir()
     for photo in sorted((capture / "images").iterdir()):
@@ -370,7 +370,7 @@ def test_frames_with_masks_are_judged_inside_them(
 
 
 def test_each_frame_is_guided_by_its_own_mesh(frames: Path, tmp_path: Path) -> None:
-    """Oracle: the files that the frames' own words name; the pattern stays for those who go on."""
+    """Oracle: the files named in the frames' own texts; the pattern is kept for a resume."""
     out = tmp_path / "out"
     square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
     for place, number in enumerate((0, 5, 10)):
@@ -406,7 +406,7 @@ def test_each_frame_is_guided_by_its_own_mesh(frames: Path, tmp_path: Path) -> N
 
 
 def test_only_frames_left_to_train_need_their_meshes(frames: Path, tmp_path: Path) -> None:
-    """Oracle: what is trained while the meshes of complete frames and of others' runs are gone."""
+    """Oracle: the remaining frames, without the meshes of complete frames and of other runs."""
     square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
     walls = {number: tmp_path / f"wall-{number:03d}.ply" for number in (0, 5, 10)}
 

@@ -1,4 +1,4 @@
-"""The training step; oracle: a capture whose splats are known, and bit equality."""
+"""The training step; oracle: a capture of known splats, and bit equality."""
 
 import math
 from collections.abc import Callable
@@ -33,9 +33,9 @@ def psnr(trainer: Trainer, index: int) -> float:
 def test_overfit(
     make_photos: Callable[..., Any], strategy: Strategy, trained: float, held_out: float
 ) -> None:
-    """Oracle: the pictures were rendered from splats, so they can be matched, held-out ones too.
+    """Oracle: pictures rendered from splats, which can therefore be matched, held-out ones too.
 
-    Six views of 48 px say little about the two others, whose mean is 17 to 21 dB over seeds with
+    Six views of 48 px constrain the two others little: their mean is 17 to 21 dB over seeds with
     the default strategy; a blank picture has less than 12. With mcmc the worst of the six is 38 to
     43 dB over seeds.
     """
@@ -83,7 +83,7 @@ def test_same_bits_for_any_number_of_threads(photos: Any, strategy: Strategy) ->
 
 
 def test_another_seed_gives_another_result(photos: Any) -> None:
-    """Oracle: the order of the views differs, so the positions do."""
+    """Oracle: another order of the views, hence other positions."""
     results = []
     for seed in (0, 1):
         trainer = Trainer(replace(SHORT, seed=seed), photos)
@@ -94,7 +94,7 @@ def test_another_seed_gives_another_result(photos: Any) -> None:
 
 
 def test_each_view_comes_once_an_epoch(photos: Any) -> None:
-    """Oracle: the set of views, for each epoch, and orders that differ."""
+    """Oracle: the set of views for each epoch, in different orders."""
     trainer = Trainer(SHORT, photos)
     epochs = [[trainer.sampler.next(trainer.generator) for _ in range(8)] for _ in range(5)]
     assert all(sorted(epoch) == list(range(8)) for epoch in epochs)
@@ -102,7 +102,7 @@ def test_each_view_comes_once_an_epoch(photos: Any) -> None:
 
 
 def test_splats_come_back_in_the_world_of_the_capture(make_photos: Callable[..., Any]) -> None:
-    """Oracle: before the first step the means are the points."""
+    """Oracle: the points, which are the means before the first step."""
     photos = make_photos()
     trainer = Trainer(SHORT, photos)
     splats = trainer.splats()
@@ -113,7 +113,7 @@ def test_splats_come_back_in_the_world_of_the_capture(make_photos: Callable[...,
 def test_a_model_is_told_in_parts_and_as_a_whole_alike(
     photos: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: `splats` before the end; steps after looking are those of one that did not look."""
+    """Oracle: `splats` before the end; the steps of a training that did not read them."""
     monkeypatch.setattr("gscore.trainer.trainer._ROWS_A_PART", 40)
     ours, theirs = Trainer(CONFIG, photos), Trainer(CONFIG, photos)
     for step in range(50):
@@ -141,7 +141,7 @@ def test_a_model_is_told_in_parts_and_as_a_whole_alike(
 def test_the_background_is_behind_the_splats(
     photos: Any, background: Background, expected: float
 ) -> None:
-    """Oracle: a model of one tiny transparent splat shows the background and nothing else."""
+    """Oracle: the background colour alone, for a model of one tiny transparent splat."""
     trainer = Trainer(replace(SHORT, background=background), photos)
     trainer.model.params["opacities"].data.fill_(-20)
     shown = trainer.renderer.picture(0, background=trainer.renderer.background)
@@ -151,7 +151,7 @@ def test_the_background_is_behind_the_splats(
 def test_masks_of_opacity_are_learnt_over_changing_backgrounds(
     make_photos: Callable[..., Any],
 ) -> None:
-    """Oracle: where the mask is 0 nothing may remain, so black and white agree."""
+    """Oracle: equal pictures on black and white where the mask is 0."""
     photos = make_photos()
     photos.mask_mode = "composite"
     photos.masks = [np.zeros((48, 48), np.uint8) for _ in photos.images]
@@ -170,7 +170,7 @@ def test_masks_of_opacity_are_learnt_over_changing_backgrounds(
 
 
 def test_pictures_show_rows_that_wait_as_they_will_be(make_photos: Callable[..., Any]) -> None:
-    """Oracle: `render` of the splats that are told; of those rows as they are, it is another."""
+    """Oracle: `render` of the returned splats; another picture of the rows before a sync."""
     photos = make_photos()
     cameras = photos.scene.cameras
     cameras.Ks[:, :2, :2] *= 4  # no view shows all, so that rows wait
@@ -194,7 +194,7 @@ def test_pictures_show_rows_that_wait_as_they_will_be(make_photos: Callable[...,
 
 
 def test_ignored_pixels_do_not_teach(make_photos: Callable[..., Any]) -> None:
-    """Oracle: what stands in masked-out pixels of the photos changes no bit."""
+    """Oracle: equal bits for any content of masked-out pixels."""
     results = []
     for garbage in (0, 255):
         photos = make_photos()
@@ -211,7 +211,7 @@ def test_ignored_pixels_do_not_teach(make_photos: Callable[..., Any]) -> None:
 
 
 def test_a_splat_that_is_not_finite_does_no_harm(photos: Any) -> None:
-    """Oracle: the others stay finite, and it is gone after the next refinement."""
+    """Oracle: finite other splats, and its removal by the next refinement."""
     trainer = Trainer(SHORT, photos)
     trainer.model.params["opacities"].data[3] = math.nan
     trainer.model.params["means"].data[5] = math.inf
@@ -228,7 +228,7 @@ def test_a_splat_that_is_not_finite_does_no_harm(photos: Any) -> None:
 def test_bad_gradients_are_left_out_and_counted(
     photos: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: row 4 keeps its values although its gradient is NaN; the others move."""
+    """Oracle: the unchanged row 4, whose gradient is NaN; the others move."""
     trainer = Trainer(SHORT, photos)
     real = TrainingRasterizer.gradients
 
@@ -260,7 +260,7 @@ def broken_loss(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("broken_loss")
 def test_a_loss_that_is_not_finite_teaches_nothing_and_ends_in_an_error(photos: Any) -> None:
-    """Oracle: no bit of the parameters changes; the error comes at the hundredth step."""
+    """Oracle: equal bits of the parameters; an error at the hundredth step."""
     trainer = Trainer(replace(SHORT, sh_degree=0), photos)
     before = {k: v for k, v in all_bits(trainer).items() if k != "generator"}
     for _ in range(99):
@@ -279,14 +279,14 @@ def test_detect_anomaly_stops_at_once_and_says_where(photos: Any) -> None:
 
 
 def test_no_view_to_train_on_is_an_error(make_photos: Callable[..., Any]) -> None:
-    """Oracle: the message says what to do."""
+    """Oracle: a message with a remedy."""
     photos = make_photos(held_out=tuple(range(8)))
     with pytest.raises(DatasetError, match="hold out fewer"):
         Trainer(SHORT, photos)
 
 
 def test_splats_grow_with_the_photos_shown(photos: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the plan's caps at the sizes of the photos; a run that becomes longer keeps both."""
+    """Oracle: the plan's caps at the sizes of the photos; an extended run keeps both."""
     config = TrainConfig(
         iterations=80,
         max_splats=300,

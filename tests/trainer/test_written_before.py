@@ -25,9 +25,9 @@ WANTED = (
     replace(
         TRAIN,
         steps_a_photo=0,  # the preset had neither this limit
-        stereo=Stereo.MISSING,  # nor points of stereo beside those of a capture
+        stereo=Stereo.MISSING,  # nor stereo points in addition to those of a capture
         opaque_weight=0.0,  # nor this weight
-        drop_rate=0.0,  # and left no splats out
+        drop_rate=0.0,  # and had no dropout
         drop_below=0.0,
         ensemble=1,  # of one model
         ensemble_below=0.0,
@@ -55,7 +55,7 @@ def test_a_checkpoint_opens() -> None:
 
 
 def test_a_training_goes_on_from_them(capture: Path, tmp_path: Path) -> None:
-    """Oracle: a run with the same options begun today, to rounding of another machine."""
+    """Oracle: a run with the same options begun today, up to rounding of another machine."""
     options = ["--config", str(BEFORE / "config.json"), "--quiet"]
     old, new = tmp_path / "old", tmp_path / "new"
     start = ["--start-checkpoint", str(BEFORE / "step_00000004.safetensors"), "--iterations", "8"]

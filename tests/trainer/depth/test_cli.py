@@ -26,7 +26,7 @@ SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
 def test_depth_reaches_metrics_and_report(
     deep: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: eight maps with the scale that was written; pictures and rows in the report."""
+    """Oracle: eight maps written with a known scale; pictures and rows in the report."""
     out = tmp_path / "o"
     base = ["train", str(deep), "-o", str(out), *SHORT, "--test-every", "4", "--json"]
     assert main([*base, "-d", "depths", "--depth-align", "official"]) == 0
@@ -44,7 +44,7 @@ def test_depth_reaches_metrics_and_report(
     assert [row["split"] for row in depth["views"]].count("test") == 2
     assert all(row["accepted"] and row["scale"] == DEEP_UNIT for row in depth["views"])
     measured = [row["depth_error"] for row in depth["views"] if row["depth_error"] is not None]
-    assert len(measured) >= 4  # balls of 48 px are edges all over, which are not trusted
+    assert len(measured) >= 4  # balls of 48 px are all edges, which are not trusted
     assert depth["depth_error"] == pytest.approx(np.mean(measured))
     report = (out / "report.html").read_text()
     section = report[report.index('<section id="depth">') :]
@@ -78,7 +78,7 @@ def test_refused_maps_are_told_with_the_reason(deep: Path, tmp_path: Path) -> No
 
 
 def test_maps_add_points_where_they_supervise(deep: Path) -> None:
-    """Oracle: the points of SfM, which all stay, and the number in the sentence."""
+    """Oracle: the SfM points, which all stay, and the number in the sentence."""
     data = DataConfig(source=deep, depths="depths", depth_align="official")
     photos = load_dataset(data)
     known = photos.scene.points.points[::40]
@@ -106,7 +106,7 @@ def test_maps_add_points_where_they_supervise(deep: Path) -> None:
 
 @pytest.mark.parametrize("align", ["robust", "none"])
 def test_maps_that_say_nothing_do_not_supervise(deep: Path, tmp_path: Path, align: str) -> None:
-    """Oracle: maps without a number, one of which is then a true one."""
+    """Oracle: maps without a finite value; then one true map among them."""
     root = tmp_path / "capture"
     shutil.copytree(deep, root)
     blank = root / "blank"
@@ -129,7 +129,7 @@ def test_maps_that_say_nothing_do_not_supervise(deep: Path, tmp_path: Path, alig
 
 
 def test_points_wanted_and_splats_given(deep: Path) -> None:
-    """Oracle: who asks for points and starts from splats is told that there will be none."""
+    """Oracle: the message that no points will be added, for a run that starts from splats."""
     data = DataConfig(source=deep, depths="depths", depth_align="official")
     photos = load_dataset(data)
     splats = TrainConfig(start_splats=deep / "some.ply")
@@ -151,7 +151,7 @@ def test_weights_that_fall_are_told(deep: Path) -> None:
 
 
 def test_maps_are_in_the_memory_that_is_told(deep: Path, tmp_path: Path) -> None:
-    """Oracle: 11 bytes a pixel of eight maps of 48 x 48 px more than without."""
+    """Oracle: 11 bytes a pixel of eight maps of 48 x 48 px, on top of a run without them."""
     config = TrainConfig(iterations=2, max_splats=200, sh_degree=0)
     peaks = []
     for depths in ("", "depths"):
@@ -163,7 +163,7 @@ def test_maps_are_in_the_memory_that_is_told(deep: Path, tmp_path: Path) -> None
 
 
 def test_off_reads_maps_but_trains_without(deep: Path, tmp_path: Path) -> None:
-    """Oracle: the same splats, byte by byte, as without maps; the report says why."""
+    """Oracle: the bytes of the splats of a run without maps; the reason in the report."""
     arguments = ["train", str(deep), *SHORT, "--quiet"]
     assert main([*arguments, "-o", str(tmp_path / "a")]) == 0
     off = ["-d", "depths", "--depth-align", "official", "--depth-mode", "off"]
@@ -177,7 +177,7 @@ def test_off_reads_maps_but_trains_without(deep: Path, tmp_path: Path) -> None:
 
 
 def test_maps_that_are_not_wanted_are_no_warning(deep: Path, tmp_path: Path) -> None:
-    """Oracle: the option; what was decided stands among what a training says first."""
+    """Oracle: the option; the decision among the first messages of a training."""
     events: list[Event] = []
     config = TrainConfig(iterations=2, max_splats=200, sh_degree=0, depth_mode=Switch.OFF)
     data = DataConfig(source=deep, depths="depths", depth_align="official")
@@ -204,7 +204,7 @@ def test_bad_options_are_one_sentence_and_leave_nothing(
     options: list[str],
     words: str,
 ) -> None:
-    """Oracle: exit code, message and an output folder that was not made."""
+    """Oracle: the exit code, the message and no output folder."""
     out = tmp_path / "o"
     assert main(["train", str(deep), "-o", str(out), *SHORT, *options]) != 0
     assert words in capsys.readouterr().err
@@ -214,7 +214,7 @@ def test_bad_options_are_one_sentence_and_leave_nothing(
 def test_a_run_with_depth_resumes(
     deep: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the splats of a run that was never interrupted; another map is refused."""
+    """Oracle: the splats of an uninterrupted run; a refusal of other maps."""
     depth = ["-d", "depths", "--depth-align", "official"]
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     short = ["train", str(deep), "--max-splats", "200", "--sh-degree", "0", "--quiet", *depth]

@@ -19,7 +19,7 @@ UNIT = 0.4
 
 
 def scene(seed: int = 3, count: int = 9) -> dict[str, torch.Tensor]:
-    """Raw splats 1.5 to 4 in front of a camera at the origin, float64 exact in float32."""
+    """Raw splats at depths 1.5 to 4 of a camera at the origin; float64 values exact in float32."""
     rng = torch.Generator().manual_seed(seed)
 
     def rand(*shape: int) -> torch.Tensor:
@@ -44,7 +44,7 @@ def camera() -> dict[str, torch.Tensor]:
 
 
 def drawn(values: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Inverse depth and opacity, as the reference draws them."""
+    """Inverse depth and opacity, as rendered by the reference."""
     view = {name: t.double() for name, t in camera().items()}
     out = rasterize_reference(
         **values, **view, width=SIZE[0], height=SIZE[1], raw=True, inverse_depth=True
@@ -54,7 +54,7 @@ def drawn(values: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def target_for(picture: torch.Tensor, *, aligned: bool) -> DepthTarget:
-    """A prior that differs from the picture by 0.1 to 0.5 everywhere, so that no kink is near."""
+    """A prior that differs from the picture by 0.1 to 0.5 everywhere, away from any kink."""
     rng = torch.Generator().manual_seed(8)
     sign = torch.where(torch.rand(picture.shape, generator=rng) < 0.5, -1.0, 1.0)
     offset = sign * (0.1 + 0.4 * torch.rand(picture.shape, generator=rng))
@@ -80,8 +80,8 @@ def test_l1_is_its_formula() -> None:
 
 @pytest.mark.parametrize("opacity", [0.2, 0.4, 0.7])
 def test_haze_is_no_surface(opacity: float) -> None:
-    """Oracle: by hand. Haze of opacity a at a times the depth has the surface's inverse depth; it
-    costs half of what is missing of its opacity, and a surface at the right depth nothing."""
+    """Oracle: by hand. Haze of opacity a at a times the depth has the inverse depth of the surface;
+    it costs half of its missing opacity, and a surface at the right depth costs zero."""
     prior = torch.full((3, 3), 0.8).half()
     sure = torch.full((3, 3), 255).to(torch.uint8)
     target = DepthTarget(prior, sure, True)
@@ -93,7 +93,7 @@ def test_haze_is_no_surface(opacity: float) -> None:
 
 
 def test_near_surfaces_count_relatively() -> None:
-    """Oracle: by hand. 10 % off at four times the median costs what it costs at the median."""
+    """Oracle: by hand. An error of 10 % at four times the median costs as much as at the median."""
     costs = []
     for inverse in (1.0, 4.0):
         target = DepthTarget(
@@ -118,7 +118,7 @@ def test_pearson_is_one_minus_the_weighted_correlation() -> None:
 
 
 def test_pearson_knows_no_scale_and_no_offset() -> None:
-    """Oracle: any a > 0 and b in prior = a picture + b is a perfect match, a < 0 the worst."""
+    """Oracle: a perfect match for any a > 0 and b in prior = a picture + b, the worst for a < 0."""
     image = torch.from_numpy(np.random.default_rng(2).uniform(0.5, 1.5, (30, 30)))
     sure = torch.full((30, 30), 255, dtype=torch.uint8)
     for a, b, expected in ((0.6, 0.1, 0.0), (1.0, -0.4, 0.0), (-0.6, 1.0, 2.0)):
@@ -128,7 +128,7 @@ def test_pearson_knows_no_scale_and_no_offset() -> None:
 
 @pytest.mark.parametrize("aligned", [True, False])
 def test_gradients_through_the_reference_are_finite_differences(aligned: bool) -> None:
-    """Oracle: central differences in float64 of the loss of what the reference draws."""
+    """Oracle: central differences in float64 of the loss of the reference's picture."""
     values = scene()
     target = target_for(drawn(values)[0], aligned=aligned)
 
@@ -156,7 +156,7 @@ def test_gradients_through_the_reference_are_finite_differences(aligned: bool) -
 
 @pytest.mark.parametrize("aligned", [True, False])
 def test_native_gradients_are_the_references(aligned: bool) -> None:
-    """Oracle: the float64 reference, through the same loss; float32 leaves five digits."""
+    """Oracle: the float64 reference through the same loss, to the five digits of float32."""
     values = scene()
     target = target_for(drawn(values)[0], aligned=aligned)
     gradients = []
@@ -187,7 +187,7 @@ def test_native_gradients_are_the_references(aligned: bool) -> None:
 
 
 def test_weights_fall_log_linearly_after_a_warmup() -> None:
-    """Oracle: first and last weight, their geometric mean halfway, and half of a warm-up."""
+    """Oracle: the first and last weight, their geometric mean halfway, and half in a warm-up."""
     config = TrainConfig(
         iterations=1000, depth_weight=1.0, depth_weight_final=0.01, depth_warmup=0.1
     )
@@ -215,7 +215,7 @@ def test_weights_fall_log_linearly_after_a_warmup() -> None:
 def test_weights_fall_with_the_number_of_views(
     given: tuple[float, float], views: float, expected: tuple[float, float]
 ) -> None:
-    """Oracle: 6 / views, at most 1, where the options leave them open."""
+    """Oracle: 6 / views, at most 1, where the options set no weight."""
     first, last = given
     found = with_weights(TrainConfig(depth_weight=first, depth_weight_final=last), views)
     assert (found.depth_weight, found.depth_weight_final) == pytest.approx(expected)
@@ -230,7 +230,7 @@ class Prior:
 
 
 def test_views_without_a_usable_prior_need_no_inverse_depth() -> None:
-    """Oracle: a weight of zero, which is what the trainer asks for first."""
+    """Oracle: a weight of zero, which the trainer checks first."""
     targets = DepthTargets(
         [Prior(0.5, aligned=True), None, Prior(9.0, aligned=False)], train=[0, 1, 2], views=6
     )
@@ -244,7 +244,7 @@ def test_views_without_a_usable_prior_need_no_inverse_depth() -> None:
 
 
 def test_lengths_of_the_training_world_are_undone() -> None:
-    """Oracle: where lengths shrink to a quarter, inverse depths grow fourfold."""
+    """Oracle: inverse depths four times as large where lengths shrink to a quarter."""
     prior = Prior(0.5, aligned=True)
     targets = DepthTargets([prior], train=[0], views=6)
     loss = DepthLoss(TrainConfig(), targets, scale=0.25)
@@ -255,7 +255,7 @@ def test_lengths_of_the_training_world_are_undone() -> None:
 
 
 def test_gradients_that_there_are_not_are_refused() -> None:
-    """Oracle: errors for a second derivative beside another term's, and for a second pass."""
+    """Oracle: the errors for a second derivative next to another term's, and for a second pass."""
     rng = np.random.default_rng(1)
     prior = torch.from_numpy(rng.random((4, 5)).astype(np.float16))
     target = DepthTarget(prior, torch.full((4, 5), 255, dtype=torch.uint8), True)

@@ -1,4 +1,4 @@
-"""Points from depth maps; oracle: a sphere before the toy cameras, known at every pixel."""
+"""Points from depth maps; oracle: a sphere in front of the toy cameras, known at every pixel."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +14,7 @@ RADIUS = 0.8
 
 
 def sphere(cameras: Any, index: int, radius: float = RADIUS) -> DepthPrior:
-    """Inverse depth of a sphere around the origin as camera `index` sees it."""
+    """Inverse depth of a sphere around the origin in camera `index`."""
     K, viewmat = cameras.Ks[index], cameras.viewmats[index]
     x = np.arange(cameras.widths[index]) + 0.5
     y = np.arange(cameras.heights[index]) + 0.5
@@ -47,12 +47,12 @@ def priors_of(photos: Any) -> list[DepthPrior | None]:
 
 
 def test_points_lie_on_the_surface(photos: Any) -> None:
-    """Oracle: the distance to the origin; colours are the photo's own."""
+    """Oracle: the distance to the origin; the colours of the photo."""
     found = depth_points(photos, priors_of(photos), count=500, seed=0)
     assert 200 <= len(found) <= 500
     assert np.abs(np.linalg.norm(found.points, axis=1) - RADIUS).max() < 1e-3
     view = photos.scene.cameras.viewmats[0]
-    # All around, not from one view alone.
+    # From all sides, not from one view alone.
     z = found.points @ view[2, :3] + view[2, 3]
     assert z.min() < np.linalg.norm(view[:3, 3]) < z.max()
     colors = np.concatenate([photos.image(i).reshape(-1, 3) for i in photos.train])
@@ -60,7 +60,7 @@ def test_points_lie_on_the_surface(photos: Any) -> None:
 
 
 def test_nothing_is_added_where_sfm_has_points(photos: Any) -> None:
-    """Oracle: a dense half sphere of SfM points; new ones stay on the other half."""
+    """Oracle: a dense half sphere of SfM points; new points stay on the other half."""
     normals = np.random.default_rng(0).normal(size=(20_000, 3))
     points = RADIUS * normals / np.linalg.norm(normals, axis=1, keepdims=True)
     half = points[points[:, 0] > 0]
@@ -72,7 +72,7 @@ def test_nothing_is_added_where_sfm_has_points(photos: Any) -> None:
 
 
 def test_what_no_other_view_confirms_stays_out(photos: Any) -> None:
-    """Oracle: one map of another sphere; none of its points pass, nor any of refused maps."""
+    """Oracle: one map of another sphere and refused maps, whose points are all rejected."""
     priors = priors_of(photos)
     priors[0] = sphere(photos.scene.cameras, 0, radius=0.4)
     found = depth_points(photos, priors, count=500, seed=0)
@@ -88,7 +88,7 @@ def test_what_no_other_view_confirms_stays_out(photos: Any) -> None:
 
 
 def test_held_out_views_do_not_help(photos: Any) -> None:
-    """Oracle: the same points whether the held-out view has a map or not."""
+    """Oracle: the same points with and without a map of the held-out view."""
     priors = priors_of(photos)
     whole = depth_points(photos, priors, count=300, seed=1)
     priors[3] = None

@@ -1,4 +1,4 @@
-"""Splats left out; opacity, by masks or everywhere; oracles: expectations, formulas, counts."""
+"""Dropout; opacity by masks or everywhere; oracles: expectations, formulas, counts."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +38,7 @@ from gscore.trainer.trainer import Trainer
 def test_where_splats_are_left_out(
     below: float, known: float | None, mask_mode: str, rate: float
 ) -> None:
-    """Oracle: the text of the option; the sentence comes with the condition."""
+    """Oracle: the text of the option; the sentence that comes with the condition."""
     config = TrainConfig(drop_rate=0.1, drop_below=below)
     found, words = drop_rate_of(config, known=known, mask_mode=mask_mode)
     assert found == rate
@@ -50,7 +50,7 @@ def test_where_splats_are_left_out(
 
 
 def test_which_presets_leave_splats_out() -> None:
-    """Oracle: those that ask stereo, without which the condition is never met."""
+    """Oracle: the presets with stereo, without which the condition is never met."""
     for name, make in PRESETS.items():
         config = make(Path())[1]
         longer = name in ("normal", "high")
@@ -65,7 +65,7 @@ def test_the_share_left_out_rises_evenly() -> None:
 
 
 def test_the_expected_opacity_stays() -> None:
-    """Oracle: the mean over many draws is the opacity itself; a share of `rate` is gone."""
+    """Oracle: the opacity itself as the mean over many draws; a share of `rate` is dropped."""
     logits = torch.full((200_000,), -0.5)
     out = torch.sigmoid(drop_splats(logits, 0.25, torch.Generator().manual_seed(1)))
     gone = out < 1e-9
@@ -74,7 +74,7 @@ def test_the_expected_opacity_stays() -> None:
 
 
 def test_gradients_are_those_of_the_scaled_opacity() -> None:
-    """Oracle: d o/(1-r) / d logit = o (1 - o) / (1 - r), at the ceiling too; none when gone."""
+    """Oracle: d o/(1-r) / d logit = o (1 - o) / (1 - r), at the ceiling too; none when dropped."""
     logits = torch.tensor([-2.0, 0.3, 4.0, 9.0], dtype=torch.float64).repeat(50).requires_grad_()
     out = drop_splats(logits, 0.2, torch.Generator().manual_seed(0))
     opacity = torch.sigmoid(out)
@@ -109,8 +109,8 @@ def test_what_passes_is_its_formula(masked: bool) -> None:
 
 
 def test_black_surfaces_are_no_holes(make_photos: Any) -> None:
-    """Oracle: as for masks that ask for opacity, but of photos without any, and where a mask says
-    that pixels do not count nothing is asked."""
+    """Oracle: as for opacity masks, but of photos without masks; no effect on pixels that a mask
+    ignores."""
     photos = make_photos()
     for i in range(len(photos.images)):
         photos.images[i] = np.zeros((48, 48, 3), np.uint8)
@@ -131,7 +131,7 @@ def test_black_surfaces_are_no_holes(make_photos: Any) -> None:
 
 
 def test_splats_left_out_are_not_drawn_and_do_not_change(photos: Any) -> None:
-    """Oracle: in the last step of a run about half of the splats have no gradient at all."""
+    """Oracle: no gradient at all for about half of the splats in the last step of a run."""
     config = TrainConfig(iterations=1, max_splats=400, drop_rate=0.5, coarse_factor=1)
     trainer = Trainer(config, photos)
     before = trainer.model.params["opacities"].detach().clone()
@@ -145,7 +145,7 @@ def test_splats_left_out_are_not_drawn_and_do_not_change(photos: Any) -> None:
 
 
 def test_masks_ask_for_opacity(make_photos: Any) -> None:
-    """Oracle: black photos on black say nothing about opacity, so only the masks can raise it."""
+    """Oracle: black photos on black, so that only the masks can raise opacity."""
     photos = make_photos()
     for i in range(len(photos.images)):
         photos.images[i] = np.zeros((48, 48, 3), np.uint8)

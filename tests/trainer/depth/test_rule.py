@@ -1,4 +1,4 @@
-"""When depth is used; oracles: cameras whose frames are known, and the sentences."""
+"""The rule that decides on depth; oracles: cameras with known frames, and the sentences."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,7 +19,8 @@ def cloud(points: np.ndarray) -> PointCloud:
 
 
 def test_coverage_counts_frames(make_photos: Callable[..., Any]) -> None:
-    """Oracle: the toy cameras all look at the origin; nothing sees what lies far behind them."""
+    """Oracle: the toy cameras, which all face the origin; no camera shows points far behind
+    them."""
     scene = make_photos().scene
     middle = replace(scene, points=cloud(np.zeros((10, 3)) + 0.01))
     assert coverage(middle, range(8)) == Coverage(views=8, views_of_point=8, points_in_view=10)
@@ -33,7 +34,7 @@ def test_coverage_counts_frames(make_photos: Callable[..., Any]) -> None:
 
 
 def test_a_sample_stands_for_many_points(make_photos: Callable[..., Any]) -> None:
-    """Oracle: the number of all points, which all lie in every frame."""
+    """Oracle: the number of all points, which are all in every frame."""
     scene = make_photos().scene
     rng = np.random.default_rng(0)
     many = replace(scene, points=cloud(rng.uniform(-0.1, 0.1, (20_000, 3))))
@@ -52,7 +53,7 @@ def test_a_sample_stands_for_many_points(make_photos: Callable[..., Any]) -> Non
     ],
 )
 def test_the_rule(mode: Switch, facts: Coverage, usable: int, used: bool, word: str) -> None:
-    """Oracle: the thresholds, on either side, and what the option says."""
+    """Oracle: both sides of each threshold, and the option."""
     found, sentence = decide(mode, facts, usable=usable)
     assert found is used
     assert word in sentence

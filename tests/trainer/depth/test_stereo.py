@@ -21,13 +21,13 @@ ON = TrainConfig(stereo=Stereo.AUTO, max_splats=4000)
 
 
 def start(folder: Path, config: TrainConfig = ON, known: PointCloud | None = None):
-    """What stereo adds to the points of a capture."""
+    """The points that stereo adds to a capture."""
     dataset = load_dataset(DataConfig(source=folder))
     return stereo_start(config, dataset, dataset.scene.points if known is None else known)
 
 
 def off_surfaces(points: np.ndarray) -> np.ndarray:
-    """How far each of [P, 3] is from the wall and the ball of the scene."""
+    """Distances of [P, 3] from the wall and the ball of the scene."""
     x, y, z = points.T
     return np.minimum(
         np.abs(6 - 0.1 * x - z), np.abs(np.hypot(np.hypot(x - 0.3, y), z - 4.6) - 0.8)
@@ -35,7 +35,7 @@ def off_surfaces(points: np.ndarray) -> np.ndarray:
 
 
 def test_points_are_added_and_none_is_lost(arc: Path) -> None:
-    """Oracle: the capture's points come first, a fifth of `max_splats` is added, on surfaces."""
+    """Oracle: the capture's points first, then a fifth of `max_splats`, on surfaces."""
     dataset = load_dataset(DataConfig(source=arc))
     found = start(arc)
     assert found.points is not None and 0 < found.added <= 800
@@ -48,7 +48,7 @@ def test_points_are_added_and_none_is_lost(arc: Path) -> None:
 
 
 def test_the_option_says_how_many(arc: Path) -> None:
-    """Oracle: the number that is asked for."""
+    """Oracle: the requested number."""
     found = start(arc, TrainConfig(stereo=Stereo.ON, stereo_points=300, max_splats=4000))
     assert 200 < found.added <= 300
 
@@ -63,7 +63,7 @@ def test_nothing_is_looked_for_where_nobody_asks(config: TrainConfig, arc: Path)
 
 
 def without_points(folder: Path) -> Path:
-    """A capture in `folder` of an arc of views, around whose subject their axes meet."""
+    """A capture in `folder` of an arc of views with axes that meet at the subject."""
     scene = Scene(80, 60)
     write_capture(folder, scene, [scene.viewmat(angle) for angle in ANGLES], points=0)
     return folder
@@ -71,7 +71,7 @@ def without_points(folder: Path) -> Path:
 
 @pytest.mark.parametrize("stereo", [Stereo.MISSING, Stereo.AUTO, Stereo.ON])
 def test_made_up_points_make_room(stereo: Stereo, tmp_path: Path) -> None:
-    """Oracle: the scene's surfaces; none of the random points is left, whatever room they take."""
+    """Oracle: the surfaces of the scene; no random point is left, although they fill the cap."""
     config = TrainConfig(stereo=stereo, max_splats=4000)
     found = start(without_points(tmp_path), config)
     assert found.points is not None and not found.points.made_up
@@ -89,7 +89,7 @@ def test_points_that_are_there_are_enough_where_only_missing_ones_are_asked_for(
 def test_what_photos_agree_on_by_chance_replaces_nothing(
     arc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: a share above that on which these photos agree; beside points it does no harm."""
+    """Oracle: a share above that on which these photos agree; no harm next to existing points."""
     monkeypatch.setattr("gscore.trainer.depth.stereo._CHANCE", 0.95)
     found = start(without_points(tmp_path), TrainConfig(max_splats=4000))
     assert found.points is None and found.known is not None and found.known > 0.1
@@ -98,13 +98,13 @@ def test_what_photos_agree_on_by_chance_replaces_nothing(
 
 
 def test_a_number_of_points_that_nobody_looks_for_is_told(arc: Path) -> None:
-    """Oracle: the text of the option: such points are looked for where the capture has none."""
+    """Oracle: the text of the option: such points are searched where the capture has none."""
     found = start(arc, TrainConfig(stereo_points=500, max_splats=4000))
     assert found.points is None and "--stereo on adds more" in found.why
 
 
 def test_random_points_stay_where_photos_agree_on_nothing(tmp_path: Path) -> None:
-    """Oracle: two photos, of which neither can be judged by two others."""
+    """Oracle: two photos, neither of which two others can confirm."""
     scene = Scene(80, 60)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES[:2]], points=0)
     found = start(tmp_path, TrainConfig(max_splats=4000))
@@ -112,7 +112,7 @@ def test_random_points_stay_where_photos_agree_on_nothing(tmp_path: Path) -> Non
 
 
 def test_it_says_why_it_adds_nothing(arc: Path, tmp_path: Path) -> None:
-    """Oracle: as many points as splats are allowed; two photos."""
+    """Oracle: as many points as the cap of splats; two photos."""
     many = PointCloud(points=np.zeros((4000, 3)), colors=np.zeros((4000, 3), np.uint8))
     full = start(arc, known=many)
     assert "leave no room" in full.why and full.known is None
@@ -133,7 +133,7 @@ def test_a_training_starts_from_them_and_goes_on_bit_equal(
     arc: Path,
     tmp_path: Path,
 ) -> None:
-    """Oracle: an uninterrupted run; and a run without stereo, which has fewer splats."""
+    """Oracle: an uninterrupted run; a run without stereo, which has fewer splats."""
     whole, halves, without = (tmp_path / name for name in ("whole", "halves", "without"))
     steps = ["--iterations", "40"]
     assert main(["train", str(arc), "-o", str(whole), *steps, *LINE]) == 0
@@ -154,8 +154,8 @@ def test_a_training_starts_from_them_and_goes_on_bit_equal(
 def test_splats_are_left_out_where_photos_agree_on_little(
     arc: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracles: runs with that share whatever the photos are, and with none; the sentence; a resume
-    finds the same."""
+    """Oracles: runs with that share for any photos, and with none; the sentence; the same after a
+    resume."""
 
     def run(name: str, *options: str) -> bytes:
         line = ["train", str(arc), "-o", str(tmp_path / name), *LINE[:-1], "--iterations", "30"]
@@ -178,8 +178,8 @@ def test_splats_are_left_out_where_photos_agree_on_little(
 
 
 def test_what_stereo_found_before_is_kept(tmp_path: Path) -> None:
-    """Oracle: an uninterrupted run, where photos agree on nothing and so no point is added; the
-    one that goes on does not look again, and says the same."""
+    """Oracle: an uninterrupted run with photos that agree on no point; the resumed run reports the
+    same without another search."""
     scene = Scene(80, 60)
     write_capture(tmp_path / "two", scene, [scene.viewmat(angle) for angle in ANGLES[:2]])
     line = ["train", str(tmp_path / "two"), *LINE[:2], "--stereo", "auto"]
@@ -202,7 +202,7 @@ def test_a_checkpoint_of_a_run_without_goes_on_without(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Oracle: photos are compared only where the steps before began so."""
+    """Oracle: a comparison of photos only where the earlier steps began so."""
     out = tmp_path / "out"
     line = ["train", str(arc), "-o", str(out), *LINE[:2], "--iterations", "10"]
     assert main([*line, "--stereo", "off", "--quiet"]) == 0
@@ -219,8 +219,8 @@ def test_the_sentence_reaches_the_user(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Oracle: how many were added; where none can be, why, as a warning where they were asked
-    for."""
+    """Oracle: the number of points added; where none can be, the reason, as a warning if
+    requested."""
     line = ["--iterations", "2", "--max-splats", "900", "--stereo", "auto"]
     assert main(["train", str(arc), "-o", str(tmp_path / "a"), *line]) == 0
     captured = capsys.readouterr()

@@ -29,7 +29,7 @@ def test_whole_factors_give_means_of_blocks() -> None:
 
 
 def test_any_factor_keeps_the_sum() -> None:
-    """Oracle: areas add up, so the mean over the picture stays."""
+    """Oracle: the mean over the picture, which area averaging keeps."""
     values = np.random.default_rng(1).normal(size=(48, 37))
     small = area_mean(values, 26, 34)
     assert small.shape == (34, 26)
@@ -51,13 +51,13 @@ def test_a_plane_stays_where_the_scaled_camera_sees_it() -> None:
     assert small is not None
     expected = inverse_depth(scale_intrinsics(K, old, new), new)
     found = small.inverse_depth.numpy() * target.unit
-    np.testing.assert_allclose(found, expected, rtol=2e-3)  # half floats: 2^-11 at each step
+    np.testing.assert_allclose(found, expected, rtol=2e-3)  # half floats: 2^-11 in each step
     assert target.at(0, *new) is small, "scaled once"
     assert target.at(0, *old) is not small
 
 
 def test_what_is_not_known_does_not_bleed_in() -> None:
-    """Oracle: by hand. Half of a block is unknown: the rest's value, half its confidence."""
+    """Oracle: by hand. A block with an unknown half: the value of the rest, half its confidence."""
     values = np.full((4, 4), 0.5)
     confidence = np.ones((4, 4))
     values[:, 1], confidence[:, 1] = 99.0, 0.0
@@ -96,7 +96,7 @@ def test_three_bytes_a_pixel() -> None:
 
 
 def test_the_hash_tells_maps_and_alignments_apart() -> None:
-    """Oracle: equality of hashes for equal input only."""
+    """Oracle: equal hashes for equal input only."""
 
     def hash_of(*views: Prior | None) -> str:
         return DepthTargets(views, train=range(len(views)), views=1).content_hash()

@@ -1,4 +1,4 @@
-"""Training with depth; oracles: known splats, bit equality, what the rasterizer is asked for."""
+"""Training with depth; oracles: known splats, bit equality, the rasterizer's arguments."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -68,7 +68,8 @@ def test_inverse_depth_is_that_of_the_world(photos: Any, known_splats: Any) -> N
 def test_true_splats_have_no_depth_loss(
     photos: Any, known_splats: Any, targets: DepthTargets
 ) -> None:
-    """Oracle: zero at the truth, in the training world and at a coarse size; not elsewhere."""
+    """Oracle: zero at the true splats, in the training world and at a coarse size; not
+    elsewhere."""
     trainer = Trainer(CONFIG, photos, start=known_splats, depth=targets)
     assert trainer.depth is not None
     for index in (0, 1):  # aligned and not
@@ -95,7 +96,7 @@ def test_true_splats_have_no_depth_loss(
 def test_depth_off_is_the_training_without_depth(
     photos: Any, targets: DepthTargets, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: bit equality, and that the rasterizer is never asked for inverse depth."""
+    """Oracle: bit equality, and no request for inverse depth to the rasterizer."""
     asked = []
     plain = TrainingRasterizer.draw
 
@@ -117,7 +118,7 @@ def test_depth_off_is_the_training_without_depth(
 def test_weights_scale_the_gradients_and_terms_add_up(
     masked: Any, known_splats: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the loss is linear in its weights, so gradients of the first picture are, too."""
+    """Oracle: gradients of the first picture linear in the weights, as the loss is."""
     given = []
     plain = TrainingRasterizer.gradients
 
@@ -139,7 +140,7 @@ def test_weights_scale_the_gradients_and_terms_add_up(
 
 
 def test_depth_makes_depth_better(make_photos: Callable[..., Any], known_splats: Any) -> None:
-    """Oracle: the true inverse depth; four views, and points that say nothing about the shape."""
+    """Oracle: the true inverse depth; four views, and points unrelated to the shape."""
     photos = make_photos(held_out=(1, 3, 5, 7))
     rng = np.random.default_rng(0)
     colors = photos.scene.points.colors
@@ -186,7 +187,7 @@ def test_resume_with_everything_on_is_bit_equal(
 def test_other_depths_cannot_go_on(
     photos: Any, known_splats: Any, targets: DepthTargets, tmp_path: Path
 ) -> None:
-    """Oracle: the message; the maps are the same for the same loss, other, or missing."""
+    """Oracle: the message, for the same maps with the same loss, other maps and missing maps."""
     path = tmp_path / "c.safetensors"
     checkpoint.save(path, run(Trainer(CONFIG, photos, depth=targets), 2), {})
     found = checkpoint.load(path)

@@ -1,4 +1,4 @@
-"""Run by two ranks: one of them cannot have its photo; both end with what a checkpoint needs."""
+"""Run by two ranks: one photo is missing; both end with the data that a checkpoint needs."""
 
 import sys
 from typing import NoReturn
@@ -15,12 +15,12 @@ CONFIG = TrainConfig(iterations=60, max_splats=300, sh_degree=1, sh_every=1, shN
 
 
 def gone(*_: object, **__: object) -> NoReturn:
-    """In place of what reads a photo."""
+    """Replacement for the reader of a photo."""
     raise DatasetError("the photo is gone")
 
 
 def main() -> int:
-    """0: both raise, and rank 0 has what rank 1 has gathered, whether that came before or not."""
+    """0: both raise, and rank 0 has the gradients accumulated on rank 1, from before or not."""
     torch.set_num_threads(1)
     with ProcessGroup() as team:
         trainer = Trainer(CONFIG, toy_photos(), team=team)

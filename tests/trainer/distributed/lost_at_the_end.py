@@ -1,4 +1,4 @@
-"""Run as a rank: gscore, whose rank 0 is killed the first time when all is done."""
+"""Run as a rank: gscore with rank 0 killed the first time, after all work is done."""
 
 import os
 import signal

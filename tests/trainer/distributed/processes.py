@@ -1,4 +1,4 @@
-"""Processes that a torchrun has started, found so that something can be done to them."""
+"""Processes that a torchrun has started, found so that tests can signal them."""
 
 import time
 from collections.abc import Collection

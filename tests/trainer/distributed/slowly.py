@@ -1,4 +1,4 @@
-"""Run as a rank that works slowly: gscore with a pause in each drawing."""
+"""Run as a slow rank: gscore with a pause in each rasterization."""
 
 import sys
 import time
@@ -11,7 +11,7 @@ PAUSE = 0.5
 
 
 def slow_down() -> None:
-    """Let drawing take longer from now on."""
+    """Make rasterization slower from now on."""
     draw = TrainingRasterizer.draw
 
     def slowly(*arguments: Any, **options: Any) -> Any:

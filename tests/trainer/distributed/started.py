@@ -1,4 +1,4 @@
-"""Ranks started as torchrun starts them, each with its own arguments, for tests to look at."""
+"""Ranks started as torchrun starts them, each with its own arguments, and their output."""
 
 import os
 import socket
@@ -14,7 +14,7 @@ PATIENCE = 240
 
 
 class Ended(NamedTuple):
-    """How a rank ended."""
+    """Exit code and output of a rank."""
 
     code: int
     out: str

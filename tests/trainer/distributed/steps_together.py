@@ -39,7 +39,7 @@ def alone(index: int) -> dict[str, torch.Tensor]:
 
 def main() -> int:
     """0: the mean of the gradients of each photo, and the sum of the counts and of the gradients of
-    shN, which gather over many photos, to the bit."""
+    shN, accumulated over many photos, to the bit."""
     torch.set_num_threads(1)
     with ProcessGroup() as team:
         trainer = Trainer(CONFIG, toy_photos(), team=team)

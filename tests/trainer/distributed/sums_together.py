@@ -1,4 +1,4 @@
-"""Run by some ranks: rows added up by the team, and in a plain loop in the order of the ranks."""
+"""Run by several ranks: rows summed over the ranks, and in a plain loop in rank order."""
 
 import itertools
 import sys
@@ -16,14 +16,14 @@ PARTS = slice(0, 3), slice(3, 4), slice(4, 7)
 
 
 def of_rank(rank: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows that a rank has, and their values; the last rank has none in the second round."""
+    """Rows of a rank and their values; the last rank has none in the second round."""
     rng = np.random.default_rng(rank)
     rows = np.sort(rng.choice(ROWS, 300 + 50 * rank, replace=False))
     return rows, rng.normal(size=(len(rows), WIDTH)).astype(np.float32)
 
 
 def main() -> int:
-    """0: equal to the loop to the bit, also where a rank has nothing, or all have nothing."""
+    """0: equal to the loop to the bit, also where one rank or all ranks have no rows."""
     with ProcessGroup() as team:
         sums_of = RowSums(team)
         silent_ones = (), (team.size - 1,), tuple(range(team.size))
@@ -37,7 +37,7 @@ def main() -> int:
             rows, values = of_rank(team.rank)
             if team.rank in silent:
                 rows, values = rows[:0], values[:0]
-            mine = np.full((ROWS, WIDTH), np.nan, np.float32)  # what is not asked for is not read
+            mine = np.full((ROWS, WIDTH), np.nan, np.float32)  # unrequested rows are not read
             mine[rows] = values
             parts = [torch.from_numpy(np.ascontiguousarray(mine[:, at])) for at in PARTS]
             sums = [torch.zeros_like(part) for part in parts]

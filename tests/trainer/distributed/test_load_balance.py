@@ -1,4 +1,4 @@
-"""Photos of a batch that cost alike; oracle: the costs themselves, and counting."""
+"""Photos of a batch with similar costs; oracle: the costs themselves, and counting."""
 
 import random
 
@@ -11,13 +11,13 @@ COSTS = {photo: (photo * 7919 % 101) + 50.0 for photo in range(52)}
 
 
 def apart(order: list[int], size: int, first: int = 0) -> float:
-    """What batches wait for: their slowest photo against the mean, added up."""
+    """Waiting time of batches: the slowest photo minus the mean, summed."""
     batches = (order[k : k + size] for k in range(first, len(order), size))
     return sum(max(COSTS[p] for p in b) - sum(COSTS[p] for p in b) / len(b) for b in batches)
 
 
 def test_all_photos_come_once_and_alike_ones_together() -> None:
-    """Oracle: the same photos, and less than a third of the waiting of an order by chance."""
+    """Oracle: the same photos, and less than a third of the waiting of a random order."""
     for size, first in ((2, 0), (2, 1), (4, 3)):
         order = random.Random(size + first).sample(range(52), 52)
         dealt = batches_of_equal_cost(order, COSTS, size, first=first)
@@ -27,7 +27,7 @@ def test_all_photos_come_once_and_alike_ones_together() -> None:
 
 
 def test_chance_decides_who_meets_and_who_is_first() -> None:
-    """Oracle: over many epochs photos have many partners, and either rank has the slower one."""
+    """Oracle: many partners of each photo over many epochs, and the slower photo on either rank."""
     chance, partners, slower = random.Random(0), set(), [0, 0]
     for _ in range(30):
         dealt = batches_of_equal_cost(chance.sample(range(52), 52), COSTS, 2)
@@ -40,7 +40,7 @@ def test_chance_decides_who_meets_and_who_is_first() -> None:
 
 @pytest.mark.parametrize(("photos", "size"), [(16, 2), (32, 4), (59, 8)])
 def test_few_photos_meet_others_each_time(photos: int, size: int) -> None:
-    """Oracle: of the batches of many epochs most are different ones."""
+    """Oracle: mostly different batches over many epochs."""
     chance, seen, count = random.Random(1), set(), 0
     for _ in range(40):
         dealt = batches_of_equal_cost(chance.sample(range(photos), photos), COSTS | MORE, size)

@@ -1,4 +1,4 @@
-"""Rows and gradients of several ranks; oracle: plain loops in one process."""
+"""Rows and gradients summed over ranks; oracle: plain loops in one process."""
 
 from pathlib import Path
 
@@ -25,6 +25,6 @@ def test_a_step_of_two_ranks_learns_from_both_photos() -> None:
 
 @pytest.mark.parametrize("collected", ["before", "then"])
 def test_a_photo_that_is_gone_loses_nothing_that_has_gathered(collected: str) -> None:
-    """Oracle: what each rank had gathered; both ends come within the time that is given."""
+    """Oracle: the accumulated gradients of each rank; both ends within the timeout."""
     for ended in start(*[["-m", f"{HERE}.fails_together", collected]] * 2):
         assert ended.code == 0, ended.err

@@ -1,4 +1,4 @@
-"""Which rank the others wait for; oracle: seconds made up by hand."""
+"""The rank that the others wait for; oracle: made-up seconds."""
 
 import numpy as np
 
@@ -6,20 +6,20 @@ from gscore.trainer.distributed.straggler_monitor import StragglerMonitor
 
 
 def told(seconds: list[float], *, batches: int) -> list[str]:
-    """What is said of batches on which the ranks work so long."""
+    """Messages about batches on which the ranks work for these seconds."""
     waits = StragglerMonitor(["a", "b", "c"])
     met = (waits.met(batch * np.array(seconds)) for batch in range(batches))
     return [sentence for sentence in met if sentence]
 
 
 def test_a_slow_rank_is_named_once() -> None:
-    """Oracle: three times the work of the others, said once in many steps."""
+    """Oracle: three times the work of the others, reported once in many steps."""
     (sentence,) = told([0.3, 0.9, 0.3], batches=100)
     assert sentence.startswith("All wait for rank 1 (b), which works 3.0 times as long")
 
 
 def test_ranks_that_are_about_as_fast_are_not_told() -> None:
-    """Oracle: a third more work; and too few batches, or seconds, to tell anything."""
+    """Oracle: a third more work; too few batches or seconds for a decision."""
     assert not told([0.8, 0.6, 0.6], batches=100)
     assert not told([0.3, 0.9, 0.3], batches=12)
     assert not told([0.003, 0.009, 0.003], batches=100)

@@ -1,4 +1,4 @@
-"""One training on several processes; oracle: files of runs that nothing disturbed, exit codes."""
+"""One training on several processes; oracle: files of undisturbed runs, exit codes."""
 
 import json
 import os
@@ -25,14 +25,14 @@ SHORT = ("--iterations", "60", "--max-splats", "300", "--refine-every", "10", "-
 
 
 def train(capture: Path, output: Path, *more: str, ranks: int = 2) -> list[Ended]:
-    """Train on ranks that are given the same; only rank 0 is given the output folder."""
+    """Train on ranks with the same arguments; only rank 0 receives the output folder."""
     line = ["-m", "gscore", "train", capture, *SHORT, "--quiet", *more]
     others = [*line, "-o", output.with_name("nobody")]
     return start([*line, "-o", output], *[others] * (ranks - 1))
 
 
 def assert_fine(ranks: list[Ended]) -> None:
-    """All ended well, and those but the first said nothing."""
+    """Check that all ranks succeeded, and that only the first one printed."""
     for rank in ranks:
         assert rank.code == 0, rank.err
     assert not any(rank.out or rank.err for rank in ranks[1:])
@@ -41,7 +41,7 @@ def assert_fine(ranks: list[Ended]) -> None:
 def test_the_same_ranks_give_the_same_bits_and_rank_0_alone_writes(
     capture: Path, tmp_path: Path
 ) -> None:
-    """Oracle: the PLY of a second run; the folders that are there after both."""
+    """Oracle: the PLY of a second run; the folders after both."""
     for name in ("a", "b"):
         assert_fine(train(capture, tmp_path / name, "--eval", "--random-background"))
     files = [(tmp_path / name / "point_cloud.ply").read_bytes() for name in ("a", "b")]
@@ -56,8 +56,8 @@ def test_the_same_ranks_give_the_same_bits_and_rank_0_alone_writes(
 def test_what_each_rank_has_gathered_is_in_a_checkpoint(
     capture: Path, tmp_path: Path, models: str
 ) -> None:
-    """Oracle: the PLY of the run that went on, to the bit, where the checkpoint lies between two
-    steps of the higher coefficients; the sum for another number of ranks, in numpy."""
+    """Oracle: the PLY of the resumed run, to the bit, with the checkpoint between two steps of the
+    higher coefficients; the sum for another number of ranks, in numpy."""
     line = ("--shN-every", "7", "--checkpoint-iterations", "38", "--ensemble", models)
     assert_fine(train(capture, tmp_path / "a", *line))
     kept = tmp_path / "a" / "checkpoints" / "step_00000038.safetensors"
@@ -78,7 +78,7 @@ def test_what_each_rank_has_gathered_is_in_a_checkpoint(
 
 @pytest.mark.slow
 def test_another_number_of_ranks_goes_on(capture: Path, tmp_path: Path) -> None:
-    """Oracle: steps of the checkpoints, counted in photos; splats that are finite."""
+    """Oracle: steps of the checkpoints, counted in photos; finite splats."""
     run = tmp_path / "run"
     assert_fine(train(capture, run))
     assert_fine(train(capture, run, "--resume", "--iterations", "91", ranks=1))
@@ -89,7 +89,7 @@ def test_another_number_of_ranks_goes_on(capture: Path, tmp_path: Path) -> None:
 
 
 def assert_refused(ranks: list[Ended], sentence: str, output: Path) -> None:
-    """Exit code 2 everywhere, one sentence on rank 0 alone, nothing written."""
+    """Check for exit code 2 on every rank, one sentence on rank 0 alone and no files."""
     assert [rank.code for rank in ranks] == [2, 2], ranks
     assert sentence in " ".join(ranks[0].err.split()), ranks[0].err
     assert "Traceback" not in ranks[0].err
@@ -118,7 +118,7 @@ def test_ranks_with_other_options_are_named(
 
 @pytest.mark.slow
 def test_a_rank_without_the_capture_is_named(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the sentence, whichever rank it is; a capture that lies elsewhere there is fine."""
+    """Oracle: the sentence, on any rank; no objection to a capture in another folder."""
     there, output = tmp_path / "there", tmp_path / "o"
     line = ["-m", "gscore", "train", "-o", output, *SHORT, "--quiet"]
     refused = start([*line, "-s", capture], [*line, "-s", there])
@@ -131,7 +131,7 @@ def test_a_rank_without_the_capture_is_named(capture: Path, tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_a_rank_with_another_photo_is_named(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the sentence, where two photos have changed places."""
+    """Oracle: the sentence, for two exchanged photos."""
     there, output = tmp_path / "there", tmp_path / "o"
     shutil.copytree(capture, there)
     first, second, *_ = sorted(path for path in (there / "images").iterdir())
@@ -147,7 +147,7 @@ def test_a_rank_with_another_photo_is_named(capture: Path, tmp_path: Path) -> No
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="looks for processes in /proc")
 @pytest.mark.parametrize("victim", [0, 1])
 def test_a_killed_rank_costs_nothing(capture: Path, tmp_path: Path, victim: int) -> None:
-    """Oracle: the PLY of a run that nobody killed, to the bit."""
+    """Oracle: the PLY of an undisturbed run, to the bit."""
     line = ("--iterations", "800", "--checkpoint-iterations", "100")
     assert_fine(train(capture, tmp_path / "whole", *line))
     output = tmp_path / "killed"
@@ -200,7 +200,7 @@ def two_machines(capture: Path, output: Path, *more: str) -> list[subprocess.Pop
 def test_machines_whose_lead_is_disturbed_end_together(
     capture: Path, tmp_path: Path, what: str
 ) -> None:
-    """Oracle: the PLY of a run that nobody disturbed, to the bit; both torchruns end well."""
+    """Oracle: the PLY of an undisturbed run, to the bit; success of both torchruns."""
     line = ("--iterations", "800", "--checkpoint-iterations", "100")
     assert_fine(train(capture, tmp_path / "whole", *line))
     output = tmp_path / "disturbed"
@@ -225,8 +225,8 @@ def test_machines_whose_lead_is_disturbed_end_together(
 
 @pytest.mark.slow
 def test_a_slow_rank_is_named_and_bytes_are_counted(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the warning and metrics.json of ranks of which the second pauses in each step; bytes
-    by the formula of docs/scale.md, where all splats are shown by all photos."""
+    """Oracle: the warning and metrics.json of ranks with a pause in each step of the second; bytes
+    by the formula of docs/scale.md for photos that all show all splats."""
     output = tmp_path / "o"
     line = ["train", capture, "-o", output, *SHORT, "--sh-degree", "0", "--quiet"]
     ranks = start(["-m", "gscore", *line], ["-m", "tests.trainer.distributed.slowly", *line])
@@ -238,7 +238,7 @@ def test_a_slow_rank_is_named_and_bytes_are_counted(capture: Path, tmp_path: Pat
     assert (told["count"], told["batches"]) == (2, 30)
     waited = told["waited_seconds_per_batch"]
     assert waited[0] - waited[1] > 0.3
-    words = 14 + 2 + 1  # of a splat: gradients, counts of the strategy, its row
+    words = 14 + 2 + 1  # per splat: gradients, counts of the strategy, its row
     whole = metrics["splats"] * words * 4
     for sent in told["sent_bytes_per_batch"]:
         assert 0.5 * whole < sent <= 1.1 * whole
@@ -246,7 +246,7 @@ def test_a_slow_rank_is_named_and_bytes_are_counted(capture: Path, tmp_path: Pat
 
 @pytest.mark.slow
 def test_a_port_in_use_is_told(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the sentence of rank 0, its exit code, and that nothing is written."""
+    """Oracle: the sentence of rank 0, its exit code, and no files."""
     line = ["-m", "gscore", "train", str(capture), "-o", str(tmp_path / "o"), *SHORT, "--quiet"]
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -265,7 +265,7 @@ def test_a_port_in_use_is_told(capture: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_rank_lost_after_the_end_costs_nothing(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the exit code of a torchrun that may start again once; the splats."""
+    """Oracle: the exit code of a torchrun that may restart once; the splats."""
     torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     torchrun += ["--max-restarts", "1", "-m", "tests.trainer.distributed.lost_at_the_end", "train"]
     output = tmp_path / "o"
@@ -285,7 +285,7 @@ def test_a_rank_lost_after_the_end_costs_nothing(capture: Path, tmp_path: Path) 
 def test_a_restart_touches_no_run_of_others(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the files of a finished run, which the first start refuses and the second as well."""
+    """Oracle: the files of a finished run, which the first and the second start refuse."""
     run = tmp_path / "run"
     assert_fine(train(capture, run))
     before = (run / "point_cloud.ply").stat()

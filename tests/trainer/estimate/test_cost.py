@@ -1,4 +1,4 @@
-"""What the steps of a plan are said to take; oracles: sums over steps, a walk from step to step."""
+"""Predicted time of the steps of a plan; oracles: sums over steps, a walk from step to step."""
 
 from dataclasses import replace
 from typing import Any
@@ -15,7 +15,7 @@ def plan_of(config: TrainConfig, points: int = 10_000, side: int = 300) -> Plan:
 
 
 def test_seconds_after_is_the_sum_of_steps() -> None:
-    """Oracle: the sum over all steps, at a count that stays."""
+    """Oracle: the sum over all steps, at a constant count."""
     plan = plan_of(TrainConfig(iterations=1000, max_splats=50_000), points=50_000)
     for step in (0, 1, 500, 990, 999, 1000):
         whole = sum(Cost(plan).seconds_at(s, 50_000) for s in range(step + 1, 1001))
@@ -24,7 +24,7 @@ def test_seconds_after_is_the_sum_of_steps() -> None:
 
 
 def test_splats_to_expect_wait_for_the_photos() -> None:
-    """Oracle: fast growth follows the caps of the sizes; slow growth does not feel them."""
+    """Oracle: fast growth limited by the caps of the sizes; slow growth unaffected by them."""
     config = TrainConfig(iterations=3000, max_splats=60_000)
     plan = plan_of(config, points=5000)
     for step in (500, 1000, 1500, 2000, 2400, 2900):
@@ -46,8 +46,8 @@ def test_splats_to_expect_wait_for_the_photos() -> None:
     ids=str,
 )
 def test_splats_to_expect_are_those_of_each_refinement(options: dict[str, Any]) -> None:
-    """Oracle: a walk from step to step: the k-th refinement adds half of the splats at most, and
-    2.2e-4 / grow_grad k^-1.15 of them; `mcmc` always as many; then some are pruned."""
+    """Oracle: a walk from step to step: the k-th refinement adds at most half of the splats and
+    2.2e-4 / grow_grad k^-1.15 of them; `mcmc` a constant share; then some are pruned."""
     config = TrainConfig(iterations=3000, max_splats=60_000, grow_with_photos=False, **options)
     plan = plan_of(config)
     refinements = [s for s in range(1, 3001) if plan.refines_at(s)]

@@ -1,4 +1,4 @@
-"""What a run is said to take; oracles: sums over its steps, and memory that was measured."""
+"""Predicted time and memory of a run; oracles: sums over its steps, and measured memory."""
 
 import subprocess
 import sys
@@ -23,7 +23,8 @@ GB = 1_000_000_000
 
 
 def test_seconds_are_those_of_the_plan() -> None:
-    """Oracle: the sum over all steps of a run whose count stays; twice as slow, twice as long."""
+    """Oracle: the sum over all steps of a run with a constant count; half the speed, twice the
+    time."""
     config = TrainConfig(iterations=400, max_splats=7000)
     plan = Plan.of(config, extent=1.0, points=7000, side=480, pixels=640 * 480)
     whole = sum(Cost(plan).seconds_at(step, 7000) for step in range(1, 401))
@@ -34,8 +35,8 @@ def test_seconds_are_those_of_the_plan() -> None:
 
 
 def test_reading_counts_by_points_and_stored_pixels() -> None:
-    """Oracle: 20 million points took a minute, photos of 12 megapixels a fifth of a second each on
-    one core; also within a time budget, and in the sentence for people."""
+    """Oracle: a minute for 20 million points, a fifth of a second for each photo of 12 megapixels
+    on one core; also within a time budget, and in the sentence."""
     config = TrainConfig(iterations=400, max_splats=7000, threads=2)
     few = estimate(config, SIZES, points=7000, stored=0, pace=1.0)
     many = estimate(config, SIZES, points=7000, cloud=20_000_000, stored=0, pace=1.0)
@@ -63,7 +64,7 @@ def test_presets_take_more_and_more() -> None:
 
 
 def test_what_does_not_fit_is_told_with_what_would() -> None:
-    """Oracle: what is proposed fits when it is asked for."""
+    """Oracle: the proposal, which fits when it is requested."""
     config = TrainConfig(max_splats=800_000)
     big = [(2000, 1500)] * 200
     found = estimate(config, big, points=7000, free=7 * GB // 5, pace=1.0)
@@ -83,7 +84,7 @@ def test_what_does_not_fit_is_told_with_what_would() -> None:
 
 
 def test_photos_that_do_not_fit_are_kept_in_part() -> None:
-    """Oracle: the definition; the whole stays below what is free."""
+    """Oracle: the definition; a total below the free memory."""
     config = TrainConfig(max_splats=10_000)
     many = [(4000, 3000)] * 500
     found = estimate(config, many, points=7000, free=10 * GB, pace=1.0)
@@ -129,8 +130,8 @@ def test_memory_of_measuring_counts_where_it_is_more(
 
 
 def test_masks_and_depth_maps_take_memory() -> None:
-    """Oracle: by hand: a mask has a byte where a photo has three; of a depth map are there, while
-    it is read, value and confidence in float32 and three bytes of the target."""
+    """Oracle: by hand: a byte of a mask for three of a photo; while a depth map is read, value and
+    confidence in float32 and three bytes of the target."""
     config = TrainConfig(max_splats=300_000, coarse_factor=1.0)
     pixels, views = 1200 * 1000, [(1200, 1000)] * 100
 
@@ -180,7 +181,7 @@ def test_the_machine_is_measured_quickly_and_without_torch() -> None:
 def test_what_other_programs_take_away_counts_for_a_run_that_begins(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Oracle: the mean and the least of made-up times, of which the first two warm up."""
+    """Oracle: the mean and the minimum of made-up times, without two warm-up steps."""
     times = iter([90.0, 50.0, 2.0, 6.0, 4.0, 2.0, 6.0, 4.0, 2.0, 6.0] * 2)
     clock = [0.0]
     monkeypatch.setattr(forecast, "_REFERENCE_MS", 2000.0)
@@ -210,8 +211,8 @@ def test_what_other_programs_take_away_counts_for_a_run_that_begins(
 def test_seconds_said_for_the_presets(
     preset: str, size: tuple[int, int], waits: bool, taken: float
 ) -> None:
-    """Oracle: what trainings of plush took on the machine whose step times the plan holds
-    (docs/benchmarks.md, "Captures"), some of them with growth that does not wait for photos."""
+    """Oracle: measured trainings of plush on the machine with the step times of the plan
+    (docs/benchmarks.md, "Captures"), some with growth that does not wait for photos."""
     config = replace(PRESETS[preset](Path("plush"))[1], grow_with_photos=waits, ensemble=1)
     found = estimate(config, [size] * 51, points=6903, pace=1.0)
     assert found.seconds == pytest.approx(taken, rel=0.25)
@@ -228,7 +229,7 @@ def test_seconds_said_for_the_presets(
 def test_seconds_said_for_two_models(
     photos: int, draft: tuple[int, int], normal: tuple[int, int], ratio: float
 ) -> None:
-    """Oracle: how much longer trainings of plush, stone_horse and lund took than their drafts
+    """Oracle: the measured ratio of trainings of plush, stone_horse and lund to their drafts
     (docs/experiments/2026-11-ensembles.md)."""
     seconds = []
     for preset, each, size in (("draft", 68, draft), ("normal", 80, normal)):
@@ -239,8 +240,8 @@ def test_seconds_said_for_two_models(
 
 @pytest.mark.parametrize(("photos", "steps"), [(50, (7000, 4000)), (100, (7000, 7000))])
 def test_seconds_said_for_a_subject(photos: int, steps: tuple[int, int]) -> None:
-    """Oracle: the longer of both that may come: one model, and two of which splats are left out,
-    with half the steps where photos are few; without stereo the first alone."""
+    """Oracle: the longer of both possible runs: one model, and two with dropout and half the steps
+    where photos are few; without stereo the first alone."""
     config = replace(PRESETS["normal"](Path())[1], iterations=steps[0])
     sizes, seconds = [(480, 640)] * photos, []
     found = estimate(config, sizes, points=17_000, masks=True, subject=True, pace=1.0)

@@ -1,5 +1,4 @@
-"""Memory that is said against memory that is taken, in processes of their own; oracle: the kernel's
-own count, VmHWM."""
+"""Predicted against used memory, in separate processes; oracle: VmHWM, counted by the kernel."""
 
 import json
 import subprocess
@@ -38,7 +37,7 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="
 
 
 def said_and_taken(source: Path, width: float) -> tuple[float, float]:
-    """Bytes told before a training and the most it took."""
+    """Predicted and peak bytes of a training."""
     command = [sys.executable, "-c", _RUN, str(source), str(width)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -54,7 +53,7 @@ def source(tmp_path: Path) -> Path:
 
 
 def test_many_points(source: Path) -> None:
-    """Oracle: what 1.5 million points take on their way to 500 splats."""
+    """Oracle: the peak of a run from 1.5 million points to 500 splats."""
     few, few_taken = said_and_taken(source, 1)
     rng = np.random.default_rng(0)
     points = ColmapPoints(
@@ -73,7 +72,7 @@ def test_many_points(source: Path) -> None:
 
 
 def test_large_photos(source: Path) -> None:
-    """Oracle: what four photos of 48 megapixels take on their way to 400 px."""
+    """Oracle: the peak of a run from four photos of 48 megapixels to 400 px."""
     files = [path for path in source.rglob("*") if path.suffix.lower() in (".png", ".jpg")]
     assert len(files) == 4
     for path in files:

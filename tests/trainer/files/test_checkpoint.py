@@ -1,4 +1,4 @@
-"""Checkpoint files; oracle: the safetensors library, and what must be refused."""
+"""Checkpoint files; oracle: the safetensors library, and files that must be refused."""
 
 import json
 import struct
@@ -38,7 +38,7 @@ def saved(photos: Any, tmp_path: Path) -> tuple[Trainer, Path]:
 
 
 def test_the_file_is_what_safetensors_reads(saved: tuple[Trainer, Path]) -> None:
-    """Oracle: the library's own reader finds the same tensors, empty ones too."""
+    """Oracle: the same tensors in the library's own reader, empty ones too."""
     trainer, path = saved
     found = load_file(path)
     expected = trainer.tensors()
@@ -50,7 +50,7 @@ def test_the_file_is_what_safetensors_reads(saved: tuple[Trainer, Path]) -> None
 
 
 def test_everything_comes_back(saved: tuple[Trainer, Path], photos: Any) -> None:
-    """Oracle: equality with what was saved."""
+    """Oracle: equality with the saved state."""
     trainer, path = saved
     found = checkpoint.load(path)
     assert found.config == CONFIG
@@ -63,7 +63,7 @@ def test_everything_comes_back(saved: tuple[Trainer, Path], photos: Any) -> None
 def test_another_config_is_refused_with_what_differs(
     saved: tuple[Trainer, Path], photos: Any
 ) -> None:
-    """Oracle: the sentence names each option with both values, and no other."""
+    """Oracle: the sentence, which names each changed option with both values, and no other."""
     found = checkpoint.load(saved[1])
     other = replace(CONFIG, max_splats=9, background=Background.WHITE, threads=7, iterations=50)
     with pytest.raises(ConfigError) as error:
@@ -77,7 +77,7 @@ def test_another_config_is_refused_with_what_differs(
 def test_another_capture_is_refused(
     saved: tuple[Trainer, Path], make_photos: Callable[..., Any]
 ) -> None:
-    """Oracle: the sentence says what of the capture differs."""
+    """Oracle: the sentence, which names the difference of the captures."""
     found = checkpoint.load(saved[1])
     with pytest.raises(ConfigError, match="training views of the capture are not the same"):
         checkpoint.check_compatible(found, CONFIG, make_photos(held_out=(3,)))
@@ -110,7 +110,7 @@ def test_iterations_may_grow_but_not_end_before_the_checkpoint(
 
 @pytest.mark.parametrize("keep", [0, 4, 8, 100, 2000, -1])
 def test_a_truncated_file_is_refused(saved: tuple[Trainer, Path], keep: int) -> None:
-    """Oracle: any prefix of the file is an error that names it."""
+    """Oracle: an error that names the file, for any prefix of it."""
     path = saved[1]
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(FormatError, match=r"step\.safetensors is not a complete checkpoint"):
@@ -118,7 +118,7 @@ def test_a_truncated_file_is_refused(saved: tuple[Trainer, Path], keep: int) -> 
 
 
 def test_any_flipped_bit_is_noticed(saved: tuple[Trainer, Path]) -> None:
-    """Oracle: what was saved; bits of the header and of all tensors, one at a time."""
+    """Oracle: the saved state; bits of the header and of all tensors flipped one at a time."""
     trainer, path = saved
     good = path.read_bytes()
     header = 8 + struct.unpack("<Q", good[:8])[0]
@@ -143,7 +143,7 @@ def test_any_flipped_bit_is_noticed(saved: tuple[Trainer, Path]) -> None:
 def test_the_run_goes_on_from_the_checkpoint_before_a_damaged_one(
     capture: Path, tmp_path: Path
 ) -> None:
-    """Oracle: the bytes of a run whose checkpoints were never damaged; the sentence says so."""
+    """Oracle: the bytes of a run with undamaged checkpoints; the warning."""
     config = replace(CONFIG, iterations=30, lpips=None, checkpoint_iterations=(10, 20))
     data = DataConfig(source=capture)
     train(config, data, tmp_path)
@@ -175,7 +175,7 @@ def test_the_run_goes_on_from_the_checkpoint_before_a_damaged_one(
 
 
 def test_other_safetensors_files_and_formats_are_refused(tmp_path: Path) -> None:
-    """Oracle: a file without our metadata, and one of a format that does not exist yet."""
+    """Oracle: a file without our metadata, and one of a future format."""
     path = tmp_path / "other.safetensors"
     for metadata in ({}, {"__metadata__": {"gscore": "{}"}}):
         header = json.dumps(metadata).encode()
@@ -189,7 +189,7 @@ def test_other_safetensors_files_and_formats_are_refused(tmp_path: Path) -> None
 def test_a_failed_write_leaves_the_old_file(
     saved: tuple[Trainer, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the bytes of the file before."""
+    """Oracle: the bytes of the previous file."""
     trainer, path = saved
     before = path.read_bytes()
 
@@ -223,7 +223,7 @@ def test_a_failed_write_leaves_the_old_file(
 def test_content_that_no_run_writes_is_refused(
     place: tuple[str, ...], value: Any, told: str, capture: Path, tmp_path: Path
 ) -> None:
-    """Oracle: a file whose checksums are right; the sentence says what is odd in it."""
+    """Oracle: a file with valid checksums; the sentence names the invalid entry."""
     config = replace(CONFIG, iterations=3, lpips=None)
     train(config, DataConfig(source=capture), tmp_path / "first")
     path = RunFolder(tmp_path / "first").checkpoints()[-1]
@@ -245,7 +245,7 @@ def test_content_that_no_run_writes_is_refused(
 
 @pytest.mark.parametrize("stated", [True, None, [1]])
 def test_a_checkpoint_says_which_tensors_it_has(saved: tuple[Trainer, Path], stated: Any) -> None:
-    """Oracle: a file whose metadata are intact, but state something else than a list of tensors."""
+    """Oracle: a file with intact metadata that state something else than a list of tensors."""
     path = saved[1]
     raw = path.read_bytes()
     content = json.loads(checkpoint_json(raw)) | {"tensors": stated}
@@ -258,7 +258,7 @@ def test_a_header_of_many_tensors_is_parsed_a_bounded_number_of_times(
     saved: tuple[Trainer, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the number of openings, each of which parses the header; 2,000 extra tensors of one
-    number each, which the checksums know nothing of, are named as damage."""
+    number each, without checksums, are reported as damage."""
     path = saved[1]
     save_file(
         {**load_file(path), **{f"extra/{i}": torch.zeros(1) for i in range(2000)}},
@@ -278,7 +278,7 @@ def test_a_header_of_many_tensors_is_parsed_a_bounded_number_of_times(
 def test_a_checkpoint_without_its_checksum_is_refused(
     saved: tuple[Trainer, Path], crc: str | None
 ) -> None:
-    """Oracle: every checkpoint of this format has a checksum, so one without it was changed."""
+    """Oracle: a file without checksum; this format always has one, so the file was changed."""
     path = saved[1]
     metadata = _header(path.read_bytes())["__metadata__"]
     del metadata["crc32"]
@@ -295,7 +295,7 @@ def _header(raw: bytes) -> dict[str, Any]:
 def test_tensors_that_do_not_fit_each_other_are_refused(
     saved: tuple[Trainer, Path], photos: Any
 ) -> None:
-    """Oracle: each tensor in turn cut by a row, or of another kind, or missing."""
+    """Oracle: each tensor in turn cut by a row, of another dtype, or missing."""
     trainer, path = saved
     found = checkpoint.load(path)
     for name, tensor in found.tensors.items():
@@ -308,7 +308,7 @@ def test_tensors_that_do_not_fit_each_other_are_refused(
 
 
 def _goes_on(capture: Path, out: Path, *, steps: int) -> list[str]:
-    """Take the run in `out` to `steps`; the warnings about its instruction set."""
+    """Continue the run in `out` to `steps`; return the warnings about its instruction set."""
     told: list[Event] = []
     config = TrainConfig(iterations=steps, max_splats=200, checkpoint_iterations=(4, 8, 12))
     train(config, DataConfig(source=capture), out, told.append, resume=out.exists())
@@ -319,8 +319,8 @@ def _goes_on(capture: Path, out: Path, *, steps: int) -> list[str]:
     len(native_library.available_isas()) < 2, reason="there is one instruction set only"
 )
 def test_a_resume_under_another_instruction_set_is_told(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the warning names both sets, once, and stays in the report; the same set, and a
-    checkpoint from before they were noted, go on in silence."""
+    """Oracle: one warning, which names both sets and stays in the report; none for the same set, or
+    for a checkpoint without a noted set."""
     first, other = native_library.available_isas()[0], native_library.available_isas()[-1]
     before, out = native_library.isa(), tmp_path / "run"
     try:

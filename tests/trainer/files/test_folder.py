@@ -1,4 +1,4 @@
-"""The output folder; oracle: what lies in it before and after."""
+"""The output folder; oracle: its content before and after."""
 
 import errno
 import json
@@ -23,7 +23,7 @@ def names(path: Path) -> set[str]:
 
 
 def test_a_new_folder_is_made_and_removed_if_nothing_was_written(tmp_path: Path) -> None:
-    """Oracle: the folder is gone; with a file in it it stays."""
+    """Oracle: no folder; with a file in it the folder stays."""
     path = tmp_path / "a" / "b"
     with open_folder(path, resume=False, overwrite=False):
         assert path.is_dir()
@@ -34,7 +34,7 @@ def test_a_new_folder_is_made_and_removed_if_nothing_was_written(tmp_path: Path)
 
 
 def test_another_run_is_refused_and_untouched(tmp_path: Path) -> None:
-    """Oracle: the message names what was found and both ways out; every file is as before."""
+    """Oracle: the message, which names the files and both ways out; unchanged files."""
     a_run(tmp_path, "metrics.json")
     found = r"contains another run \(config.json, metrics.json\).*--resume.*--overw"
     with (
@@ -79,7 +79,7 @@ THEIRS = (
 
 
 def a_run(path: Path, *others: str) -> None:
-    """Files as a run leaves them, and others."""
+    """Files of a run, and others."""
     text = config_json(DataConfig(source=path / "capture"), TrainConfig())
     (path / "config.json").write_text(text)
     for name in others:
@@ -88,7 +88,7 @@ def a_run(path: Path, *others: str) -> None:
 
 
 def test_overwriting_takes_what_runs_write_and_nothing_else(tmp_path: Path) -> None:
-    """Oracle: two lists made by hand; the second is told, and survives twice."""
+    """Oracle: two lists made by hand; files of the second are reported and survive twice."""
     a_run(tmp_path, *OURS, *THEIRS)
     shown = {name for name in THEIRS if not name.startswith(".")}
     assert set(others_in_run(tmp_path)) == shown
@@ -108,7 +108,7 @@ def test_folders_of_a_run_go_with_their_last_file(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_the_users_is_no_run(tmp_path: Path) -> None:
-    """Oracle: photos in a folder called previews do not stop a first run there."""
+    """Oracle: photos in a folder called previews, which do not block a first run there."""
     (tmp_path / "previews").mkdir()
     (tmp_path / "previews" / "holiday.jpg").write_text("keep")
     with open_folder(tmp_path, resume=False, overwrite=False):
@@ -140,7 +140,7 @@ def test_what_another_program_wrote_is_never_overwritten(
 def test_clearing_that_is_cut_short_can_be_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: a kill after each number of files; the rest is still known to be a run."""
+    """Oracle: a kill after each number of files; the rest is still recognised as a run."""
     for count in range(len(OURS) + 1):
         path = tmp_path / str(count)
         path.mkdir()
@@ -201,7 +201,7 @@ def test_a_linked_folder_is_refused(tmp_path: Path) -> None:
 def test_places_that_are_not_for_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, words: str, overwrite: bool
 ) -> None:
-    """Oracle: one sentence, and the same files as before."""
+    """Oracle: one sentence, and unchanged files."""
     home = tmp_path / "home"
     for folder in (home, tmp_path / "capture" / "images"):
         folder.mkdir(parents=True)
@@ -221,7 +221,7 @@ def test_places_that_are_not_for_results(
 
 
 def test_a_sequence_is_no_single_run(tmp_path: Path) -> None:
-    """Oracle: neither takes the place of the other."""
+    """Oracle: a refusal in both directions."""
     a_run(tmp_path)
     (tmp_path / "sequence.json").write_text("{}")
     with (
@@ -232,7 +232,7 @@ def test_a_sequence_is_no_single_run(tmp_path: Path) -> None:
 
 
 def test_two_runs_at_once_are_refused(tmp_path: Path) -> None:
-    """Oracle: the second one fails and names the process of the first, which is not disturbed."""
+    """Oracle: an error of the second run that names the process of the undisturbed first."""
     with open_folder(tmp_path, resume=False, overwrite=False) as folder:
         with (
             pytest.raises(GsError, match=rf"in use by another training \(process {os.getpid()}\)"),
@@ -244,7 +244,7 @@ def test_two_runs_at_once_are_refused(tmp_path: Path) -> None:
 
 
 def test_the_lock_of_a_dead_process_does_not_count(tmp_path: Path) -> None:
-    """Oracle: a process that was killed while it held the folder."""
+    """Oracle: a process killed while it had the folder locked."""
     code = (
         "import os, sys; from pathlib import Path\n"
         "from gscore.trainer.files.run_folder import open_folder\n"
@@ -259,7 +259,7 @@ def test_the_lock_of_a_dead_process_does_not_count(tmp_path: Path) -> None:
 
 
 def test_resume_needs_a_checkpoint(tmp_path: Path) -> None:
-    """Oracle: the message, and no folder made on the way."""
+    """Oracle: the message, and no new folder."""
     path = tmp_path / "none"
     with (
         pytest.raises(ConfigError, match="has no checkpoint"),
@@ -270,7 +270,8 @@ def test_resume_needs_a_checkpoint(tmp_path: Path) -> None:
 
 
 def test_a_run_that_has_only_begun_is_in_use(tmp_path: Path) -> None:
-    """Oracle: resuming it names the process, not a missing checkpoint; check_free makes nothing."""
+    """Oracle: the process named on resume instead of a missing checkpoint; no files by
+    check_free."""
     with open_folder(tmp_path / "a", resume=False, overwrite=False):
         with (
             pytest.raises(GsError, match=rf"in use by another training \(process {os.getpid()}\)"),
@@ -301,7 +302,7 @@ def test_a_read_only_place_is_refused(tmp_path: Path) -> None:
 def test_a_disk_without_a_byte_left_is_named(
     there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the sentence; the folder is as it was. Such a disk takes an empty lock, no more."""
+    """Oracle: the sentence; an unchanged folder. Such a disk only takes an empty lock."""
 
     def full(*_: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -319,7 +320,7 @@ def test_a_disk_without_a_byte_left_is_named(
 
 
 def test_a_file_is_no_folder(tmp_path: Path) -> None:
-    """Oracle: the file is as before."""
+    """Oracle: the unchanged file."""
     (tmp_path / "out").write_text("x")
     with (
         pytest.raises(ConfigError, match="is a file"),
@@ -341,7 +342,7 @@ def test_old_checkpoints_are_dropped_except_those_asked_for(tmp_path: Path) -> N
 
 
 def test_what_a_killed_run_was_writing_is_removed(tmp_path: Path) -> None:
-    """Oracle: the names that atomic_write gives; foreign files stay."""
+    """Oracle: the names that atomic_write uses; foreign files stay."""
     junk = (".config.json.0a1b2c3d.tmp", "checkpoints/.step_00000004.safetensors.0a1b2c3d.tmp")
     kept = (".mine.tmp", "checkpoints/.note.tmp", "checkpoints/step_00000003.safetensors")
     for name in (*junk, *kept):
@@ -357,7 +358,7 @@ def test_what_a_killed_run_was_writing_is_removed(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["n" * 300, "a\0b", "a\ud800b"])
 @pytest.mark.parametrize("resume", [False, True])
 def test_names_that_cannot_be_are_refused(tmp_path: Path, name: str, resume: bool) -> None:
-    """Oracle: one sentence that can be printed; nothing made."""
+    """Oracle: one printable sentence; no files."""
     with (
         pytest.raises(
             GsError, match=r"Cannot use .*the name (is too long|has characters)"
@@ -393,7 +394,7 @@ def test_giving_up_the_lock_never_takes_that_of_the_next(tmp_path: Path) -> None
 
 
 def test_other_names_are_no_checkpoints(tmp_path: Path) -> None:
-    """Oracle: files of the names that runs write, alone."""
+    """Oracle: only files with the names that runs write."""
     folder = folder_module.RunFolder(tmp_path)
     good = folder.checkpoint(12)
     for stray in ("step_zzz", "step_00000013", "step_1"):
@@ -405,7 +406,7 @@ def test_other_names_are_no_checkpoints(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="named pipes of POSIX")
 def test_a_lock_that_is_no_file_is_named(tmp_path: Path) -> None:
-    """Oracle: the pipe stays, nobody waits for its other end, and the sentence ends once."""
+    """Oracle: the pipe, which stays, without waiting for its other end; one sentence."""
     os.mkfifo(tmp_path / ".gscore.lock")
     with (
         pytest.raises(ConfigError, match=r"is no regular file\. Remove it") as told,

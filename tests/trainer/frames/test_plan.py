@@ -1,4 +1,4 @@
-"""Frames that are keyframes, and those that follow; oracle: places counted by hand."""
+"""Keyframes and the frames that follow them; oracle: places counted by hand."""
 
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def test_runs_begin_at_keyframes() -> None:
 
 
 def test_a_keyframe_is_trained_like_the_first_frame() -> None:
-    """Oracle: steps, and the folder of the splats that a frame starts from."""
+    """Oracle: steps, and the folder of the initial splats of a frame."""
     frames = planned(SequenceOptions(keyframe_every=2))
     assert [frame.config.iterations for frame in frames] == [40, 10, 40, 10, 40]
     starts = [frame.start.parent.name if frame.start else "" for frame in frames]
@@ -45,7 +45,7 @@ def test_a_keyframe_is_trained_like_the_first_frame() -> None:
 
 
 def test_a_frame_is_found_in_its_run() -> None:
-    """Oracle: runs written out; the sentence about a frame that was not asked for."""
+    """Oracle: runs written out; the sentence about a frame outside the selection."""
     options = SequenceOptions(keyframe_every=2)
     frames, runs = planned(options), independent_runs(5, options)
     assert run_of_frame(frames, runs, 30) == run_of_frame(frames, runs, 20) == range(2, 4)
@@ -54,7 +54,7 @@ def test_a_frame_is_found_in_its_run() -> None:
 
 
 def test_each_frame_has_the_mesh_of_its_number(tmp_path: Path) -> None:
-    """Oracle: names written out; the sentences on one that is not there and on other braces."""
+    """Oracle: names written out; the sentences on a missing mesh and on other braces."""
     frames = [SequenceFrame(number=n, data=DataConfig(source=Path(str(n)))) for n in (4, 8)]
     config = TrainConfig(
         guide_surface=tmp_path / "wall-{frame:04d}.ply", guide_free=tmp_path / "floor.ply"

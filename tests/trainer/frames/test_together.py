@@ -1,4 +1,4 @@
-"""A sequence by many processes; oracle: the files of one process that trains all frames."""
+"""A sequence trained by many processes; oracle: the files of one process for all frames."""
 
 import json
 import os
@@ -24,7 +24,7 @@ KEYS = ["--keyframe-every", "2", "--next-iterations", "8"]
 
 @pytest.fixture
 def video(frames: Path) -> Path:
-    """Five frames in worlds of their own: two runs of two, and one of one."""
+    """Five frames in different worlds: two runs of two, and one of one."""
     for number, copied in ((15, 0), (20, 5)):
         shutil.copytree(frames / f"{copied:06d}", frames / f"{number:06d}")
     return frames
@@ -44,7 +44,7 @@ def splats_in(out: Path) -> dict[str, bytes]:
 
 
 def listed_in(out: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Options and frames of sequence.json, without what differs from machine to machine."""
+    """Options and frames of sequence.json, without machine-dependent values."""
     index = read_sequence(out)
     assert index is not None
     return index.options, [
@@ -54,7 +54,7 @@ def listed_in(out: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
 
 
 def assert_same(out: Path, whole: Path) -> None:
-    """The same splats and the same list, and nothing besides."""
+    """Check for the same splats, the same list and no other files."""
     assert splats_in(out) == splats_in(whole)
     assert len(splats_in(out)) == 5
     assert listed_in(out) == listed_in(whole)
@@ -74,8 +74,8 @@ def test_ranks_give_what_one_process_gives(video: Path, whole: Path, tmp_path: P
 
 
 def test_jobs_give_what_one_process_gives(video: Path, whole: Path, tmp_path: Path) -> None:
-    """Oracle: as above, of jobs in another order, one of them twice; one with other options is
-    refused, with a sentence, and changes nothing."""
+    """Oracle: as above, of jobs in another order, one of them twice; a job with other options is
+    refused with a sentence, and changes no file."""
     out = tmp_path / "out"
     line = ["sequence", str(video), "-o", str(out), *SHORT, *KEYS]
     for number in (10, 20, 5):
@@ -90,7 +90,7 @@ def test_jobs_give_what_one_process_gives(video: Path, whole: Path, tmp_path: Pa
 def test_another_choice_of_keyframes_is_refused(
     video: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the sentence, where nothing else in the options tells."""
+    """Oracle: the sentence, where no other option differs."""
     line = ["sequence", str(video), "-o", str(tmp_path / "out"), *SHORT]
     line += ["--carried-opacity", "1", "--next-iterations", "20"]
     assert main([*line, "--keyframe-every", "2"]) == 0
@@ -101,7 +101,7 @@ def test_another_choice_of_keyframes_is_refused(
 
 @pytest.mark.slow
 def test_ranks_without_a_common_folder_or_work_are_told(video: Path, tmp_path: Path) -> None:
-    """Oracle: sentences of rank 0, exit codes, and nothing that is left."""
+    """Oracle: sentences of rank 0, exit codes, and no remaining files."""
     out, there = tmp_path / "out", tmp_path / "there"
     line = ["-m", "gscore", "sequence", video, *SHORT]
     elsewhere = f"Rank 1 ({platform.node()}): {there} is not the folder in which"
@@ -119,7 +119,7 @@ def test_ranks_without_a_common_folder_or_work_are_told(video: Path, tmp_path: P
 
 @pytest.mark.slow
 def test_a_broken_frame_stops_its_own_run_only(video: Path, tmp_path: Path) -> None:
-    """Oracle: the frames that are there, the sentence, and the whole once it is mended."""
+    """Oracle: the finished frames, the sentence, and all frames after the repair."""
     out = tmp_path / "out"
     broken = video / "000005/sparse/0/images.bin"
     good = broken.read_bytes()
@@ -139,7 +139,7 @@ def test_a_broken_frame_stops_its_own_run_only(video: Path, tmp_path: Path) -> N
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="looks for processes in /proc")
 @pytest.mark.parametrize("victim", [0, 1])
 def test_a_killed_rank_is_resumed(video: Path, whole: Path, tmp_path: Path, victim: int) -> None:
-    """Oracle: the splats of a process that nobody killed; the list of frames."""
+    """Oracle: the splats of an undisturbed process; the list of frames."""
     out = tmp_path / "out"
     torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     words = [*torchrun, "--max-restarts", "2", "-m", "gscore", "sequence", str(video), "-o"]

@@ -1,4 +1,4 @@
-"""Meshes that guide a training; oracles: closed forms of planes, the mesh itself, bytes, words."""
+"""Meshes that guide a training; oracles: closed forms of planes, the mesh itself, bytes, texts."""
 
 import shutil
 from collections.abc import Callable
@@ -35,8 +35,8 @@ from tests.true_priors import true_priors
 
 
 def wall(path: Path, offset: float = 0.0, half: float = 0.8) -> Path:
-    """A square through the middle of the toy capture, which half of the cameras face from either
-    side: z = `offset`."""
+    """A square through the middle of the toy capture, z = `offset`, with half of the cameras on
+    either side."""
     corners = [[-half, -half], [half, -half], [half, half], [-half, half]]
     vertices = np.array([[x, y, offset] for x, y in corners])
     write_mesh(path, vertices, np.array([[0, 1, 2], [0, 2, 3]]))
@@ -59,7 +59,7 @@ def all_photos(capture: Path) -> Dataset:
 
 
 def seen_depth(cameras: Cameras, index: int, offset: float) -> np.ndarray:
-    """[H, W] camera z of the plane z = `offset` at each pixel; not positive: behind."""
+    """[H, W] camera z of the plane z = `offset` at each pixel; not positive: behind the camera."""
     u, v = np.meshgrid(np.arange(48) + 0.5, np.arange(48) + 0.5)
     rays = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(cameras.Ks[index]).T
     towards = rays @ cameras.viewmats[index, :3, :3]
@@ -67,7 +67,7 @@ def seen_depth(cameras: Cameras, index: int, offset: float) -> np.ndarray:
 
 
 def test_what_photos_see_of_a_wall(dataset: Dataset, mesh: Path) -> None:
-    """Oracle: the plane's depth in closed form; held-out photos see nothing."""
+    """Oracle: the plane's depth in closed form; none for held-out photos."""
     cameras = dataset.scene.cameras
     views = prepare_guide(TrainConfig(guide_free=mesh), dataset).free
     assert tuple(dataset.test) == (0, 4)
@@ -84,7 +84,7 @@ def test_what_photos_see_of_a_wall(dataset: Dataset, mesh: Path) -> None:
 
 
 def test_masks_hide_what_photos_see_of_a_wall(capture: Path, dataset: Dataset, mesh: Path) -> None:
-    """Oracle: no trust where a mask is black."""
+    """Oracle: zero confidence where a mask is black."""
 
     class Masked(Dataset):
         def mask(self, index: int) -> np.ndarray | None:
@@ -109,8 +109,8 @@ def test_masks_hide_what_photos_see_of_a_wall(capture: Path, dataset: Dataset, m
 
 
 def test_free_space_is_what_lies_before_the_wall(dataset: Dataset, mesh: Path) -> None:
-    """Oracle: rays of float64 from each camera through each place to the plane; places within 8 %
-    of it, or seen within two pixels of the mesh's outline, may be either."""
+    """Oracle: float64 rays from each camera through each place to the plane; places within 8 % of
+    it, or within two pixels of the mesh's outline, may be either."""
     cameras = dataset.scene.cameras
     similarity = Similarity.fit(cameras.centers)
     views = prepare_guide(TrainConfig(guide_free=mesh), dataset).free
@@ -122,7 +122,7 @@ def test_free_space_is_what_lies_before_the_wall(dataset: Dataset, mesh: Path) -
     sure_in, sure_out = np.zeros(4000, bool), np.ones(4000, bool)
     for i in dataset.train:
         center = cameras.centers[i]
-        t = -center[2] / (places[:, 2] - center[2])  # of the hit, 1 at the place
+        t = -center[2] / (places[:, 2] - center[2])  # of the hit; 1 at the place
         hit = np.abs(center[:2] + t[:, None] * (places[:, :2] - center[:2])).max(axis=1)
         local = places @ cameras.viewmats[i, :3, :3].T + cameras.viewmats[i, :3, 3]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -139,7 +139,8 @@ def test_free_space_is_what_lies_before_the_wall(dataset: Dataset, mesh: Path) -
 def test_splats_before_a_wall_are_taken_out(
     all_photos: Dataset, known_splats: Splats, mesh: Path
 ) -> None:
-    """Oracle: where they were put: a few between the cameras and the wall go, those on it stay."""
+    """Oracle: their known places: a few splats between cameras and wall are removed, those on it
+    stay."""
     guide = prepare_guide(TrainConfig(guide_free=mesh), all_photos)
     flat = known_splats.means.copy()
     flat[:, 2] = 0.01 * np.sign(flat[:, 2])
@@ -156,7 +157,7 @@ def test_splats_before_a_wall_are_taken_out(
 
 
 def test_a_crowd_before_a_wall_stays(all_photos: Dataset, known_splats: Splats, mesh: Path) -> None:
-    """Oracle: nothing is taken out, also after a resume."""
+    """Oracle: the same number of splats, also after a resume."""
     guide = prepare_guide(TrainConfig(guide_free=mesh), all_photos)
     moved = known_splats.means.copy()
     moved[:, 2] -= 1.2
@@ -186,7 +187,7 @@ def off_wall(splats: Splats, dataset: Dataset) -> float:
 
 
 def test_splats_come_to_lie_on_a_wall(dataset: Dataset, mesh: Path) -> None:
-    """Oracle: the plane; the same training without it is off by more than twice as much."""
+    """Oracle: the plane; more than twice the error without the guide."""
     guide = prepare_guide(TrainConfig(guide_surface=mesh), dataset)
     config = replace(CONFIG, iterations=300, refine_stop=250, reset_every=-1)
     found = {}
@@ -211,7 +212,7 @@ def test_a_weight_of_zero_changes_no_bit(dataset: Dataset, mesh: Path) -> None:
 
 @pytest.fixture
 def tracked(capture: Path, tmp_path: Path) -> Dataset:
-    """The toy capture, whose photos say which points they saw: all that lie in their frames."""
+    """The toy capture with tracks: each photo lists all points in its frame."""
     root = tmp_path / "tracked"
     shutil.copytree(capture, root)
     model = read_model(root)
@@ -231,8 +232,8 @@ def told(found: Any) -> str:
 
 
 def test_points_say_where_a_mesh_is(tracked: Dataset, dataset: Dataset, tmp_path: Path) -> None:
-    """Oracle: the points of the capture against the plane's depth, one by one; a wall before most
-    of them is told, and of a capture whose photos name no points nothing is said."""
+    """Oracle: the points of the capture against the plane's depth, one by one; a warning for a wall
+    in front of most of them, and no message for photos without tracks."""
     near = wall(tmp_path / "near.ply", offset=-1.6, half=3.0)
     found = prepare_guide(TrainConfig(guide_surface=near), tracked)
     assert len(found.warnings) == 1 and "wrong place" in found.warnings[0]
@@ -263,7 +264,8 @@ def test_points_say_where_a_mesh_is(tracked: Dataset, dataset: Dataset, tmp_path
 
 
 def test_pixels_are_trusted_as_points_around_them_say() -> None:
-    """Oracle: the definition, pixel by pixel with all distances; of a large photo every other."""
+    """Oracle: the definition, pixel by pixel with all distances; every other pixel of a large
+    photo."""
     rng = np.random.default_rng(2)
     many = MeshSupport(pixels=np.zeros((80, 2)), ratios=np.array([1.0] * 20 + [2.0] * 60))
     nothing = MeshSupport(pixels=np.zeros((0, 2)), ratios=np.zeros(0))
@@ -342,7 +344,7 @@ def test_a_run_says_what_guides_it_and_goes_on(
     assert "Free-space mesh wall.ply" in started.decision("guide")
     assert not [e for e in events if isinstance(e, Warn) and "wall" in e.message]
     half = next((tmp_path / "whole").glob("checkpoints/*30*"))
-    moved = wall(tmp_path / "moved.ply")  # it may lie elsewhere
+    moved = wall(tmp_path / "moved.ply")  # its folder may differ
     again = train(
         replace(config, guide_surface=moved), data, tmp_path / "again", start_checkpoint=half
     )
@@ -363,7 +365,7 @@ def test_a_run_says_what_guides_it_and_goes_on(
 
 
 def test_maps_and_a_guide_count_both(dataset: Dataset, known_splats: Splats, mesh: Path) -> None:
-    """Oracle: the loss of a step is that of the photo, and what either adds alone."""
+    """Oracle: the loss of the photo and of either term alone, summed."""
     guide = prepare_guide(TrainConfig(guide_surface=mesh), dataset)
     maps = DepthTargets(true_priors(dataset, known_splats), train=dataset.train, views=8)
     config = replace(CONFIG, depth_warmup=0.0)
@@ -378,7 +380,7 @@ def test_maps_and_a_guide_count_both(dataset: Dataset, known_splats: Splats, mes
 
 
 def test_memory_of_a_surface_is_foreseen() -> None:
-    """Oracle: that of depth maps for the same photos, for each of them."""
+    """Oracle: the memory of depth maps for each of the same photos."""
     sizes, config = [(1000, 1000)] * 100, TrainConfig(max_splats=1000)
 
     def peak(guides: int, *, depths: bool) -> int:
@@ -393,7 +395,7 @@ def test_memory_of_a_surface_is_foreseen() -> None:
 
 
 def test_no_triangle_too_many_is_silent(tmp_path: Path, dataset: Dataset) -> None:
-    """Oracle: a grid of a million triangles has the depth of its plane."""
+    """Oracle: the depth of a plane, for its grid of a million triangles."""
     side = 708
     x, y = np.meshgrid(np.linspace(-0.8, 0.8, side), np.linspace(-0.8, 0.8, side))
     at = np.arange(side * side).reshape(side, side)

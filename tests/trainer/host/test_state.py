@@ -1,4 +1,5 @@
-"""What a host program, its user or its starter may have set; oracle: bits of an ordinary run."""
+"""State that a host program, its user or its starter may have set; oracle: bits of an ordinary
+run."""
 
 import os
 import shutil
@@ -19,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def ordinary(deep: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """What comes out where nobody has set anything."""
+    """The results with default settings."""
     return work(deep, tmp_path_factory.mktemp("ordinary"))
 
 
@@ -129,7 +130,7 @@ PROGRAMS: dict[str, tuple[list[str], dict[str, str]]] = {
 def test_options_of_the_interpreter_change_no_bit(
     deep: Path, tmp_path: Path, ordinary: str, name: str, request: pytest.FixtureRequest
 ) -> None:
-    """Oracle: as above, in a process of its own in which every warning is an error."""
+    """Oracle: as above, in a separate process in which every warning is an error."""
     options, variables = PROGRAMS[name]
     environment = {**os.environ, **variables, "PYTHONPATH": str(ROOT)}
     if "de_DE" in name:

@@ -56,7 +56,7 @@ def test_fewer_points_than_neighbours(count: int) -> None:
 
 
 def test_too_many_points_are_thinned_and_keep_their_size() -> None:
-    """Oracle: each chosen splat is one of the splats made of all points."""
+    """Oracle: the splats made of all points, which include each chosen splat."""
     points = cloud(np.random.default_rng(0).normal(size=(100, 3)))
     everything = splats_from_points(points, **OPTIONS)
     some = splats_from_points(points, **(OPTIONS | {"max_splats": 30}))
@@ -67,7 +67,7 @@ def test_too_many_points_are_thinned_and_keep_their_size() -> None:
 
 
 def test_points_that_are_not_finite_are_left_out() -> None:
-    """Oracle: the count; without any the error says what to do."""
+    """Oracle: the count; without finite points the error, with a remedy."""
     points = np.zeros((4, 3))
     points[1] = np.nan
     points[2] = np.inf
@@ -77,7 +77,7 @@ def test_points_that_are_not_finite_are_left_out() -> None:
 
 
 def test_tensors_and_back() -> None:
-    """Oracle: the same bits, and no coefficients but those that were stored."""
+    """Oracle: the same bits, and only the stored coefficients."""
     made = splats_from_points(cloud(np.random.default_rng(0).normal(size=(5, 3))), **OPTIONS)
     back = splats_from_tensors(tensors_from_splats(made))
     for name in PARAMETERS:

@@ -1,4 +1,4 @@
-"""The finest detail that photos tell; oracle: the formula in float64, splat by splat."""
+"""The sampling rate of photos; oracle: the formula in float64, splat by splat."""
 
 import math
 from dataclasses import replace
@@ -22,7 +22,7 @@ SHORT = TrainConfig(
 
 
 def views() -> list[Frustum]:
-    """Cameras at different distances: along z, along -z, and with everything behind it."""
+    """Cameras at different distances: along z, along -z, and with all splats behind it."""
     found = []
     for turn, back, focal in ((0.0, 4.0, 50.0), (math.pi, 6.0, 90.0), (math.pi / 2, -900.0, 10.0)):
         c, s = math.cos(turn), math.sin(turn)
@@ -70,11 +70,12 @@ def test_the_rate_is_that_of_the_nearest_photo(model: Model) -> None:
     found = sampling_rates(model.params["means"], views())
     expected = [rate_of(place, views()) for place in model.params["means"].double().numpy()]
     np.testing.assert_allclose(found.numpy(), expected, rtol=1e-5)
-    assert 0.1 < np.mean(np.array(expected) == 0) < 0.9  # some are seen, some are not
+    assert 0.1 < np.mean(np.array(expected) == 0) < 0.9  # some are visible, some are not
 
 
 def test_only_axes_that_are_too_short_change(model: Model) -> None:
-    """Oracle: max(axis, pixels / rate) in float64; what no photo has, and all else, stays."""
+    """Oracle: max(axis, pixels / rate) in float64; splats outside all photos, and all else,
+    stay."""
     before = {name: p.clone() for name, p in model.params.items()}
     apply_min_scale(model, views(), PIXELS)
     rates = np.array([rate_of(place, views()) for place in before["means"].double().numpy()])
@@ -89,7 +90,7 @@ def test_only_axes_that_are_too_short_change(model: Model) -> None:
 
 
 def test_no_splats_and_no_views_are_no_error(model: Model) -> None:
-    """Oracle: nothing happens."""
+    """Oracle: unchanged splats."""
     before = model.params["scales"].clone()
     apply_min_scale(model, [], PIXELS)
     assert torch.equal(before, model.params["scales"])
@@ -97,8 +98,8 @@ def test_no_splats_and_no_views_are_no_error(model: Model) -> None:
 
 
 def test_a_training_ends_within_the_limit(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the limit computed in float64 from the cameras that were trained on; without the
-    option axes are below it."""
+    """Oracle: the limit computed in float64 from the training cameras; axes below it without the
+    option."""
     from gscore.io.cameras_json import read_cameras_json
 
     def shortest(config: TrainConfig, out: Path) -> float:
@@ -118,7 +119,7 @@ def test_a_training_ends_within_the_limit(capture: Path, tmp_path: Path) -> None
 
 
 def test_a_run_goes_on_with_the_same_bits(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the run that was never stopped."""
+    """Oracle: the uninterrupted run."""
     data = DataConfig(source=capture)
     train(SHORT, data, tmp_path / "whole")
     train(replace(SHORT, checkpoint_iterations=(25,)), data, tmp_path / "parts")

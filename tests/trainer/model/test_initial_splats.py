@@ -1,4 +1,4 @@
-"""Training that starts from given splats instead of points."""
+"""Trainings that start from given splats instead of points."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -50,7 +50,7 @@ def test_the_first_picture_is_that_of_the_given_splats(make_photos: Callable[...
 
 
 def test_opacities_may_be_carried_in_part(make_photos: Callable[..., Any]) -> None:
-    """Oracle: the activated opacities, times the share; those of opaque splats too."""
+    """Oracle: the activated opacities times the share, of opaque splats too."""
     photos = make_photos()
     start = first_splats(photos)
     start.opacities[:3] = [-4, 0, 20]
@@ -99,7 +99,7 @@ def test_a_run_starts_from_a_ply_and_goes_on_from_its_checkpoint(
 
 
 def test_given_splats_see_full_photos_from_the_first_step() -> None:
-    """Oracle: the factor of the first step, with and without, and where one is asked for."""
+    """Oracle: the factor of the first step, with and without splats, and with the option set."""
     blank = TrainConfig(iterations=500)
     warm = replace(blank, start_splats=Path("some.ply"))
     asked = replace(warm, coarse_factor=2.0)
@@ -110,7 +110,7 @@ def test_given_splats_see_full_photos_from_the_first_step() -> None:
 
 
 def test_bad_starts_are_named(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the file in the message; a warning where the anti-aliasing differs."""
+    """Oracle: the file in the message; a warning for another antialias setting."""
     data = DataConfig(source=capture)
     missing = replace(CONFIG, start_splats=tmp_path / "none.ply")
     with pytest.raises(DatasetError, match=r"none\.ply"):

@@ -36,7 +36,7 @@ def test_steps_are_those_of_adam(marked_model: Callable[..., Model]) -> None:
 
 
 def test_missing_sh_coefficients_take_no_step(marked_model: Callable[..., Model]) -> None:
-    """Oracle: at degree 0 there is nothing to update, and the others move."""
+    """Oracle: no update at degree 0, while the other parameters move."""
     model = marked_model(4, sh_rest=0)
     before = model.params["sh0"].clone()
     for grad in model.grads.values():
@@ -50,7 +50,7 @@ def test_missing_sh_coefficients_take_no_step(marked_model: Callable[..., Model]
 
 
 class Twin:
-    """The same splats under dense Adam in float64, whose rows are moved about in the same way."""
+    """The same splats under dense Adam in float64, with rows moved in the same way."""
 
     def __init__(self, model: Model) -> None:
         self.params = {name: p.double().numpy().copy() for name, p in model.params.items()}
@@ -75,7 +75,7 @@ class Twin:
             self.v[name] = np.concatenate([self.v[name][keep], none[name]])
 
     def distances(self, model: Model) -> dict[str, float]:
-        """By parameter: the largest distance of two rows, relative to the row's length."""
+        """By parameter: the largest distance between two rows, relative to the row's length."""
         found = {}
         for name, p in model.synced().items():
             expected = self.params[name].reshape(len(model), -1)
@@ -87,8 +87,8 @@ class Twin:
 
 @pytest.mark.parametrize("every", [1, 8])
 def test_late_rows_end_where_dense_adam_takes_them(every: int) -> None:
-    """Oracle: the twin over 1,000 steps in which few splats are seen, while rows are pruned,
-    copied, put in another order and relocated, and opacities are reset."""
+    """Oracle: the twin over 1,000 steps with few visible splats, while rows are pruned, copied,
+    reordered and relocated, and opacities are reset."""
     rng = np.random.default_rng(every)
     n = 60
     shapes = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh0": (1, 3)}
@@ -135,7 +135,7 @@ def test_late_rows_end_where_dense_adam_takes_them(every: int) -> None:
             row_ops.reset_opacities(model, 0.9)
             twin.params["opacities"] = np.minimum(twin.params["opacities"], math.log(9))
             twin.m["opacities"][:], twin.v["opacities"][:] = 0, 0
-        if step % 333 == 0:  # where a splat went, its parent's numbers are; both have forgotten
+        if step % 333 == 0:  # a relocated splat has its parent's numbers; both have zero moments
             n = len(model)
             dead = torch.zeros(n, dtype=torch.bool)
             dead[:4] = True
@@ -148,7 +148,7 @@ def test_late_rows_end_where_dense_adam_takes_them(every: int) -> None:
                     moments[name][:4], moments[name][chosen] = 0, 0
                 twin.params[name][:4] = twin.params[name][chosen]
             rows = [*range(4), *chosen]
-            for name in ("opacities", "scales"):  # new by the rule that test_ops checks
+            for name in ("opacities", "scales"):  # set by the rule that test_ops checks
                 twin.params[name][rows] = model.params[name][rows].double().numpy()
             gathered[:4] = 0
     assert model.rows["shN_lag"].any()
@@ -158,7 +158,7 @@ def test_late_rows_end_where_dense_adam_takes_them(every: int) -> None:
 
 
 def test_looking_at_a_model_changes_no_bit() -> None:
-    """Oracle: the same steps without looking; and what is shown is what settling gives."""
+    """Oracle: the same steps without reading the model; the rows of a sync as the picture."""
     rng = np.random.default_rng(0)
     results = []
     for looks in (True, False):
@@ -188,7 +188,7 @@ def test_looking_at_a_model_changes_no_bit() -> None:
 
 def test_a_step_of_several_photos_fades_as_so_many(marked_model: Callable[..., Model]) -> None:
     """Oracle: the update rule written out with beta to the power of the photos, steps counted in
-    photos; higher SH coefficients count their own."""
+    photos; higher SH coefficients have their own count."""
     model = Model(marked_model(50).params)
     rng = np.random.default_rng(0)
     expected, m, v = model.params["means"].double().numpy().copy(), 0.0, 0.0

@@ -12,7 +12,7 @@ from gscore.trainer.model.nearest_points import NearestPoints
 
 @pytest.mark.parametrize("asked", [None, 5])
 def test_distances_are_the_smallest_of_all(asked: int | None) -> None:
-    """Oracle: all distances, sorted; points that are no numbers do not count."""
+    """Oracle: all distances, sorted, without points that are not finite."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(900, 3))
     points[5], points[6] = np.nan, np.inf

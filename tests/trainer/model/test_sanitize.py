@@ -1,4 +1,4 @@
-"""Splats that run away; oracle: the run without them, bit for bit, and closed bounds."""
+"""Splats that diverge; oracle: the run without them, bit for bit, and closed bounds."""
 
 import math
 from collections.abc import Callable
@@ -24,7 +24,7 @@ ROWS = 1000
 
 
 def gradients(params: dict[str, torch.Tensor], target: torch.Tensor) -> dict[str, torch.Tensor]:
-    """Of the image loss, in the parameters."""
+    """Gradients of the image loss in the parameters."""
     leaves = {name: p.detach().clone().requires_grad_() for name, p in params.items()}
     aux = RasterAux()
     K = torch.tensor([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
@@ -80,8 +80,7 @@ def test_a_poisoned_row_of_a_thousand_leaves_all_others_alone(
 def test_what_ran_away_is_taken_out(
     marked_model: Callable[..., Model], name: str, value: float
 ) -> None:
-    """Oracle: row 3 is neutral and without moments, the others are as they were; but a tiny scale
-    is no harm."""
+    """Oracle: row 3, neutral and without moments; the others unchanged. A tiny scale is allowed."""
     model = marked_model(10)
     before = {key: p.detach().clone() for key, p in model.params.items()}
     model.params[name].data.reshape(10, -1)[3, 0] = value
@@ -102,7 +101,8 @@ def test_what_ran_away_is_taken_out(
 
 
 def test_saturated_opacities_and_thin_axes_are_held(marked_model: Callable[..., Model]) -> None:
-    """Oracle: the bounds, which the slope of the sigmoid times a pixel's share survives."""
+    """Oracle: the bounds, within which the slope of the sigmoid times a pixel's share is not
+    zero."""
     model = marked_model(4)
     model.params["opacities"].data[:] = torch.tensor([30.0, -30.0, 3.0, -3.0])
     model.params["scales"].data[1] = torch.tensor([0.0, -30.0, -1.0])
@@ -112,7 +112,8 @@ def test_saturated_opacities_and_thin_axes_are_held(marked_model: Callable[..., 
 
 
 def test_sizes_are_bounded_by_the_distance(marked_model: Callable[..., Model]) -> None:
-    """Oracle: 5 x (extent + distance): the sky may be large, what fills every picture may not."""
+    """Oracle: 5 x (extent + distance): a large sky passes, splats that fill every picture do
+    not."""
     model = marked_model(4)
     model.params["means"].data[:] = torch.tensor([[0.0, 0, 1], [0, 0, 40], [0, 0, 40], [0, 1, 0]])
     largest = torch.tensor([10.0, 200.0, 206.0, 10.1])
@@ -123,7 +124,7 @@ def test_sizes_are_bounded_by_the_distance(marked_model: Callable[..., Model]) -
 
 
 def test_screen_filling_splats_do_not_outlive_a_short_run(photos: Any) -> None:
-    """Oracle: the size that is allowed, in a run too short for opacity resets."""
+    """Oracle: the allowed size, in a run too short for opacity resets."""
     trainer = Trainer(CONFIG, photos)
     assert not trainer.plan.reset_every
     trainer.model.params["scales"].data[:10] = math.log(50.0 * trainer.frame.extent)
@@ -137,7 +138,8 @@ def test_screen_filling_splats_do_not_outlive_a_short_run(photos: Any) -> None:
 
 @pytest.mark.parametrize("value", [1e5, 1e8])
 def test_an_exploded_colour_costs_one_step_not_the_run(photos: Any, value: float) -> None:
-    """Oracle: the first view that shows it teaches nothing, all others do; the row is counted."""
+    """Oracle: no update by the first view that shows it, updates by all others; the row is
+    counted."""
     trainer = Trainer(CONFIG, photos)
     for _ in range(3):
         trainer.step()
@@ -166,7 +168,7 @@ def test_healthy_training_is_not_touched(photos: Any, monkeypatch: pytest.Monkey
 
 
 def test_all_rows_may_be_lost_without_a_crash(photos: Any) -> None:
-    """Oracle: nothing is drawn, every number stays finite."""
+    """Oracle: an empty picture and finite numbers."""
     trainer = Trainer(replace(CONFIG, refine_start=2, refine_every=2), photos)
     trainer.model.params["sh0"].data[:] = 1e30
     try:
@@ -178,7 +180,7 @@ def test_all_rows_may_be_lost_without_a_crash(photos: Any) -> None:
 
 
 def test_moments_that_overflowed_are_cleared(marked_model: Callable[..., Model]) -> None:
-    """Oracle: row 2 alone; with an infinite second moment Adam would never move it again."""
+    """Oracle: row 2 alone; Adam would never move it again with an infinite second moment."""
     model = marked_model(5)
     first, second = model.moments("means")
     second[2, 1] = math.inf

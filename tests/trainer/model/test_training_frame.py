@@ -10,7 +10,7 @@ from gscore.trainer.model.training_frame import TrainingFrame
 
 
 def moved(scene: Scene, factor: float, offset: float) -> Scene:
-    """The same capture in other units, elsewhere."""
+    """The same capture in other units and at another place."""
     viewmats = scene.cameras.viewmats.copy()
     centers = scene.cameras.centers * factor + offset
     viewmats[:, :3, 3] = -np.einsum("cij,cj->ci", viewmats[:, :3, :3], centers)
@@ -20,7 +20,7 @@ def moved(scene: Scene, factor: float, offset: float) -> Scene:
 
 @pytest.mark.parametrize(("factor", "offset"), [(1.0, 0.0), (1e-4, 0.0), (300.0, 1e6)])
 def test_extent_is_that_of_the_cameras(photos, factor: float, offset: float) -> None:
-    """Oracle: 1.1 times the largest distance from the mean, whatever the units."""
+    """Oracle: 1.1 times the largest distance from the mean, in any units."""
     scene = moved(photos.scene, factor, offset)
     frame = TrainingFrame.of(scene, near=0.01)
     centers = scene.cameras.centers
@@ -58,7 +58,7 @@ def test_a_frame_survives_json(photos) -> None:
     ("place", "size"), [(1e300, 1.0), (np.inf, 1.0), (np.nan, 1.0), (0, 1e-310)]
 )
 def test_points_out_of_bounds_are_not_counted(photos, place: float, size: float) -> None:
-    """Oracle: the frame of the same capture without them; nothing overflows."""
+    """Oracle: the frame of the same capture without them; no overflow."""
     viewmats = photos.scene.cameras.viewmats.copy()
     viewmats[:, :3, 3] *= size if size < 1 else 0
     cameras = replace(photos.scene.cameras, viewmats=viewmats)

@@ -1,4 +1,4 @@
-"""Photos that do not fit into memory; oracle: the bits of a training that keeps them all."""
+"""Photos that exceed the memory; oracle: the bits of a training that keeps them all."""
 
 import shutil
 from collections.abc import Iterator
@@ -34,8 +34,8 @@ def test_a_small_cache_gives_the_same_bits(photos: Any) -> None:
 
 
 def test_masks_and_depth_maps_are_counted(capture: Path, tmp_path: Path) -> None:
-    """Oracle: by hand: masks of eight photos of 48 x 48 px are a byte a pixel, their depth maps 11
-    bytes."""
+    """Oracle: by hand: for eight photos of 48 x 48 px, masks of a byte a pixel and depth maps of 11
+    bytes a pixel."""
     bare, masked = capture, tmp_path / "in"
     shutil.copytree(capture, masked)
     for photo in (capture / "images").iterdir():
@@ -62,7 +62,7 @@ def test_masks_and_depth_maps_are_counted(capture: Path, tmp_path: Path) -> None
 
 
 def test_masks_of_several_labels_are_told(capture: Path, tmp_path: Path) -> None:
-    """Oracle: 0, 1 and 2 of 255 count for next to nothing; masks that reach white say nothing."""
+    """Oracle: almost zero weight for 0, 1 and 2 of 255; no message for masks that reach white."""
     shutil.copytree(capture, tmp_path / "in")
     for k, photo in enumerate(sorted((capture / "images").iterdir())):
         labels = np.tile(np.uint8([0, 1, 2]), (48, 16))
@@ -97,7 +97,7 @@ def counted(photos: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[int]]
 def test_the_cache_is_bounded_and_the_next_views_come_in_time(
     photos: Any, counted: list[int]
 ) -> None:
-    """Oracle: bytes held, and which views were made when."""
+    """Oracle: cached bytes, and the order of decoded views."""
     size = 48 * 48 * 3
     pyramid = ImagePyramid(photos, photos.scene.cameras, near=0.01, limit=3 * size)
     order = [5, 1, 7, 0, 3, 2]
@@ -113,7 +113,7 @@ def test_the_cache_is_bounded_and_the_next_views_come_in_time(
 
 
 def test_few_decoded_views_are_held(capture: Path) -> None:
-    """Oracle: the bytes of a dataset that keeps them all."""
+    """Oracle: the bytes of a dataset that keeps all views."""
     data = DataConfig(source=capture)
     whole, few = load_dataset(data), load_dataset(data)
     few.keep_few()
@@ -124,7 +124,7 @@ def test_few_decoded_views_are_held(capture: Path) -> None:
 
 
 def test_a_run_with_a_small_cache_ends_alike(capture: Path, tmp_path: Path) -> None:
-    """Oracle: splats and metrics of the run that keeps all photos; a megabyte holds them all."""
+    """Oracle: splats and metrics of the run that keeps all photos; a megabyte is room for all."""
     data, events = DataConfig(source=capture, eval=True, test_every=4), list[Event]()
     whole = train(CONFIG, data, tmp_path / "whole", events.append)
     told = [e for e in events if isinstance(e, Estimated)]

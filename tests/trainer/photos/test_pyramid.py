@@ -38,7 +38,7 @@ def test_odd_sizes_scale_each_axis_by_its_own_ratio(make_photos: Callable[..., A
 
 
 def test_what_a_mask_hides_does_not_bleed_in(make_photos: Callable[..., Any]) -> None:
-    """Oracle: a red left half beside a hidden green right half, and the mean of the mask."""
+    """Oracle: a red left half next to a hidden green right half, and the mean of the mask."""
     photos = make_photos()
     photos.images[0] = np.zeros((48, 48, 3), np.uint8)
     photos.images[0][:, :25, 0] = 200
@@ -56,7 +56,7 @@ def test_what_a_mask_hides_does_not_bleed_in(make_photos: Callable[..., Any]) ->
 def test_tiles_that_a_mask_hides_are_left_out_where_it_says_ignore(
     make_photos: Callable[..., Any],
 ) -> None:
-    """Oracle: by hand: of 48 columns 20 are kept, and of 24 the first ten."""
+    """Oracle: by hand: 20 of 48 columns are kept, and the first ten of 24."""
     photos = make_photos()
     photos.masks[0] = np.zeros((48, 48), np.uint8)
     photos.masks[0][:, :20] = 255

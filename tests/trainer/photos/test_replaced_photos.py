@@ -1,4 +1,4 @@
-"""Photos that become others while a training reads them again and again."""
+"""Photos that change while a training reads them repeatedly."""
 
 import os
 import shutil
@@ -24,10 +24,10 @@ CONFIG = TrainConfig(iterations=60, max_splats=200, refine_start=10, refine_ever
 
 @pytest.fixture
 def root(capture: Path, tmp_path: Path) -> Path:
-    """A copy of the toy capture that may be changed."""
+    """A writable copy of the toy capture."""
     shutil.copytree(capture, tmp_path / "in")
     photo = photo_of(tmp_path / "in")
-    photo.write_bytes(photo.read_bytes() + bytes(5000))  # no one looks behind the end of a PNG
+    photo.write_bytes(photo.read_bytes() + bytes(5000))  # readers stop at the end of a PNG
     shutil.copy(photo, tmp_path / "first.png")
     return tmp_path / "in"
 
@@ -41,7 +41,7 @@ def invert(path: Path) -> None:
 
 
 def invert_in_disguise(path: Path) -> None:
-    """Another picture of the same size and time."""
+    """Write another picture of the same size and time."""
     before, image = path.stat(), read_image(path)
     write_png(path, image[::-1])
     path.write_bytes(path.read_bytes().ljust(before.st_size, b"\0"))
@@ -67,7 +67,7 @@ def few(root: Path) -> Dataset:
 def test_a_photo_that_changed_is_refused_when_it_is_read_again(
     root: Path, change: Callable[[Path], None]
 ) -> None:
-    """Oracle: the file's name; the other photos are as they were."""
+    """Oracle: the file's name; the other photos unchanged."""
     data = few(root)
     for i in range(len(data)):
         data.image(i)
@@ -81,7 +81,7 @@ def test_a_photo_that_changed_is_refused_when_it_is_read_again(
 
 
 def test_a_photo_that_changed_before_it_was_read_is_refused(root: Path) -> None:
-    """Oracle: its header was read as the capture was opened; kept or not."""
+    """Oracle: the header read when the capture was opened; photos kept or not."""
     for data in (load_dataset(DataConfig(source=root)), few(root)):
         invert(photo_of(root))
         with pytest.raises(DatasetError, match=r"changed after the capture was read"):
@@ -91,7 +91,7 @@ def test_a_photo_that_changed_before_it_was_read_is_refused(root: Path) -> None:
 
 
 def test_photos_that_are_kept_may_change(root: Path) -> None:
-    """Oracle: the picture as it was."""
+    """Oracle: the previous picture."""
     data = load_dataset(DataConfig(source=root))
     before = data.image(3).copy()
     invert(photo_of(root))
@@ -111,7 +111,7 @@ def test_masks_are_watched_too(root: Path) -> None:
 
 
 def test_a_photo_that_is_copied_back_is_the_same(root: Path, tmp_path: Path) -> None:
-    """Oracle: the same bytes with another time are the same photo."""
+    """Oracle: the same bytes with another time, which are the same photo."""
     data = few(root)
     data.content_hash()
     data.image(3)
@@ -126,7 +126,7 @@ def test_a_photo_that_is_copied_back_is_the_same(root: Path, tmp_path: Path) -> 
 
 @pytest.fixture
 def little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Room for two photos, so that the others are read again and again."""
+    """Room for two photos, so that the others are read repeatedly."""
     monkeypatch.setattr("gscore.trainer.estimate.forecast.cache_bytes", lambda *_, **__: 20_000)
 
 
@@ -140,7 +140,7 @@ def test_a_run_stops_and_goes_on(
     change: Callable[[Path], None],
     watchdog: bool,
 ) -> None:
-    """Oracle: the bits of a run that was left alone; the steps before the change are not lost."""
+    """Oracle: the bits of an undisturbed run; the steps before the change are kept."""
     config = replace(CONFIG, watchdog=watchdog, checkpoint_seconds=0.0)
     data = DataConfig(source=root)
     whole = train(config, data, tmp_path / "whole")

@@ -27,7 +27,7 @@ _WORK = {
 
 
 def _trained(photos: Any, *without: Skip, work: str = "forward_pairs") -> tuple[Trainer, float]:
-    """A short training, and how much of `work` it did."""
+    """A short training, and the amount of `work` that it did."""
     config = TrainConfig(
         iterations=40, sh_degree=2, sh_every=15, refine_start=10, refine_every=10, without=without
     )
@@ -52,9 +52,9 @@ def masked(make_photos: Callable[..., Any]) -> Any:
 
 @pytest.mark.parametrize("skip", _EXACT)
 def test_exact_skips_leave_every_bit(masked: Any, isa: str, skip: Skip) -> None:
-    """Oracle: as above; and the rasterizer has less to do."""
+    """Oracle: as above; less work for the rasterizer."""
     torch.set_num_threads(1)
-    # Tiles that a mask hides are all that have no gradient here: they must be drawn at first.
+    # Only the tiles that a mask hides have no gradient here, so the first pass must draw them.
     others = (Skip.MASKED_TILE,) if skip is Skip.ZERO_TILE else ()
     work = _WORK.get(skip, "forward_pairs")
     fast, little = _trained(masked, *others, work=work)
@@ -75,7 +75,7 @@ def test_rows_that_wait_come_out_as_if_they_had_not(masked: Any) -> None:
 
 
 def test_rare_steps_of_higher_coefficients_can_be_switched_off(photos: Any) -> None:
-    """Oracle: what the plan says, and how many steps the optimizer has taken."""
+    """Oracle: the plan, and the number of steps of the optimizer."""
     for without, steps in (((), 4), ((Skip.RARE_SH,), 29)):  # there are none before step 2
         config = TrainConfig(iterations=30, sh_degree=1, sh_every=1, shN_every=9, without=without)
         trainer = Trainer(config, photos)
@@ -95,7 +95,7 @@ def test_small_photos_can_be_switched_off(make_photos: Callable[..., Any]) -> No
 
 
 def test_tiles_of_a_mask() -> None:
-    """Oracle: by hand; one pixel keeps a tile, the rim is a tile of its own."""
+    """Oracle: by hand; a tile is kept for one pixel, and the rim is a tile of its own."""
     mask = np.zeros((33, 20), np.uint8)
     mask[15, 16] = 1
     mask[32, 0] = 255

@@ -1,4 +1,4 @@
-"""A far background to start from; oracles: colours that are a function of the direction alone."""
+"""An initial far background; oracles: colours that depend on the direction alone."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,12 +20,12 @@ CONFIG = TrainConfig(iterations=6, max_splats=4000, sh_degree=0, coarse_factor=1
 
 
 def color_of(ahead: np.ndarray) -> np.ndarray:
-    """A smooth colour for each direction [..., 3], 0 to 1."""
+    """A smooth colour, 0 to 1, for each direction [..., 3]."""
     return 0.5 + 0.4 * ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
 
 
 def looking_out(make_photos: Callable[..., Any], views: int = 8) -> Any:
-    """Photos of a sky that has `color_of`, from one place, around and a little up."""
+    """Photos of a sky coloured by `color_of`, from one place, around and slightly upwards."""
     photos = make_photos()
     viewmats = []
     for k in range(views):
@@ -53,7 +53,7 @@ def sky_of(photos: Any, config: TrainConfig = CONFIG) -> Splats:
 
 
 def shown(cameras: Cameras, means: np.ndarray, views: list[int]) -> np.ndarray:
-    """[N] bool: whether one of the views shows a place, by each in turn."""
+    """[N] bool: whether a view shows the place, one view after the other."""
     found = np.zeros(len(means), bool)
     for view in views:
         local = means @ cameras.viewmats[view, :3, :3].T + cameras.viewmats[view, :3, 3]
@@ -64,7 +64,8 @@ def shown(cameras: Cameras, means: np.ndarray, views: list[int]) -> np.ndarray:
 
 
 def test_a_sphere_has_the_colours_that_photos_have_there(make_photos: Callable[..., Any]) -> None:
-    """Oracle: the colour of the direction; for one that no photo shows those of its neighbours."""
+    """Oracle: the colour of the direction; the neighbours' colour for directions outside all
+    photos."""
     photos = looking_out(make_photos)
     sky = sky_of(photos)
     assert len(sky) == 400  # a tenth of the splats
@@ -79,8 +80,8 @@ def test_a_sphere_has_the_colours_that_photos_have_there(make_photos: Callable[.
 
 
 def test_it_lies_evenly_far_around_all(make_photos: Callable[..., Any]) -> None:
-    """Oracle: radius three times the distance of the farthest point that counts; splats as far
-    from their nearest neighbour as a hexagonal pattern of as many has them, within a tenth."""
+    """Oracle: a radius of three times the distance of the farthest point that counts; the spacing
+    of a hexagonal pattern with as many splats, within a tenth."""
     photos = looking_out(make_photos)
     sky, points = sky_of(photos), photos.scene.points.points
     radius = np.linalg.norm(sky.means, axis=1)
@@ -94,7 +95,7 @@ def test_it_lies_evenly_far_around_all(make_photos: Callable[..., Any]) -> None:
 
 
 def test_what_masks_hide_does_not_count(make_photos: Callable[..., Any]) -> None:
-    """Oracle: the colour of the direction, while what is masked is blue in the photos."""
+    """Oracle: the colour of the direction; the photos are blue where masked."""
     photos = looking_out(make_photos)
     photos.mask_mode = "ignore"
     for k in range(8):
@@ -120,7 +121,7 @@ def test_there_is_none_unless_asked_for_or_where_nothing_has_a_size(
 
 
 def test_a_training_starts_with_it_and_keeps_its_cap(make_photos: Callable[..., Any]) -> None:
-    """Oracle: the splats of a start without; a cap that points alone would fill."""
+    """Oracle: the splats of a start without a sky; a cap that points alone would fill."""
     photos = looking_out(make_photos)
     plain = Trainer(replace(CONFIG, sky=False), photos).splats()
     found = Trainer(CONFIG, photos).splats()
@@ -133,7 +134,7 @@ def test_a_training_starts_with_it_and_keeps_its_cap(make_photos: Callable[..., 
 
 
 def test_large_splats_stay_since_opacities_are_not_reset(make_photos: Callable[..., Any]) -> None:
-    """Oracle: the plans of both runs; an interval that is asked for holds."""
+    """Oracle: the plans of both runs; an interval set by the option is kept."""
     photos = looking_out(make_photos)
     long = replace(CONFIG, iterations=7000)
     assert Trainer(replace(long, sky=False), photos).plan.reset_every == 3000
@@ -151,7 +152,7 @@ def test_given_splats_have_the_last_word(make_photos: Callable[..., Any]) -> Non
 def test_there_is_no_sky_behind_a_subject_or_a_region(
     make_photos: Callable[..., Any], tmp_path: Path
 ) -> None:
-    """Oracle: sentences that say why."""
+    """Oracle: sentences with the reason."""
     photos = looking_out(make_photos)
     photos.mask_mode = "composite"
     with pytest.raises(ConfigError, match=r"composite.*leave out --sky"):

@@ -1,4 +1,4 @@
-"""A region of a training from the start; oracles: the outline of its box, bytes."""
+"""A region from the first step of a training; oracles: the outline of its box, bytes."""
 
 import json
 from dataclasses import replace
@@ -27,8 +27,8 @@ ANEW = replace(CONFIG, region=Path("r"))
 
 @pytest.mark.parametrize("narrow", [False, True])
 def test_only_pixels_that_look_at_the_region_count(capture: Path, narrow: bool) -> None:
-    """Oracle: the outline of the box, which has its own test; masks of training views have it
-    where they are narrowed, of held-out views always."""
+    """Oracle: the outline of the box, which has its own test; it is in the masks of training views
+    where narrowed, of held-out views always."""
     dataset = load_dataset(DataConfig(source=capture, eval=True))
     box, cameras = RegionBox(BOX), dataset.scene.cameras
     found = RegionPhotos(dataset, box, near=0.01, narrow=narrow)
@@ -45,7 +45,7 @@ def test_only_pixels_that_look_at_the_region_count(capture: Path, narrow: bool) 
 
 
 def test_nothing_else_of_photos_is_learnt(capture: Path) -> None:
-    """Oracle: the same training with photos that are black all around the region: the same bits."""
+    """Oracle: the bits of the same training with photos that are black around the region."""
 
     class Blackened(RegionPhotos):
         def image(self, index: int) -> np.ndarray:
@@ -56,7 +56,7 @@ def test_nothing_else_of_photos_is_learnt(capture: Path) -> None:
     def trained(kind: type[RegionPhotos]) -> bytes:
         dataset = load_dataset(DataConfig(source=capture))
         photos = kind(dataset, RegionBox(BOX), near=0.01, narrow=True)
-        # Exposure and stereo are judged on whole photos elsewhere; here only the loss sees them.
+        # Other tests cover exposure and stereo on whole photos; here they only enter the loss.
         trainer = Trainer(ANEW, photos, region=RegionBox(BOX))
         for _ in range(30):
             trainer.step()
@@ -66,7 +66,7 @@ def test_nothing_else_of_photos_is_learnt(capture: Path) -> None:
 
 
 def test_photos_that_masks_cut_out_are_refused(capture: Path) -> None:
-    """Oracle: their masks are opacity already, which a region cannot narrow."""
+    """Oracle: masks that are opacity already, which a region cannot narrow."""
     dataset = load_dataset(DataConfig(source=capture))
     dataset.mask_mode = "composite"
     with pytest.raises(ConfigError, match="mask-mode ignore"):
@@ -74,7 +74,7 @@ def test_photos_that_masks_cut_out_are_refused(capture: Path) -> None:
 
 
 def test_a_region_without_points_is_refused(capture: Path) -> None:
-    """Oracle: a box that photos look through, far behind all points."""
+    """Oracle: a box in the photos, far behind all points."""
     dataset = load_dataset(DataConfig(source=capture))
     direction = dataset.scene.cameras.viewmats[0][2, :3]
     far = np.eye(4)
@@ -87,8 +87,7 @@ def test_a_region_without_points_is_refused(capture: Path) -> None:
 def test_another_region_does_not_go_on(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: a run that was stopped goes on in its own box, named from any folder, and not in
-    another."""
+    """Oracle: a resumed run in its own box, named from any folder; a refusal of another box."""
     monkeypatch.chdir(tmp_path)
     config = replace(ANEW, iterations=40, region=Path("r.json"))
     write_region(tmp_path / "r.json", BOX)
@@ -116,7 +115,7 @@ def test_a_run_says_what_it_trains(capture: Path, tmp_path: Path) -> None:
 def test_measured_again_it_is_the_region_still(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the figures of the training; without the file of the region, a warning."""
+    """Oracle: the figures of the training; a warning without the file of the region."""
     write_region(tmp_path / "r.json", BOX)
     config = replace(CONFIG, region=tmp_path / "r.json")
     result = train(config, DataConfig(source=capture, eval=True), tmp_path / "out")

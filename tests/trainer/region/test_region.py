@@ -1,4 +1,4 @@
-"""A part of a result trained again; oracles: bytes, an own drawing of the box, real photos."""
+"""A part of a result trained again; oracles: bytes, a separate drawing of the box, real photos."""
 
 import json
 import shutil
@@ -34,7 +34,7 @@ TURNED = np.array(
 
 @pytest.fixture
 def start(known_splats: Splats, tmp_path: Path) -> Path:
-    """What the pictures show, with wrong colours in the box."""
+    """The splats of the pictures, with wrong colours in the box."""
     rng = np.random.default_rng(4)
     wrong = known_splats.sh0 + 0.3 * rng.normal(size=known_splats.sh0.shape)
     inside = RegionBox(TURNED).holds(known_splats.means)[:, None, None]
@@ -63,8 +63,8 @@ def bits(splats: Splats, rows: Any = slice(None)) -> dict[str, bytes]:
 def test_what_stands_around_a_region_keeps_its_bits(
     capture: Path, start: Path, region: Path, tmp_path: Path, strategy: Strategy
 ) -> None:
-    """Oracle: the bytes of the rows of the given PLY whose centres lie outside the box, in order,
-    against the first rows of the result; the box says itself where the others are."""
+    """Oracle: the bytes of the rows of the given PLY with centres outside the box, in order,
+    against the first rows of the result; the place of the others in the box."""
     config = replace(CONFIG, strategy=strategy, start_splats=start, region=region)
     result = train(config, DataConfig(source=capture), tmp_path / "out")
     before = read_splats(start)
@@ -90,7 +90,7 @@ def test_what_stands_around_a_region_keeps_its_bits(
 def test_a_region_goes_on_bit_by_bit(
     make_photos: Callable[..., Any], known_splats: Splats, tmp_path: Path, strategy: Strategy
 ) -> None:
-    """Oracle: the tensors of a training that did not stop."""
+    """Oracle: the tensors of an uninterrupted training."""
     config = replace(
         CONFIG, strategy=strategy, start_splats=tmp_path / "a.ply", region=tmp_path / "r"
     )
@@ -125,8 +125,8 @@ def test_a_region_goes_on_bit_by_bit(
 def test_a_run_of_a_region_resumes_from_its_folder(
     capture: Path, start: Path, region: Path, tmp_path: Path
 ) -> None:
-    """Oracle: the bytes of the PLY of a run that did not stop; and of other splats around the
-    region, a refusal."""
+    """Oracle: the bytes of the PLY of an uninterrupted run; a refusal of other splats around the
+    region."""
     config = replace(CONFIG, start_splats=start, region=region, checkpoint_iterations=(34,))
     data = DataConfig(source=capture)
     train(config, data, tmp_path / "whole")
@@ -148,7 +148,7 @@ def test_a_run_of_a_region_resumes_from_its_folder(
 def test_the_pixels_of_a_step_are_all_that_a_region_can_change(
     photos: Any, known_splats: Splats
 ) -> None:
-    """Oracle: the rasterizer, drawing the region's splats alone: no opacity outside the tiles."""
+    """Oracle: the region's splats rasterized alone: zero opacity outside the tiles."""
     config = replace(CONFIG, start_splats=Path("a.ply"), region=Path("r"))
     small = replace(known_splats, scales=known_splats.scales - np.float32(2))
     trainer = Trainer(
@@ -168,7 +168,7 @@ def test_the_pixels_of_a_step_are_all_that_a_region_can_change(
 
 
 def test_tiles_of_splats_anywhere_before_a_camera(photos: Any) -> None:
-    """Oracle: as above, for 400 models of one splat each: beside, behind, near and long ones."""
+    """Oracle: as above, for 400 models of one splat: outside, behind, near and long splats."""
     rng = np.random.default_rng(0)
     trainer = Trainer(CONFIG, photos)
     for _ in range(400):
@@ -184,8 +184,8 @@ def test_tiles_of_splats_anywhere_before_a_camera(photos: Any) -> None:
 
 
 def test_the_outline_of_a_box_is_where_points_of_it_are_seen(capture: Path) -> None:
-    """Oracle: 200,000 points in the box, projected one by one by plain matrices: each lies in the
-    outline, and each pixel of it has one, but for a rim."""
+    """Oracle: 200,000 points in the box, projected one by one by plain matrices: each is in the
+    outline, and each pixel of the outline has a point, but for a rim."""
     dataset = load_dataset(DataConfig(source=capture))
     cameras, box = dataset.scene.cameras, RegionBox(TURNED)
     rng = np.random.default_rng(1)
@@ -209,7 +209,7 @@ def test_the_outline_of_a_box_is_where_points_of_it_are_seen(capture: Path) -> N
 
 
 def test_photos_that_do_not_see_a_region_are_left_out(capture: Path) -> None:
-    """Oracle: a box behind all cameras but one, which stands in it; and one that none sees."""
+    """Oracle: a box behind all cameras but one, which is inside it; a box outside all views."""
     dataset = load_dataset(DataConfig(source=capture, eval=True))
     cameras = dataset.scene.cameras
     one = dataset.train[0]
@@ -224,8 +224,8 @@ def test_photos_that_do_not_see_a_region_are_left_out(capture: Path) -> None:
 
 
 def test_views_that_look_past_a_region_do_not_judge_it(capture: Path) -> None:
-    """Oracle: long thin boxes that pass a corner of a held-out picture; none of its pixels looks at
-    them, though no side of the picture has them beyond it."""
+    """Oracle: long thin boxes past a corner of a held-out picture: none of its pixels shows them,
+    though they are not entirely beyond one side of it."""
     dataset = load_dataset(DataConfig(source=capture, eval=True))
     cameras, rng, past = dataset.scene.cameras, np.random.default_rng(0), 0
     for _ in range(300):
@@ -246,7 +246,7 @@ def test_views_that_look_past_a_region_do_not_judge_it(capture: Path) -> None:
 def test_a_region_is_judged_by_its_own_pixels(
     capture: Path, start: Path, region: Path, tmp_path: Path
 ) -> None:
-    """Oracle: the PSNR of held-out photos inside the box, of the splats before: it rises."""
+    """Oracle: a rise of the PSNR of held-out photos inside the box over the initial splats."""
     from gscore.metrics import evaluate
     from gscore.raster.api import render
 
@@ -290,7 +290,7 @@ def test_a_region_is_judged_by_its_own_pixels(
     ],
 )
 def test_a_file_that_is_no_region_is_refused(tmp_path: Path, text: str, wrong: str) -> None:
-    """Oracle: what each of these files lacks."""
+    """Oracle: the missing entry of each file."""
     path = tmp_path / "region.json"
     path.write_text(text)
     with pytest.raises(FormatError, match=wrong) as caught:
@@ -314,7 +314,7 @@ def test_a_region_is_read_as_it_was_written(tmp_path: Path) -> None:
 def test_what_cannot_be_a_region_run_is_refused(
     known_splats: Splats, photos: Any, capture: Path, tmp_path: Path
 ) -> None:
-    """Oracle: what is wrong with each: nothing in the box, SH to cut."""
+    """Oracle: the defect of each: no splats in the box, SH degrees to cut."""
     config = replace(CONFIG, start_splats=tmp_path / "a.ply", region=tmp_path / "r")
     away = TURNED.copy()
     away[:3, 3] = 50

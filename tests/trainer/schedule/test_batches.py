@@ -1,4 +1,4 @@
-"""How many photos a step takes; oracle: counting."""
+"""Photos per step; oracle: counting."""
 
 import pytest
 
@@ -7,8 +7,8 @@ from gscore.trainer.schedule.batch_size import batch_size
 
 @pytest.mark.parametrize("size", [1, 2, 3, 8, 64])
 def test_what_is_due_is_met(size: int) -> None:
-    """Oracle: every multiple, every mark and the end is where some step ends; no photo is left out,
-    and no step takes more than there are processes."""
+    """Oracle: a step that ends at every multiple, mark and end; no photo is skipped, and no step
+    takes more photos than there are processes."""
     taken, ends = 0, []
     while taken < 101:
         count = batch_size(size, taken, every=(10, 25, 0, -1), marks=(33, 200), end=101)
@@ -22,5 +22,5 @@ def test_what_is_due_is_met(size: int) -> None:
 
 
 def test_a_run_may_go_on_after_its_end() -> None:
-    """Oracle: marks and ends that have passed hold nothing up."""
+    """Oracle: no limit by marks and ends that have passed."""
     assert batch_size(4, 100, every=(), marks=(50,), end=100) == 4

@@ -1,4 +1,4 @@
-"""How many steps and splats so many photos are good for; oracle: products by hand."""
+"""Caps of steps and splats by the number of photos; oracle: products by hand."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +16,7 @@ TRAIN = TrainConfig(iterations=7000, steps_a_photo=80)
     ("photos", "steps"), [(6, 1500), (18, 1500), (25, 2000), (52, 4160), (87, 6960), (88, 7000)]
 )
 def test_each_photo_is_good_for_so_many(photos: int, steps: int) -> None:
-    """Oracle: 80 times the photos, at least 1,500, at most what is asked for."""
+    """Oracle: 80 times the photos, at least 1,500, at most the option."""
     found, why = cap_by_photos(TRAIN, photos=photos)
     assert found == replace(TRAIN, iterations=steps)
     assert bool(why) == (steps < 7000)
@@ -32,7 +32,7 @@ def test_the_sentence() -> None:
 
 
 def test_a_subject_that_is_cut_out_is_good_for_twice_as_many() -> None:
-    """Oracle: 160 times the photos, and as many splats as are asked for."""
+    """Oracle: 160 times the photos, and the requested number of splats."""
     long = replace(TRAIN, iterations=15_000, splats_a_photo=6000, max_splats=600_000)
     for photos, steps in ((5, 1500), (50, 8000), (100, 15_000)):
         found, why = cap_by_photos(long, photos=photos, mask_mode="composite")
@@ -41,7 +41,7 @@ def test_a_subject_that_is_cut_out_is_good_for_twice_as_many() -> None:
 
 
 def test_how_many_points_are_expected() -> None:
-    """Oracle: those of the capture; else the number that is looked for, or 100,000 random ones."""
+    """Oracle: the points of the capture; else the number to search, or 100,000 random ones."""
     config = TrainConfig(max_splats=20_000)
     assert expected_points(config, 3000) == 3000
     assert expected_points(config, 0) == 4000
@@ -81,7 +81,7 @@ def test_where_all_are_taken(config: TrainConfig, mask_mode: str) -> None:
 
 
 def test_which_presets_have_the_limit() -> None:
-    """Oracle: all but previews have it, `high` for splats too."""
+    """Oracle: all but previews, `high` for splats too."""
     limits = {name: make(Path())[1].steps_a_photo for name, make in PRESETS.items()}
     assert limits == {"preview": 0, "draft": 68, "normal": 80, "high": 80}
     limits = {name: make(Path())[1].splats_a_photo for name, make in PRESETS.items()}
@@ -105,7 +105,7 @@ def test_each_model_may_have_as_many_splats_as_one_alone() -> None:
     [(6, 300_000), (50, 300_000), (52, 312_000), (99, 594_000), (100, 600_000)],
 )
 def test_each_photo_is_good_for_so_many_splats(photos: int, splats: int) -> None:
-    """Oracle: 6,000 times the photos, at least 300,000, at most what is asked for."""
+    """Oracle: 6,000 times the photos, at least 300,000, at most the option."""
     config = TrainConfig(max_splats=600_000, splats_a_photo=6000)
     found, why = cap_by_photos(config, photos=photos)
     assert found == replace(config, max_splats=splats)

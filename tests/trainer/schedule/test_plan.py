@@ -1,4 +1,4 @@
-"""Schedules; oracle: the values that the papers state for their run lengths."""
+"""Schedules; oracle: the values in the papers for their run lengths."""
 
 import math
 from dataclasses import replace
@@ -18,7 +18,8 @@ def plan_of(config: TrainConfig, points: int = 10_000, side: int = 300) -> Plan:
 
 
 def test_a_run_of_30000_steps_is_that_of_the_paper() -> None:
-    """Oracle: Kerbl et al. 2023 and its reference code, where growth does not wait for photos."""
+    """Oracle: Kerbl et al. 2023 and its reference code, for growth that does not wait for
+    photos."""
     plan = plan_of(TrainConfig(iterations=30_000, grow_with_photos=False))
     assert [step for step in range(1, 30_001) if plan.resets_at(step)] == [
         3000 * k for k in range(1, 6)
@@ -37,7 +38,7 @@ def test_a_run_of_30000_steps_is_that_of_the_paper() -> None:
 
 
 def test_splats_grow_with_the_photos() -> None:
-    """Oracle: by hand, linear in the sides: 1,000 at a fourth of them, 10,000 at full size."""
+    """Oracle: by hand, linear in the sides: 1,000 at a quarter of them, 10,000 at full size."""
     config = TrainConfig(
         iterations=1000, max_splats=10_000, coarse_factor=4.0, grow_with_photos=True
     )
@@ -60,8 +61,8 @@ def test_splats_grow_with_the_photos() -> None:
 
 @pytest.mark.parametrize(("side", "first"), [(220, 2.0**1.5), (300, 4.0), (900, 8.0)])
 def test_growth_with_photos_is_whole(side: int, first: float) -> None:
-    """Oracle: the number at the start at the first size, the cap at full size, and refinements
-    until then."""
+    """Oracle: the initial number at the first size, the cap at full size, and refinements until
+    then."""
     config = TrainConfig(iterations=10_000, max_splats=50_000, grow_with_photos=True)
     plan = plan_of(config, points=5000, side=side)
     assert (plan.factor_at(1), plan.cap_for(plan.factor_at(1))) == (first, 5000)
@@ -81,34 +82,34 @@ def test_growth_with_photos_is_whole(side: int, first: float) -> None:
     ],
 )
 def test_else_splats_grow_to_the_cap_at_once(config: TrainConfig) -> None:
-    """Oracle: the cap, also where photos are at full size from the first step."""
+    """Oracle: the cap, also for photos at full size from the first step."""
     plan, plain = plan_of(config), plan_of(replace(config, grow_with_photos=False))
     assert {plan.cap_for(plan.factor_at(step)) for step in range(1, 1001)} == {config.max_splats}
     assert plan.refine_stop == plain.refine_stop
 
 
 def test_rates_fall_over_the_last_tenth() -> None:
-    """Oracle: a fifth of the rate at the last step, its root half of the way there."""
+    """Oracle: a fifth of the rate at the last step, its root halfway."""
     plan = plan_of(TrainConfig(iterations=1000))
     assert plan.rates_at(1) == plan.rates_at(900) == plan.rates
     for name, rate in plan.rates.items():
         assert plan.rates_at(950)[name] == pytest.approx(rate * 0.2**0.5)
         assert plan.rates_at(1000)[name] == pytest.approx(0.2 * rate)
-        # A run that goes on beyond the end it planned stays there.
+        # A run that continues beyond its planned end keeps the last rate.
         assert plan.rates_at(1100)[name] == plan.rates_at(1000)[name]
     flat = plan_of(TrainConfig(iterations=1000, lr_final=1))
     assert flat.rates_at(1000) == flat.rates
 
 
 def test_mcmc_of_30000_steps_is_that_of_the_paper() -> None:
-    """Oracle: Kheradmand et al. 2024: refine until 25 000, +5 %, other initial values."""
+    """Oracle: Kheradmand et al. 2024: refinement until 25 000, +5 %, other initial values."""
     plan = plan_of(TrainConfig(iterations=30_000, strategy=Strategy.MCMC))
     assert (plan.refine_stop, plan.mcmc_growth) == (25_000, 0.05)
     assert (plan.init_opacity, plan.init_scale, plan.rates["opacities"]) == (0.5, 0.1, 0.05)
 
 
 def test_a_short_mcmc_run_grows_fast_enough() -> None:
-    """Oracle: compound growth reaches the cap within the refinements."""
+    """Oracle: the cap, which compound growth reaches within the refinements."""
     config = TrainConfig(iterations=1500, strategy=Strategy.MCMC, max_splats=100_000)
     plan = plan_of(config, points=5000)
     count = 5000.0
@@ -153,8 +154,8 @@ def test_short_runs_learn_faster() -> None:
 
 
 def test_long_runs_of_a_subject_grow_by_a_lower_pull() -> None:
-    """Oracle: 5e-5 from 10,000 steps on, or where splats are left out, what was asked for, the
-    paper's for all else."""
+    """Oracle: 5e-5 from 10,000 steps on or with dropout, the option where set, the paper's value
+    for all else."""
 
     def pull(config: TrainConfig, subject: bool, drops: bool = False) -> float:
         of = {"extent": 1.0, "points": 9, "side": 300, "pixels": 90_000}
@@ -170,8 +171,8 @@ def test_long_runs_of_a_subject_grow_by_a_lower_pull() -> None:
 
 
 def test_higher_coefficients_step_rarely_and_further() -> None:
-    """Oracle: every eighth step, in runs under 1000 steps a 125th of them; the
-    rate rises by the root; the last step is always one."""
+    """Oracle: every eighth step, in runs under 1000 steps a 125th of them; the rate rises by the
+    root; the last step is always included."""
     for n, every in ((30_000, 8), (1000, 8), (500, 4), (100, 1)):
         plan, each = (plan_of(TrainConfig(iterations=n, shN_every=e)) for e in (0, 1))
         assert plan.shN_every == every
@@ -193,7 +194,7 @@ def test_options_win_over_what_is_derived() -> None:
 
 
 def test_opacities_are_not_reset_before_a_sky(tmp_path: Path) -> None:
-    """Oracle: the paper's 3,000 steps, none with a sky, which given splats do not get."""
+    """Oracle: the paper's 3,000 steps; none with a sky, which given splats do not get."""
     sky = TrainConfig(iterations=9000, sky=True)
     assert plan_of(replace(sky, sky=False)).reset_every == 3000
     assert plan_of(sky).reset_every == 0
@@ -202,7 +203,7 @@ def test_opacities_are_not_reset_before_a_sky(tmp_path: Path) -> None:
 
 
 def test_a_rate_of_zero_stays_zero() -> None:
-    """Oracle: frozen positions do not move, and no logarithm fails."""
+    """Oracle: positions that stay, and a logarithm without errors."""
     plan = plan_of(TrainConfig(means_lr=0.0))
     assert plan.means_lr_at(500) == 0
 

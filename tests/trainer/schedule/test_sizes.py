@@ -1,4 +1,4 @@
-"""When photos become larger while a run starts small."""
+"""Growing photo sizes of a run that starts small."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from gscore.trainer.schedule.plan import Plan
 
 @pytest.mark.parametrize("coarse", [1.0, 1.1, 2.0, 5.3, 8.0, 40.0])
 def test_there_is_a_stage_for_each_size(coarse: float) -> None:
-    """Oracle: sizes a root of 2 apart, and shares of a time, which runs forward."""
+    """Oracle: sizes a root of 2 apart, and increasing shares of a time."""
     found = photo_size_stages(coarse)
     assert len(found) == round(2 * np.log2(coarse))
     assert all(0 <= share <= 1 for share in found)

@@ -1,4 +1,4 @@
-"""Runs that end by how good they are; oracle: evaluations made apart, and runs without goals."""
+"""Runs that end by quality; oracle: separate evaluations, and runs without goals."""
 
 import itertools
 from collections.abc import Callable
@@ -58,7 +58,7 @@ def test_a_target_ends_the_run(capture: Path, tmp_path: Path) -> None:
 
 
 def goals_of(photos: Any, course: Callable[[int], float], config: TrainConfig) -> StoppingCriteria:
-    """Goals of a trainer that has taken all steps at which it measures `course`, up to its end."""
+    """Goals of a trainer that has taken all steps and measures `course`, up to its end."""
     trainer = Trainer(config, photos)
     goals = StoppingCriteria(config, trainer, Evaluator(trainer, lpips=None, lpips_reason=""))
     for step in range(1, config.iterations + 1):
@@ -71,7 +71,7 @@ def goals_of(photos: Any, course: Callable[[int], float], config: TrainConfig) -
 
 
 def test_only_pixels_that_count_are_measured(make_photos: Callable[..., Any]) -> None:
-    """Oracle: PSNR of the counted columns of the first pictures; a view that is all hidden."""
+    """Oracle: PSNR of the counted columns of the first pictures; an entirely hidden view."""
     photos = make_photos()
     photos.mask_mode = "ignore"
     photos.masks = [np.zeros((48, 48), np.uint8) for _ in photos.images]
@@ -90,7 +90,7 @@ def test_only_pixels_that_count_are_measured(make_photos: Callable[..., Any]) ->
 
 
 def test_converged_means_flat(photos: Any) -> None:
-    """Oracle: courses with a known bend."""
+    """Oracle: courses with a known kink."""
     config = replace(CONFIG, iterations=4000, early_stop=True)
     rising = goals_of(photos, lambda step: 20 + step / 1000, config)
     assert rising.length == 0
@@ -101,7 +101,7 @@ def test_converged_means_flat(photos: Any) -> None:
 
 
 def test_small_photos_have_not_converged(photos: Any) -> None:
-    """Oracle: a flat course ends where photos are at full size, not before."""
+    """Oracle: a flat course, which ends with photos at full size and not before."""
     config = replace(CONFIG, iterations=4000, early_stop=True, coarse_factor=4, coarse_until=0.5)
     flat = goals_of(photos, lambda step: 20.0, config)
     plan = Trainer(config, photos).plan
@@ -112,7 +112,7 @@ def test_small_photos_have_not_converged(photos: Any) -> None:
 
 
 def test_early_stop_resumes_to_the_same_end(capture: Path, tmp_path: Path) -> None:
-    """Oracle: bit equality with the run that was not interrupted; a rate of 0 never improves."""
+    """Oracle: bit equality with the uninterrupted run; no improvement at a rate of 0."""
     still = replace(
         CONFIG,
         iterations=1000,
@@ -138,7 +138,7 @@ def test_early_stop_resumes_to_the_same_end(capture: Path, tmp_path: Path) -> No
 def test_time_budget_of_a_run(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: a clock that says that every step takes 5 ms; a resumed run has what is left."""
+    """Oracle: a clock with 5 ms for every step; a resumed run has the rest of the budget."""
     ticks = itertools.count()
     clock = SimpleNamespace(perf_counter=lambda: next(ticks) * 0.005)
     monkeypatch.setattr("gscore.trainer.session.time", clock)

@@ -1,4 +1,4 @@
-"""Numbers told about a run; oracle: a run whose times are made up."""
+"""Progress figures of a run; oracle: a run with made-up times."""
 
 import math
 
@@ -11,7 +11,7 @@ from gscore.trainer.stopping.progress_meter import ProgressMeter
 
 
 def test_the_time_left_holds_while_photos_grow() -> None:
-    """Oracle: steps that take exactly the share of the work that they are said to."""
+    """Oracle: steps that take exactly their predicted share of the work."""
     config = TrainConfig(iterations=2000, max_splats=100)
     plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
     seconds = [3 * Cost(plan).seconds_at(step, 100) for step in range(1, 2001)]
@@ -26,8 +26,8 @@ def test_the_time_left_holds_while_photos_grow() -> None:
 
 
 def test_what_was_expected_gives_way_to_what_steps_take() -> None:
-    """Oracle: a machine twice as slow as it seemed, whose first step takes a hundred times as long;
-    the time left is known to a tenth once a tenth of the work is done, and never told twofold."""
+    """Oracle: a machine of half the predicted speed and a first step a hundred times as long; the
+    time left is known to a tenth after a tenth of the work, and never reported as double."""
     config = TrainConfig(iterations=2000, max_splats=100)
     plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
     planned = [Cost(plan).seconds_at(step, 100) for step in range(1, 2001)]
@@ -44,8 +44,8 @@ def test_what_was_expected_gives_way_to_what_steps_take() -> None:
 
 
 def test_a_machine_that_is_busy_now_and_then_is_not_told_anew_each_moment() -> None:
-    """Oracle: steps that take three times as long as the plan says in every other half second, and
-    are as fast as it in between; a mean of the last fifty steps jumps between both."""
+    """Oracle: steps three times as long as planned in every other half second, and as planned in
+    between; a mean of the last fifty steps jumps between both."""
     config = TrainConfig(iterations=4000, max_splats=100)
     plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
     planned = [Cost(plan).seconds_at(step, 100) for step in range(1, 4001)]
@@ -62,7 +62,7 @@ def test_a_machine_that_is_busy_now_and_then_is_not_told_anew_each_moment() -> N
 
 
 def test_no_more_time_is_left_than_the_budget() -> None:
-    """Oracle: the definition; a plan that takes far longer."""
+    """Oracle: the definition; a plan of a far longer time."""
     plan = Plan.of(TrainConfig(iterations=2000), extent=1.0, points=100, side=600, pixels=360_000)
     meter = ProgressMeter(plan, splats=100, budget=1.0)
     for step, left in ((1, 0.75), (2, 0.5), (5, 0.0)):
@@ -71,7 +71,7 @@ def test_no_more_time_is_left_than_the_budget() -> None:
 
 
 def test_a_resumed_run_stands_where_it_stood() -> None:
-    """Oracle: the same meter, not stopped."""
+    """Oracle: the same meter without the stop."""
     config = TrainConfig(iterations=2000, max_splats=5000)
     plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
     meter, resumed = ProgressMeter(plan, splats=100), ProgressMeter(plan, splats=100)
@@ -86,8 +86,8 @@ def test_a_resumed_run_stands_where_it_stood() -> None:
 
 
 def test_steps_that_are_taken_anew_are_forgotten_but_not_how_fast_they_were() -> None:
-    """Oracle: by hand: steps that take three times what the plan says, one of them a hundredfold;
-    after the rewind the same pace is expected, as little trusted as at the start."""
+    """Oracle: by hand: steps three times as long as planned, one of them a hundred times; after the
+    rewind the same pace is expected, with the low confidence of the start."""
     config = TrainConfig(iterations=2000, max_splats=100)
     plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
     meter = ProgressMeter(plan, splats=100)

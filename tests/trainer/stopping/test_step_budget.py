@@ -1,4 +1,4 @@
-"""Runs with a budget of seconds; oracle: machines whose steps take made-up times."""
+"""Runs with a budget of seconds; oracle: machines with made-up step times."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,7 +21,7 @@ def plan_of(iterations: int, points: int = 7000) -> Plan:
 def simulate(
     budget: float, seconds: Callable[[Plan, int, int], float], *, growth: float
 ) -> tuple[Plan, int, float]:
-    """A run on a made-up machine: its last plan, its steps and its seconds."""
+    """A run on a simulated machine: its last plan, its steps and its seconds."""
     pace, plan, step, splats, elapsed = StepBudget(budget, plan_of), plan_of(7000), 0, 7000, 0.0
     recent: list[tuple[float, float]] = []
     while step < plan.iterations:
@@ -42,12 +42,12 @@ def steady(factor: float) -> Callable[[Plan, int, int], float]:
 
 
 def slowing(plan: Plan, step: int, splats: int) -> float:
-    """Half as fast after step 300, as when another program starts."""
+    """Half the speed after step 300, as when another program starts."""
     return Cost(plan).seconds_at(step, splats) * (1 if step < 300 else 2)
 
 
 def pixels_only(plan: Plan, step: int, splats: int) -> float:
-    """A machine to which splats cost nothing, unlike the plan says."""
+    """A machine on which splats cost no time, unlike in the plan."""
     return 2e-7 * plan.pixels / plan.factor_at(step) ** 2
 
 
@@ -56,7 +56,7 @@ def pixels_only(plan: Plan, step: int, splats: int) -> float:
     "seconds", [steady(0.3), steady(1.0), steady(4.0), slowing, pixels_only], ids=str
 )
 def test_budget_is_met(seconds: Callable[[Plan, int, int], float], growth: float) -> None:
-    """Oracle: the sum of the times of all steps; all schedules have come to their end."""
+    """Oracle: the sum of the times of all steps; the end of all schedules."""
     plan, step, elapsed = simulate(30.0, seconds, growth=growth)
     assert elapsed == pytest.approx(30.0, rel=0.05)
     assert plan.iterations == step

@@ -36,7 +36,7 @@ def dog(**options: Any) -> Watchdog:
 
 
 def feed(watching: Watchdog, errors: list[float], *, first: int = 1) -> int | None:
-    """The step at which it barks."""
+    """The step at which the watchdog reports."""
     for step, error in enumerate(errors, start=first):
         if watching.observe(step, error * error, skipped=not math.isfinite(error)):
             return step
@@ -44,14 +44,14 @@ def feed(watching: Watchdog, errors: list[float], *, first: int = 1) -> int | No
 
 
 def test_falling_noisy_and_level_errors_are_healthy() -> None:
-    """Oracle: a run whose error falls, with single views four times as bad as others."""
+    """Oracle: a run with a falling error and single views four times as bad as others."""
     errors = [0.3 / (1 + step / 100) * (2.0 if step % 8 == 0 else 0.9) for step in range(3000)]
     assert feed(dog(), errors) is None
 
 
 def test_holes_that_a_guide_leaves_are_no_divergence() -> None:
-    """Oracle: an error that doubles where a tenth of the splats is taken out and sinks again within
-    a hundred steps; the same without, or for good, is one."""
+    """Oracle: an error that doubles when a tenth of the splats is removed and recovers within a
+    hundred steps; a divergence without the removal, or without the recovery."""
     errors = [0.1] * 100 + [0.4 - 0.003 * k for k in range(100)] + [0.1] * 100
     assert feed(dog(), errors) is not None
     for shares, healthy in (([0.1], True), ([0.005], False), ([0.1, 0.1, 0.1], True)):
@@ -82,7 +82,7 @@ def test_worse_than_the_start_is_noticed_even_if_it_was_never_better() -> None:
 
 
 def test_a_model_that_loses_half_of_its_splats_is_noticed() -> None:
-    """Oracle: a tenth at a look; the sixth look makes it more than half. A few are no reason."""
+    """Oracle: a tenth per check, more than half at the sixth check. A few splats are no reason."""
     watching = dog()
     assert [watching.observe(s, 0.01, skipped=False, lost=0.1) for s in range(1, 7)].index(
         True
@@ -115,7 +115,7 @@ def test_lowered_opacities_are_no_divergence() -> None:
 
 
 def test_rescues_go_back_further_each_time_and_end() -> None:
-    """Oracle: the two last good states, then the older one again; the fourth is an error."""
+    """Oracle: the two last good states, then the older one again; an error the fourth time."""
     watching = dog(reset_every=-1)
     for step in (2000, 4000, 6000):
         feed(watching, [0.1] * 2000, first=step - 1999)
@@ -133,7 +133,7 @@ def test_rescues_go_back_further_each_time_and_end() -> None:
 
 
 def test_its_state_comes_back() -> None:
-    """Oracle: both go on to the same decisions."""
+    """Oracle: the same decisions of both from there on."""
     one, other = dog(), dog()
     feed(one, [0.1] * 2000)
     one.keep(2000)
@@ -156,7 +156,8 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("often")
 def test_a_run_at_absurd_rates_is_rescued(capture: Path, tmp_path: Path) -> None:
-    """Oracle: without the watchdog the same run ends worse; every rescue is told and kept."""
+    """Oracle: a worse end of the same run without the watchdog; every rescue is reported and
+    kept."""
     alone, rescued = tmp_path / "alone", tmp_path / "rescued"
     run(replace(ABSURD, watchdog=False), capture, alone)
     events = run(ABSURD, capture, rescued)
@@ -165,7 +166,7 @@ def test_a_run_at_absurd_rates_is_rescued(capture: Path, tmp_path: Path) -> None
     assert "It continues from step" in told[0]
     assert told[0] in (rescued / "report.html").read_text().replace("&#x27;", "'")
     psnr = [json.loads((p / "metrics.json").read_text())["psnr"] for p in (alone, rescued)]
-    assert psnr[1] > psnr[0] + 0.5  # by 1 to 4 dB, as rounding and seed have it
+    assert psnr[1] > psnr[0] + 0.5  # by 1 to 4 dB, depending on rounding and seed
     steps = [e["step"] for e in json.loads((rescued / "metrics.json").read_text())["history"]]
     assert steps == sorted(set(steps))
     assert [p.name for p in RunFolder(rescued).checkpoints()] == ["step_00000320.safetensors"]
@@ -176,9 +177,8 @@ def test_a_run_at_absurd_rates_is_rescued(capture: Path, tmp_path: Path) -> None
 def test_a_rescued_run_that_is_stopped_goes_on_to_the_same_bits(
     capture: Path, tmp_path: Path, coarse: float
 ) -> None:
-    """Oracle: the bytes of point_cloud.ply of a run that was not stopped, for stops before, right
-    after and long after the rescues; with photos of one size, and of sizes that a rescue takes
-    back."""
+    """Oracle: the bytes of point_cloud.ply of an uninterrupted run, for stops before, right after
+    and long after the rescues; with photos of one size, and of sizes that a rescue reverts."""
     absurd = replace(ABSURD, coarse_factor=coarse)
     events = run(absurd, capture, tmp_path / "whole")
     assert any(isinstance(e, Warn) and e.code == "diverged" for e in events)
@@ -192,7 +192,7 @@ def test_a_rescued_run_that_is_stopped_goes_on_to_the_same_bits(
 
 
 def _stopped(config: TrainConfig, capture: Path, output: Path, *, rescues: int) -> None:
-    """A run that is stopped at its first snapshot after so many rescues."""
+    """A run stopped at its first snapshot after this number of rescues."""
     control, seen = Control(), 0
 
     def watch(event: Event) -> None:
@@ -205,7 +205,7 @@ def _stopped(config: TrainConfig, capture: Path, output: Path, *, rescues: int) 
 
 
 def test_a_run_that_cannot_be_rescued_ends_with_an_error(capture: Path, tmp_path: Path) -> None:
-    """Oracle: rates a million times too high; the message says what to do, checkpoints stay."""
+    """Oracle: rates a million times too high; a message with a remedy, and kept checkpoints."""
     config = replace(CONFIG, scales_lr=1e6, sh0_lr=1e6)
     with pytest.raises(GsError, match=r"diverged again, after 3 rescues"):
         run(config, capture, tmp_path)
@@ -213,7 +213,7 @@ def test_a_run_that_cannot_be_rescued_ends_with_an_error(capture: Path, tmp_path
 
 
 def test_without_checkpoints_a_diverged_run_ends_at_once(capture: Path, tmp_path: Path) -> None:
-    """Oracle: nothing to go back to; with the watchdog off it goes on."""
+    """Oracle: no state to go back to; with the watchdog off the run continues."""
     config = replace(ABSURD, checkpoint_seconds=0.0)
     with pytest.raises(GsError, match=r"Training diverged: at step \d+ the image error was"):
         run(config, capture, tmp_path)
@@ -222,7 +222,8 @@ def test_without_checkpoints_a_diverged_run_ends_at_once(capture: Path, tmp_path
 
 
 def test_a_healthy_run_is_not_touched(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the bytes of the same run without a watchdog, and no file but the last checkpoint."""
+    """Oracle: the bytes of the same run without a watchdog, and only the last checkpoint as a
+    file."""
     events = run(CONFIG, capture, tmp_path / "with")
     run(replace(CONFIG, watchdog=False), capture, tmp_path / "without")
     assert not [e for e in events if isinstance(e, Warn)]

@@ -1,4 +1,4 @@
-"""What splats add to the photos, and taking out those that add least."""
+"""Contribution of splats to the photos, and pruning by it."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -60,7 +60,7 @@ def weights_of(
 
 
 def slowly(splats: Splats, cameras: Cameras, masks: list[Any] | None = None) -> np.ndarray:
-    """Each splat in turn white among black ones: what is seen of it is its weight."""
+    """Weights by rendering each splat in white among black ones."""
     out = np.zeros((len(splats), len(cameras.names)))
     for row in range(len(splats)):
         colors = np.zeros((len(splats), 1, 3))
@@ -86,8 +86,8 @@ def first_views(cameras: Cameras, count: int) -> Cameras:
 
 
 def test_weights_are_what_is_seen_of_a_white_splat(photos: Any, known_splats: Splats) -> None:
-    """Oracle: pictures in which one splat is white and all others are black; colours below zero and
-    splats behind others change nothing."""
+    """Oracle: pictures of one white splat among black ones; colours below zero and hidden splats do
+    not matter."""
     rng = np.random.default_rng(0)
     splats = replace(known_splats, sh0=rng.normal(size=(150, 1, 3)).astype(np.float32) * 3)
     cameras = first_views(photos.scene.cameras, 2)
@@ -97,7 +97,7 @@ def test_weights_are_what_is_seen_of_a_white_splat(photos: Any, known_splats: Sp
 
 
 def test_what_a_mask_hides_adds_nothing(photos: Any, known_splats: Splats) -> None:
-    """Oracle: as above, pixels weighed by the mask."""
+    """Oracle: as above, pixels weighted by the mask."""
     cameras = first_views(photos.scene.cameras, 2)
     masks = [np.zeros((48, 48), np.uint8) for _ in range(2)]
     masks[0][:, :20] = 255
@@ -136,8 +136,8 @@ CONFIG = TrainConfig(
 
 @pytest.mark.parametrize("strategy", list(Strategy))
 def test_the_least_useful_go_when_refinements_are_over(photos: Any, strategy: Strategy) -> None:
-    """Oracle: the same training without pruning has the splats that were there, and rendering it
-    tells what they add; 0.6 of the most there were stay, with all of their numbers."""
+    """Oracle: the same training without pruning, rendered for the contributions; 0.6 of the maximum
+    number stay, with all of their numbers."""
     config = replace(CONFIG, strategy=strategy)
     trainer, whole = Trainer(config, photos), Trainer(replace(config, prune_share=0.0), photos)
     for _ in range(29):
@@ -153,7 +153,7 @@ def test_the_least_useful_go_when_refinements_are_over(photos: Any, strategy: St
     weights = torch.from_numpy(weights_of(whole.splats(), photos.scene.cameras))
     dropped = most - round(0.6 * most)
     kept = (~lowest_rows(weights, dropped)).nonzero().flatten()
-    # Weights in world units and at full size differ by rounding: nearly the same rows stay.
+    # Weights in world units and at full size differ by rounding, so almost the same rows stay.
     ours = {row.numpy().tobytes() for row in trainer.model.params["means"]}
     theirs = {row.numpy().tobytes() for row in whole.model.params["means"][kept]}
     assert len(ours & theirs) >= 0.98 * len(kept)
@@ -192,7 +192,7 @@ def plan_of(share: float, iterations: int = 100) -> Plan:
 
 
 def test_surplus() -> None:
-    """Oracle: the definition; what is pruned already is not pruned again."""
+    """Oracle: the definition; pruned splats are not pruned again."""
     plan = plan_of(0.4)
     assert [plan.surplus_at(step, 1000, 0) for step in (1, 49, 50, 70)] == [0, 0, 400, 400]
     assert [plan.surplus_at(60, n, 1000 - n) for n in (601, 600, 10)] == [1, 0, 0]
@@ -202,7 +202,7 @@ def test_surplus() -> None:
 
 
 def test_the_forecast_knows_that_fewer_remain() -> None:
-    """Oracle: half of the splats in half of the steps; before, there are as many."""
+    """Oracle: half of the splats in half of the steps; the full number before."""
     full, half = plan_of(0.0), plan_of(0.5)
     assert Cost(half).seconds_after(0, 1000) < Cost(full).seconds_after(0, 1000)
     assert Cost(half).seconds_after(60, 500) == Cost(full).seconds_after(60, 500)
@@ -211,13 +211,13 @@ def test_the_forecast_knows_that_fewer_remain() -> None:
 
 
 def test_a_share_of_one_is_refused(make_photos: Callable[..., Any]) -> None:
-    """Oracle: nothing would be left."""
+    """Oracle: the refusal, because no splat would be left."""
     with pytest.raises(ConfigError, match="prune_share"):
         TrainConfig(prune_share=1.0)
 
 
 def test_mostly_hidden_counts_all_views() -> None:
-    """Oracle: by hand; what no view shows at all is not called hidden."""
+    """Oracle: by hand; splats outside all views are not hidden."""
     weights = [
         Weights(torch.tensor([0.0, 1.0, 0.0, 0.5]), torch.tensor([8.0, 8.0, 0.0, 1.0])),
         Weights(torch.tensor([0.3, 1.0, 0.0, 0.0]), torch.tensor([2.0, 2.0, 0.0, 9.0])),
@@ -235,7 +235,7 @@ def hidden_left_half(photos: Any, mode: str = "ignore") -> Any:
 
 
 def kept_share(splats: Splats, photos: Any) -> np.ndarray:
-    """[N]: share of a splat's weight in the training views that masks show; NaN: nothing seen."""
+    """[N]: share of a splat's weight in the training views that masks show; NaN: not visible."""
     kept, whole = np.zeros(len(splats)), np.zeros(len(splats))
     cameras = photos.scene.cameras
     for row in range(len(splats)):
@@ -253,8 +253,8 @@ def kept_share(splats: Splats, photos: Any) -> np.ndarray:
 
 @pytest.mark.parametrize("strategy", list(Strategy))
 def test_splats_that_masks_hide_go(make_photos: Any, strategy: Strategy) -> None:
-    """Oracle: shares of weight from pictures of single splats, the median of which is the limit;
-    with a limit of 0, and where masks are opacity, the same splats stay."""
+    """Oracle: shares of weight from pictures of single splats, with their median as the limit; all
+    splats stay with a limit of 0, and where masks are opacity."""
 
     def after_ten_steps(limit: float, mode: str) -> tuple[Trainer, int]:
         config = TrainConfig(

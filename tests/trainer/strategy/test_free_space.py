@@ -1,4 +1,4 @@
-"""Nothing is kept in the free space around cameras."""
+"""No splats in the free space around cameras."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +38,8 @@ def slowly(means: np.ndarray, cameras: np.ndarray, points: np.ndarray, share: fl
 
 @pytest.mark.parametrize("offset", [0.0, 1e3])
 def test_balls_are_those_of_the_definition(offset: float) -> None:
-    """Oracle: all distances, one by one; far from the origin too, and more rows than one part."""
+    """Oracle: all distances, one by one; also far from the origin, and for more rows than one
+    part."""
     rng = np.random.default_rng(3)
     cameras = rng.normal(size=(7, 3)) * 0.4 + offset
     points = rng.normal(size=(600, 3)) * 3 + offset
@@ -54,7 +55,7 @@ def test_balls_are_those_of_the_definition(offset: float) -> None:
 
 
 def test_what_tells_nothing_frees_nothing() -> None:
-    """Oracle: the definition; points that are no numbers do not count."""
+    """Oracle: the definition, without points that are not finite."""
     rng = np.random.default_rng(0)
     points, camera, here = rng.normal(size=(600, 3)) + 5, np.zeros((1, 3)), torch.zeros(1, 3)
     assert FreeSpace(camera, NearestPoints(points), share=0.4).holds(here).all()
@@ -67,7 +68,7 @@ def test_what_tells_nothing_frees_nothing() -> None:
 
 @pytest.fixture
 def known(photos: Any, known_splats: Splats) -> Any:
-    """The toy capture with as many points as are wanted, four on each splat."""
+    """The toy capture with this number of points, four on each splat."""
     rng = np.random.default_rng(1)
     places = np.repeat(known_splats.means.astype(np.float64), 4, axis=0)
     places = places + rng.normal(size=places.shape) * 0.01
@@ -76,7 +77,7 @@ def known(photos: Any, known_splats: Splats) -> Any:
 
 
 def with_walls(splats: Splats, photos: Any) -> Splats:
-    """An opaque splat just before each camera as well."""
+    """The capture with an opaque splat just in front of each camera."""
     cameras = photos.scene.cameras
     ahead = cameras.centers + 0.05 * cameras.viewmats[:, 2, :3]
     count = len(ahead)
@@ -94,7 +95,7 @@ def with_walls(splats: Splats, photos: Any) -> Splats:
 
 @pytest.mark.parametrize("strategy", list(Strategy))
 def test_walls_before_cameras_go(known: Any, known_splats: Splats, strategy: Strategy) -> None:
-    """Oracle: where they were put; those of the scene stay. Without the option the walls stay."""
+    """Oracle: their known places; the scene's splats stay. Without the option the walls stay."""
     walls = len(known.scene.cameras.centers)
     config = replace(CONFIG, strategy=strategy, max_splats=len(known_splats) + walls, grow_grad=1e9)
     start = with_walls(known_splats, known)
@@ -115,7 +116,7 @@ def test_walls_before_cameras_go(known: Any, known_splats: Splats, strategy: Str
 def test_clearing_goes_on_to_the_end_and_after_a_resume(
     known: Any, known_splats: Splats, tmp_path: Path
 ) -> None:
-    """Oracle: bit equality; walls that come back after the refinements go at the next clearing."""
+    """Oracle: bit equality; walls added after the refinements are removed by the next clearing."""
     walls = len(known.scene.cameras.centers)
     config = replace(CONFIG, max_splats=1000, threads=1)
     whole = Trainer(config, known, start=with_walls(known_splats, known))
@@ -137,8 +138,8 @@ def test_clearing_goes_on_to_the_end_and_after_a_resume(
 
 
 def test_where_many_splats_stand_no_space_is_free(known: Any, known_splats: Splats) -> None:
-    """Oracle: the number of splats; all of them stand where nothing should. Then none goes later,
-    and none after a resume either."""
+    """Oracle: the number of splats, all of them in free space; none is removed later, nor after a
+    resume."""
     start = with_walls(known_splats, known)
     walls = len(known.scene.cameras.centers)
     start = replace(start, **{name: getattr(start, name)[-walls:] for name in PARAMETERS})
@@ -160,7 +161,7 @@ def test_where_many_splats_stand_no_space_is_free(known: Any, known_splats: Spla
 
 
 def test_points_that_are_made_up_free_nothing(known: Any, known_splats: Splats) -> None:
-    """Oracle: the walls stay; those of depth maps count as points, so that what they show stays."""
+    """Oracle: the walls, which stay; points of depth maps count, so that their surfaces stay."""
     start = with_walls(known_splats, known)
     config = replace(CONFIG, max_splats=len(start), grow_grad=1e9)
     cloud = known.scene.points
@@ -177,7 +178,7 @@ def test_points_that_are_made_up_free_nothing(known: Any, known_splats: Splats) 
 
 
 def test_held_out_cameras_free_nothing(known: Any, known_splats: Splats) -> None:
-    """Oracle: the wall before the view that is not trained on stays."""
+    """Oracle: the wall in front of the held-out view, which stays."""
     seven = replace(known, train=list(range(7)), test=[7])
     config = replace(CONFIG, max_splats=1000, grow_grad=1e9)
     trainer = Trainer(config, seven, start=with_walls(known_splats, known))
@@ -189,7 +190,7 @@ def test_held_out_cameras_free_nothing(known: Any, known_splats: Splats) -> None
 def test_many_cleared_splats_are_told(
     capture: Path, known: Any, known_splats: Splats, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: 8 of 158 splats are many, and the sentence says what to do where they are right."""
+    """Oracle: a warning with a remedy for 8 of 158 splats."""
     monkeypatch.setattr(free_space, "_FEWEST_POINTS", 100)
     write_splats(tmp_path / "walls.ply", with_walls(known_splats, known))
     config = replace(CONFIG, start_splats=tmp_path / "walls.ply", max_splats=158)

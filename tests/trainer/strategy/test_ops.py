@@ -1,4 +1,4 @@
-"""Rows of parameters, moments and counters stay together; oracle: numpy indexing, closed forms."""
+"""Rows of parameters, moments and counters kept together; oracle: numpy indexing, closed forms."""
 
 import math
 from collections.abc import Callable
@@ -39,7 +39,7 @@ def test_edit_keeps_and_appends_in_every_tensor(marked_model: Make) -> None:
 
 
 def test_edited_parameters_are_those_that_the_optimizer_steps(marked_model: Make) -> None:
-    """Oracle: Adam moves against the gradient; a parameter it lost would stay."""
+    """Oracle: Adam's step against the gradient, which a lost parameter would not take."""
     model = marked_model(4)
     row_ops.edit(model, keep=torch.tensor([2, 3]))
     before = {name: p.clone() for name, p in model.params.items()}
@@ -54,7 +54,7 @@ def test_edited_parameters_are_those_that_the_optimizer_steps(marked_model: Make
 
 
 def test_edit_to_zero_rows_and_back(marked_model: Make) -> None:
-    """Oracle: an empty model is a model."""
+    """Oracle: an empty model, which is valid."""
     model, other = marked_model(3), marked_model(3)
     row_ops.edit(model, keep=torch.zeros(0, dtype=torch.int64))
     assert len(model) == 0
@@ -63,18 +63,18 @@ def test_edit_to_zero_rows_and_back(marked_model: Make) -> None:
 
 
 def test_rows_by_place_follow_a_morton_curve() -> None:
-    """Oracle: bits of the cells interleaved one by one; the order of equal places stays."""
+    """Oracle: bits of the cells interleaved one by one; a stable order of equal places."""
     rng = np.random.default_rng(0)
     cells = rng.integers(0, 1024, (3000, 3))
     cells[:50] = cells[0]
-    ends = np.repeat([[0, 0, 0], [1023, 1023, 1023]], 200, axis=0)  # so that 98 % reach that far
+    ends = np.repeat([[0, 0, 0], [1023, 1023, 1023]], 200, axis=0)  # 98 % are within that range
     cells = np.concatenate([cells, ends])
     codes = [
         sum((int(c[axis]) >> bit & 1) << (3 * bit + axis) for bit in range(10) for axis in range(3))
         for c in cells
     ]
     means = torch.from_numpy(cells * 0.25).float()
-    means[:3000] += 0.1  # well inside of cells of side 0.25
+    means[:3000] += 0.1  # well inside cells of side 0.25
     expected = np.argsort(codes, kind="stable")
     np.testing.assert_array_equal(row_ops.by_place(means).numpy(), expected)
     means[7] = math.nan
@@ -109,7 +109,7 @@ def test_split_draws_from_the_splat(marked_model: Make) -> None:
 
 
 def test_halves_lie_side_by_side_along_the_longest_axis(marked_model: Make) -> None:
-    """Oracle: the axis is the eigenvector of the largest eigenvalue of R S^2 R^T."""
+    """Oracle: the eigenvector of the largest eigenvalue of R S^2 R^T as the axis."""
     model = marked_model(2)
     quats = torch.tensor([[0.9, 0.3, -0.2, 0.4], [-0.1, 0.7, 0.6, 0.2]])
     scales = torch.tensor([[0.5, 0.1, 0.02], [0.03, 0.04, 0.9]])
@@ -138,7 +138,7 @@ def test_halves_lie_side_by_side_along_the_longest_axis(marked_model: Make) -> N
 
 
 def test_halves_of_splats_without_bounds_are_numbers(marked_model: Make) -> None:
-    """Oracle: a logit is finite for opacities of 0 and 1, and a ball has some longest axis."""
+    """Oracle: finite logits for opacities of 0 and 1, and some longest axis of a ball."""
     model = marked_model(2)
     model.params["opacities"].copy_(torch.tensor([-200.0, 200.0]))
     model.params["scales"].zero_()
@@ -147,7 +147,7 @@ def test_halves_of_splats_without_bounds_are_numbers(marked_model: Make) -> None
 
 
 def test_reset_opacities_lowers_only(marked_model: Make) -> None:
-    """Oracle: minimum of the opacity and the ceiling."""
+    """Oracle: the minimum of the opacity and the ceiling."""
     model = marked_model(3)
     model.params["opacities"].data = torch.tensor([-8.0, 0.0, 5.0])
     row_ops.reset_opacities(model, 0.01)
@@ -187,7 +187,7 @@ def test_shared_opacity_scale_is_equation_9(copies: int) -> None:
 
 
 def test_relocate_moves_the_dead_onto_the_living(marked_model: Make) -> None:
-    """Oracle: with one live splat all dead ones become equal to it, with shared opacity."""
+    """Oracle: one live splat, to which all dead ones become equal, with shared opacity."""
     model = marked_model(4)
     opacity = torch.tensor([0.001, 0.8, 0.002, 0.001])
     model.params["opacities"].data = torch.logit(opacity)
@@ -206,7 +206,7 @@ def test_relocate_moves_the_dead_onto_the_living(marked_model: Make) -> None:
 
 @pytest.mark.parametrize("dead", [[False, False], [True, True]])
 def test_relocate_without_work_changes_nothing(marked_model: Make, dead: list[bool]) -> None:
-    """Oracle: no dead or no live splats leave every bit as it was."""
+    """Oracle: equal bits without dead or without live splats."""
     model, before = marked_model(2), marked_model(2)
     generator = torch.Generator().manual_seed(0)
     assert row_ops.relocate(model, torch.tensor(dead), generator, min_opacity=0.005) == 0
@@ -231,7 +231,7 @@ def test_grow_draws_by_opacity(marked_model: Make) -> None:
 
 
 def test_grow_survives_rows_that_are_not_finite(marked_model: Make) -> None:
-    """Oracle: NaN opacities are never drawn; if nothing else is left, any row is."""
+    """Oracle: no draw of NaN opacities; any row if there is no other."""
     model = marked_model(2)
     model.params["opacities"].data = torch.tensor([math.nan, 0.0])
     row_ops.grow(model, 20, torch.Generator().manual_seed(0), min_opacity=0.005)

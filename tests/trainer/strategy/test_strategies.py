@@ -1,4 +1,4 @@
-"""What strategies decide; oracle: hand-made models in which the right decision is plain."""
+"""Decisions of strategies; oracle: hand-made models with an obvious right decision."""
 
 import math
 from collections.abc import Callable
@@ -31,14 +31,15 @@ def default(config: TrainConfig, model: Model) -> DefaultStrategy:
 
 
 def opaque(model: Model, scale: float) -> Model:
-    """All splats solid and round with standard deviation `scale`."""
+    """All splats opaque and round with standard deviation `scale`."""
     model.params["opacities"].data.fill_(2.0)
     model.params["scales"].data.fill_(math.log(scale))
     return model
 
 
 def see(strategy: DefaultStrategy, model: Model, pulls: list[float], step: int = 1) -> None:
-    """Show one view, 200 x 100 px, with pulls given in normalised coordinates, along x."""
+    """Show one view, 200 x 100 px, with screen-space gradients in normalised coordinates, along
+    x."""
     v = torch.zeros(len(model), 2)
     v[:, 0] = torch.tensor(pulls) / 100
     radii = torch.ones(len(model), dtype=torch.int32)
@@ -49,7 +50,7 @@ def see(strategy: DefaultStrategy, model: Model, pulls: list[float], step: int =
 def after(
     strategy: Policy, model: Model, step: int, cap: int, *, means_lr: float = 0.0, seed: int = 0
 ) -> Change:
-    """What follows on a step of the optimizer."""
+    """The result of a step of the optimizer."""
     generator = torch.Generator().manual_seed(seed)
     return strategy.after_step(model, step=step, means_lr=means_lr, cap=cap, generator=generator)
 
@@ -93,7 +94,7 @@ def test_small_splats_are_cloned_large_ones_split(marked_model: Make) -> None:
 
 
 def test_splats_that_are_pulled_become_their_halves(marked_model: Make) -> None:
-    """Oracle: all that is pulled above the threshold goes, whatever its size; two rows come."""
+    """Oracle: all splats above the threshold, of any size, replaced by two rows each."""
     model = opaque(marked_model(4), 0.005)
     model.params["scales"].data[1] = math.log(0.05)
     strategy = default(CONFIG, model)
@@ -104,7 +105,7 @@ def test_splats_that_are_pulled_become_their_halves(marked_model: Make) -> None:
 
 
 def test_a_refinement_puts_neighbours_together(marked_model: Make) -> None:
-    """Oracle: along a line the Morton order is that of the coordinates; all of a row moves."""
+    """Oracle: the Morton order, along a line that of the coordinates; all of a row moves."""
     model = opaque(marked_model(6), 0.005)
     order = torch.tensor([4, 0, 5, 2, 1, 3])
     row_ops.edit(model, keep=order)
@@ -116,7 +117,7 @@ def test_a_refinement_puts_neighbours_together(marked_model: Make) -> None:
 
 
 def test_nothing_happens_between_refinements(marked_model: Make) -> None:
-    """Oracle: steps off the grid, before the start and after the stop change nothing."""
+    """Oracle: no change in steps off the grid, before the start and after the stop."""
     model = opaque(marked_model(2), 0.005)
     strategy = default(CONFIG, model)
     see(strategy, model, [1.0, 1.0])
@@ -128,7 +129,7 @@ def test_nothing_happens_between_refinements(marked_model: Make) -> None:
 
 
 def test_the_cap_takes_those_that_are_pulled_hardest(marked_model: Make) -> None:
-    """Oracle: sort by pull."""
+    """Oracle: a sort by screen-space gradient."""
     config = TrainConfig(iterations=1000, refine_start=10, refine_every=10)
     model = opaque(marked_model(4), 0.005)
     strategy = default(config, model)
@@ -138,7 +139,7 @@ def test_the_cap_takes_those_that_are_pulled_hardest(marked_model: Make) -> None
 
 
 def test_transparent_and_broken_splats_go(marked_model: Make) -> None:
-    """Oracle: opacity below 0.005, NaN opacity and a zero quaternion cannot be seen."""
+    """Oracle: opacity below 0.005, NaN opacity and a zero quaternion, which are invisible."""
     model = opaque(marked_model(5), 0.005)
     model.params["opacities"].data[1] = row_ops.logit(0.004)
     model.params["opacities"].data[2] = math.nan
@@ -164,7 +165,7 @@ def test_huge_splats_go_after_the_first_reset_only(marked_model: Make) -> None:
 
 
 def test_the_last_splats_are_never_removed(marked_model: Make) -> None:
-    """Oracle: a model without splats cannot learn, so it is left alone."""
+    """Oracle: the unchanged model, because one without splats cannot learn."""
     model = opaque(marked_model(2), 0.005)
     model.params["opacities"].data.fill_(-20)
     strategy = default(CONFIG, model)
@@ -184,7 +185,7 @@ def mcmc(**options: float) -> tuple[MCMCStrategy, Plan]:
 
 @pytest.mark.parametrize("kind", list(Strategy))
 def test_nothing_is_added_beyond_the_cap(marked_model: Make, kind: Strategy) -> None:
-    """Oracle: the caps, of splats that would all double; those above one stay."""
+    """Oracle: the caps, of splats that would all double; splats above them stay."""
     config = replace(CONFIG, strategy=kind, mcmc_growth=1)
     strategy = make_strategy(config, plan_of(config), extent=EXTENT)
     model = opaque(marked_model(4), 1e-4)
@@ -200,8 +201,8 @@ def test_nothing_is_added_beyond_the_cap(marked_model: Make, kind: Strategy) -> 
 
 @pytest.mark.parametrize("kind", list(Strategy))
 def test_splats_are_added_only_where_they_may_be(marked_model: Make, kind: Strategy) -> None:
-    """Oracle: of splats in a row, all pulled alike, those on one side stay as many as they were,
-    and what is added or moved has the marks of the others."""
+    """Oracle: a row of splats with equal gradients: on one side the number stays, and all rows
+    added or moved have the marks of the other side."""
     config = replace(CONFIG, strategy=kind, mcmc_growth=1)
 
     def on_the_right(means: torch.Tensor) -> torch.Tensor:
@@ -213,7 +214,7 @@ def test_splats_are_added_only_where_they_may_be(marked_model: Make, kind: Strat
     if isinstance(strategy, DefaultStrategy):
         see(strategy, model, [1.0] * 6)
     else:
-        model.params["opacities"].data[5] = -20.0  # dead: it moves onto a living one
+        model.params["opacities"].data[5] = -20.0  # dead: it moves onto a live one
     after(strategy, model, 10, 9)
     marks = model.params["sh0"][:, 0, 0].tolist()
     assert len(marks) == 9 and sorted(marks)[:3] == [0, 1, 2]
@@ -221,7 +222,7 @@ def test_splats_are_added_only_where_they_may_be(marked_model: Make, kind: Strat
 
 
 def test_nothing_is_added_where_nothing_may_be(marked_model: Make) -> None:
-    """Oracle: the number of splats; dead ones find no place to go."""
+    """Oracle: the number of splats, for dead ones without a target."""
     strategy, _ = mcmc(mcmc_growth=1)
     strategy._may_grow = lambda means: torch.zeros(len(means), dtype=torch.bool)
     model = opaque(marked_model(4), 1e-4)
@@ -242,7 +243,7 @@ def test_mcmc_grows_to_the_cap_and_no_further(marked_model: Make) -> None:
 
 
 def test_mcmc_counts_broken_splats_as_dead(marked_model: Make) -> None:
-    """Oracle: after a refinement every row is finite and has a direction."""
+    """Oracle: finite rows with a direction after a refinement."""
     strategy, _ = mcmc()
     model = opaque(marked_model(4), 0.01)
     model.params["opacities"].data[0] = math.nan

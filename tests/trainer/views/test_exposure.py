@@ -1,4 +1,4 @@
-"""Whether exposure is learnt, by the studio example and copies of it; and what a run writes."""
+"""The decision on exposure, by the studio example and copies of it; and the files of a run."""
 
 import json
 from dataclasses import replace
@@ -30,7 +30,7 @@ STOP = np.log(2) / 2.2
 
 
 class Exposed(Dataset):
-    """A capture whose photos were multiplied by gains."""
+    """A capture with photos multiplied by gains."""
 
     def __init__(self, plain: Dataset, log_gains: np.ndarray) -> None:
         super().__init__(
@@ -63,8 +63,8 @@ def test_a_studio_is_exposed_alike(studio: Dataset) -> None:
 
 
 def test_gains_of_a_capture_begin_near_the_truth(studio: Dataset) -> None:
-    """Oracle: the gains that the photos were multiplied by, about their mean; photos that lie a
-    third of a stop apart are learnt by themselves."""
+    """Oracle: the gains applied to the photos, about their mean; gains are optimised for photos
+    that are a third of a stop apart."""
     truth = np.random.default_rng(0).normal(0, 0.12, (len(studio), 3))
     found = prepare_exposure(TrainConfig(), Exposed(studio, truth), tracks_of(studio))
     assert found.gains is not None
@@ -93,8 +93,8 @@ def test_a_single_bright_photo_is_found(studio: Dataset) -> None:
 @pytest.mark.parametrize("farthest", [0.6, 1.5])
 @pytest.mark.parametrize("known", ["", "EXIF"])
 def test_the_rule(mode: Switch, apart: float, farthest: float, known: str) -> None:
-    """Oracle: the rule in words: `on` and `off` as they say, `auto` where photos, or one of them,
-    are known to differ; every answer says why."""
+    """Oracle: the rule in words: `on` and `off` as set, `auto` where photos, or one of them, are
+    known to differ; a reason in every answer."""
     learns, why = False, "off."
     if mode is not Switch.OFF:
         learns, why = learns_exposure(mode, apart, farthest, known=known)
@@ -104,7 +104,7 @@ def test_the_rule(mode: Switch, apart: float, farthest: float, known: str) -> No
 
 
 def test_photos_are_compared_with_their_neighbours() -> None:
-    """Oracle: the standard deviation of random exposures, whatever the places; along a way the
+    """Oracle: the standard deviation of random exposures at any places; along a path the
     differences from four neighbours one by one; cameras in one place; one photo."""
     rng = np.random.default_rng(1)
     places = rng.normal(size=(4000, 3))
@@ -142,8 +142,8 @@ def _photo(path: Path, tags: dict[int, Any]) -> Path:
 
 
 def test_exif_says_how_photos_were_exposed(tmp_path: Path) -> None:
-    """Oracle: twice the time, ISO speed, or aperture's area is a stop; numbers that are none or
-    missing say nothing."""
+    """Oracle: twice the time, ISO speed, or aperture's area as a stop; no result for invalid or
+    missing numbers."""
     time, aperture, speed = 0x829A, 0x829D, 0x8827
     tags = {time: 0.01, aperture: 2.0, speed: 100}
     base = stated_exposure(_photo(tmp_path / "a.jpg", tags))
@@ -163,7 +163,7 @@ def test_exif_says_how_photos_were_exposed(tmp_path: Path) -> None:
 
 def test_a_run_writes_its_exposures(capture: Path, tmp_path: Path) -> None:
     """Oracle: the gains of the trainer's checkpoint in the layout of 3DGS, [3][4] by name, of the
-    training photos alone; and the sentence in the event and in metrics.json."""
+    training photos alone; the sentence in the event and in metrics.json."""
     config = TrainConfig(
         iterations=40, max_splats=200, exposure=Switch.ON, exposure_lr=0.05, exposure_lr_final=0.05
     )
@@ -185,7 +185,7 @@ def test_a_run_writes_its_exposures(capture: Path, tmp_path: Path) -> None:
 
 
 def test_photos_that_are_alike_train_as_without(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the bytes of the splats with `exposure` off; no exposure.json is written."""
+    """Oracle: the bytes of the splats with `exposure` off; no exposure.json."""
     written = []
     for mode in (Switch.AUTO, Switch.OFF):
         config = TrainConfig(iterations=12, max_splats=200, exposure=mode)
@@ -196,8 +196,8 @@ def test_photos_that_are_alike_train_as_without(capture: Path, tmp_path: Path) -
 
 
 def test_exposed_photos_are_measured_as_photos(capture: Path, tmp_path: Path) -> None:
-    """Oracle: without held-out views the training photos are measured, through their gains: the
-    PSNR stays near that of one exposure, where neutral pictures would lose it."""
+    """Oracle: the PSNR of the training photos with their gains, near that of one exposure; neutral
+    pictures would lose it."""
     dark = tmp_path / "dark"
     for path in capture.rglob("*"):
         if path.is_file() and path.parent.name != "images":

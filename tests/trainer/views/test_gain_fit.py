@@ -8,7 +8,7 @@ from gscore.trainer.views.track_colors import TrackColors
 
 
 def seen(truth: np.ndarray, *, points: int, each: int, noise: float, wrong: float) -> TrackColors:
-    """Points that `each` neighbouring photos show, some of them something else."""
+    """Points that `each` neighbouring photos show, with some wrong observations."""
     rng, views = np.random.default_rng(0), len(truth)
     first = rng.integers(0, views, points)
     view = ((first[:, None] + np.arange(each)) % views).ravel()
@@ -26,8 +26,8 @@ def gains_of(views: int, spread: float = 0.2) -> np.ndarray:
 
 
 def test_gains_come_back_exactly() -> None:
-    """Oracle: the gains that the colours were made with, without noise, but for the pull of what
-    was expected, one sighting among hundreds."""
+    """Oracle: the gains applied to the colours, without noise, but for the prior, which has the
+    weight of one observation among hundreds."""
     truth = gains_of(30)
     found = fit_gains(seen(truth, points=3000, each=3, noise=0, wrong=0), np.zeros((30, 3)))
     assert np.abs(found - truth).max() < 0.03
@@ -36,14 +36,14 @@ def test_gains_come_back_exactly() -> None:
 
 
 def test_a_fifth_of_wrong_sightings_hardly_matters() -> None:
-    """Oracle: as above; plain least squares would be several times as far off."""
+    """Oracle: as above, with a multiple of the error for plain least squares."""
     truth = gains_of(30)
     some = seen(truth, points=3000, each=3, noise=0.05, wrong=0.2)
     assert np.abs(fit_gains(some, np.zeros((30, 3))) - truth).mean() < 0.02
 
 
 def test_photos_that_share_nothing_get_what_is_expected() -> None:
-    """Oracle: what was expected, about the mean of all."""
+    """Oracle: the prior, about the mean of all."""
     expected = gains_of(4)
     none = TrackColors(
         view=np.zeros(0, np.int64),

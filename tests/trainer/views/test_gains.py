@@ -39,7 +39,7 @@ def exposed(photos: Any, log_gains: np.ndarray) -> Any:
 
 
 def test_steps_are_those_of_adam() -> None:
-    """Oracle: torch's Adam on the three numbers of one photo; a third of each step is taken back,
+    """Oracle: torch's Adam on the three numbers of one photo; a third of each step is subtracted
     from all three photos, by hand."""
     gains = PhotoGains([0, 2, 3], np.zeros((4, 3)))
     value = torch.zeros(3, dtype=torch.float64, requires_grad=True)
@@ -61,7 +61,7 @@ def test_steps_are_those_of_adam() -> None:
 
 
 def test_the_mean_over_training_photos_stays_one() -> None:
-    """Oracle: the geometric mean; held-out photos have a gain of exactly one."""
+    """Oracle: the geometric mean; a gain of exactly one for held-out photos."""
     gains = PhotoGains([1, 2, 4], np.random.default_rng(1).normal(size=(5, 3)))
     for index in (1, 2, 4, 2):
         gains.learn(index, [1.0, -2.0, 0.5], 0.1)
@@ -70,7 +70,7 @@ def test_the_mean_over_training_photos_stays_one() -> None:
 
 
 def test_a_derivative_that_is_not_finite_moves_nothing() -> None:
-    """Oracle: the gains before."""
+    """Oracle: the previous gains."""
     gains = PhotoGains([0, 1], np.array([[0.1, 0, 0], [-0.1, 0, 0]]))
     before = {key: t.clone() for key, t in gains.tensors().items()}
     gains.learn(0, [float("nan"), 1.0, 1.0], 0.1)
@@ -87,8 +87,8 @@ def test_the_rate_falls_exponentially() -> None:
 
 @pytest.mark.parametrize("mode", ["none", "ignore", "composite"])
 def test_the_chain_from_the_loss_to_a_gain(known_splats: Any, photos: Any, mode: str) -> None:
-    """Oracle: the float64 twin of rasterizer and loss; autograd in ln gain through the colour
-    behind the splats too, where photos are laid over a background, and central differences."""
+    """Oracle: the float64 twin of rasterizer and loss; autograd in ln gain, through the background
+    colour too where photos are composited over one, and central differences."""
     height = width = 24
     camera = photos.scene.cameras
     K = camera.Ks[0] * [[0.5], [0.5], [1.0]]
@@ -145,14 +145,14 @@ _NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 
 def _activated(raw: list[torch.Tensor]) -> list[torch.Tensor]:
-    """float64 parameters as the twin takes them."""
+    """float64 parameters as the twin expects them."""
     means, quats, scales, opacities, sh0, shN = (t.double() for t in raw)
     return [means, quats, scales.exp(), torch.sigmoid(opacities), sh0, shN]
 
 
 def test_gains_of_photos_are_found(make_photos: Callable[..., Any]) -> None:
-    """Oracle: the gains that the photos were multiplied by, about their mean: more than half
-    comes back where they are not known at the start."""
+    """Oracle: the gains applied to the photos, about their mean, more than half of which is
+    recovered without an initial estimate."""
     plain = make_photos(held_out=(3,))
     truth = some_gains(plain, spread=0.15)
     truth[3] = 0
@@ -172,7 +172,7 @@ def test_gains_of_photos_are_found(make_photos: Callable[..., Any]) -> None:
 
 @pytest.mark.parametrize("mask_mode", ["none", "ignore", "composite"])
 def test_resume_is_bit_equal(photos: Any, tmp_path: Path, mask_mode: str) -> None:
-    """Oracle: all tensors and other state of a run that never stopped, with other threads."""
+    """Oracle: all tensors and other state of an uninterrupted run, with other threads."""
     rng = np.random.default_rng(0)
     masks = [(rng.random((48, 48)) * 255).astype(np.uint8) for _ in photos.images]
     photos = replace(photos, masks=masks, mask_mode=mask_mode)
@@ -199,7 +199,7 @@ def test_resume_is_bit_equal(photos: Any, tmp_path: Path, mask_mode: str) -> Non
 
 
 def test_a_run_that_began_without_goes_on_without(photos: Any) -> None:
-    """Oracle: a checkpoint without gains, taken up by a trainer that has some."""
+    """Oracle: a checkpoint without gains, loaded by a trainer with gains."""
     plain = Trainer(CONFIG, photos)
     plain.step()
     state, tensors = plain.state(), {k: t.clone() for k, t in plain.tensors().items()}

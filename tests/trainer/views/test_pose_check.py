@@ -1,4 +1,4 @@
-"""Cameras placed anew by the points they saw; whether that is done, by the studio example."""
+"""Cameras resected from their points, and the decision to do so, by the studio example."""
 
 import json
 from dataclasses import replace
@@ -24,7 +24,7 @@ STUDIO = Path(__file__).parents[3] / "examples" / "studio"
 
 
 def sights(pose: np.ndarray, count: int = 200, *, wrong: float = 0.0) -> PointObservations:
-    """Points that a camera saw, a share of them at some other place."""
+    """Points of a camera, a share of them at wrong places."""
     rng = np.random.default_rng(0)
     local = rng.uniform([-1, -1, 2], [1, 1, 6], (count, 3))
     rays = local[:, :2] / local[:, 2:]
@@ -36,7 +36,8 @@ def sights(pose: np.ndarray, count: int = 200, *, wrong: float = 0.0) -> PointOb
 
 @pytest.mark.parametrize("wrong", [0.0, 0.3])
 def test_a_pose_is_found_by_its_points(wrong: float) -> None:
-    """Oracle: the pose that saw them, from one a tenth of a radian and of the depth away."""
+    """Oracle: the pose that projects them, from a start off by a tenth of a radian and of the
+    depth."""
     truth = moved_pose(np.eye(4), np.array([0.3, -0.2, 0.5, 1.0, 2.0, 3.0]))
     seen = sights(truth, wrong=wrong)
     begun = moved_pose(truth, np.array([0.05, -0.08, 0.04, 0.2, -0.1, 0.3]))
@@ -46,14 +47,14 @@ def test_a_pose_is_found_by_its_points(wrong: float) -> None:
 
 @pytest.mark.parametrize("count", [0, 5, 11])
 def test_few_points_move_no_camera(count: int) -> None:
-    """Oracle: the pose it had, bit for bit."""
+    """Oracle: the initial pose, bit for bit."""
     seen = sights(np.eye(4), count)
     pose = moved_pose(np.eye(4), np.full(6, 0.1))
     assert (resection_pose(pose, seen) == pose).all()
 
 
 def test_points_in_one_place_move_no_camera() -> None:
-    """Oracle: a pose at least as good as before, and finite."""
+    """Oracle: a finite pose, at least as good as before."""
     seen = PointObservations(points=np.tile([0.0, 0.0, 2.0], (50, 1)), rays=np.zeros((50, 2)))
     pose = moved_pose(np.eye(4), np.array([0, 0, 0, 0.1, 0, 0]))
     found = resection_pose(pose, seen)
@@ -67,7 +68,7 @@ def _studio(root: Path) -> Dataset:
 
 def _disturbed(root: Path) -> Path:
     """The example with cameras turned by half a degree and shifted by a hundredth of the extent,
-    but for every eighth."""
+    except every eighth."""
     model, rng, images = read_model(STUDIO), np.random.default_rng(0), []
     for i, image in enumerate(sorted(model.images, key=lambda image: image.name)):
         axis, way = rng.normal(size=(2, 3))
@@ -82,14 +83,14 @@ def _disturbed(root: Path) -> Path:
 
 
 def test_good_cameras_stay() -> None:
-    """Oracle: the example, whose cameras structure from motion found: nothing is moved."""
+    """Oracle: the example with its SfM cameras, which stay."""
     found = analyze_photos(TrainConfig(exposure=Switch.OFF), _studio(STUDIO))[1]
     assert found.viewmats is None and not found.learns
     assert found.why.startswith("Cameras agree with their points (0.")
 
 
 def test_disturbed_cameras_come_back(tmp_path: Path) -> None:
-    """Oracle: the cameras of the example before they were disturbed; held-out ones stay."""
+    """Oracle: the cameras of the example before the disturbance; held-out ones stay."""
     true = _studio(STUDIO).scene.cameras.viewmats
     photos = _studio(_disturbed(tmp_path))
     found = analyze_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
@@ -103,7 +104,7 @@ def test_disturbed_cameras_come_back(tmp_path: Path) -> None:
 
 
 def test_off_and_on(tmp_path: Path) -> None:
-    """Oracle: `off` looks at nothing, `on` learns the poses of good cameras too."""
+    """Oracle: no check with `off`; refinement of good cameras too with `on`."""
     photos = _studio(STUDIO)
     off = check_poses(TrainConfig(refine_poses=Switch.OFF), photos, None)
     assert (off.viewmats, off.learns, off.why) == (None, False, "")
@@ -113,8 +114,8 @@ def test_off_and_on(tmp_path: Path) -> None:
 
 
 def test_rays_are_those_of_the_points() -> None:
-    """Oracle: the points of the example seen from its cameras: half a pixel of 640, in the
-    median, as its reconstruction says."""
+    """Oracle: the points of the example in its cameras: a median of half a pixel of 640, the value
+    of its reconstruction."""
     photos = _studio(STUDIO)
     tracks = tracks_of(photos)
     assert tracks is not None
@@ -130,7 +131,7 @@ def test_rays_are_those_of_the_points() -> None:
 
 
 def test_few_of_many_points_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: all points of the example, by which its cameras come back to the same places."""
+    """Oracle: all points of the example, which bring its cameras back to the same places."""
     photos = _studio(_disturbed(tmp_path))
     found = analyze_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
     monkeypatch.setattr("gscore.datasets.tracks._ENOUGH", 60)
@@ -143,8 +144,8 @@ def test_few_of_many_points_are_looked_at(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_a_run_says_how_far_cameras_moved(tmp_path: Path) -> None:
-    """Oracle: the disturbance, about what each camera moves back by; what metrics.json and
-    poses.json say is the same, and a held-out view that is aligned is no worse for it."""
+    """Oracle: the disturbance, which each camera moves back by; equal values in metrics.json and
+    poses.json; an aligned held-out view that is no worse."""
     photos = _studio(_disturbed(tmp_path / "capture"))
     config = TrainConfig(iterations=60, max_splats=7000, sh_degree=0)
     data = DataConfig(source=tmp_path / "capture", resolution=120, eval=True, mask_mode="none")
@@ -164,7 +165,7 @@ def test_a_run_says_how_far_cameras_moved(tmp_path: Path) -> None:
 
 
 def test_good_cameras_train_as_without(tmp_path: Path) -> None:
-    """Oracle: the bytes of the splats with `refine_poses` off; no poses.json is written."""
+    """Oracle: the bytes of the splats with `refine_poses` off; no poses.json."""
     written = []
     for mode in (Switch.AUTO, Switch.OFF):
         config = TrainConfig(iterations=10, max_splats=7000, refine_poses=mode)
@@ -176,7 +177,7 @@ def test_good_cameras_train_as_without(tmp_path: Path) -> None:
 
 
 def test_damaged_poses_are_a_sentence(tmp_path: Path) -> None:
-    """Oracle: the error; nothing where there is no such file."""
+    """Oracle: the error; no poses for a missing file."""
     path = tmp_path / "poses.json"
     assert read_moves(path) == {}
     for text in ("[", "[1]", '{"a": {"degrees": 1}}', '{"a": 3}'):

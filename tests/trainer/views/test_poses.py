@@ -1,4 +1,4 @@
-"""Poses of photos: motions, the chain of their derivative, steps, what a training finds."""
+"""Poses of photos: motions, the chain of their derivative, steps, and their optimisation."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,7 +27,7 @@ NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 
 def disturbed(photos: Any, *, degrees: float, shift: float, seed: int = 0) -> np.ndarray:
-    """[V, 4, 4]: training cameras turned and shifted at random by so much."""
+    """[V, 4, 4]: training cameras turned and shifted at random by this amount."""
     rng = np.random.default_rng(seed)
     out = photos.scene.cameras.viewmats.copy()
     for i in photos.train:
@@ -54,8 +54,8 @@ def test_a_motion_is_an_exponential(size: float) -> None:
 
 
 def test_the_chain_from_the_loss_to_a_motion(known_splats: Any, photos: Any) -> None:
-    """Oracle: central differences of the float64 twins of rasterizer and loss, of a camera that is
-    turned and shifted by `moved`, in all six directions."""
+    """Oracle: central differences of the float64 twins of rasterizer and loss, of a camera turned
+    and shifted by `moved`, in all six directions."""
     cameras, size = photos.scene.cameras, 24
     K, viewmat = cameras.Ks[0] * [[0.5], [0.5], [1.0]], cameras.viewmats[0]
     generator = torch.Generator().manual_seed(0)
@@ -85,7 +85,7 @@ def test_the_chain_from_the_loss_to_a_motion(known_splats: Any, photos: Any) -> 
 
 def test_all_cameras_together_stay(photos: Any) -> None:
     """Oracle: the mean over the training cameras of their motions in the world, to first order;
-    held-out cameras keep every bit."""
+    equal bits of held-out cameras."""
     first = photos.scene.cameras.viewmats
     poses = PhotoPoses([0, 1, 2, 4, 5], first, unit=2.0)
     rng = np.random.default_rng(0)
@@ -99,7 +99,7 @@ def test_all_cameras_together_stay(photos: Any) -> None:
 
 
 def test_no_camera_leaves_its_limit(photos: Any) -> None:
-    """Oracle: the limit, for a gradient that always pulls the same way; and poses stay rigid."""
+    """Oracle: the limit, for a gradient of constant direction; rigid poses."""
     poses = PhotoPoses(photos.train, photos.scene.cameras.viewmats, unit=1.0, limit=0.02)
     pull = torch.zeros(4, 4)
     pull[0, 3] = -1.0
@@ -113,15 +113,15 @@ def test_no_camera_leaves_its_limit(photos: Any) -> None:
 
 
 def test_a_derivative_that_is_not_finite_moves_nothing(photos: Any) -> None:
-    """Oracle: the poses before."""
+    """Oracle: the previous poses."""
     poses = PhotoPoses(photos.train, photos.scene.cameras.viewmats, unit=1.0)
     poses.learn(1, torch.full((4, 4), torch.nan), 1e-3)
     assert (poses.viewmats == photos.scene.cameras.viewmats).all()
 
 
 def test_disturbed_poses_come_back(make_photos: Callable[..., Any]) -> None:
-    """Oracle: where the cameras that drew the photos see the points; half of the disturbance, a
-    motion of all of them apart, is left at most, and the training error falls."""
+    """Oracle: the points in the cameras of the rendered photos; at most half of the disturbance is
+    left, apart from a common motion, and the training error falls."""
     photos = make_photos()
     wrong = disturbed(photos, degrees=1.5, shift=0.02)
     config = replace(
@@ -193,7 +193,7 @@ def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
 
 
 def test_resume_is_bit_equal(photos: Any, tmp_path: Path) -> None:
-    """Oracle: all tensors and other state of a run that never stopped, with other threads."""
+    """Oracle: all tensors and other state of an uninterrupted run, with other threads."""
     placing = PoseCheck(viewmats=disturbed(photos, degrees=0.5, shift=0.01), learns=True)
     whole = Trainer(replace(CONFIG, threads=1), photos, placing=placing)
     for step in range(1, 61):
