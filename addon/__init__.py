@@ -48,7 +48,7 @@ MODULES: tuple[str, ...] = (
     "render.settings",
     "render.engine",
     "render.compositor",
-    "live.handler",
+    "live.draw_handler",
     "live.notice",
     "live.edited",
     "render.operators",

@@ -241,7 +241,7 @@ WITHOUT_BPY = (
     "sequence.job_registry",
     "splats.point_attributes",
     "splats.filters",
-    "splats.live",
+    "splats.live_display",
     "srgb",
     "region_training.job",
     "region_training.job_registry",

@@ -16,7 +16,7 @@ from bpy.app.handlers import persistent
 from ..interface.views import redraw_views
 from ..render import viewport_copies
 from ..render.mesh_copies import HIDDEN, SELECTED
-from ..splats.live import SESSION
+from ..splats.live_display import SESSION
 
 REST = 0.2
 """Seconds without a change after which reading begins."""

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import bpy
 
 from ..render.operators import changes_colors
-from ..splats.live import SESSION
+from ..splats.live_display import SESSION
 from . import photos
 from .engine_view import EngineView
 from .views import View

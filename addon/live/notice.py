@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import bpy
 
 from ..interface import viewport_text
-from ..splats.live import SESSION
+from ..splats.live_display import SESSION
 from ..splats.objects import is_splats
-from . import handler
+from . import draw_handler
 
 _MARGIN = 12.0
 """Pixels at a resolution scale of 1."""
@@ -37,7 +37,7 @@ def _lines(text: str, width: float, scale: float) -> list[str]:
 def _draw() -> None:
     context = bpy.context
     overlay = context.space_data.overlay
-    text = handler.problem_of(context.region)
+    text = draw_handler.problem_of(context.region)
     if not text or not (overlay.show_overlays and overlay.show_text):
         return
     if not any(map(is_splats, context.scene.objects)):

@@ -16,7 +16,7 @@ from ..interface.blocks import with_uid
 from ..process.incremental_tasks import Check, Pieces, run_in_thread
 from ..render import viewport_copies
 from ..render.mesh_copies import HIDDEN, SELECTED, read_marks
-from ..splats import live, objects
+from ..splats import live_display, objects
 from ..timeline.settings import plays
 from .brush import SELECT, Brush
 from .stroke import Stroke
@@ -56,7 +56,7 @@ def begin_stroke(
         may &= (marks & SELECTED) != 0
         if not may.any():
             raise ValueError(f"{ob.name}: select some splats, or turn Only Selected off.")
-    uid, name, follows = ob.data.session_uid, ob.name, live.SESSION.works and not plays(ob)
+    uid, name, follows = ob.data.session_uid, ob.name, live_display.SESSION.works and not plays(ob)
     shows_live = ob.gscore.display == "SPLATS" and follows
     splats = yield from copy_visible(ob, view, drawn=front_only)
     found = yield from run_in_thread(partial(_within, splats, may, front_only), "Finding splats")
@@ -218,7 +218,7 @@ def show_as_kept(ob: bpy.types.Object) -> None:
 
     After undo it would update by itself, but some tenths of a second later.
     """
-    if ob.mode == "EDIT" or not live.SESSION.works:
+    if ob.mode == "EDIT" or not live_display.SESSION.works:
         return
     viewport_copies.SHARED.repaint(ob.data.session_uid, attributes.column(ob.data, attributes.BASE))
     viewport_copies.SHARED.remark(ob.data.session_uid, read_marks(ob.data))

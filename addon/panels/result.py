@@ -9,8 +9,8 @@ from ..histograms import gizmos
 from ..histograms.counting import OPACITY, SIZE
 from ..histograms.icons import ICONS
 from ..interface.option_labels import error_words
-from ..live import handler
-from ..splats import edit, live, mending, uniform_scale
+from ..live import draw_handler
+from ..splats import edit, live_display, mending, uniform_scale
 from ..splats.objects import in_question, is_native, is_splats, meant
 from .widgets import TabPanel, job, limit, rows, sentence
 
@@ -183,9 +183,9 @@ def _main_region(context: bpy.types.Context) -> bpy.types.Region:
 
 def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Draw the reason why splats are not drawn live, or their number."""
-    if problem := handler.problem_of(_main_region(context)):
+    if problem := draw_handler.problem_of(_main_region(context)):
         sentence(layout, context, problem, icon="ERROR")
-    elif not live.SESSION.works:
+    elif not live_display.SESSION.works:
         sentence(layout, context, "Splats are drawn live only in a window.", icon="INFO")
 
 

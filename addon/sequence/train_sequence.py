@@ -19,7 +19,7 @@ from ..process import poll_timer
 from ..training import start_training
 from ..training.guides import left_out
 from ..training.launch import follow, launch
-from . import arguments, guides, job_registry
+from . import arguments, guide_meshes, job_registry
 from .job import SequenceJob
 from .job_registry import JOBS
 
@@ -61,7 +61,7 @@ def train_sequence(
         line = arguments.new_sequence(
             scene.gscore, own, source=source, output=output, machine=machine, overwrite=overwrite
         )
-        guide_options, replace_guides = guides.arguments(
+        guide_options, replace_guides = guide_meshes.arguments(
             scene, lambda: chosen_frames(scene), output
         )
     line += guide_options

@@ -10,7 +10,7 @@ from .. import attributes, compat
 from ..cameras.objects import points_of
 from ..core import Splats, transform_splats
 from ..interface import editable_check
-from . import copy_metadata, lag, live, settings
+from . import copy_metadata, lag, live_display, settings
 
 KIND = "splats"
 ANTIALIAS = "gs_antialias"
@@ -68,7 +68,7 @@ def around(
         ob.gscore.point_size = 0.5 * size
     settings.attach(ob)
     lag.follow(mesh)
-    if live.SESSION.works:
+    if live_display.SESSION.works:
         ob.gscore.display = "SPLATS"
     return ob
 

@@ -10,7 +10,7 @@ from ..nodes import display
 from ..nodes.colors import MODES as COLOR_MODES
 from ..nodes.graph import is_of_another_blender
 from ..process.incremental_tasks import BUDGET, Pieces
-from . import live
+from . import live_display
 from .filters import BOX, SPHERE
 
 _RENDERED_AS = "Native Splats" if compat.splat_cloud_type() else "Soft Splats"
@@ -171,7 +171,7 @@ def apply(ob: bpy.types.Object) -> None:
     mode = settings.display or "SOFT"  # empty: a display that only newer Blender versions have
     if mode in {"SPLATS", "NATIVE"} or is_of_another_blender(modifier.node_group):
         modifier.node_group = display.group()  # one from a file may lack this display
-    if mode == "SPLATS" and live.SESSION.as_points:
+    if mode == "SPLATS" and live_display.SESSION.as_points:
         mode = "POINTS"
     _leave_points_unselected(ob.data)
     values = {

@@ -19,7 +19,7 @@ from ..interface.option_labels import error_words
 from ..interface.views import redraw_views
 from ..process import poll_timer
 from ..process.background_task import BackgroundTask
-from ..splats import live, objects
+from ..splats import live_display, objects
 from ..splats.write_chunked import ChunkedWrite
 from ..training.loader import Loaded
 from . import mesh, settings
@@ -181,7 +181,7 @@ def _playing() -> bool:
 
 def _needs_mesh(ob: bpy.types.Object) -> bool:
     """True if an object's mesh is displayed even during playback."""
-    return ob.gscore.display != "SPLATS" or not live.SESSION.works
+    return ob.gscore.display != "SPLATS" or not live_display.SESSION.works
 
 
 def _collect() -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..depth.observations import seen_points
-from ..raster.stereo import Checked, Swept, check, sweep
+from ..raster.stereo_depth import Checked, Swept, check, sweep
 from ..text_format import count_words
 from .photos import SmallPhoto, small_photo
 from .plan import ViewPlan, plan_views, planes_of

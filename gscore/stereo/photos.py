@@ -8,7 +8,7 @@ import numpy as np
 from ..datasets import Dataset
 from ..datasets.resolution import scale_intrinsics
 from ..io.images.read_image import resize
-from ..raster.stereo import StereoView
+from ..raster.stereo_depth import StereoView
 
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)
 """Luma of sRGB values (Rec. 601)."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..depth.observations import SeenPoints
-from ..raster.stereo import MOST_PLANES, StereoView
+from ..raster.stereo_depth import MOST_PLANES, StereoView
 from ..scene import Cameras
 
 SOURCES = 4

@@ -8,7 +8,7 @@ import pytest
 from gscore.errors import Cancelled, ShapeError
 from gscore.raster.reference import stereo as twin
 from gscore.raster.request import CancelFlag
-from gscore.raster.stereo import StereoView, check, sweep
+from gscore.raster.stereo_depth import StereoView, check, sweep
 from tests.stereo.scene import Scene
 
 RANGE = {"farthest": 0.12, "nearest": 0.32}

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gscore.raster.stereo import StereoView
+from gscore.raster.stereo_depth import StereoView
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from mathutils import Quaternion  # noqa: E402
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
-from addon.live import handler, retry_limit  # noqa: E402
+from addon.live import draw_handler, retry_limit  # noqa: E402
 from addon.live.card import Card  # noqa: E402
 from addon.nodes import display  # noqa: E402
 from addon.render.viewport import Viewport  # noqa: E402
@@ -33,7 +33,7 @@ seen: dict = {"log": [], "problems": {}, "calls": {}}
 def shot(name: str) -> None:
     """The screen as a file, and what the panel says."""
     shoot(FOLDER / f"{name}.png")
-    seen["problems"][name] = handler.problem_of(region())
+    seen["problems"][name] = draw_handler.problem_of(region())
 
 
 class Failing:
@@ -98,12 +98,12 @@ def story() -> Iterator[object]:
     yield from turned(view, 0.4)
     shot("live_turned")
     yield from turned(view, 0.0)
-    before = handler.view_of(region())
+    before = draw_handler.view_of(region())
     failing = Failing(Card, "show", 1)
     area().tag_redraw()
     yield 0.15
     shot("failed_once")
-    yield lambda: handler.view_of(region()) not in (None, before)
+    yield lambda: draw_handler.view_of(region()) not in (None, before)
     yield at_rest
     failing.end("once")
     yield 0.5
@@ -111,7 +111,7 @@ def story() -> Iterator[object]:
     retry_limit.PAUSES = (0.1, 0.2, 0.3)
     failing = Failing(Card, "show", 1e9)
     area().tag_redraw()
-    yield lambda: handler.SESSION.by_engine
+    yield lambda: draw_handler.SESSION.by_engine
     yield at_rest
     yield 0.5
     failing.end("for_good")
@@ -129,7 +129,7 @@ def story() -> Iterator[object]:
     addon_utils.enable("addon", persistent=True)
     failing = Failing(Card, "__init__", 1e9)
     area().tag_redraw()
-    yield lambda: handler.SESSION.by_engine
+    yield lambda: draw_handler.SESSION.by_engine
     yield at_rest
     yield 0.5
     failing.end("refused")
@@ -141,7 +141,7 @@ def story() -> Iterator[object]:
     shot("said")
     failing = Failing(Viewport, "draw", 1e9)
     area().tag_redraw()
-    yield lambda: handler.SESSION.as_points
+    yield lambda: draw_handler.SESSION.as_points
     yield 1.0
     failing.end("no_pictures")
     shot("points")

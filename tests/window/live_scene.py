@@ -21,7 +21,7 @@ from mathutils import Quaternion  # noqa: E402
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
-from addon.live import handler, level  # noqa: E402
+from addon.live import draw_handler, level  # noqa: E402
 from addon.live.card import Card, Shot  # noqa: E402
 from addon.render import viewport_copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
@@ -50,7 +50,7 @@ def screenshot(name: str) -> None:
 
 def named(context: bpy.types.Context) -> list[str]:
     """The objects that are drawn live."""
-    found = handler.shown(context, context.evaluated_depsgraph_get())
+    found = draw_handler.shown(context, context.evaluated_depsgraph_get())
     return sorted(source.ob.name for source in found)
 
 
@@ -80,7 +80,7 @@ def moving(view: bpy.types.RegionView3D, name: str) -> Iterator[object]:
     still, level.STILL = level.STILL, 1e9
     view.view_rotation = Quaternion((0, 0, 1), 0.01)
     yield 1.0
-    seen.setdefault("moving", []).append(handler.view_of(region()).level.moving)
+    seen.setdefault("moving", []).append(draw_handler.view_of(region()).level.moving)
     screenshot(name)
     level.STILL = still
     view.view_rotation = Quaternion((1, 0, 0, 0))
@@ -191,7 +191,7 @@ def through_camera(scene: bpy.types.Scene) -> Iterator[object]:
     for transform in ("Standard", "Raw"):
         scene.view_settings.view_transform = transform
         yield 0.5
-        yield lambda: region().as_pointer() in handler.viewport.EXACT
+        yield lambda: region().as_pointer() in draw_handler.viewport.EXACT
         yield 1.0
         screenshot(f"camera_{transform}")
         lab.render_file(FOLDER / f"f12_{transform}.png")
@@ -238,7 +238,7 @@ def story() -> Iterator[object]:
     viewport_copies.SHARED.clear()
     area().tag_redraw()
     yield 3.0  # in which nobody touches anything
-    found = handler.sources(bpy.context.evaluated_depsgraph_get())
+    found = draw_handler.sources(bpy.context.evaluated_depsgraph_get())
     seen["by_itself"] = viewport_copies.SHARED.copied(found)[1]
     viewport_copies.COPY_BUDGET = budget
     yield 1.0
@@ -247,7 +247,7 @@ def story() -> Iterator[object]:
     screenshot("wall")
     wall.scale.y = 2.0
     yield 0.5
-    seen["uneven"] = handler.problem_of(region())
+    seen["uneven"] = draw_handler.problem_of(region())
     screenshot("uneven")
     wall.scale.y = 1.0
     yield 0.5
@@ -323,7 +323,7 @@ def story() -> Iterator[object]:
     scene.render.engine = "GSCORE_SPLATS"
     scene.view_settings.view_transform = "Standard"
     space().shading.type = "RENDERED"
-    yield lambda: region().as_pointer() in handler.viewport.EXACT
+    yield lambda: region().as_pointer() in draw_handler.viewport.EXACT
     yield 1.0
     screenshot("exact")
     yield from through_camera(scene)
@@ -333,7 +333,7 @@ def story() -> Iterator[object]:
 
 
 def _end(problem: str) -> None:
-    found = handler.view_of(region())
+    found = draw_handler.view_of(region())
     seen["seconds"] = None if found is None else found.seconds
     leaving(FOLDER, seen)(problem)
 

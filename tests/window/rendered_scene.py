@@ -20,7 +20,7 @@ from mathutils import Quaternion  # noqa: E402
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
-from addon.live import handler, level  # noqa: E402
+from addon.live import draw_handler, level  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tools.window.desk import (  # noqa: E402
     Teller,
@@ -47,7 +47,7 @@ def screenshot(name: str) -> None:
 
 def exact() -> bool:
     """Whether the view shows the engine's finished picture."""
-    return region().as_pointer() in handler.viewport.EXACT
+    return region().as_pointer() in draw_handler.viewport.EXACT
 
 
 def called(operator: object, **given: object) -> None:
@@ -81,7 +81,7 @@ def regions(scene: bpy.types.Scene) -> Iterator[object]:
     still, level.STILL = level.STILL, 1e9
     view.view_rotation = Quaternion((0, 0, 1), 0.01)
     yield 1.0
-    seen["moving"] = handler.view_of(region()).level.moving
+    seen["moving"] = draw_handler.view_of(region()).level.moving
     screenshot("region_moving")
     level.STILL = still
     view.view_rotation = Quaternion((1, 0, 0, 0))

@@ -24,7 +24,7 @@ from mathutils import Quaternion  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.core import read_splats  # noqa: E402
-from addon.live import card, depths, handler, uploads, view_picture  # noqa: E402
+from addon.live import card, depths, draw_handler, uploads, view_picture  # noqa: E402
 from addon.live.program import QUADS  # noqa: E402
 from addon.splats import objects  # noqa: E402
 from tools.window import desk  # noqa: E402
@@ -61,7 +61,7 @@ class Meter:
 
     def __init__(self) -> None:
         self.redraws: list[Redraw] = []
-        draw, texture, wait = handler.draw, uploads.texture, view_picture._wait
+        draw, texture, wait = draw_handler.draw, uploads.texture, view_picture._wait
         read = depths._read_depths
         init, reserve = card.Card.__init__, uploads.Texels.__init__
 
@@ -80,7 +80,7 @@ class Meter:
             init(this)
             this._quads, this._screen = (_Batch(b, self) for b in (this._quads, this._screen))
 
-        handler.draw, card.Card.__init__ = timed, made
+        draw_handler.draw, card.Card.__init__ = timed, made
         uploads.texture = card.texture = counted
         # Allocation of an atlas, which software rendering clears on the CPU.
         uploads.Texels.__init__ = lambda this, values: self.time(reserve, this, values)
@@ -166,7 +166,7 @@ def redraw() -> Iterator[object]:
 
 def is_exact() -> bool:
     """Whether the view shows the engine's picture."""
-    return desk.region().as_pointer() in handler.viewport.EXACT
+    return desk.region().as_pointer() in draw_handler.viewport.EXACT
 
 
 def story() -> Iterator[object]:

@@ -14,7 +14,7 @@ import addon_utils
 import bpy
 from mathutils import Quaternion
 
-from addon.live import handler
+from addon.live import draw_handler
 
 
 def area() -> bpy.types.Area:
@@ -35,9 +35,9 @@ def region() -> bpy.types.Region:
 
 def at_rest() -> bool:
     """Whether the view shows the complete current scene, live or as the engine's exact picture."""
-    if region().as_pointer() in handler.viewport.EXACT:
+    if region().as_pointer() in draw_handler.viewport.EXACT:
         return True
-    view = handler.view_of(region())
+    view = draw_handler.view_of(region())
     return view is not None and view.complete and not view.waits
 
 

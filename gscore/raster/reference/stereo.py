@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..stereo import Checked, StereoView, Swept, Warp
+from ..stereo_depth import Checked, StereoView, Swept, Warp
 
 _NEAR = 2
 """Maximum distance of two peaks, in planes, that count as one."""
@@ -21,7 +21,7 @@ def sweep(
     best: int = 2,
     noise: float = 1.5,
 ) -> Swept:
-    """As `gscore.raster.stereo.sweep`, arrays [H, W] float64."""
+    """As `gscore.raster.stereo_depth.sweep`, arrays [H, W] float64."""
     depths = np.linspace(farthest, nearest, planes)
     volume = np.stack([_scores(reference, sources, d, radius, best, noise) for d in depths])
     found = _peaks(volume, depths)
@@ -146,7 +146,7 @@ def check(
     relative: float = 0.01,
     passed: float = 0.05,
 ) -> Checked:
-    """As `gscore.raster.stereo.check`, with the mean in float64."""
+    """As `gscore.raster.stereo_depth.check`, with the mean in float64."""
     rows, columns = inverse_depth.shape
     x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
     known = np.isfinite(inverse_depth) & (inverse_depth > 0)

@@ -288,7 +288,7 @@ def test_chunks_that_stay_are_not_uploaded_again(card, monkeypatch):
 
 def test_without_a_window_nothing_is_registered(scene):
     """Oracle: the display of new objects, and the message of the panel."""
-    from addon.splats.live import SESSION
+    from addon.splats.live_display import SESSION
 
     if not bpy.app.background:
         pytest.skip("there is a window")

@@ -307,7 +307,7 @@ def test_a_million_splats(
     activate(ob)
     bpy.ops.ed.undo_push(message="before")
     view = render_camera(camera, scene)
-    monkeypatch.setattr("addon.splats.live.SESSION.there", True)
+    monkeypatch.setattr("addon.splats.live_display.SESSION.there", True)
     ob.gscore.display = "SPLATS"
     began = time.perf_counter()
     pieces = paint_target.begin_stroke(ob, Brush(radius=50, color=RED), view, front_only=True)

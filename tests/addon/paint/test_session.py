@@ -319,7 +319,7 @@ def test_the_live_display_follows_without_the_mesh(
     ob: bpy.types.Object, desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the data passed to it; the mesh is written only at the end of the stroke."""
-    monkeypatch.setattr("addon.splats.live.SESSION.there", True)
+    monkeypatch.setattr("addon.splats.live_display.SESSION.there", True)
     ob.gscore.display = "SPLATS"
     told: list[np.ndarray] = []
     monkeypatch.setattr(

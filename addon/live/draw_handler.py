@@ -20,7 +20,7 @@ from ..render.regions import drawn_window
 from ..render.scene import Placed, Source, sources
 from ..render.selections import tinted_in
 from ..splats import settings as splat_settings
-from ..splats.live import SESSION
+from ..splats.live_display import SESSION
 from ..splats.objects import is_splats
 from . import photos
 from .card import Card
