@@ -109,7 +109,7 @@ def test_sources_that_cannot_work_leave_nothing(views: Path, tmp_path: Path, cap
         ([first, tmp_path / "bare"], "contains no photos"),
         ([first, tmp_path / "none"], "There is no folder"),
         ([first, broken], "cannot be opened as a video"),
-        ([first, noise, "--frames", 9], "is none"),
+        ([first, noise, "--frames", 9], "is not a video"),
         ([noise, tmp_path / "a/inner"], "No cameras found"),
     ):
         target = tmp_path / "deep/capture"

@@ -398,7 +398,7 @@ def test_each_frame_is_guided_by_its_own_mesh(frames: Path, tmp_path: Path) -> N
         "wall-005.ply",
         "wall-010.ply",
     ]
-    assert "Surface mesh wall-000.ply" in of_kind(events, Started)[0].guide
+    assert "Surface mesh wall-000.ply" in of_kind(events, Started)[0].decision("guide")
     (tmp_path / "wall-010.ply").unlink()
     with pytest.raises(ConfigError, match="the mesh of --guide-surface for frame 10"):
         train_sequence(config, data, tmp_path / "other")
