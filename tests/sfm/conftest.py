@@ -1,4 +1,4 @@
-"""Photos without cameras: a few of the bundled capture's, made small, and pictures of splats."""
+"""Photos without cameras: a few small ones of the bundled capture, and pictures of splats."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import gscore
 
 STUDIO = Path(__file__).parents[2] / "examples" / "studio"
 NEAR = (0, 1, 2, 19, 20, 21, 39, 40)
-"""Views of the studio from about one side."""
+"""Views of the studio from roughly one side."""
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ from gscore.sfm.bundle_adjustment import adjust
 
 @pytest.fixture
 def squeezed() -> Any:
-    """Exact observations by a camera of two focal lengths, given to one of a single one."""
+    """Exact observations by a camera with two focal lengths, assigned to one with a single one."""
     pycolmap.set_random_seed(0)
     options = pycolmap.SyntheticDatasetOptions(
         num_rigs=1, num_cameras_per_rig=1, num_frames_per_rig=12, num_points3D=150
@@ -45,7 +45,7 @@ def test_a_lens_that_was_asked_for_stays(squeezed: Any) -> None:
 
 
 def test_wrong_points_are_left_out(squeezed: Any) -> None:
-    """Oracle: the points whose observations were moved by 30 px, out of a camera that fits."""
+    """Oracle: the points with observations moved by 30 px, left out of a camera that fits."""
     model, rng = squeezed, np.random.default_rng(0)
     (camera,) = model.cameras.values()
     for image in model.images.values():
@@ -65,8 +65,8 @@ def test_wrong_points_are_left_out(squeezed: Any) -> None:
 
 
 def _observed(centers: np.ndarray, focal: float, bend: float = 0.0) -> Any:
-    """Cameras that look along +z from these places at a cloud ahead, with noise of 0.4 px, as a
-    model of one camera whose focal length is off by a fifth and which was then adjusted."""
+    """Cameras that face +z from these places towards a cloud ahead, with noise of 0.4 px, as an
+    adjusted model of one camera with an initial focal length wrong by a fifth."""
     rng = np.random.default_rng(0)
     model = pycolmap.Reconstruction()
     params = [focal, 320.0, 240.0, bend]
@@ -110,7 +110,7 @@ def test_a_walk_straight_ahead_keeps_the_expected_focal_length() -> None:
 
 
 def test_a_walk_straight_ahead_tells_how_the_lens_bends() -> None:
-    """Oracle: the lens that took the photos; held straight, it fits them worse than their noise."""
+    """Oracle: the lens of the photos; without distortion, its residuals exceed their noise."""
     ahead = [(np.array([0.0, 0.0, 0.5 * i]), 0.0) for i in range(10)]
     model = _observed(ahead, 600.0, bend=-0.1)
     found = adjust(model, may_free=True, expected={1: 600.0})
@@ -120,7 +120,7 @@ def test_a_walk_straight_ahead_tells_how_the_lens_bends() -> None:
 
 
 def test_a_walk_around_tells_the_focal_length() -> None:
-    """Oracle: the lens that took the photos, though another one is expected."""
+    """Oracle: the lens of the photos, with another one expected."""
     turns = np.linspace(-0.7, 0.7, 12)
     around = [(np.array([-14 * np.sin(t), 0.2 * np.cos(9 * t), 16 - 14 * np.cos(t)]), -t)
               for t in turns]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Size and up by GPS in EXIF; oracle: a world whose metres and vertical are known."""
+"""Size and up by GPS in EXIF; oracle: a world of known metres and vertical."""
 
 import json
 import math
@@ -50,14 +50,14 @@ def _model(centers: np.ndarray) -> pycolmap.Reconstruction:
 
 
 def _places(enu: np.ndarray, noise: float, seed: int = 0) -> dict[int, np.ndarray]:
-    """As GPS tells places [n, 3] that are in metres to the east, to the north and up."""
+    """Places [n, 3] in metres to the east, to the north and up, as GPS positions."""
     enu = enu + np.random.default_rng(seed).normal(0, noise, enu.shape)
     told = pycolmap.GPSTransform().enu_to_ellipsoid(enu, *LUND)
     return dict(enumerate(told, 1))
 
 
 def _found(enu: np.ndarray, noise: float, seed: int = 0) -> tuple[Gps, np.ndarray]:
-    """What is told of a turned model of these places, and what is up in it."""
+    """The report on a turned model of these places, and its up direction."""
     turn = _turned(seed)
     return read_gps(_model(enu @ turn.T / METRES), _places(enu, noise, seed)), turn[:, 2]
 
@@ -76,7 +76,7 @@ MAST = np.array([[0.1 * math.sin(i), 0.0, 6.0 * i] for i in range(12)])
 
 
 def test_gps_gives_the_size_in_metres() -> None:
-    """Oracle: the factor by which the model is too small, on a straight line and with noise."""
+    """Oracle: the scale factor of the model, on a straight line and with noise."""
     model = _model(LINE / METRES)
     to_metres(model, read_gps(model, _places(LINE, 2.0)))
     ends = [model.images[i].projection_center() for i in (1, 10)]
@@ -84,7 +84,7 @@ def test_gps_gives_the_size_in_metres() -> None:
 
 
 def test_gps_of_a_small_or_a_contradicting_capture_is_not_used() -> None:
-    """Oracle: what its error of some metres leaves of it."""
+    """Oracle: the accuracy that is left by a GPS error of some metres."""
     for enu, noise in ((LINE / 30, 0.2), (LINE / 5, 40.0)):
         found = read_gps(_model(enu), _places(enu, noise))
         assert found.metres is None and found.up is None
@@ -93,8 +93,8 @@ def test_gps_of_a_small_or_a_contradicting_capture_is_not_used() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_gps_tells_up_as_surely_as_it_says(seed: int) -> None:
-    """Oracle: the turned world's vertical; the error stated, thrice, bounds the one made, also with
-    one place that is off by 80 m."""
+    """Oracle: the turned world's vertical; three times the stated error bounds the real one, also
+    with one place off by 80 m."""
     for enu, noise in ((AROUND, 0.0), (AROUND, 2.0), (MAST, 1.0)):
         found, up = _found(enu, noise, seed)
         assert _degrees(found.up, up) < 3 * found.tilt + 1e-3
@@ -115,7 +115,7 @@ def test_gps_that_cannot_tell_up_says_so(enu: np.ndarray, noise: float) -> None:
 
 
 def _moved(metres: float) -> Callable[[np.ndarray, float], np.ndarray]:
-    """Moves a place [3] in degrees and metres by so many metres in a direction in radians."""
+    """Move a place [3] in degrees and metres by a number of metres in a direction in radians."""
 
     def move(place: np.ndarray, direction: float) -> np.ndarray:
         transform = pycolmap.GPSTransform()
@@ -141,8 +141,8 @@ STRAYS: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
 @pytest.mark.parametrize("count", [1, 2, 3])
 @pytest.mark.parametrize("kind", STRAYS)
 def test_stray_places_are_named_and_change_neither_size_nor_up(kind: str, count: int) -> None:
-    """Oracle: the world's metres and vertical; strays are first, last and in between, on a ring,
-    a survey and a line, 370 m above the sea."""
+    """Oracle: the world's metres and vertical; strays are first, last and in between, on a ring, a
+    survey and a line, 370 m above sea level."""
     rng = np.random.default_rng(3)
     survey = np.c_[rng.uniform(-60, 60, 30), rng.uniform(-40, 40, 30), rng.normal(0, 8, 30)]
     for seed, enu in enumerate((AROUND, survey, LINE)):
@@ -173,8 +173,8 @@ def test_a_fix_that_is_repeated_does_not_count(share: float, first: bool) -> Non
 
 
 def test_repeated_fixes_alone_are_named() -> None:
-    """Oracle: four fixes are too few for a size, and a sentence says why there is none; the two
-    cameras of each of six stations keep theirs."""
+    """Oracle: four fixes, too few for a size, and a sentence with the reason; the two cameras of
+    each of six stations keep theirs."""
     places = _places(AROUND, 1.0)
     repeated = {number: places[20 if number < 21 else number] for number in range(4, 25)}
     found = read_gps(_model(AROUND / METRES), repeated)
@@ -187,7 +187,7 @@ def test_repeated_fixes_alone_are_named() -> None:
 
 
 def test_the_messages_name_strays_and_contradictions() -> None:
-    """Oracle: the heights and places that were set to zero, and errors as large as the way."""
+    """Oracle: the heights and places set to zero, and errors as large as the way."""
     places = _places(AROUND + HIGH, 0.5)
     height = places[3][2]
     places[3], places[9] = STRAYS["no height"](places[3], 0.0), np.zeros(3)
@@ -202,7 +202,7 @@ def test_the_messages_name_strays_and_contradictions() -> None:
 
 
 def test_up_is_that_of_the_place_on_both_sides_of_the_date_line() -> None:
-    """Oracle: the world's vertical at Taveuni, whose photos lie at longitudes 180 and -180."""
+    """Oracle: the world's vertical at Taveuni, with photos at longitudes 180 and -180."""
     turn = _turned(4)
     told = pycolmap.GPSTransform().enu_to_ellipsoid(AROUND, -16.85, 180.0, 5.0)
     assert {bool(longitude > 0) for longitude in told[:, 1]} == {True, False}
@@ -229,12 +229,12 @@ def _exif(place: np.ndarray) -> Image.Exif:
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, np.ndarray]:
-    """Twelve photos with GPS, looking obliquely down; names, places and the way cameras are held.
+    """Twelve oblique photos with GPS; names, places and rotations of the cameras.
 
-    The GPS of one had no fix and says zero.
+    One photo had no GPS fix and has zeros.
 
     The world is east, north, up, in units of 20 m. All cameras are rolled by 70 degrees, so that
-    what photos have in common as up is not up.
+    the common up direction of the photos is not up.
     """
     folder = tmp_path_factory.mktemp("flight")
     splats, size = cloud(3), 256
@@ -275,8 +275,8 @@ def made(
 def test_photos_with_gps_give_metres_and_up(
     flight: tuple[Path, np.ndarray, np.ndarray], made: Path
 ) -> None:
-    """Oracle: the cameras that rendered the photos, by which up is known in the found world; up is
-    kept where it is off by 4 degrees or less, and mappers differ by some tenths from run to run."""
+    """Oracle: the cameras that rendered the photos, which give the true up; up may be off by 4
+    degrees, because mappers differ by some tenths from run to run."""
     model = read_model(made)
     true = {f"DJI_{i:04}.jpg": viewmat for i, viewmat in enumerate(flight[1])}
     ups = [im.viewmat[:3, :3].T @ true[im.name][:3, :3] @ [0, 0, 1] for im in model.images]
@@ -303,7 +303,7 @@ def test_whoever_reads_the_capture_knows_up(made: Path, tmp_path: Path) -> None:
 
 
 def test_up_that_is_no_direction_is_refused(made: Path, tmp_path: Path) -> None:
-    """Oracle: a sentence that names the file, for each way in which it can be damaged."""
+    """Oracle: a sentence that names the file, for each kind of damage."""
     for text in ("", "[]", "{}", '{"up": [0, 0, 0]}', '{"up": [1, 2]}', '{"up": "z"}',
                  '{"up": [1e300, 0, 0]}'):  # fmt: skip
         (tmp_path / WORLD_FILE).write_text(text)

@@ -1,4 +1,4 @@
-"""Features that match; oracles: COLMAP's exhaustive search in one thread, the twin."""
+"""Feature matches; oracles: COLMAP's exhaustive search in one thread, the twin."""
 
 import itertools
 import shutil
@@ -16,7 +16,7 @@ LEAST = 15
 
 @pytest.fixture(scope="module")
 def features(photos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A database with features of the photos, not compared yet."""
+    """A database with features of the photos, without matches."""
     file = tmp_path_factory.mktemp("features") / "database.db"
     options = pycolmap.FeatureExtractionOptions()
     options.sift.max_num_features = 400
@@ -36,14 +36,14 @@ def pairs_of(file: Path) -> list[tuple[str, str]]:
 
 
 def compared(file: Path) -> int:
-    """Pairs that have been compared, those without a match too."""
+    """Compared pairs, including those without a match."""
     with pycolmap.Database.open(file) as link:
         numbers = [image.image_id for image in link.read_all_images()]
         return sum(itertools.starmap(link.exists_matches, itertools.combinations(numbers, 2)))
 
 
 def matches_of(file: Path) -> dict[int, np.ndarray]:
-    """By the number of the pair, where there are any."""
+    """Matches by the number of the pair, where there are any."""
     with pycolmap.Database.open(file) as link:
         return dict(zip(*link.read_all_matches(), strict=True))
 
@@ -53,8 +53,8 @@ def never() -> bool:
 
 
 def test_matches_are_colmaps(database: Path, tmp_path: Path) -> None:
-    """Oracle: COLMAP's exhaustive search, which measures angles where ours measures lengths: 98 %
-    are the same."""
+    """Oracle: COLMAP's exhaustive search, which measures angles instead of lengths: 98 % are
+    equal."""
     theirs = Path(shutil.copy(database, tmp_path / "theirs.db"))
     match_pairs(database, pairs_of(database), least=LEAST, threads=2, cancelled=never)
     options = pycolmap.FeatureMatchingOptions(num_threads=1, skip_geometric_verification=True)
@@ -69,7 +69,7 @@ def test_matches_are_colmaps(database: Path, tmp_path: Path) -> None:
 
 
 def test_matches_are_those_of_the_twin(database: Path) -> None:
-    """Oracle: all distances in float64; a pair with fewer than are asked for has none."""
+    """Oracle: all distances in float64; no matches of a pair with fewer than the minimum."""
     a, b = pairs_of(database)[0]
     match_pairs(database, [(a, b)], least=LEAST, threads=1, cancelled=never)
     with pycolmap.Database.open(database) as link:
@@ -86,7 +86,7 @@ def test_matches_are_those_of_the_twin(database: Path) -> None:
 
 
 def test_what_is_compared_stays(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: pairs looked at, counted: none twice; and none is kept after a stop."""
+    """Oracle: the count of compared pairs, none of them twice; none is kept after a stop."""
     seen: list[int] = []
 
     def counted(first: np.ndarray, second: np.ndarray, **limits: float) -> np.ndarray:
@@ -104,7 +104,7 @@ def test_what_is_compared_stays(database: Path, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_photo_without_features_is_left_out(database: Path) -> None:
-    """Oracle: pairs of the others alone are there."""
+    """Oracle: pairs of the other photos alone."""
     pairs = pairs_of(database)
     with pycolmap.Database.open(database) as link:
         image = pycolmap.Image(name="black.jpg", camera_id=1)

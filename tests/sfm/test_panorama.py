@@ -1,4 +1,4 @@
-"""360-degree photos, by XMP and by their look, and ordinary ones of the same proportions."""
+"""360-degree photos, detected by XMP and by content, and ordinary ones of the same proportions."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -40,7 +40,7 @@ FACES = {  # rows of rotations, world to camera: right, down and ahead of each f
 
 
 def panorama(place: np.ndarray, width: int = 512) -> Image.Image:
-    """An equirectangular picture of splats all around, from a place [3]; y is down."""
+    """An equirectangular picture of splats in all directions, from a place [3]; y is down."""
     rng = np.random.default_rng(0)
     ways = rng.normal(size=(3000, 3))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
@@ -85,7 +85,7 @@ def panoramas() -> list[Image.Image]:
 
 def test_panoramas_are_known_by_their_look(panoramas: list[Image.Image]) -> None:
     """Oracle: pictures of all directions, each also turned about the vertical; half of one and one
-    that is not twice as wide as high are none."""
+    that is not twice as wide as high are not detected."""
     for picture in panoramas:
         for shift in (0, 100, 333):
             rolled = Image.fromarray(np.roll(np.asarray(picture), shift, axis=1))
@@ -96,7 +96,7 @@ def test_panoramas_are_known_by_their_look(panoramas: list[Image.Image]) -> None
 
 
 def test_ordinary_photos_twice_as_wide_as_high_are_none() -> None:
-    """Oracle: strips of photos and one colour; of a thing before white it is not known."""
+    """Oracle: strips of photos and one colour; an object on white is undecidable."""
     for i in range(0, 60, 6):
         with Image.open(STUDIO / f"images/view_{i:03}.jpg") as photo:
             for top in (0, photo.height - photo.width // 2):
@@ -151,7 +151,7 @@ CROPPED = "GPano:CroppedAreaImageWidthPixels='{}' GPano:CroppedAreaImageHeightPi
     ],
 )
 def test_projections_of_xmp(size: tuple[int, int], fields: str, kind: str) -> None:
-    """Oracle: the projections of Photo Sphere XMP, and sizes that fit them or not."""
+    """Oracle: the projections of Photo Sphere XMP, with valid and invalid sizes."""
     assert panorama_of(_with_xmp(size, fields)) == kind
 
 
@@ -159,14 +159,14 @@ def test_projections_of_xmp(size: tuple[int, int], fields: str, kind: str) -> No
     "camera", ["RICOH THETA V", "Insta360 X3", "GoPro MAX", "SAMSUNG Gear 360", "Garmin VIRB 360"]
 )
 def test_cameras_that_take_panoramas_alone(camera: str) -> None:
-    """Oracle: their stitched photos are 2:1; others of them are not."""
+    """Oracle: stitched photos of 2:1; their other photos are ordinary."""
     assert panorama_of(Image.new("RGB", (60, 30)), (camera, ""), whole=False) == STATED
     assert not panorama_of(Image.new("RGB", (40, 30)), (camera, ""), whole=False)
     assert not panorama_of(Image.new("RGB", (60, 30)), ("GoPro", "HERO9"), whole=False)
 
 
 def test_what_a_lens_that_is_given_excuses(tmp_path: Path) -> None:
-    """Oracle: photos known by their look or by XMP that does not fit; not those that XMP states."""
+    """Oracle: photos detected by content or by inconsistent XMP, but not those stated by XMP."""
     plain = SearchRequest(photos=tmp_path, output=tmp_path / "o")
     for lens in (replace(plain, focal_length=500.0), replace(plain, camera_model="OPENCV")):
         for kind, excused in ((STATED, False), (PARTIAL, False), (HINTED, True), (SEEN, True)):
@@ -182,8 +182,8 @@ def test_what_a_lens_that_is_given_excuses(tmp_path: Path) -> None:
 def test_a_search_refuses_panoramas_and_says_how_to_cut_them(
     stated: bool, panoramas: list[Image.Image], tmp_path: Path, capsys: Out
 ) -> None:
-    """Oracle: one sentence and no capture; a focal length says that those without XMP are ordinary
-    photos, and then no model is found of them for another reason."""
+    """Oracle: one sentence and no capture; with a focal length, photos without XMP are ordinary,
+    and no model is found for another reason."""
     (tmp_path / "walk").mkdir()
     for i, picture in enumerate(panoramas):
         picture.save(tmp_path / f"walk/{i}.jpg", xmp=XMP if stated else b"")
@@ -197,7 +197,7 @@ def test_a_search_refuses_panoramas_and_says_how_to_cut_them(
 
 
 def test_the_lens_model_of_panoramas_is_refused(photos: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: one sentence that says how to cut them; pycolmap divides by zero."""
+    """Oracle: one sentence on how to cut them; pycolmap divides by zero."""
     asked = ["sfm", str(photos), "-o", str(tmp_path / "found"), "--quiet"]
     assert main([*asked, "--camera-model", "EQUIRECTANGULAR"]) != 0
     told = " ".join(capsys.readouterr().err.split())

@@ -1,4 +1,4 @@
-"""Parts of the search for cameras that need no photo of a scene."""
+"""Parts of the camera search that need no photo of a scene."""
 
 import math
 from itertools import combinations
@@ -36,11 +36,11 @@ def test_neighbours_and_loops_are_compared() -> None:
 
 
 def test_photos_in_no_order_are_joined_by_what_they_show() -> None:
-    """Oracle: a walk whose photos share features with those up to three steps away, named in a
+    """Oracle: a walk of photos that share features with those up to three steps away, named in
     random order; nearly all neighbours are compared, and few others."""
     rng = np.random.default_rng(0)
     places = [rng.integers(0, 120, (120, 128)) for _ in range(204)]
-    walk = rng.permutation(200)  # where each photo stands
+    walk = rng.permutation(200)  # place of each photo on the walk
     shown = {}
     for i, place in enumerate(walk):
         seen = np.concatenate(places[place : place + 4])
@@ -51,12 +51,12 @@ def test_photos_in_no_order_are_joined_by_what_they_show() -> None:
     assert not added & set(known) and len(added) <= 8 * 200
     named = {place: f"{i:06}.jpg" for i, place in enumerate(walk)}
     neighbours = {tuple(sorted((named[i], named[i + 1]))) for i in range(199)}
-    assert len(neighbours & set(known)) < 0.3 * 199  # what names alone would have joined
+    assert len(neighbours & set(known)) < 0.3 * 199  # pairs by names alone
     assert len(neighbours & (added | set(known))) > 0.97 * 199
 
 
 def test_photos_near_each_other_by_gps_are_compared() -> None:
-    """Oracle: distances on a grid; photos without features or places are no error."""
+    """Oracle: distances on a grid; no error for photos without features or places."""
     names = [f"{i:06}.jpg" for i in range(150)]
     places = {name: np.array([i % 12, i // 12, 0.0]) for i, name in enumerate(names[:144])}
     nothing = dict.fromkeys(names, np.zeros((0, 128), np.uint8))
@@ -78,7 +78,7 @@ def test_parts_hold_each_pair_once(sequential: bool) -> None:
 
 
 def test_folders_are_sequences_of_their_own() -> None:
-    """Oracle: the last photo of one folder is no neighbour of the first of the next."""
+    """Oracle: the last photo of one folder, which is no neighbour of the first of the next."""
     photos = [_photo(i, f"{'ab'[i // 200]}/{i}.jpg") for i in range(400)]
     pairs = set(sequential_pairs(photos))
     assert ("000199.jpg", "000201.jpg") not in pairs and ("000197.jpg", "000199.jpg") in pairs
@@ -94,7 +94,7 @@ def _save(path: Path, **tags: object) -> None:
 
 
 def test_cameras_are_shared_by_what_exif_says(tmp_path: Path) -> None:
-    """Oracle: the tags that were written; a photo turned by EXIF has the same camera."""
+    """Oracle: the tags that were written; the same camera for a photo turned by EXIF."""
     for name, tags in {
         "a1.jpg": {"make": "Acme", "model": "One", "lens": "wide"},
         "a2.jpg": {"make": "Acme", "model": "One", "lens": "wide", "turn": 6},
@@ -110,7 +110,7 @@ def test_cameras_are_shared_by_what_exif_says(tmp_path: Path) -> None:
 
 
 def test_photos_are_listed_as_people_count(tmp_path: Path) -> None:
-    """Oracle: 9 before 10, and neither hidden files nor what is to be left out."""
+    """Oracle: 9 before 10, without hidden and excluded files."""
     for name in ("v10.jpg", "v9.jpg", "._v9.jpg", "masks/v9.png", ".trash/x.jpg", "sub/a.PNG"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"")
@@ -121,7 +121,7 @@ def test_photos_are_listed_as_people_count(tmp_path: Path) -> None:
 
 
 def test_reasons_name_the_first_that_holds() -> None:
-    """Oracle: the reason that each set of numbers was made for."""
+    """Oracle: the reason for which each set of numbers was made."""
     names = {f"{i:06}.jpg": f"{i}.jpg" for i in range(4)}
     many = np.array([900, 900, 900, 900])
     cases = {
@@ -189,13 +189,13 @@ def test_blurred_photos_and_jumps_of_exposure_are_named(tmp_path: Path) -> None:
 
 
 def test_good_photos_are_neither_blurred_nor_jump() -> None:
-    """Oracle: the bundled capture, which is rendered sharp with one light."""
+    """Oracle: the bundled capture, rendered sharp under one light."""
     looks = _looks(sorted((STUDIO / "images").iterdir()))
     assert blurred(looks) == [] and exposure_jumps(looks) == []
 
 
 def test_a_forecast_learns_the_pace() -> None:
-    """Oracle: a machine half as fast, told by a clock that the test turns."""
+    """Oracle: a machine of half the speed, on a simulated clock."""
     now = [0.0]
     forecast = Forecast(
         megapixels=[0.5] * 60, most=3072, pairs=1770, threads=2, clock=lambda: now[0]
@@ -212,8 +212,8 @@ def test_a_forecast_learns_the_pace() -> None:
 
 
 def test_what_was_found_says_nothing_of_the_pace() -> None:
-    """Oracle: a search that goes on finds half of its features in no time, and the others as fast
-    as forecast; one whose features are all there has no more time for them."""
+    """Oracle: a resumed search that loads half of its features immediately and computes the others
+    as fast as forecast; no more time for one whose features are complete."""
     now = [0.0]
     forecast = Forecast(
         megapixels=[0.5] * 40, most=4096, pairs=780, threads=2, clock=lambda: now[0]
@@ -239,9 +239,9 @@ def test_what_was_found_says_nothing_of_the_pace() -> None:
 def test_a_forecast_is_near_what_it_took(
     photos: int, pixels: int, features: int, pairs: int, matches: int, took: float
 ) -> None:
-    """Oracle: seconds on the clock of two cores where nothing else ran, of four captures; by the
-    features of a few photos that have a quarter more or less than the others, with the square of
-    which comparing grows, and by all."""
+    """Oracle: measured seconds on two otherwise idle cores, of four captures; by the features of a
+    few photos with a quarter more or less than the others, whose square is the cost of comparing,
+    and by all."""
     most = 4096 if photos <= 40 else 3072
     for some in (0.75, 1.0, 1.25):
         forecast = Forecast(megapixels=[pixels / 1e6] * photos, most=most, pairs=pairs, threads=2)
@@ -253,9 +253,9 @@ def test_a_forecast_is_near_what_it_took(
 
 
 def test_a_forecast_goes_one_way() -> None:
-    """Oracle: a machine a third as fast, whose photos and pairs come in four pieces: the share of
-    the work never falls and ends at 1, the time left falls by the second while a piece is done, and
-    after the first one it is right to a fifth."""
+    """Oracle: a machine a third as fast, with photos and pairs in four pieces: the share of the
+    work never falls and ends at 1, the time left falls by the second during a piece, and after the
+    first one it is right to a fifth."""
     now = [0.0]
     forecast = Forecast(
         megapixels=[0.5] * 40, most=4096, pairs=780, threads=2, clock=lambda: now[0]
@@ -279,6 +279,6 @@ def test_a_forecast_goes_one_way() -> None:
 
 
 def test_a_photo_that_is_gone_is_named(tmp_path: Path) -> None:
-    """Oracle: the sentence names the file that was removed after it was listed."""
+    """Oracle: the sentence, which names the file removed after it was listed."""
     with pytest.raises(DatasetError, match=r"b\.png is gone"):
         stamp("b.png", tmp_path / "b.png")

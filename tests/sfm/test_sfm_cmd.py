@@ -1,4 +1,4 @@
-"""gscore sfm: cameras of photos alone, its verdict, what stops it and what it refuses."""
+"""gscore sfm: cameras of photos alone, its verdict, interruptions and refusals."""
 
 import json
 import shutil
@@ -51,7 +51,7 @@ def _hidden(folder: Path) -> list[str]:
 
 @pytest.fixture(scope="module")
 def found(photos: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list[Event]]:
-    """A capture made of the photos, what was found and what was told."""
+    """A capture made of the photos, the verdict and the messages."""
     capture = tmp_path_factory.mktemp("made") / "capture"
     told: list[Event] = []
     result = find_cameras(SearchRequest(photos=photos, output=capture), on_event=told.append)
@@ -108,7 +108,7 @@ def test_progress_is_told(found: tuple[Path, dict, list[Event]]) -> None:
 def test_the_same_photos_give_the_same_cameras(
     found: tuple[Path, dict, list[Event]], photos: Path, tmp_path: Path
 ) -> None:
-    """Oracle: the first model; threads add in another order, so up to rounding."""
+    """Oracle: the first model, up to rounding, because threads add in another order."""
     again = tmp_path / "again"
     result = find_cameras(SearchRequest(photos=photos, output=again))
     assert result.points == found[1]["points"]
@@ -121,8 +121,8 @@ def test_the_same_photos_give_the_same_cameras(
 def test_many_photos_are_joined_by_what_they_show(
     photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: eight photos count as many, and names join the folders nowhere; all get a camera, and
-    what is told goes through one more phase."""
+    """Oracle: eight photos treated as many, with names that join the folders nowhere; a camera for
+    each, and one more phase in the messages."""
     for name, value in (("EXHAUSTIVE", 4), ("_OVERLAP", 1), ("_KEY_PHOTOS", 2)):
         monkeypatch.setattr(pairs, name, value)
     told: list[Event] = []
@@ -134,7 +134,7 @@ def test_many_photos_are_joined_by_what_they_show(
 
 
 def test_a_stopped_search_goes_on(photos: Path, tmp_path: Path) -> None:
-    """Oracle: nothing but the hidden folder is left, and the second search has its features."""
+    """Oracle: only the hidden folder is left, and the second search has its features."""
     capture, control = tmp_path / "capture", Control()
 
     def stop(event: Event) -> None:
@@ -163,8 +163,8 @@ find_cameras(SearchRequest(photos=Path(sys.argv[1]), output=Path(sys.argv[2])), 
 
 
 def test_a_killed_search_goes_on(photos: Path, tmp_path: Path) -> None:
-    """Oracle: killed while photos are compared, the next search has the features and the cameras;
-    while it lived, another was kept out by name."""
+    """Oracle: the features and cameras of a search killed while photos are compared, in the next
+    search; while it ran, another was refused by name."""
     capture = tmp_path / "capture"
     command = [sys.executable, "-c", _SEARCH, str(photos), str(capture)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as search:
@@ -187,7 +187,7 @@ def test_a_killed_search_goes_on(photos: Path, tmp_path: Path) -> None:
 
 
 def test_other_photos_begin_anew(photos: Path, tmp_path: Path) -> None:
-    """Oracle: nothing is gone on from where a photo was written again since the stop."""
+    """Oracle: a search from the start where a photo was written again since the stop."""
     mine, control = tmp_path / "photos", Control()
     shutil.copytree(photos, mine)
     request = SearchRequest(photos=mine, output=tmp_path / "capture")
@@ -203,7 +203,7 @@ def test_other_photos_begin_anew(photos: Path, tmp_path: Path) -> None:
 
 
 def _replaced(photo: Path) -> None:
-    """Another picture takes the photo's name."""
+    """Replace the photo by another picture of the same name."""
     with Image.open(photo) as picture:
         picture.transpose(Image.Transpose.ROTATE_180).save(photo.with_name("new.tmp"), "JPEG")
     photo.with_name("new.tmp").replace(photo)
@@ -227,7 +227,7 @@ def _search_while(change: Callable[[Path], object], mine: Path, capture: Path) -
 
 @pytest.mark.parametrize("change", [_replaced, Path.unlink])
 def test_photos_replaced_during_a_search(change: Any, photos: Path, tmp_path: Path) -> None:
-    """Oracle: the capture holds the bytes that were searched, and a warning names the photo."""
+    """Oracle: the searched bytes in the capture, and a warning that names the photo."""
     mine, capture = shutil.copytree(photos, tmp_path / "photos"), tmp_path / "capture"
     found = _search_while(change, mine, capture)
     for photo in photos.rglob("*.jpg"):
@@ -238,7 +238,7 @@ def test_photos_replaced_during_a_search(change: Any, photos: Path, tmp_path: Pa
 
 
 def test_photos_replaced_in_a_capture(photos: Path, tmp_path: Path) -> None:
-    """Oracle: no cameras beside other photos; with the first ones back the search goes on."""
+    """Oracle: no cameras next to other photos; with the first photos back the search is resumed."""
     mine = shutil.copytree(photos, tmp_path / "capture/images")
     with pytest.raises(GsError, match=r"1 photo changed .*: front/view 001\.jpg"):
         _search_while(_replaced, mine, tmp_path / "capture")
@@ -248,7 +248,7 @@ def test_photos_replaced_in_a_capture(photos: Path, tmp_path: Path) -> None:
 
 
 def test_a_photo_written_to_during_a_search(photos: Path, tmp_path: Path) -> None:
-    """Oracle: a sentence, no capture, and nothing left of what was found."""
+    """Oracle: a sentence, no capture, and no results."""
     mine = shutil.copytree(photos, tmp_path / "photos")
     with pytest.raises(DatasetError, match=r"1 photo changed .*: front/view 001\.jpg"):
         _search_while(_written_to, mine, tmp_path / "capture")
@@ -261,7 +261,7 @@ def test_a_photo_written_to_during_a_search(photos: Path, tmp_path: Path) -> Non
 def test_an_error_of_colmap_is_a_sentence(
     free: int, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: an error as pycolmap raises it where SQLite cannot write, and what is free."""
+    """Oracle: an error as pycolmap raises it where SQLite cannot write, and the free space."""
 
     def work(token: object) -> None:
         raise RuntimeError("[database.cc:7] No factory.")
@@ -276,7 +276,7 @@ def test_an_error_of_colmap_is_a_sentence(
     "error", [FileNotFoundError(2, "gone"), RuntimeError("No factory."), sqlite3.OperationalError()]
 )
 def test_a_work_folder_that_is_removed_is_a_sentence(error: Exception, tmp_path: Path) -> None:
-    """Oracle: the errors that Python, pycolmap and SQLite raise once their folder is gone."""
+    """Oracle: the errors that Python, pycolmap and SQLite raise once their folder is removed."""
     folder = tmp_path / ".capture.sfm"
     folder.mkdir()
 
@@ -291,7 +291,7 @@ def test_a_work_folder_that_is_removed_is_a_sentence(error: Exception, tmp_path:
 def test_a_disk_that_fills_up_is_told_before_colmap_dies_of_it(
     photos: Path, tmp_path: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: exit code 2 and the sentence; the same command goes on once there is space."""
+    """Oracle: exit code 2 and the sentence; the same command resumes once there is space."""
     usage = shutil.disk_usage(tmp_path)
     sizes = iter([10**10] * 2)
     with monkeypatch.context() as patch:
@@ -380,7 +380,7 @@ def _still(folder: Path) -> None:
 
 
 def _turned(folder: Path) -> None:
-    """A camera that turns on the spot: one photo seen through homographies."""
+    """A camera that turns on the spot: one photo under homographies."""
     with Image.open(STUDIO / "images/view_000.jpg") as photo:
         pixels = np.asarray(photo.convert("RGB"))
     height, width = pixels.shape[:2]
@@ -408,7 +408,7 @@ def _turned(folder: Path) -> None:
     ],
 )
 def test_bad_photos_are_a_sentence(make, words: str, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: exit code 2, a sentence with what is wrong, and nothing written."""
+    """Oracle: exit code 2, a sentence with the reason, and no files."""
     photos = tmp_path / "photos"
     photos.mkdir()
     make(photos)
@@ -420,7 +420,7 @@ def test_bad_photos_are_a_sentence(make, words: str, tmp_path: Path, capsys: Out
 
 
 def test_what_is_there_is_not_touched(photos: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: exit code 2 and the file that was there."""
+    """Oracle: exit code 2 and the unchanged file."""
     (tmp_path / "notes.txt").write_text("mine")
     assert main(["sfm", str(photos), "-o", str(tmp_path)]) == 2
     assert "is not empty" in capsys.readouterr().err
@@ -429,7 +429,7 @@ def test_what_is_there_is_not_touched(photos: Path, tmp_path: Path, capsys: Out)
 
 @pytest.mark.slow
 def test_two_scenes_are_told_apart(tmp_path: Path) -> None:
-    """Oracle: the photos of each scene by their names; the larger is taken."""
+    """Oracle: the photos of each scene by their names; the larger scene is used."""
     render_cloud(tmp_path / "photos", 1, 8)
     render_cloud(tmp_path / "photos", 2, 5)
     capture = tmp_path / "capture"
@@ -444,7 +444,7 @@ def test_two_scenes_are_told_apart(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_something_else_stays(photos: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: exit code 2, and the file in the folder that the search would have taken."""
+    """Oracle: exit code 2, and the unchanged file in the folder that the search would use."""
     mine = tmp_path / ".capture.sfm" / "state.json"
     mine.parent.mkdir()
     mine.write_bytes(struct.pack("<I", 7))

@@ -1,4 +1,4 @@
-"""Several sources in one search, photos that become JPEG first, and what is left where it fails."""
+"""Several sources in one search, photos converted to JPEG first, and the files after a failure."""
 
 import json
 import shutil
@@ -45,7 +45,7 @@ def _film(views: Path, path: Path, numbers: range) -> Path:
 
 
 def test_two_folders_and_a_video_are_one_capture(views: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: the names of the files that were given, and COLMAP's model of all of them."""
+    """Oracle: the names of the given files, and COLMAP's model of all of them."""
     first = _copy(views, tmp_path / "a/photos", range(5))
     second = _copy(views, tmp_path / "b/photos", range(5, 9))
     film = _film(views, tmp_path / "walk.mp4", range(9, 16))
@@ -66,7 +66,7 @@ def test_two_folders_and_a_video_are_one_capture(views: Path, tmp_path: Path, ca
 
 
 def test_what_was_gathered_is_used_again(views: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: the time of the folder; a source that changed is refused."""
+    """Oracle: the time of the folder; a changed source is refused."""
     sources = [_copy(views, tmp_path / "a", range(3)), _copy(views, tmp_path / "b", range(2, 5))]
     request = SearchRequest(photos=sources[0], output=tmp_path / "capture")
     staging.stage_photos(request, sources)
@@ -79,7 +79,7 @@ def test_what_was_gathered_is_used_again(views: Path, tmp_path: Path, capsys: Ou
 
 
 def test_masks_of_each_source_go_along(views: Path, tmp_path: Path) -> None:
-    """Oracle: the files, by their places."""
+    """Oracle: the files, by their paths."""
     sources = [_copy(views, tmp_path / "a", range(2)), _copy(views, tmp_path / "b", range(2))]
     (sources[1] / "masks").mkdir()
     Image.new("L", (256, 256), 255).save(sources[1] / "masks/1.png")
@@ -90,7 +90,7 @@ def test_masks_of_each_source_go_along(views: Path, tmp_path: Path) -> None:
 
 
 def test_sources_that_cannot_work_leave_nothing(views: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: exit code 2, the sentence, and the folder as it was."""
+    """Oracle: exit code 2, the sentence, and the unchanged folder."""
     first = _copy(views, tmp_path / "a", range(3))
     _copy(views, first / "inner", range(3, 5))
     (tmp_path / "bare").mkdir()
@@ -122,7 +122,7 @@ def test_sources_that_cannot_work_leave_nothing(views: Path, tmp_path: Path, cap
 def test_heic_is_refused_in_words_where_nothing_reads_it(
     views: Path, tmp_path: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: exit code 2, and the command that brings the reader."""
+    """Oracle: exit code 2, and the command that installs the reader."""
     monkeypatch.setattr(heic, "can_read", lambda: False)
     (tmp_path / "photos").mkdir()
     for i in range(4):
@@ -143,7 +143,7 @@ def _as_heic(source: Path, target: Path, orientation: int = 1) -> None:
 
 
 def test_heic_photos_become_jpeg(views: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: the pictures that were packed as HEIC, and EXIF's model."""
+    """Oracle: the pictures packed as HEIC, and EXIF's model."""
     for i in range(6):
         _as_heic(_view(views, i), tmp_path / f"photos/IMG {i}.HEIC")
     assert main(["info", str(tmp_path / "photos"), "--json"]) == 0
@@ -185,7 +185,7 @@ def test_a_turned_heic_photo_stands_upright(views: Path, tmp_path: Path) -> None
 
 
 def test_a_damaged_heic_photo_is_a_sentence(tmp_path: Path, capsys: Out) -> None:
-    """Oracle: exit code 2, the file's name, nothing written."""
+    """Oracle: exit code 2, the file's name, no files."""
     pytest.importorskip("pillow_heif")
     (tmp_path / "photos").mkdir()
     for i in range(4):

@@ -1,4 +1,4 @@
-"""gscore train and gscore info on plain photos: cameras found first, kept, and refused."""
+"""gscore train and gscore info on plain photos: cameras estimated first, kept, and refused."""
 
 import html
 import json
@@ -23,7 +23,7 @@ SHORT = ["--iterations", "4", "--max-splats", "400", "-r", "4", "--json"]
 
 @pytest.fixture
 def mine(photos: Path, tmp_path: Path) -> Path:
-    """A copy of the photos, to be changed."""
+    """A writable copy of the photos."""
     shutil.copytree(photos, tmp_path / "holiday")
     return tmp_path / "holiday"
 
@@ -33,7 +33,7 @@ def _train(*words: object) -> int:
 
 
 def test_cameras_are_found_once_and_kept(mine: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: the capture in the output folder, its time of change, and what JSON says."""
+    """Oracle: the capture in the output folder, its modification time, and the JSON."""
     out = tmp_path / "out"
     assert _train(mine, "-o", out) == 0
     said = capsys.readouterr()
@@ -46,7 +46,7 @@ def test_cameras_are_found_once_and_kept(mine: Path, tmp_path: Path, capsys: Out
     page = (out / "report.html").read_text()
     assert "<h1>holiday</h1>" in page
     (command,) = re.findall(r'<pre class="command">(gscore train .*?)</pre>', page)
-    # As it is shown, over what it made.
+    # As on screen, over the initial output.
     assert main([*shlex.split(command)[1:], "--overwrite", "--json"]) == 0
     assert model.stat().st_mtime_ns == written
     capsys.readouterr()
@@ -71,7 +71,7 @@ def test_cameras_are_found_once_and_kept(mine: Path, tmp_path: Path, capsys: Out
 def test_a_run_that_was_moved_takes_its_capture_along(
     mine: Path, tmp_path: Path, capsys: Out
 ) -> None:
-    """Oracle: the same figures as before from `gscore eval`, and a run that goes on."""
+    """Oracle: the same figures from `gscore eval` as before, and a run that resumes."""
     assert _train(mine, "-o", tmp_path / "out") == 0
     moved = (tmp_path / "out").rename(tmp_path / "moved")
     capsys.readouterr()
@@ -89,7 +89,7 @@ def test_a_run_that_was_moved_takes_its_capture_along(
 def test_a_taken_folder_is_refused_before_the_search(
     mine: Path, tmp_path: Path, capsys: Out
 ) -> None:
-    """Oracle: exit code 2 and the file that was there, alone."""
+    """Oracle: exit code 2 and the existing file, alone."""
     out = tmp_path / "out"
     out.mkdir()
     (out / "point_cloud.ply").write_bytes(b"mine")
@@ -133,7 +133,7 @@ def test_what_options_name_is_looked_at_before_the_search(
 
 
 def test_a_list_of_test_views_is_one_of_the_photos(mine: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: names as they are below the folder pass before the search, and split after it."""
+    """Oracle: names below the folder, which pass before the search and split after it."""
     (tmp_path / "list.txt").write_text("front/view 001.jpg\n")
     assert _train(mine, "-o", tmp_path / "out", "--hold-out", tmp_path / "list.txt") == 0
     capsys.readouterr()
@@ -152,7 +152,7 @@ def test_a_run_that_never_began_is_not_resumed(mine: Path, tmp_path: Path, capsy
 def test_a_file_as_output_is_refused_at_once(
     mine: Path, tmp_path: Path, capsys: Out, place: str
 ) -> None:
-    """Oracle: the sentence names the file that was given and no other; no photo was read."""
+    """Oracle: the sentence, which names the given file and no other; no photo is read."""
     (tmp_path / "film.mp4").write_bytes(b"x")
     assert _train(mine, "-o", tmp_path / place) == 2
     assert capsys.readouterr().err.splitlines() == [
@@ -161,7 +161,7 @@ def test_a_file_as_output_is_refused_at_once(
 
 
 def test_without_sfm_photos_are_refused(mine: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: exit code 2, a sentence, nothing written."""
+    """Oracle: exit code 2, a sentence, no files."""
     assert _train(mine, "-o", tmp_path / "out", "--no-sfm") == 2
     err = capsys.readouterr().err.rstrip()
     assert "Leave out --no-sfm" in err and "no cameras for them" in err
@@ -196,7 +196,7 @@ def test_info_tells_what_photos_need(mine: Path, capsys: Out) -> None:
 
 
 def _screens(folder: Path) -> Path:
-    """Eight pictures of eight sizes, as they gather in a folder of documents."""
+    """Eight pictures of eight sizes, as in a folder of documents."""
     folder.mkdir()
     for i in range(8):
         Image.new("RGB", (300 + 7 * i, 200 + i)).save(folder / f"screen {i}.png")
@@ -204,8 +204,8 @@ def _screens(folder: Path) -> Path:
 
 
 def test_pictures_that_are_no_photos_of_a_scene(mine: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: screenshots, a git clone, a folder of captures: info says which, and recommends no
-    training; the search says it first, and refuses photos that belong to captures."""
+    """Oracle: screenshots, a git clone, a folder of captures: info names each, and recommends no
+    training; the search reports it first, and refuses photos that belong to captures."""
     clone, above = tmp_path / "clone", tmp_path / "above"
     shutil.copytree(mine, clone)
     (clone / ".git").mkdir()
@@ -232,7 +232,7 @@ def test_pictures_that_are_no_photos_of_a_scene(mine: Path, tmp_path: Path, caps
 def test_a_capture_with_broken_cameras_is_none_of_plain_photos(
     mine: Path, tmp_path: Path, capsys: Out
 ) -> None:
-    """Oracle: cameras that are there but cannot be read are told, not found anew."""
+    """Oracle: unreadable cameras, which are reported and not estimated again."""
     sparse = mine / "sparse/0"
     sparse.mkdir(parents=True)
     (sparse / "cameras.bin").write_bytes(b"torn")
@@ -242,7 +242,7 @@ def test_a_capture_with_broken_cameras_is_none_of_plain_photos(
 
 
 def test_photos_of_a_capture_are_not_plain(mine: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: the folder that has the cameras is named, and none are found anew."""
+    """Oracle: the folder with the cameras is named, and none are estimated again."""
     for name, given in (("images", ""), ("input", " --images input")):
         capture = tmp_path / f"capture of {name}"
         shutil.copytree(mine, capture / name)
@@ -257,7 +257,8 @@ def test_photos_of_a_capture_are_not_plain(mine: Path, tmp_path: Path, capsys: O
 
 
 def test_photos_without_a_camera_are_told(mine: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: a photo of noise stands alone: the training says so, and keeps it in its report."""
+    """Oracle: a photo of noise without matches: the training reports it, also in its report
+    file."""
     shape = np.asarray(Image.open(mine / "front/view 000.jpg")).shape
     noise = np.random.default_rng(1).integers(0, 256, shape, np.uint8)
     Image.fromarray(noise).save(mine / "front/elsewhere.jpg")

@@ -1,4 +1,4 @@
-"""A video as the source of `gscore sfm`, `train` and `info`: its frames, kept and found again."""
+"""A video as the source of `gscore sfm`, `train` and `info`: its frames, kept and used again."""
 
 import json
 from pathlib import Path
@@ -33,7 +33,7 @@ def _times(folder: Path) -> dict[str, int]:
 
 
 def test_sfm_of_a_video_is_one_call(walk: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: COLMAP's reader on what was written, and the twelve places of the film."""
+    """Oracle: COLMAP's reader on the written model, and the twelve places of the film."""
     capture = tmp_path / "capture"
     assert main(["sfm", str(walk), "-o", str(capture), "--json"]) == 0
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
@@ -46,7 +46,7 @@ def test_sfm_of_a_video_is_one_call(walk: Path, tmp_path: Path, capsys: Out) -> 
 
 
 def test_a_training_takes_frames_once(walk: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: the times of change of frames and cameras, and what another video is told."""
+    """Oracle: the modification times of frames and cameras, and the message for another video."""
     out = tmp_path / "out"
     assert main(["train", str(walk), "-o", str(out), *SHORT]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["splats"] > 0
@@ -67,7 +67,7 @@ def test_a_training_takes_frames_once(walk: Path, tmp_path: Path, capsys: Out) -
 
 
 def test_refusals_leave_nothing(walk: Path, tmp_path: Path, capsys: Out) -> None:
-    """Oracle: exit code 2, the reason, and the folder as it was."""
+    """Oracle: exit code 2, the reason, and the unchanged folder."""
     broken = tmp_path / "broken.mp4"
     broken.write_bytes(b"no video at all")
     taken = tmp_path / "taken"
@@ -87,7 +87,7 @@ def test_refusals_leave_nothing(walk: Path, tmp_path: Path, capsys: Out) -> None
 
 
 def test_info_of_a_video(walk: Path, capsys: Out) -> None:
-    """Oracle: how the film was made."""
+    """Oracle: the parameters that made the film."""
     assert main(["info", str(walk), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["kind"], facts["frames"], facts["width"], facts["height"]) == (
@@ -100,7 +100,7 @@ def test_info_of_a_video(walk: Path, capsys: Out) -> None:
 
 
 def test_where_a_capture_goes_by_itself(walk: Path, photos: Path, tmp_path: Path) -> None:
-    """Oracle: names that were made here; a folder that is taken is never given."""
+    """Oracle: names made here; a folder in use is never returned."""
     mine = tmp_path / "holiday"
     (mine / "images").mkdir(parents=True)
     for photo in photos.rglob("*.jpg"):

@@ -1,4 +1,4 @@
-"""Where a search works and where its capture ends up; oracle: the files in their places."""
+"""Working folder of a search and destination of its capture; oracle: the files at their paths."""
 
 import os
 from pathlib import Path
@@ -15,7 +15,7 @@ from gscore.sfm.workspace import Workspace
 
 
 def published(space: Workspace, photo: Photo) -> None:
-    """A search that found cameras for one photo, from its beginning to its end."""
+    """A search that found cameras for one photo, from start to end."""
     assert space.open({"options": 1}) is False
     model: Any = SimpleNamespace(images={1: SimpleNamespace(name=photo.alias)})
     model.write = lambda folder: (folder / "cameras.bin").write_bytes(b"cameras")
@@ -33,14 +33,14 @@ def photo(tmp_path: Path) -> Photo:
 
 
 def is_capture(folder: Path) -> bool:
-    """Whether photo, cameras and what was found are there, and nothing else."""
+    """Check for the photo, the cameras and the report, and no other files."""
     files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     return files == {"images/a.jpg", "sparse/0/cameras.bin", SEARCH_RECORD}
 
 
 @pytest.mark.parametrize("kind", ["new", "empty", "link", "dangling"])
 def test_the_capture_takes_the_place_it_was_given(tmp_path: Path, photo: Photo, kind: str) -> None:
-    """Oracle: the capture behind the name; a link is still one, and nothing lies beside it."""
+    """Oracle: the capture behind the name; a link stays a link, with no other files next to it."""
     place = tmp_path / "capture"
     if kind == "empty":
         place.mkdir()
@@ -58,7 +58,7 @@ def test_the_capture_takes_the_place_it_was_given(tmp_path: Path, photo: Photo, 
 def test_a_folder_that_is_a_file_system_of_its_own(
     tmp_path: Path, photo: Photo, monkeypatch: pytest.MonkeyPatch, in_place: bool
 ) -> None:
-    """Oracle: nothing outside it is touched, as renaming across file systems fails."""
+    """Oracle: no change outside it, because renaming across file systems fails."""
     place, root = tmp_path / "capture", tmp_path / "photos"
     place.mkdir()
     if in_place:
@@ -76,14 +76,14 @@ def test_a_folder_that_is_a_file_system_of_its_own(
     space.open({"options": 1})
     space.close()
     again = Workspace(place, root)
-    assert again.open({"options": 1}) is True  # what a stopped search left
+    assert again.open({"options": 1}) is True  # files of a stopped search
     again.discard()
     published(Workspace(place, root), photo)
     assert is_capture(place)
 
 
 def test_a_place_that_is_taken(tmp_path: Path, photo: Photo) -> None:
-    """Oracle: a sentence for a file, and for a folder that holds something."""
+    """Oracle: a sentence for a file, and for a folder that is not empty."""
     (tmp_path / "file").write_text("x")
     for name in ("file", "photos"):
         with pytest.raises(ConfigError, match="is not empty"):
