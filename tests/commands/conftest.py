@@ -1,4 +1,4 @@
-"""A small capture whose photos are renders of known splats, and a run whose splats are these."""
+"""A small capture whose photos are renders of known splats, and a run with these splats."""
 
 import math
 import shutil
@@ -31,7 +31,7 @@ STEPS = 12
 
 
 def _ring(count):
-    """Cameras on a circle of radius 5 around the origin, 1 above it, looking at it; z is up."""
+    """Cameras on a circle of radius 5 around the origin, 1 above it, facing it; z is up."""
     viewmats = []
     for angle in np.arange(count) / count * 2 * math.pi:
         eye = np.array([5 * math.cos(angle), 5 * math.sin(angle), 1.0])
@@ -135,7 +135,7 @@ def capture(tmp_path_factory, cameras, splats, picture):
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory, capture):
-    """A run of `STEPS` steps, as `gscore train` leaves it; views 0 and 8 were held out."""
+    """A run of `STEPS` steps, as `gscore train` leaves it; views 0 and 8 are held out."""
     folder = tmp_path_factory.mktemp("trained") / "run"
     options = ["--preset", "draft", "--iterations", STEPS, "--eval", "--quiet"]
     with pytest.MonkeyPatch.context() as patch:
@@ -146,7 +146,7 @@ def trained(tmp_path_factory, capture):
 
 @pytest.fixture
 def run_folder(tmp_path, trained, splats):
-    """A copy of that run, its splats replaced by those of which the photos are pictures."""
+    """A copy of that run with its splats replaced by those that the photos were rendered from."""
 
     def make(splats=splats, background=Background.AUTO):
         folder = tmp_path / "run"

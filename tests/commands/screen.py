@@ -1,4 +1,4 @@
-"""A terminal of a given size, in which tests run commands and look at the screen."""
+"""A terminal of a given size, in which tests run commands and read the screen."""
 
 import fcntl
 import os
@@ -18,10 +18,10 @@ import pyte
 
 @dataclass
 class Shown:
-    """What a command left on a terminal."""
+    """The output of a command on a terminal."""
 
     lines: list[str]
-    """Of the screen and what scrolled out of it at the top, without blank ends."""
+    """Lines of the screen and of the scrollback, without blank ends."""
     raw: str
     """Every byte that was written."""
     code: int
@@ -46,15 +46,15 @@ def run_in_terminal(
     env: dict[str, str] | None = None,
     on_output: Callable[[str, int], None] | None = None,
 ) -> Shown:
-    """Run a program in a terminal of its own and draw what it writes.
+    """Run a program in a pseudo-terminal and draw its output.
 
     Args:
         arguments: Of the program.
         columns: Of the terminal.
         rows: Of the terminal.
         cwd: Folder to run in.
-        env: Variables besides those of this process.
-        on_output: Called with each text as it comes and the terminal, to resize it.
+        env: Variables in addition to those of this process.
+        on_output: Called with each text as it arrives and the terminal, to resize it.
     """
     master, slave = pty.openpty()
     resize(slave, columns, rows)
@@ -71,7 +71,7 @@ def run_in_terminal(
                 raise AssertionError(f"nothing was written for a minute after {raw[-300:]!r}")
             try:
                 text = os.read(master, 65536)
-            except OSError:  # Linux says so when the other end is closed
+            except OSError:  # Linux raises it when the other end is closed
                 text = b""
             if not text:
                 break
@@ -93,7 +93,7 @@ def run_in_terminal(
 
 
 def drawn(text: str, columns: int = 80, rows: int = 24) -> list[str]:
-    """The lines that a terminal shows after it was sent `text`, with those scrolled away."""
+    """The lines of a terminal after it received `text`, including the scrollback."""
     screen = pyte.HistoryScreen(columns, rows, history=10_000, ratio=1.0)
     pyte.Stream(screen).feed(text)
     above = ["".join(row[i].data for i in range(columns)) for row in screen.history.top]

@@ -1,4 +1,4 @@
-"""Benches of the bundled capture that take a moment."""
+"""Benches of the bundled capture that run in a moment."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "studio"
 
 @pytest.fixture
 def small(tmp_path: Path) -> list[str]:
-    """Options of a training that takes a moment, with one view held out."""
+    """Options of a training of a moment, with one view held out."""
     names = tmp_path / "test.txt"
     names.write_text(sorted(p.name for p in (EXAMPLE / "images").iterdir())[0] + "\n")
     split = ["--test-list", str(names)]
@@ -20,6 +20,6 @@ def small(tmp_path: Path) -> list[str]:
 
 
 def bench_json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
-    """What `gscore bench ... --json` printed."""
+    """The output of `gscore bench ... --json`."""
     assert main(["bench", *arguments, "--json"]) == 0
     return json.loads(capsys.readouterr().out)

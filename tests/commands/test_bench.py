@@ -58,7 +58,7 @@ def test_numbers_of_nothing_are_refused(capsys: pytest.CaptureFixture[str], comm
 def test_numbers_beyond_reason_are_refused(
     capsys: pytest.CaptureFixture[str], bench: str, value: str
 ) -> None:
-    """Oracle: one line that names the option; nothing was allocated."""
+    """Oracle: one line that names the option; no allocation."""
     assert main(["bench", bench, "--splats", value]) == 2
     message = capsys.readouterr().err
     assert "--splats must be at most 100,000,000, got 999" in message
@@ -66,7 +66,7 @@ def test_numbers_beyond_reason_are_refused(
 
 
 def test_a_child_tells_why_it_failed(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: the words of the process itself: a verb's, a traceback's, none."""
+    """Oracle: the text of the process itself: a verb's, a traceback's, none."""
     with pytest.raises(BackendError, match=r"counts failed: argument --threads: .* to 1024, got"):
         run_child(["-m", "gscore", "bench", "step", "--threads", "2000"], what="counts")
     with pytest.raises(BackendError, match=r"(?s)that counts failed: Traceback.*by zero"):
@@ -78,7 +78,7 @@ def test_a_child_tells_why_it_failed(capsys: pytest.CaptureFixture[str]) -> None
 
 @pytest.mark.slow
 def test_memory_json(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: the parts add up to the peak, which is what was said but for what pytest holds."""
+    """Oracle: the parts, which add up to the peak; the forecast plus the memory of pytest."""
     options = ["--splats", "300", "--views", "9", "--size", "64x48", "--steps", "10"]
     found = bench_json(capsys, "memory", *options)
     assert sum(found["parts"].values()) == found["peak_bytes"]
@@ -88,7 +88,7 @@ def test_memory_json(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_step_json(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: the parts add up to the mean step, and the rasterizer is a part of it."""
+    """Oracle: the parts, which add up to the mean step; the rasterizer as one of them."""
     options = ["--splats", "300", "--width", "80", "--height", "48", "--steps", "3"]
     found = bench_json(capsys, "step", *options)
     assert sum(found["laps_ms"].values()) == pytest.approx(found["mean_ms"], rel=0.2)
@@ -99,7 +99,8 @@ def test_step_json(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_skips_say_which_are_exact(capsys: pytest.CaptureFixture[str], small: list[str]) -> None:
-    """Oracle: culling changes no bit, small photos do; more pairs without culling."""
+    """Oracle: equal bits with culling, unequal ones with small photos; more pairs without
+    culling."""
     skips = ["--skips", "opacity-extent", "small-photos"]
     found = bench_json(capsys, "skips", str(EXAMPLE), *small, *skips)
     rows = {" ".join(row["without"]): row for row in found["rows"]}
@@ -112,7 +113,7 @@ def test_skips_say_which_are_exact(capsys: pytest.CaptureFixture[str], small: li
 def test_skips_are_trained_once_each_and_named(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the skips given, without repetition; "all of them" only where all are off."""
+    """Oracle: the given skips, without repetition; "all of them" only where all are off."""
     trained = Trained(
         seconds=1.0,
         points=[Point(step=1, seconds=1.0, splats=1, psnr=20.0, ssim=0.5)],
@@ -134,7 +135,7 @@ def test_skips_are_trained_once_each_and_named(
 
 
 def test_scaling_finds_the_line(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: points on a line; and the promised rows of a small run."""
+    """Oracle: points on a line; the promised rows of a small run."""
     line = fit_line([1, 2, 5], [5, 7, 13])
     assert (line.base, line.slope, line.r2) == pytest.approx((3, 2, 1))
     sizes = ["--sizes", "--threads", "1", "--splats", "50", "100", "200", "--cloud", "50"]

@@ -28,7 +28,7 @@ def blocks(tmp_path_factory, capture):
 
 
 def test_split_says_what_each_block_has(gscore, capture, tmp_path):
-    """Oracle: the blocks' records and folders; what is to be done next can be copied."""
+    """Oracle: the blocks' records and folders; a next command that can be copied."""
     out = tmp_path / "blocks"
     code, text, err = gscore("split", capture, "-o", out, "--blocks", 2)
     assert code == 0 and not err
@@ -46,8 +46,8 @@ def test_split_says_what_each_block_has(gscore, capture, tmp_path):
 
 
 def test_merge_keeps_each_block_to_its_cell(gscore, blocks, tmp_path):
-    """Oracle: the splats of both runs, cut by the bounds of the records; runs one by one and as a
-    folder give the same bytes."""
+    """Oracle: the splats of both runs, cut by the bounds of the records; the same bytes for runs
+    one by one and as a folder."""
     out = tmp_path / "merged.ply"
     code, text, _ = gscore("merge", blocks / "runs", "-o", out)
     merged = read_ply(out)
@@ -68,8 +68,8 @@ def test_merge_keeps_each_block_to_its_cell(gscore, blocks, tmp_path):
 
 
 def test_a_block_that_starts_from_splats_grows_in_its_cell(gscore, blocks, tmp_path):
-    """Oracle: the splats on both sides of the cell's bounds, before and after; the same photos as a
-    capture of their own grow them on both sides."""
+    """Oracle: the splats on both sides of the cell's bounds, before and after; growth on both sides
+    for the same photos as a separate capture."""
     start = tmp_path / "start.ply"
     gscore("merge", blocks / "runs", "-o", start)
     record = read_block(blocks / "blocks/block_0")
@@ -94,13 +94,13 @@ def test_a_block_that_starts_from_splats_grows_in_its_cell(gscore, blocks, tmp_p
     assert told == [True, False]
     (inside, around), block, whole = found
     assert block[0] > 4 * inside and whole[0] > 4 * inside
-    # Splats move: some that came into being inside are outside in the end.
+    # Splats move: some that were created inside end up outside.
     assert block[1] < 2 * around and whole[1] > 4 * around
 
 
 def test_blocks_that_were_moved(gscore, blocks, tmp_path):
-    """Oracle: the same file comes out by what the runs remember; where they do not, a sentence that
-    names the option, with which it comes out too."""
+    """Oracle: the same file by the paths recorded in the runs; without them a sentence that names
+    the option, which gives the same file."""
     elsewhere = tmp_path / "elsewhere"
     shutil.copytree(blocks / "runs", elsewhere)
     for config in elsewhere.glob("*/config.json"):
@@ -119,9 +119,9 @@ def test_blocks_that_were_moved(gscore, blocks, tmp_path):
 
 
 def test_a_folder_that_was_split_again(gscore, blocks, capture, tmp_path):
-    """Oracle: the bounds of both splits differ, so runs on the first are no runs on the second and
-    are refused with nothing written; with the new blocks moved away the file of the first split
-    comes out. A resumed run takes the new cell where its photos and points are the same."""
+    """Oracle: different bounds of both splits, so that runs on the first do not fit the second and
+    are refused with no files written; the file of the first split once the new blocks are moved
+    away. A resumed run takes the new cell where its photos and points are the same."""
     runs, cut = tmp_path / "runs", tmp_path / "blocks"
     shutil.copytree(blocks / "blocks", cut)
     for i in range(2):
@@ -145,7 +145,7 @@ def test_a_folder_that_was_split_again(gscore, blocks, capture, tmp_path):
 
 
 def test_nothing_is_merged_into_a_run(gscore, blocks, tmp_path):
-    """Oracle: code 2 and the bytes that were there, for any place below the folder of a run."""
+    """Oracle: code 2 and unchanged bytes, for any place below the folder of a run."""
     runs = tmp_path / "runs"
     shutil.copytree(blocks / "runs", runs)
     before = {path: path.read_bytes() for path in runs.rglob("*") if path.is_file()}
@@ -157,7 +157,7 @@ def test_nothing_is_merged_into_a_run(gscore, blocks, tmp_path):
 
 
 def test_runs_that_do_not_fit_together(gscore, blocks, trained, tmp_path):
-    """Oracle: one sentence each, code 2, nothing written; options that differ are told."""
+    """Oracle: one sentence each, code 2, no files; the options that differ are named."""
     out = tmp_path / "merged.ply"
     for runs, words in (
         ([blocks / "runs/1"], "1 of 2 blocks is missing: 0. Train them (gscore train"),
@@ -180,13 +180,13 @@ def test_runs_that_do_not_fit_together(gscore, blocks, trained, tmp_path):
 
 
 def splats_in(runs):
-    """The bytes of what came of each block, by the names of their folders."""
+    """The bytes of the splats of each block, by the names of their folders."""
     return {path.parent.name: path.read_bytes() for path in runs.glob("*/point_cloud.ply")}
 
 
 def test_blocks_are_trained_in_turn_or_by_number(gscore, blocks, tmp_path):
-    """Oracle: the splats of both blocks, trained as captures of their own; what is complete stays
-    as it is; numbers and folders that do not exist are refused."""
+    """Oracle: the splats of both blocks, trained as separate captures; complete ones are unchanged;
+    numbers and folders that do not exist are refused."""
     alone = {f"block_{i}": (blocks / f"runs/{i}/point_cloud.ply").read_bytes() for i in range(2)}
     runs, cut = tmp_path / "runs", blocks / "blocks"
     assert gscore("train", cut, "--block", 1, "-o", runs, *SHORT)[0] == 0
@@ -206,8 +206,8 @@ def test_blocks_are_trained_in_turn_or_by_number(gscore, blocks, tmp_path):
 
 @pytest.mark.slow
 def test_ranks_take_blocks_in_turn(blocks, tmp_path):
-    """Oracle: the splats of blocks trained one by one; rank 0 alone speaks, and nothing is left
-    that only a restart needs."""
+    """Oracle: the splats of blocks trained one by one; output from rank 0 alone, and no restart
+    files left."""
     runs = tmp_path / "runs"
     line = ["-m", "gscore", "train", blocks / "blocks", "-o", runs, *SHORT]
     ranks = start(line, line)
@@ -222,7 +222,7 @@ def test_ranks_take_blocks_in_turn(blocks, tmp_path):
 
 
 def test_runs_that_did_not_end_are_told(gscore, blocks, tmp_path):
-    """Oracle: sentences with what to do, for a run that was stopped and one that was killed."""
+    """Oracle: sentences with a remedy, for a stopped run and a killed one."""
     runs = tmp_path / "runs"
     shutil.copytree(blocks / "runs", runs)
     metrics = runs / "1/metrics.json"
@@ -236,7 +236,7 @@ def test_runs_that_did_not_end_are_told(gscore, blocks, tmp_path):
 
 
 def test_info_says_which_block_it_is(gscore, blocks, capture):
-    """Oracle: the record of the block; other captures say nothing of blocks."""
+    """Oracle: the record of the block; no mention of blocks for other captures."""
     assert "block 1 of 2, numbered from 0" in gscore("info", blocks / "blocks/block_1")[1]
     facts = json.loads(gscore("info", blocks / "blocks/block_1", "--json")[1])
     assert facts["block"] == {"index": 1, "count": 2}
@@ -253,7 +253,7 @@ def test_the_mark_of_antialiasing_goes_on(gscore, blocks, tmp_path):
 
 
 def test_where_nothing_may_be_written(gscore, blocks, capture, tmp_path):
-    """Oracle: a sentence, and the files that were there."""
+    """Oracle: a sentence, and the existing files."""
     full = tmp_path / "full"
     full.mkdir()
     (full / "mine.ply").write_text("mine")

@@ -1,4 +1,4 @@
-"""Camera paths: what they pass through, where they turn, and that they never jerk."""
+"""Camera paths: cameras on the path, directions of turns, and smoothness."""
 
 import math
 from itertools import pairwise
@@ -46,7 +46,7 @@ def wild():
 
 
 def test_spline_passes_every_camera(wild):
-    """Oracle: the cameras themselves; some frame comes within half a frame's way of each."""
+    """Oracle: the cameras themselves; some frame comes within half a frame's distance of each."""
     viewmats, _ = spline_path(wild, Ks_of(12), 6000)
     np.testing.assert_allclose(viewmats[0], wild[0], atol=1e-9)
     np.testing.assert_allclose(viewmats[-1], wild[-1], atol=1e-9)
@@ -74,7 +74,7 @@ def test_spline_poses_are_rigid_and_lenses_plain(wild):
 
 
 def test_spline_moves_at_a_steady_pace_without_jerks(wild):
-    """Oracle: way plus angle of each frame; uneven keys must not show in the pace."""
+    """Oracle: distance plus angle of each frame; uneven keys must not show in the pace."""
     viewmats, _ = spline_path(wild, Ks_of(12), 1200)
     path = centers(viewmats)
     unit = np.median(np.linalg.norm(np.diff(centers(wild), axis=0), axis=1))
@@ -87,7 +87,7 @@ def test_spline_moves_at_a_steady_pace_without_jerks(wild):
 
 
 def test_spline_on_a_straight_line_is_the_line():
-    """Oracle: cameras on a line at uneven distances, all looking the same way."""
+    """Oracle: cameras on a line at uneven distances, all of the same orientation."""
     eyes = np.array([[x, 0, 0] for x in (0.0, 1.0, 1.5, 4.0, 4.2)])
     keys = np.stack([look_at(e, e + AHEAD, np.array([0, -1.0, 0])) for e in eyes])
     path = centers(spline_path(keys, Ks_of(5), 43)[0])
@@ -96,7 +96,7 @@ def test_spline_on_a_straight_line_is_the_line():
 
 
 def test_spline_between_two_turned_cameras_follows_the_slerp():
-    """Oracle: a rotation about one axis by 50 degrees; half way it has turned by 25."""
+    """Oracle: a rotation about one axis by 50 degrees, of which 25 at half time."""
     start = look_at(np.zeros(3), np.array([0, 0, 1.0]), np.array([0, -1.0, 0]))
     end = look_at(
         np.array([0.3, 0, 0]),
@@ -109,7 +109,7 @@ def test_spline_between_two_turned_cameras_follows_the_slerp():
 
 
 def test_spline_takes_cameras_in_one_place():
-    """Oracle: a camera that only turns, by way of quaternions of opposite sign."""
+    """Oracle: a camera that only turns, across quaternions of opposite sign."""
     angles = np.linspace(0, 1.9 * math.pi, 8)
     aims = np.stack([np.sin(angles), np.zeros(8), np.cos(angles)], axis=1)
     keys = np.stack([look_at(np.zeros(3), a, np.array([0, -1.0, 0])) for a in aims])
@@ -119,20 +119,21 @@ def test_spline_takes_cameras_in_one_place():
 
 
 def test_focus_and_up_of_a_ring(ring):
-    """Oracle: the ring looks at the origin with z up."""
+    """Oracle: the origin, which the ring faces, with z up."""
     np.testing.assert_allclose(focus_point(ring), 0, atol=0.01)
     np.testing.assert_allclose(find_up(ring), [0, 0, 1], atol=1e-9)
 
 
 def test_up_of_cameras_that_look_down():
-    """Oracle: level cameras looking 60 degrees down on one side of a table; z is up."""
+    """Oracle: level cameras facing 60 degrees down on one side of a table; z is up."""
     eyes = [np.array([x, -1.0, 2.0]) for x in (-0.5, -0.2, 0.1, 0.6)]
     keys = np.stack([look_at(e, np.zeros(3), np.array([0, 0, 1.0])) for e in eyes])
     assert math.degrees(math.acos(find_up(keys) @ [0, 0, 1])) < 8
 
 
 def test_focus_of_a_walk_lies_ahead():
-    """Oracle: parallel axes have no nearest point; one ahead of the cameras' middle is taken."""
+    """Oracle: parallel axes without a nearest point; a point ahead of the cameras' middle is
+    used."""
     eyes = [np.array([0.01 * i % 2, 0, 2.0 * i]) for i in range(10)]
     keys = np.stack([look_at(e, e + AHEAD, np.array([0, -1.0, 0])) for e in eyes])
     focus = focus_point(keys)
@@ -140,7 +141,7 @@ def test_focus_of_a_walk_lies_ahead():
 
 
 def test_orbit_of_a_ring_is_the_ring(ring):
-    """Oracle: radius 5, height 1, looking at the origin, closed and even."""
+    """Oracle: radius 5, height 1, facing the origin, closed and even."""
     path = orbit_path(ring, 90)
     eyes = centers(path)
     np.testing.assert_allclose(np.hypot(eyes[:, 0], eyes[:, 1]), 5, atol=0.02)
@@ -154,8 +155,8 @@ def test_orbit_of_a_ring_is_the_ring(ring):
 
 
 def test_an_orbit_is_level_as_the_capture_states_it(ring):
-    """Oracle: horizontals of the path are at right angles to the stated up, which the cameras do
-    not have in common."""
+    """Oracle: horizontals of the path at right angles to the stated up, which the cameras do not
+    share."""
     up = np.array([math.sin(0.5), 0, math.cos(0.5)])
     path = orbit_path(ring, 60, up=up)
     np.testing.assert_allclose(path[:, 0, :3] @ up, 0, atol=1e-9)
@@ -171,7 +172,7 @@ def test_orbit_of_half_a_ring_stays_where_cameras_were(ring):
 
 
 def test_orbit_follows_the_cameras_in_and_out():
-    """Oracle: cameras on an ellipse; the path must not cut through what lies beyond it."""
+    """Oracle: cameras on an ellipse; the path must not cut through obstacles outside it."""
     angles = np.arange(24) / 24 * 2 * math.pi
     eyes = np.stack([6 * np.cos(angles), 4 * np.sin(angles), np.full(24, 0.5)], axis=1)
     keys = np.stack([look_at(e, np.zeros(3), np.array([0, 0, 1.0])) for e in eyes])
@@ -214,7 +215,7 @@ def test_paths_that_cannot_be_made(ring):
         spline_path(ring, Ks_of(9), 1)
     eyes = [np.array([0.1 * (i % 2), 0, 2.0 * i]) for i in range(10)]
     walk = np.stack([look_at(e, e + AHEAD, np.array([0, -1.0, 0])) for e in eyes])
-    walk[3:6] = np.diag([-1, 1, -1, 1]) @ walk[3:6]  # some look back
+    walk[3:6] = np.diag([-1, 1, -1, 1]) @ walk[3:6]  # some face backwards
     opposite = [np.array([x, 0, z]) for z in (0.0, 20.0) for x in (-1, 0.5, 2)]
     facing = np.stack([look_at(e, 10 * AHEAD, np.array([0, -1.0, 0])) for e in opposite])
     for keys in (walk, facing):

@@ -1,4 +1,4 @@
-"""gscore compare: against both metrics.json, and what is refused."""
+"""gscore compare: against both metrics.json, and its refusals."""
 
 import base64
 import io
@@ -19,7 +19,8 @@ from gscore.io.ply.splats import write_splats
 
 @pytest.fixture
 def two_runs(gscore, run_folder, splats, tmp_path):
-    """The run whose splats the photos are pictures of, and one with fewer of them, measured."""
+    """The run with the splats that the photos were rendered from, and one with fewer of them,
+    measured."""
     first = run_folder()
     second = tmp_path / "other"
     shutil.copytree(first, second)
@@ -30,7 +31,7 @@ def two_runs(gscore, run_folder, splats, tmp_path):
 
 
 def test_differences_are_those_of_both_metrics(gscore, two_runs, tmp_path):
-    """Oracle: metrics.json of both runs; a page is written, and may be written again."""
+    """Oracle: metrics.json of both runs; a page, which may be replaced."""
     page = tmp_path / "c.html"
     for _ in range(2):
         code, text, _ = gscore("compare", *two_runs, "-o", page, "--json")
@@ -58,7 +59,7 @@ def test_a_run_that_was_stopped_is_named(gscore, two_runs, tmp_path):
 
 
 def test_pictures_are_photo_and_both_renders(gscore, two_runs, tmp_path, capture):
-    """Oracle: the photo, which the first run's render equals and the second's does not."""
+    """Oracle: the photo, which equals the first run's render and not the second's."""
     page = tmp_path / "c.html"
     gscore("compare", *two_runs, "-o", page)
     kinds = re.findall(r'<img class="(\w+)" src="data:image/jpeg;base64,([^"]+)"', page.read_text())
@@ -72,7 +73,7 @@ def test_pictures_are_photo_and_both_renders(gscore, two_runs, tmp_path, capture
 
 
 def test_runs_that_cannot_be_compared(gscore, two_runs, tmp_path, capture):
-    """Oracle: exit code 2 and the sentence; no page is written."""
+    """Oracle: exit code 2 and the sentence; no page."""
     first, second = two_runs
     page = tmp_path / "c.html"
 
@@ -97,8 +98,9 @@ def test_runs_that_cannot_be_compared(gscore, two_runs, tmp_path, capture):
 
 
 def test_unlike_measurements_become_alike(gscore, two_runs, tmp_path, monkeypatch):
-    """Oracle: the commands of the sentence, typed: they compare, and both runs keep their own."""
-    monkeypatch.chdir(tmp_path)  # where compare.html goes
+    """Oracle: the commands of the sentence, typed: the comparison works, and both runs are
+    unchanged."""
+    monkeypatch.chdir(tmp_path)  # the folder of compare.html
     first, second = two_runs
     assert gscore("eval", first, "-r", "24", "--quiet")[0] == 0
     kept = [(run / "metrics.json").read_bytes() for run in two_runs]
@@ -123,6 +125,6 @@ def test_somebody_elses_page_stays(gscore, two_runs, tmp_path):
     page = tmp_path / "c.html"
     page.write_text("mine")
     code, _, err = gscore("compare", *two_runs, "-o", page)
-    assert code == 2 and "never have" not in err  # that is said of formats without comments
+    assert code == 2 and "never have" not in err  # the message about formats without comments
     assert "without a mark of" in err and page.read_text() == "mine"
     assert gscore("compare", *two_runs, "-o", page, "--overwrite")[0] == 0

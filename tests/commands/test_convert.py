@@ -1,4 +1,4 @@
-"""gscore convert: what is written, said and refused, against the functions behind it."""
+"""gscore convert: files, messages and refusals, against the functions behind it."""
 
 import json
 import os
@@ -19,7 +19,7 @@ from gscore.transforms import transform_splats
 
 @pytest.fixture
 def ply(tmp_path, splats):
-    """The splats as a file that lies in no run."""
+    """The splats as a file outside any run."""
     path = tmp_path / "alone" / "some.ply"
     write_splats(path, splats)
     return path
@@ -31,7 +31,7 @@ def same(a, b):
 
 
 def test_without_options_nothing_changes(gscore, ply, tmp_path, splats):
-    """Oracle: the splats to the bit; what was done is said; the file may be written again."""
+    """Oracle: the splats to the bit; a message about the work; the file may be replaced."""
     out = tmp_path / "out.ply"
     for _ in range(2):
         code, text, _ = gscore("convert", ply, out)
@@ -41,7 +41,7 @@ def test_without_options_nothing_changes(gscore, ply, tmp_path, splats):
 
 @pytest.mark.parametrize("line", ["gscore up Z", "Vertical Axis: z"])
 def test_the_axis_that_points_up_is_kept(gscore, ply, tmp_path, splats, line):
-    """Oracle: the comment of the file that is read; none once the splats were turned."""
+    """Oracle: the comment of the input file; none once the splats were turned."""
     write_splats(ply, splats, comments=(line,))
     out = tmp_path / "out.ply"
     assert gscore("convert", ply, out)[0] == 0 and "gscore up Z" in header_comments(out)
@@ -50,14 +50,14 @@ def test_the_axis_that_points_up_is_kept(gscore, ply, tmp_path, splats, line):
 
 
 def with_harmonics(splats, rest):
-    """The splats with so many random coefficients."""
+    """The splats with this number of random coefficients."""
     rng = np.random.default_rng(3)
     shN = 0.1 * rng.standard_normal((len(splats), rest, 3), dtype=np.float32)
     return replace(splats, shN=shN)
 
 
 def test_degree_4_goes_through_every_step(gscore, tmp_path, splats):
-    """Oracle: the picture of what was joined and cropped by hand, from where the camera was."""
+    """Oracle: the picture of splats joined and cropped by hand, from the same camera."""
     first, second = with_harmonics(splats, 24), with_harmonics(splats.subset(np.arange(9)), 15)
     write_splats(tmp_path / "a.ply", first)
     write_splats(tmp_path / "b.ply", second)
@@ -90,7 +90,7 @@ def test_degree_4_goes_through_every_step(gscore, tmp_path, splats):
 
 @pytest.mark.parametrize(("name", "degree"), [("a.spz", 4), ("a.glb", 3), ("a.sog", 3)])
 def test_degree_4_in_other_formats(gscore, tmp_path, splats, name, degree):
-    """Oracle: what each format is known to hold; what is lost is said, and info tells the rest."""
+    """Oracle: the known content of each format; the loss is reported, and info lists the rest."""
     write_splats(tmp_path / "a.ply", with_harmonics(splats, 24))
     code, _, err = gscore("convert", tmp_path / "a.ply", tmp_path / name)
     assert code == 0 and ("stores colours up to SH degree 3" in err) == (degree < 4)
@@ -99,7 +99,7 @@ def test_degree_4_in_other_formats(gscore, tmp_path, splats, name, degree):
 
 
 def test_the_mark_of_antialiasing_stays(gscore, tmp_path, splats):
-    """Oracle: the comments of the header; mixed marks are told."""
+    """Oracle: the comments of the header; a message about mixed marks."""
     marked, plain = tmp_path / "a.ply", tmp_path / "b.ply"
     write_splats(marked, splats, comments=(MIP_COMMENT,))
     write_splats(plain, splats)
@@ -135,7 +135,7 @@ def test_count_and_error_of_a_run(gscore, run_folder, tmp_path, splats, capture,
 
 
 def test_thinning_that_shows_is_told(gscore, run_folder, tmp_path):
-    """Oracle: the dB that are printed beside it."""
+    """Oracle: the dB printed next to it."""
     run = run_folder()
     told = {}
     for count in (1, 30, 45, 59):
@@ -149,7 +149,7 @@ def test_thinning_that_shows_is_told(gscore, run_folder, tmp_path):
 
 @pytest.mark.parametrize("source", ["capture", "run", "cameras.json"])
 def test_cameras_of_every_kind(gscore, ply, tmp_path, run_folder, capture, source):
-    """Oracle: the same splats are kept, whoever names the cameras."""
+    """Oracle: the same kept splats, for every source of the cameras."""
     run = run_folder()
     named = {"capture": capture, "run": run, "cameras.json": run / "cameras.json"}[source]
     wanted = tmp_path / "wanted.ply"
@@ -166,7 +166,7 @@ def test_size_of_the_file(gscore, run_folder, tmp_path):
 
 
 def test_frustum_by_name(gscore, run_folder, tmp_path, splats):
-    """Oracle: projection by hand; the rest is what --outside keeps."""
+    """Oracle: projection by hand; the rest is the result of --outside."""
     from gscore.io.cameras_json import read_cameras_json
 
     run = run_folder(splats=replace(splats, means=splats.means * 4))
@@ -202,7 +202,7 @@ def test_placed_at_last(gscore, run_folder, tmp_path, splats):
 
 
 def test_clean_is_not_seen(gscore, run_folder, tmp_path, splats):
-    """Oracle: ten splats that nobody sees are put into the scene; they go, and little else does."""
+    """Oracle: ten invisible splats added to the scene; they are removed, and hardly any other."""
     n = len(splats)
     rows = np.concatenate([np.arange(n), np.arange(10)])
     dusty = splats.subset(rows)
@@ -221,7 +221,7 @@ def test_clean_is_not_seen(gscore, run_folder, tmp_path, splats):
 
 
 def test_picture_before_and_after(gscore, run_folder, tmp_path, splats, picture):
-    """Oracle: both halves are renders, bit for bit; without cameras there is one all the same."""
+    """Oracle: both halves, which are renders bit for bit; one picture also without cameras."""
     out, png = tmp_path / "a.ply", tmp_path / "p.png"
     run = run_folder()
     words = ["--count", 20, "--picture", png, "--picture-view", "a_2"]
@@ -263,14 +263,14 @@ def test_picture_before_and_after(gscore, run_folder, tmp_path, splats, picture)
     ],
 )
 def test_bad_words_are_refused(gscore, ply, tmp_path, words, sentence):
-    """Oracle: exit code 2 and the sentence; nothing is written."""
+    """Oracle: exit code 2 and the sentence; no files."""
     code, _, err = gscore("convert", ply, tmp_path / "out.ply", *words)
     assert code == 2 and sentence in " ".join(err.split())
     assert not (tmp_path / "out.ply").exists()
 
 
 def test_a_text_that_is_no_matrix(gscore, ply, tmp_path):
-    """Oracle: the sentence; a matrix that shears is refused too."""
+    """Oracle: the sentence; a shear is refused too."""
     file = tmp_path / "m.txt"
     for text, words in (("1 2 3", "16 numbers"), ("1 1 0 0 0 1 0 0 0 0 1 0 0 0 0 1", "unevenly")):
         file.write_text(text)
@@ -280,7 +280,7 @@ def test_a_text_that_is_no_matrix(gscore, ply, tmp_path):
 
 
 def test_nothing_is_lost(gscore, ply, tmp_path):
-    """Oracle: what is read stays as it was, and so does what gscore did not write."""
+    """Oracle: unchanged input, and unchanged files of other programs."""
     before = ply.read_bytes()
     code, _, err = gscore("convert", ply, ply, "--overwrite")
     assert code == 2 and "is an input file" in err and ply.read_bytes() == before
@@ -295,8 +295,8 @@ def test_nothing_is_lost(gscore, ply, tmp_path):
 
 @pytest.mark.parametrize("ending", [".splat", ".spz", ".sog", ".glb", ".compressed.ply"])
 def test_formats_by_their_ending(gscore, run_folder, tmp_path, splats, ending):
-    """Oracle: what is read back has been thinned, and the error is that of the file: renders of it
-    against those of the run, by hand."""
+    """Oracle: a thinned model in the file, and the error of the file: its renders against those of
+    the run, by hand."""
     from gscore.io.cameras_json import read_cameras_json
 
     run, out = run_folder(), tmp_path / f"a{ending}"
@@ -322,7 +322,7 @@ def test_formats_by_their_ending(gscore, run_folder, tmp_path, splats, ending):
 
 
 def test_size_of_a_packed_file(gscore, run_folder, tmp_path):
-    """Oracle: the file, whatever its coding makes of the number of splats."""
+    """Oracle: the file, for any coding of the number of splats."""
     code, _, err = gscore("convert", run_folder(), tmp_path / "a.spz", "--size", 0.0012)
     assert code == 0, err
     assert 900 < (tmp_path / "a.spz").stat().st_size <= 1200
@@ -340,7 +340,7 @@ def test_size_of_a_packed_file(gscore, run_folder, tmp_path):
     ],
 )
 def test_numbers_that_leave_no_room(gscore, ply, tmp_path, recwarn, more, sentence):
-    """Oracle: exit 2 and one sentence, or a file; no warnings of numpy in either case."""
+    """Oracle: exit 2 and one sentence, or a file; no numpy warnings in either case."""
     code, _, err = gscore("convert", ply, tmp_path / "o.ply", *more)
     assert code == (2 if sentence else 0) and sentence in err
     assert (tmp_path / "o.ply").exists() == (not sentence)
@@ -348,7 +348,7 @@ def test_numbers_that_leave_no_room(gscore, ply, tmp_path, recwarn, more, senten
 
 
 def test_files_given_twice_are_told(gscore, ply, tmp_path):
-    """Oracle: a warning that names the file, by whatever name it came; and all splats."""
+    """Oracle: a warning that names the file, under any of its names; all splats."""
     link = tmp_path / "link.ply"
     link.symlink_to(ply)
     code, text, err = gscore("convert", ply, tmp_path / "o.ply", "--merge", link, ply, "--json")
@@ -359,7 +359,7 @@ def test_files_given_twice_are_told(gscore, ply, tmp_path):
 
 
 def test_an_option_of_another_format_is_told(gscore, ply, tmp_path):
-    """Oracle: a warning where the option does nothing, and none where it does something."""
+    """Oracle: a warning where the option has no effect, and none where it has one."""
     for name, told in (("o.ply", True), ("o.spz", False)):
         _, _, err = gscore("convert", ply, tmp_path / name, "--spz-version", 4)
         assert ("--spz-version has no effect" in err) == told
@@ -367,7 +367,7 @@ def test_an_option_of_another_format_is_told(gscore, ply, tmp_path):
 
 @pytest.mark.parametrize("verb", ["convert", "view", "render", "info"])
 def test_pipes_and_devices_are_called_so(gscore, tmp_path, verb):
-    """Oracle: what they are, at once; a pipe without a writer is not waited for."""
+    """Oracle: their kind, immediately; no wait for a pipe without a writer."""
     os.mkfifo(tmp_path / "pipe.ply")
     for path, what in ((tmp_path / "pipe.ply", "a named pipe"), ("/dev/zero", "a device")):
         page, folder = ["-o", tmp_path / "o.html"], ["-o", tmp_path / "o"]
@@ -377,7 +377,7 @@ def test_pipes_and_devices_are_called_so(gscore, tmp_path, verb):
 
 
 def test_files_that_hold_no_name_stay(gscore, ply, tmp_path):
-    """Oracle: the file, which gscore wrote itself and cannot tell; the sentence is true of it."""
+    """Oracle: a file written by gscore without a mark; the sentence is true of it."""
     out = tmp_path / "o.spz"
     assert gscore("convert", ply, out)[0] == 0
     code, _, err = gscore("convert", ply, out, "--count", 5)

@@ -1,4 +1,4 @@
-"""JSON that gscore reads back, damaged by hand; oracle: code 0 or 2 and sentences, no traceback."""
+"""JSON files of gscore, damaged by hand; oracle: code 0 or 2 and sentences, no traceback."""
 
 import json
 from dataclasses import asdict
@@ -37,7 +37,7 @@ def _assert_said(result, code=(0, 2)):
 
 @pytest.fixture
 def measured(gscore, run_folder):
-    """A run with all keys that a metrics.json has."""
+    """A run with all keys of a metrics.json."""
     folder = run_folder()
     path = folder / "metrics.json"
     before = json.loads(path.read_text())
@@ -55,7 +55,7 @@ def measured(gscore, run_folder):
 
 @pytest.mark.parametrize("value", ODD)
 def test_a_metrics_json_with_an_odd_value_is_a_sentence(gscore, measured, value):
-    """Oracle: every key in turn; what shows runs reads the rest, and says what cannot be."""
+    """Oracle: every key in turn; verbs that list runs read the rest and name the invalid key."""
     folder, full = measured
     told = 0
     for key in full:
@@ -71,7 +71,7 @@ def test_a_metrics_json_with_an_odd_value_is_a_sentence(gscore, measured, value)
 
 @pytest.mark.parametrize("content", WHOLE)
 def test_a_metrics_json_that_is_none_is_a_sentence(gscore, measured, content, tmp_path):
-    """Oracle: what reads it, and measuring, which replaces it."""
+    """Oracle: its readers, and a new measurement, which replaces it."""
     folder, _ = measured
     (folder / "metrics.json").write_bytes(content.encode("latin-1"))
     out, _ = _assert_said(gscore("info", folder), (0,))
@@ -84,7 +84,7 @@ def test_a_metrics_json_that_is_none_is_a_sentence(gscore, measured, content, tm
 
 @pytest.mark.parametrize("value", ODD)
 def test_a_metrics_json_with_odd_values_goes_through_all_verbs(gscore, measured, value, tmp_path):
-    """Oracle: all values odd at once."""
+    """Oracle: all values invalid at the same time."""
     folder, full = measured
     text = json.dumps(dict.fromkeys(full, "@")).replace('"@"', value)
     for arguments in (
@@ -99,7 +99,7 @@ def test_a_metrics_json_with_odd_values_goes_through_all_verbs(gscore, measured,
 
 @pytest.mark.parametrize("key", ["exposure", "poses"])
 def test_parts_of_what_a_training_found_may_be_odd(gscore, measured, key):
-    """Oracle: what it is made of, one part after the other; measuring again does without it."""
+    """Oracle: its parts, one after the other; a new measurement does not need them."""
     folder, full = measured
     assert full[key], "nothing to break"
     for part in full[key]:

@@ -1,4 +1,4 @@
-"""gscore doctor: a healthy machine, and each way it can be unwell."""
+"""gscore doctor: a healthy machine, and each kind of problem."""
 
 import json
 import sys
@@ -12,7 +12,7 @@ from gscore.raster import api, native_library
 
 
 def test_a_machine_that_can_train(gscore):
-    """Oracle: this one, which runs the tests."""
+    """Oracle: this machine, which runs the tests."""
     code, out, _ = gscore("doctor", "--json")
     facts = json.loads(out)
     assert code == 0 and facts["can_train"] and facts["missing"] == []
@@ -29,14 +29,14 @@ def test_a_machine_that_can_train(gscore):
 
 
 def test_the_instruction_set_is_put_back():
-    """Oracle: the one in use before."""
+    """Oracle: the previous one."""
     before = native_library.isa()
     doctor.self_test(native_library.available_isas())
     assert native_library.isa() == before
 
 
 def test_self_test_sees_a_wrong_picture(monkeypatch):
-    """Oracle: a rasterizer that is off by one part in a thousand."""
+    """Oracle: a rasterizer with an error of one part in a thousand."""
     true_render = api.render
 
     def wrong(*args, **options):
@@ -60,7 +60,8 @@ def test_wrong_pictures_mean_no_training(gscore, monkeypatch):
     ("package", "trains"), [("torch", False), ("pycolmap", True), ("onnxruntime", True)]
 )
 def test_missing_packages(gscore, monkeypatch, package, trains):
-    """Oracle: a None in sys.modules makes the import fail; only what training needs is fatal."""
+    """Oracle: a None in sys.modules, which makes the import fail; only packages for training are
+    fatal."""
     monkeypatch.setitem(sys.modules, package, None)
     code, out, _ = gscore("doctor", "--json")
     facts = json.loads(out)
@@ -94,7 +95,7 @@ def test_a_package_that_does_not_load(gscore, monkeypatch, tmp_path):
 
 
 def test_missing_library(gscore, monkeypatch, tmp_path):
-    """Oracle: the sentence of the loader, exit code 2, everything else still told."""
+    """Oracle: the sentence of the loader, exit code 2, and the rest of the report."""
 
     def missing():
         raise BackendError("The native library is missing: x.so does not exist.")

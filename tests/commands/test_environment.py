@@ -1,4 +1,4 @@
-"""What the environment asks of the native library; oracle: sentences, exit codes, no traceback."""
+"""Environment variables of the native library; oracle: sentences, exit codes, no traceback."""
 
 import os
 import shutil
@@ -39,7 +39,7 @@ def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[st
 
 
 def _refused(variables: dict[str, str], error: str, *words: str) -> None:
-    """A script gets `error`, which says all `words` in a sentence."""
+    """Check that a script gets `error` with all `words` in a sentence."""
     done = _python("-c", DRAW, **variables)
     assert done.returncode == 1 and done.stderr.startswith(f"{error}: "), done.stderr
     assert "Traceback" not in done.stderr
@@ -61,14 +61,14 @@ def test_the_command_line_says_it_in_a_sentence(name: str) -> None:
 
 @pytest.mark.parametrize("text", ["many", "-1", "1025"])
 def test_threads_that_cannot_be_are_named(text: str) -> None:
-    """Oracle: the variable, what is allowed and what was found."""
+    """Oracle: the variable, the allowed values and the given one."""
     wanted = "GSCORE_THREADS must be a whole number from 0 (all cores) to 1024"
     _refused({"GSCORE_THREADS": text}, "ConfigError", wanted, f"'{text}'")
 
 
 @pytest.mark.parametrize(("text", "threads"), [("3", 3), ("0", None)])
 def test_threads_of_the_environment_are_used(text: str, threads: int | None) -> None:
-    """Oracle: the number; 0 and nothing are all cores."""
+    """Oracle: the number; all cores for 0 and an empty value."""
     done = _python("-c", DRAW, GSCORE_THREADS=text)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     assert done.returncode == 0, done.stderr
@@ -76,14 +76,14 @@ def test_threads_of_the_environment_are_used(text: str, threads: int | None) -> 
 
 
 def test_an_instruction_set_that_is_not_there_is_named() -> None:
-    """Oracle: the variable, what it asks for and what there is; one that is there is used."""
+    """Oracle: the variable, the requested set and the available ones; an available one is used."""
     there = native_library.available_isas()
     _refused({"GSCORE_ISA": "vax"}, "ConfigError", "GSCORE_ISA", "'vax'", ", ".join(there))
     assert _python("-c", DRAW, GSCORE_ISA=there[-1]).stdout.split()[0] == there[-1]
 
 
 def _other_library() -> str:
-    """A library that is not ours: the one that holds Python's decimals."""
+    """A library that is not ours: the one of Python's decimals."""
     import _ctypes
 
     return _ctypes.__file__
@@ -91,7 +91,7 @@ def _other_library() -> str:
 
 @pytest.fixture
 def not_ours(tmp_path: Path) -> dict[str, str]:
-    """Paths that are no library of gscore, by what they are."""
+    """Paths that are no library of gscore, by kind."""
     text, folder = tmp_path / "notes.txt", tmp_path / "folder"
     text.write_text("not a library")
     folder.mkdir()
@@ -140,7 +140,7 @@ def not_ours(tmp_path: Path) -> dict[str, str]:
 def test_a_library_that_is_not_ours_is_named(
     not_ours: dict[str, str], kind: str, words: str
 ) -> None:
-    """Oracle: the path, what it is and what the variable must name; a pipe is not waited for."""
+    """Oracle: the path, its kind and the expected library; no wait for a pipe."""
     if kind not in not_ours:
         pytest.skip("this system has no named pipes")
     more = "The environment variable GSCORE_LIBRARY must be the path of gscore's native library"
@@ -150,7 +150,7 @@ def test_a_library_that_is_not_ours_is_named(
 def test_a_library_in_the_working_folder_needs_no_path(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: it draws. The system would look for a bare name in its own folders only."""
+    """Oracle: a picture. The system would search a bare name in its own folders only."""
     shutil.copy(native_library.library_path(), tmp_path / "mine.so")
     monkeypatch.chdir(tmp_path)
     done = _python("-c", DRAW, GSCORE_LIBRARY="mine.so")
@@ -159,6 +159,6 @@ def test_a_library_in_the_working_folder_needs_no_path(
 
 @pytest.mark.parametrize("name", ["GSCORE_THREADS", "GSCORE_ISA", "GSCORE_LIBRARY"])
 def test_empty_variables_count_as_not_set(name: str) -> None:
-    """Oracle: what is drawn with, without the variable."""
+    """Oracle: the library in use without the variable."""
     done = _python("-c", DRAW, **{name: ""})
     assert (done.returncode, done.stdout) == (0, _python("-c", DRAW).stdout), done.stderr

@@ -1,4 +1,4 @@
-"""gscore eval: the numbers of a run or a bare PLY, and what it keeps and writes."""
+"""gscore eval: the numbers of a run or a bare PLY, and its files."""
 
 import json
 import math
@@ -21,7 +21,7 @@ def photo(capture, index):
 
 
 def test_a_perfect_run(gscore, run_folder, capture):
-    """Oracle: photos that are the run's own renders, so only rounding to 8 bit is left."""
+    """Oracle: photos that are the run's own renders, so that only rounding to 8 bit is left."""
     folder = run_folder()
     code, out, err = gscore("eval", folder, "--json")
     assert code == 0
@@ -30,7 +30,7 @@ def test_a_perfect_run(gscore, run_folder, capture):
     assert facts["psnr_u8"] is None and "identical" in facts["psnr_u8_reason"]
     assert facts["ssim"] > 0.999 and facts["lpips"] is None and facts["lpips_reason"]
     assert facts["splats"] == 60 and facts["split"] == "test" and facts["sh_degree"] == 1
-    assert err == ""  # a log needs no progress of work that takes moments
+    assert err == ""  # a log needs no progress lines of short work
     written = json.loads((folder / "metrics.json").read_text())
     assert [v["name"] for v in written["views"]] == ["a_0.png", "a_8.png"]
     assert written["test_views"] == ["a_0.png", "a_8.png"] and len(written["train_views"]) == 7
@@ -79,13 +79,13 @@ def test_a_report_tells_again_how_the_run_was_made(gscore, run_folder, capture):
 
 
 def test_a_training_that_was_stopped_is_told(gscore, run_folder):
-    """Oracle: why and when it ended, as its metrics.json says; said and in the report."""
+    """Oracle: cause and time of its end in its metrics.json, in the output and in the report."""
     folder = run_folder()
     path = folder / "metrics.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"reason": "interrupted"}))
     data, train = load_config(folder / "config.json")
     (folder / "config.json").write_text(config_json(data, replace(train, iterations=3000)))
-    for _ in range(2):  # an evaluation keeps what the training knew
+    for _ in range(2):  # an evaluation keeps the values of the training
         code, _, err = gscore("eval", folder)
         words = f"The training was stopped after {STEPS} of 3,000 steps"
         assert code == 0 and words in " ".join(err.split())
@@ -93,7 +93,7 @@ def test_a_training_that_was_stopped_is_told(gscore, run_folder):
 
 
 def test_no_splats_against_the_photo(gscore, run_folder, capture, splats, tmp_path):
-    """Oracle: an empty model shows the background, so the MSE is the photo's mean square."""
+    """Oracle: the photo's mean square as MSE, because an empty model shows the background."""
     nothing = splats.subset(np.zeros(60, bool))
     code, out, _ = gscore("eval", run_folder(splats=nothing), "--json", "-o", tmp_path / "e")
     assert code == 0
@@ -105,7 +105,7 @@ def test_no_splats_against_the_photo(gscore, run_folder, capture, splats, tmp_pa
 
 
 def test_a_bare_ply(gscore, capture, splats, tmp_path):
-    """Oracle: a model whose colours are all too bright by a known amount, over all views."""
+    """Oracle: a model with colours too bright by a known amount, over all views."""
     ply = tmp_path / "model.ply"
     write_splats(ply, replace(splats, sh0=splats.sh0 + np.float32(0.5)))
     code, out, err = gscore("eval", ply, "-s", capture, "-o", tmp_path / "e", "--json")
@@ -130,7 +130,7 @@ def test_another_split_and_resolution(gscore, run_folder, tmp_path):
 
 
 def test_neutral_pictures_are_told_of(gscore, run_folder, tmp_path):
-    """Oracle: a run that says it has learnt exposures; held-out views were neutral before too."""
+    """Oracle: a run marked as having exposures; held-out views were neutral before too."""
     folder = run_folder()
     path = folder / "metrics.json"
     exposure = {"stops_apart": 0.6, "learnt": True, "why": "They differ.", "known_by": None}
@@ -142,7 +142,7 @@ def test_neutral_pictures_are_told_of(gscore, run_folder, tmp_path):
 
 
 def test_held_out_views_are_not_replaced_by_others(gscore, run_folder, tmp_path):
-    """Oracle: the file of the run, byte for byte; another output takes the measurement."""
+    """Oracle: the file of the run, byte for byte; another output receives the measurement."""
     folder = run_folder()
     before = (folder / "metrics.json").read_bytes()
     for split in ("train", "all"):
@@ -155,7 +155,7 @@ def test_held_out_views_are_not_replaced_by_others(gscore, run_folder, tmp_path)
 
 
 def test_bad_input(gscore, capture, run_folder, splats, tmp_path):
-    """Oracle: exit code 2, one sentence, nothing written."""
+    """Oracle: exit code 2, one sentence, no files."""
     ply = tmp_path / "model.ply"
     write_splats(ply, splats)
     cases = [
@@ -177,7 +177,8 @@ def test_bad_input(gscore, capture, run_folder, splats, tmp_path):
 
 
 def test_a_capture_that_moved(gscore, capture, run_folder, tmp_path):
-    """Oracle: the sentence names -s; with it, two of nine views are measured, the run's split."""
+    """Oracle: the sentence, which names -s; with it, two of nine views are measured, the run's
+    split."""
     folder = run_folder()
     config = json.loads((folder / "config.json").read_text())
     config["data"]["source"] = str(tmp_path / "gone")
@@ -190,7 +191,7 @@ def test_a_capture_that_moved(gscore, capture, run_folder, tmp_path):
 
 
 def test_measuring_again_keeps_what_the_training_says_of_itself(gscore, run_folder):
-    """Oracle: the values in the metrics.json before: why it ended, and its depth."""
+    """Oracle: the values in the previous metrics.json: cause of the end, and depth."""
     folder = run_folder()
     path = folder / "metrics.json"
     own = {"reason": "converged", "depth": {"abs_rel": 0.1}, "steps": STEPS}
@@ -201,8 +202,8 @@ def test_measuring_again_keeps_what_the_training_says_of_itself(gscore, run_fold
 
 
 def test_minus_one_is_the_size_of_the_photos(gscore, run_folder, tmp_path):
-    """Oracle: the photos' 48 px, on a run that was trained at 24; as at the first measurement
-    where nothing is said."""
+    """Oracle: the photos' 48 px, on a run that was trained at 24; the size of the first measurement
+    without the option."""
     folder = run_folder()
     config = json.loads((folder / "config.json").read_text())
     config["data"]["max_width"] = 24
@@ -214,7 +215,7 @@ def test_minus_one_is_the_size_of_the_photos(gscore, run_folder, tmp_path):
 
 
 def test_what_is_no_measurement_of_this_run_is_not_replaced(gscore, run_folder, tmp_path, capture):
-    """Oracle: the files of others as they were, one sentence each."""
+    """Oracle: unchanged files of others, one sentence each."""
     folder, other = run_folder(), tmp_path / "other"
     shutil.copytree(folder, other)
     theirs = tmp_path / "theirs"
@@ -236,7 +237,7 @@ def test_what_is_no_measurement_of_this_run_is_not_replaced(gscore, run_folder, 
 def test_a_network_of_the_environment_that_does_not_work_is_told(
     gscore, run_folder, tmp_path, monkeypatch
 ):
-    """Oracle: the path that GSCORE_LPIPS names; no word where it is not set."""
+    """Oracle: the path in GSCORE_LPIPS; no message where it is not set."""
     folder = run_folder()
     assert "LPIPS" not in gscore("eval", folder, "--quiet")[2]
     monkeypatch.setenv("GSCORE_LPIPS", str(tmp_path / "lpips_none.onnx"))
@@ -259,7 +260,7 @@ def test_reports_show_splats_and_cameras(gscore, trained, run_folder, tmp_path):
 
 
 def test_errors_on_the_splats(gscore, run_folder, splats, tmp_path):
-    """Oracle: half of the splats are of a wrong colour: theirs are the bright ones; the events."""
+    """Oracle: half of the splats in a wrong colour, which are the bright ones; the events."""
     wrong = splats.means[:, 0] > np.median(splats.means[:, 0])
     sh0 = splats.sh0.copy()
     sh0[wrong] = 0.9 / SH_C0
@@ -284,7 +285,7 @@ def test_errors_on_the_splats(gscore, run_folder, splats, tmp_path):
 
 
 def test_an_error_map_of_no_format(gscore, run_folder, tmp_path):
-    """Oracle: the endings that splats can be written with; nothing is written."""
+    """Oracle: the endings of splat files; no files."""
     options = ("-o", tmp_path / "e", "--error-map", tmp_path / "errors.jpg")
     code, _, err = gscore("eval", run_folder(), *options)
     assert code == 2 and ".ply" in err and not (tmp_path / "e").exists()

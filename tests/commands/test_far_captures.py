@@ -1,4 +1,4 @@
-"""Georeferenced captures: splats and cameras about a local origin, which their files state."""
+"""Georeferenced captures: splats and cameras about a local origin, stated in their files."""
 
 import json
 from dataclasses import replace
@@ -24,7 +24,7 @@ TRAIN = ("--preset", "draft", "--iterations", STEPS, "--eval", "--quiet", "--thr
 
 
 def moved(capture: Path, folder: Path, shift: np.ndarray, scale: float = 1.0) -> Path:
-    """A copy of a capture whose model is scaled, then moved, in float64."""
+    """A copy of a capture with its model scaled, then moved, in float64."""
     model = read_model(capture)
     images = []
     for image in model.images:
@@ -45,7 +45,7 @@ def psnr(folder: Path) -> float:
 
 @pytest.fixture(params=["utm", "ecef", "small"])
 def far(request, capture, tmp_path):
-    """The capture, moved, and where to."""
+    """The capture, moved, and the offset."""
     shift, scale = {"utm": (UTM, 1.0), "ecef": (ECEF, 1.0), "small": (UTM / 1e3, 0.01)}[
         request.param
     ]
@@ -53,7 +53,7 @@ def far(request, capture, tmp_path):
 
 
 def test_a_far_capture_trains_and_measures_as_a_near_one(gscore, far, trained, tmp_path):
-    """Oracle: PSNR of the run on the capture where it was, and positions of the model's files."""
+    """Oracle: PSNR of the run on the unmoved capture, and positions of the model's files."""
     run, again = tmp_path / "run", tmp_path / "again"
     assert gscore("train", far, "-o", run, *TRAIN)[0] == 0
     assert psnr(run) == pytest.approx(psnr(trained), abs=0.05)
@@ -70,7 +70,7 @@ def test_a_far_capture_trains_and_measures_as_a_near_one(gscore, far, trained, t
 
 
 def test_an_ordinary_capture_has_no_local_origin(capture, trained):
-    """Oracle: the files of today, which state none."""
+    """Oracle: the files of today, without an origin."""
     assert read_capture(DataConfig(source=capture)).origin is None
     assert read_splat_file(trained / "point_cloud.ply").origin is None
     assert b"origin" not in (trained / "point_cloud.ply").read_bytes()[:1000]
@@ -89,8 +89,8 @@ def test_an_ordinary_capture_has_no_local_origin(capture, trained):
 def test_a_local_origin_is_where_float32_costs_a_hundredth_of_a_pixel(
     capture, tmp_path, shift, wanted
 ):
-    """Oracle: float32 steps at the capture's coordinates, seen from 5 units with a focal length of
-    45 px: 0.01 px is reached about 15,000 units away."""
+    """Oracle: float32 steps at the capture's coordinates, viewed from 5 units with a focal length
+    of 45 px: 0.01 px is reached about 15,000 units away."""
     far = moved(capture, tmp_path / "far", np.array(shift))
     found = read_capture(DataConfig(source=far))
     assert (found.origin is not None) == wanted
@@ -112,8 +112,8 @@ def exact(tmp_path_factory, capture, splats):
 def test_cameras_in_full_coordinates_meet_splats_about_a_local_origin(
     gscore, exact, cameras, tmp_path, picture
 ):
-    """Oracle: the pictures of the splats where they were; cameras of the capture, of files with and
-    without a stated origin, and Python's, are all of the same places."""
+    """Oracle: the pictures of the unmoved splats; the same places for cameras of the capture, of
+    files with and without a stated origin, and of Python."""
     far, splats, origin = exact
     ply = tmp_path / "true.ply"
     write_splat_file(ply, splats, origin=origin)
@@ -143,8 +143,7 @@ def test_cameras_in_full_coordinates_meet_splats_about_a_local_origin(
 
 @pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply", "a.sog", "a.glb", "a.usdc"])
 def test_formats_with_a_place_for_it_state_the_origin(gscore, exact, tmp_path, name):
-    """Oracle: the origin that the PLY states, to the bit, and its splats, after the way there and
-    back."""
+    """Oracle: the origin in the PLY, to the bit, and its splats, after conversion and back."""
     if name.endswith("usdc"):
         pytest.importorskip("pxr.UsdVol")
     _, splats, origin = exact
@@ -162,7 +161,8 @@ def test_formats_with_a_place_for_it_state_the_origin(gscore, exact, tmp_path, n
 
 @pytest.mark.parametrize("name", ["a.spz", "a.splat"])
 def test_formats_without_a_place_say_so_and_are_still_placed(gscore, exact, tmp_path, name):
-    """Oracle: the message names the origin; `eval` on the capture measures what the PLY does."""
+    """Oracle: the message, which names the origin; `eval` on the capture measures the same as of
+    the PLY."""
     far, splats, origin = exact
     write_splat_file(tmp_path / "in.ply", splats, origin=origin)
     code, _, err = gscore("convert", tmp_path / "in.ply", tmp_path / name)
@@ -177,7 +177,7 @@ def test_formats_without_a_place_say_so_and_are_still_placed(gscore, exact, tmp_
 
 
 def test_joined_files_come_about_one_origin(gscore, exact, tmp_path):
-    """Oracle: the same splats stated about two origins lie on top of each other."""
+    """Oracle: the same splats about two origins, which coincide."""
     _, splats, origin = exact
     write_splat_file(tmp_path / "one.ply", splats, origin=origin)
     other = replace(splats, means=splats.means - np.float32([3, -4, 5]))
@@ -206,7 +206,7 @@ def test_levels_of_detail_keep_the_origin(gscore, exact, tmp_path):
 
 def test_a_run_goes_on_about_its_own_origin(gscore, exact, tmp_path):
     """Oracle: files of a run whose checkpoint states an origin, also where another would be chosen
-    now; one of before, without any, goes on in the capture's coordinates."""
+    now; an older run without an origin continues in the capture's coordinates."""
     far, splats, origin = exact
     ply, run = tmp_path / "start.ply", tmp_path / "run"
     other = origin + np.array([2, 0, -1])

@@ -1,4 +1,4 @@
-"""gscore info: what it says of captures, models and runs."""
+"""gscore info: its output for captures, models and runs."""
 
 import json
 import math
@@ -21,7 +21,7 @@ from tests.commands.conftest import STEPS
 
 
 def test_capture(gscore, capture, ring):
-    """Oracle: how the capture was made."""
+    """Oracle: the parameters that made the capture."""
     code, out, _ = gscore("info", capture, "--json")
     facts = json.loads(out)
     assert code == 0 and facts["kind"] == "capture" and facts["views"] == 9
@@ -50,7 +50,7 @@ def test_undistortion_is_told_where_there_is_some(gscore, capture, tmp_path):
 
 
 def test_ply(gscore, splats, tmp_path):
-    """Oracle: quantiles of the arrays that were written."""
+    """Oracle: quantiles of the written arrays."""
     path = tmp_path / "m.ply"
     write_splats(path, splats, comments=("SplatRenderMode: mip",))
     code, out, _ = gscore("info", path, "--json")
@@ -73,7 +73,7 @@ def test_ply(gscore, splats, tmp_path):
 
 
 def test_splats_that_nobody_sees(gscore, splats, tmp_path):
-    """Oracle: a third of them, made transparent; nothing is said of none."""
+    """Oracle: a third of them, made transparent; no message about none."""
     path = tmp_path / "m.ply"
     for opacity, words in ((4.0, ()), (-8.0, ("  33.3 % have an opacity below 0.005",))):
         opacities = np.full(60, 4, np.float32)
@@ -85,7 +85,7 @@ def test_splats_that_nobody_sees(gscore, splats, tmp_path):
 
 
 def test_ply_with_broken_rows(gscore, splats, tmp_path):
-    """Oracle: one row of NaN is left out, and said, in the JSON and in the text."""
+    """Oracle: one row of NaN, left out and reported, in the JSON and in the text."""
     broken = splats.subset(np.arange(60))
     broken.means[3] = np.nan
     write_splats(tmp_path / "m.ply", broken)
@@ -139,7 +139,7 @@ def test_run(gscore, run_folder, capture):
 
 
 def test_a_run_that_was_stopped(gscore, run_folder):
-    """Oracle: the run's metrics.json, changed; a checkpoint after it counts more."""
+    """Oracle: the run's metrics.json, changed; a later checkpoint takes precedence."""
     folder = run_folder()
     code, out, _ = gscore("info", folder, "--json")
     facts = json.loads(out)
@@ -158,7 +158,7 @@ def test_a_run_that_was_stopped(gscore, run_folder):
 
 
 def test_a_run_in_training(gscore, run_folder, tmp_path):
-    """Oracle: a lock that is held; one that a killed process left says nothing."""
+    """Oracle: a lock of a running process; the lock of a killed process is ignored."""
     folder, begun = run_folder(), tmp_path / "begun"
     for path in (folder, begun):
         lock = FolderLock(path, RUN_LOCK, "training")
@@ -195,7 +195,7 @@ def test_nothing_there(gscore, tmp_path):
 
 
 def test_inverted_masks_in_every_verb(gscore, capture, cameras, tmp_path, monkeypatch):
-    """Oracle: a mask that keeps all but one corner, as its opposite: config and pixels."""
+    """Oracle: a mask that keeps all but one corner, and its opposite: config and pixels."""
     folder = tmp_path / "capture"
     shutil.copytree(capture, folder)
     hidden = np.zeros((36, 48), np.uint8)
@@ -226,7 +226,7 @@ def test_inverted_masks_in_every_verb(gscore, capture, cameras, tmp_path, monkey
 
 
 def test_a_sequence_is_judged_inside_its_masks(gscore, tmp_path):
-    """Oracle: the figure that `gscore.headline_psnr` gives, under the name that runs give it."""
+    """Oracle: the figure of `gscore.headline_psnr`, under its name in runs."""
     frame = {"frame": 0, "folder": "frame_000000", "split": "test", "psnr": 30.0}
     frame |= {"psnr_masked": 22.5, "ssim": 0.9}
     write_sequence(tmp_path, SequenceIndex(options={}, frames=[frame], mean={}), version="1")

@@ -1,4 +1,5 @@
-"""gscore lod and what takes its files. Oracle: the splats of the run, and pictures of them."""
+"""gscore lod and the verbs that read its files. Oracle: the splats of the run, and renders of
+them."""
 
 import json
 
@@ -22,7 +23,7 @@ def city(gscore, run_folder, tmp_path, monkeypatch):
 
 
 def test_lod_says_what_each_level_has(gscore, run_folder, tmp_path, monkeypatch):
-    """Oracle: the file's own index; `info` says the same, and JSON too."""
+    """Oracle: the file's own index; the same in `info`, also as JSON."""
     monkeypatch.setattr(chunk_layout, "MOST_IN_A_CHUNK", 30)
     run, out = run_folder(), tmp_path / "city.lod"
     code, text, err = gscore("lod", run, "-o", out)
@@ -44,8 +45,8 @@ def test_lod_says_what_each_level_has(gscore, run_folder, tmp_path, monkeypatch)
 
 
 def test_render_takes_it_with_its_cameras(gscore, city, run_folder, tmp_path):
-    """Oracle: the pictures of the run at the finest; a coarse picture is near them, and JSON says
-    of how many splats it is made."""
+    """Oracle: the pictures of the run at the finest level; a coarse picture is near them, and JSON
+    states its number of splats."""
     run = tmp_path / "run"
     view = ("--view", "a_3")
     gscore("render", run, "-o", tmp_path / "whole.png", *view, "--quiet")
@@ -87,14 +88,14 @@ def test_convert_writes_a_level_or_a_box(gscore, city, splats, tmp_path):
     inside = ((splats.means >= low) & (splats.means <= high)).all(axis=1)
     found = read_ply(tmp_path / "box.ply").means
     assert 5 < inside.sum() < 55
-    assert f"(read: {inside.sum()}, " in text  # nobody has counted all of the level
+    assert f"(read: {inside.sum()}, " in text  # the number of the whole level is unknown
     assert sorted(map(tuple, found)) == sorted(map(tuple, splats.means[inside]))
     gscore("convert", city, tmp_path / "out.ply", *box, "--outside", "--quiet")
     assert len(read_ply(tmp_path / "out.ply")) == 60 - inside.sum()
 
 
 def test_antialiasing_stays_with_it(gscore, splats, tmp_path):
-    """Oracle: the comment of the PLY that is made of it again."""
+    """Oracle: the comment of the PLY converted back from it."""
     write_splats(tmp_path / "a.ply", splats, comments=(MIP_COMMENT,))
     gscore("lod", tmp_path / "a.ply", "-o", tmp_path / "a.lod", "--quiet")
     assert "trained with antialiasing" in gscore("info", tmp_path / "a.lod")[1]
@@ -131,7 +132,7 @@ def test_what_cannot_work_is_refused(gscore, city, tmp_path):
 
 
 def test_replaced_files(gscore, city, tmp_path):
-    """Oracle: somebody else's file stays without --overwrite; its own are replaced."""
+    """Oracle: a user's file, which stays without --overwrite; its own are replaced."""
     run = tmp_path / "run"
     (tmp_path / "mine.lod").write_bytes(b"my notes")
     refuses(gscore, "so it is kept", "lod", run, "-o", tmp_path / "mine.lod")

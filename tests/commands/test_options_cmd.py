@@ -16,7 +16,7 @@ from gscore.presets import PRESETS
 
 
 def told(line: str, capsys: pytest.CaptureFixture[str]) -> list[dict]:
-    """What `gscore options ... --json` lists."""
+    """The list of `gscore options ... --json`."""
     assert main(["options", *line.split(), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
@@ -29,7 +29,7 @@ def configured(line: str) -> TrainConfig:
 
 
 def test_every_option_is_listed_once(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: all fields of TrainConfig; each with a text that says more than its name."""
+    """Oracle: all fields of TrainConfig; each with a text that is more than its name."""
     names = [row["name"] for row in told("", capsys)]
     assert len(names) == len(set(names))
     assert {field.name for field in fields(TrainConfig)} == options_of(TrainConfig).keys()
@@ -47,7 +47,7 @@ def test_one_option_with_all_that_is_known(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_a_word_finds_by_group_and_by_text(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: the declarations; texts count where no name and no group does."""
+    """Oracle: the declarations; texts are searched where no name and no group matches."""
     assert {row["group"] for row in told("learning-rates", capsys)} == {"learning rates"}
     assert [row["name"] for row in told("dropgaussian", capsys)] == ["drop_rate"]
     assert [row["name"] for row in told("ensemble", capsys)] == ["ensemble", "ensemble_below"]
@@ -63,7 +63,7 @@ def test_a_word_finds_by_group_and_by_text(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_a_number_of_steps_that_is_given_is_meant() -> None:
-    """Oracle: the preset's limit by photos holds where no number was given, or with one of its
+    """Oracle: the preset's limit by photos, kept without a number of steps and with a limit of its
     own; in benches as in trainings."""
     assert configured("--preset normal").steps_a_photo == 80
     assert configured("--preset normal --iterations 7000").steps_a_photo == 0
@@ -94,7 +94,7 @@ def test_set_is_the_same_as_the_flag() -> None:
 
 @pytest.mark.parametrize("name", options_of(TrainConfig))
 def test_an_option_is_taken_in_both_ways(name: str) -> None:
-    """Oracle: the field, for each of them with another value than its default."""
+    """Oracle: the field, for each of them with a value that is not its default."""
     plain = PRESETS["normal"](Path("in"))[1]
     one = options_of(TrainConfig)[name]
     other = [str(choice) for choice in one.choices if choice != getattr(plain, name)]
@@ -115,7 +115,7 @@ def test_an_option_is_taken_in_both_ways(name: str) -> None:
         text = "0.5"
     found = configured(f"{one.flag} {text}")
     assert found == configured(f"--set {name}={text}") != plain
-    if limit := LIFTED_BY.get(name):  # what is given is meant
+    if limit := LIFTED_BY.get(name):  # an explicit value takes precedence
         found = replace(found, **{limit: getattr(plain, limit)})
     assert replace(found, **{name: getattr(plain, name)}) == plain
 
@@ -132,7 +132,7 @@ def test_names_of_3dgs(name: str, flag: str) -> None:
 
 
 def test_switches_of_3dgs() -> None:
-    """Oracle: what each stands for."""
+    """Oracle: the option that each stands for."""
     assert configured("-w").background is Background.WHITE
     assert configured("--random_background").background is Background.RANDOM
     found = configured("--feature-lr 0.02")

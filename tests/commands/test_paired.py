@@ -32,7 +32,7 @@ def slow_twin(captures: list[list[list[float]]], seed: int) -> tuple[float, floa
 
 @pytest.mark.parametrize("seed", [0, 5])
 def test_the_bootstrap_equals_a_slow_twin(seed: int) -> None:
-    """Oracle: plain Python; captures of several sizes, views that lack a seed."""
+    """Oracle: plain Python; captures of several sizes, views without a seed."""
     rng = np.random.default_rng(9)
     captures = [
         [list(rng.normal(0.1, 1, 3 if view % 3 else 2)) for view in range(count)]
@@ -45,8 +45,8 @@ def test_the_bootstrap_equals_a_slow_twin(seed: int) -> None:
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
-    """Oracle: 200 simulated studies of 20 views with three seeds whose true median is 0.3. Seeds
-    share most of a view's difference: drawn one by one they would hold it in two of three only."""
+    """Oracle: 200 simulated studies of 20 views with three seeds and a true median of 0.3. Seeds
+    share most of a view's difference: drawn one by one they would cover it in two of three only."""
     rng = np.random.default_rng(1)
     held = 0
     for _ in range(200):
@@ -57,7 +57,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
 
 
 def test_trimmed_means() -> None:
-    """Oracle: by hand; the outlier of five is gone, of four it is not."""
+    """Oracle: by hand; the outlier of five is trimmed, that of four is not."""
     assert trimmed_mean([3, 1, 2, -100, 9]) == 2
     assert trimmed_mean([1, 2, 3, 102]) == 27
     assert trimmed_mean([7]) == 7
@@ -102,5 +102,5 @@ def _verdict(
     ],
 )
 def test_the_rule(verdict: Verdict, accepted: bool, words: str) -> None:
-    """Oracle: each clause of the rule at its limit and beside it, by hand."""
+    """Oracle: each clause of the rule at its limit and next to it, by hand."""
     assert verdict.accepted is accepted and words in verdict.why

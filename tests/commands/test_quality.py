@@ -48,7 +48,7 @@ def _training(
 
 
 def test_a_summary_is_not_moved_by_one_view() -> None:
-    """Oracle: by hand; an identical picture has no number, and the worst view has its name."""
+    """Oracle: by hand; no number for an identical picture, and the worst view by name."""
     found = summarize(
         [_training("draft", [20, 21, 3, None]), _training("draft", [24, 23, 22, 25], seed=1)]
     )
@@ -108,8 +108,8 @@ def test_tables_by_hand() -> None:
 def test_a_study_is_trained_once_and_goes_on(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the trainings asked for, in turns; after a stop only those that are missing, and the
-    same figures as without one."""
+    """Oracle: the requested trainings, in turns; after a stop only the missing ones, and the
+    figures of an uninterrupted study."""
     out, done = tmp_path / "out", []
     real = study.train_scored
 
@@ -147,8 +147,8 @@ def test_a_study_is_trained_once_and_goes_on(
 def test_trainings_take_the_steps_that_gscore_train_takes(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: 3 steps for each of the photos that are not held out, where that is more than the
-    least; all of them without the limit."""
+    """Oracle: 3 steps for each training photo, where that exceeds the minimum; all steps without
+    the limit."""
     monkeypatch.setattr(caps, "_FEWEST_STEPS", 10)
     monkeypatch.setattr(caps, "_FEWEST_SPLATS", 10)
     taken, splats = {}, {}
@@ -164,7 +164,7 @@ def test_trainings_take_the_steps_that_gscore_train_takes(
     command = ["quality", str(EXAMPLE), "-r", "60", "--mask-mode", "none", "--preset", "normal"]
     command += ["--seeds", "0", "--offsets", "0", "-o", str(tmp_path / "out"), "--compare"]
     command += ["few=steps-a-photo=3", "all=steps-a-photo=0"]
-    # Two models, unless photos turn out to agree.
+    # Two models, unless the photos agree.
     command += ["thin=splats-a-photo=300", "one=splats-a-photo=300,ensemble=1"]
     bench_json(capsys, *command)
     assert (taken["few"], taken["all"]) == (3 * taken["photos"], 7000)
@@ -174,8 +174,8 @@ def test_trainings_take_the_steps_that_gscore_train_takes(
 
 
 def test_a_training_is_measured_like_an_evaluation() -> None:
-    """Oracle: the same views at twice the size give other figures; LPIPS only with a network; the
-    gap is that of the medians."""
+    """Oracle: other figures of the same views at twice the size; LPIPS only with a network; the gap
+    of the medians."""
     data, config = PRESETS["preview"](EXAMPLE)
     data = replace(data, mask_mode="none", test_every=20, test_offset=2, eval=True, resolution=60)
     config = replace(config, iterations=3, seed=4)
@@ -236,7 +236,7 @@ def test_everything_is_checked_before_training(
 def test_damaged_results_are_kept(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
 ) -> None:
-    """Oracle: the message names the file, which is left as it is."""
+    """Oracle: the message, which names the file; the file is unchanged."""
     path = tmp_path / "results.json"
     path.write_text(content)
     assert main(["bench", "quality", str(EXAMPLE), *TINY, "-o", str(tmp_path)]) == 2

@@ -25,7 +25,7 @@ def as_bytes(picture):
 
 
 def test_all_views_of_a_run(gscore, run_folder, tmp_path, picture, capture):
-    """Oracle: the photos of the capture are renders of the same splats, bit for bit."""
+    """Oracle: the photos of the capture, which are renders of the same splats, bit for bit."""
     code, out, _ = gscore("render", run_folder(), "-o", tmp_path / "out", "--json")
     facts = json.loads(out)
     assert code == 0 and facts["pictures"] == 9 and facts["splats"] == 60 and facts["fps"] > 0
@@ -48,7 +48,7 @@ def test_all_views_of_a_run(gscore, run_folder, tmp_path, picture, capture):
     ],
 )
 def test_which_views(gscore, run_folder, tmp_path, arguments, wanted):
-    """Oracle: the names asked for; the test views that metrics.json lists."""
+    """Oracle: the requested names; the test views in metrics.json."""
     code, _, _ = gscore("render", run_folder(), "-o", tmp_path / "out", *arguments, "--quiet")
     assert code == 0
     assert sorted(p.stem for p in (tmp_path / "out").iterdir()) == wanted
@@ -72,7 +72,7 @@ def test_cameras_of_the_capture_and_resolution(
 
 
 def test_a_path_from_a_file(gscore, run_folder, tmp_path, splats, cameras):
-    """Oracle: the rasterizer from each camera of the file, in its order; a video has its pace."""
+    """Oracle: the rasterizer from each camera of the file, in its order; the pace of a video."""
     poses = [np.linalg.inv(m) @ np.diag([1.0, -1, -1, 1]) for m in cameras.viewmats[[4, 1]]]
     entries = [{"camera_to_world": pose.ravel().tolist(), "fov": 40} for pose in poses]
     content = {"render_width": 40, "render_height": 30, "fps": 12, "camera_path": entries}
@@ -94,7 +94,7 @@ def test_a_path_from_a_file(gscore, run_folder, tmp_path, splats, cameras):
 
 
 def test_transparency(gscore, run_folder, tmp_path, picture):
-    """Oracle: laid over any background it is the picture rendered over that background."""
+    """Oracle: the picture rendered over any background, equal to the composite over it."""
     path = tmp_path / "one.png"
     code, _, _ = gscore("render", run_folder(), "-o", path, "--view", "2", "--transparent")
     assert code == 0
@@ -140,7 +140,7 @@ def test_depth(gscore, run_folder, tmp_path, picture):
 
 
 def test_older_files_are_told(gscore, run_folder, tmp_path):
-    """Oracle: a depth map of a rendering before, which is no part of this one, and still there."""
+    """Oracle: a depth map of an earlier rendering, which is not listed, and still exists."""
     folder, out = run_folder(), tmp_path / "a"
     code, told, _ = gscore("render", folder, "-o", out, "--depth", "png", "--view", "4")
     assert code == 0 and "Other files" not in told
@@ -150,7 +150,7 @@ def test_older_files_are_told(gscore, run_folder, tmp_path):
 
 
 def test_depth_beyond_the_range_is_kept_apart_from_nothing(tmp_path):
-    """Oracle: 0 is nothing, tiny depths are 1, too large ones 65535."""
+    """Oracle: 0 for no depth, 1 for tiny depths, 65535 for too large ones."""
     depth = np.array([[0.0, 1e-9, 2.0], [3.0, 1e9, 0.0]], np.float32)
     write_depth_png(tmp_path / "d.png", depth, 0.001)
     np.testing.assert_array_equal(read(tmp_path / "d.png"), [[0, 1, 2000], [3000, 65535, 0]])
@@ -158,7 +158,7 @@ def test_depth_beyond_the_range_is_kept_apart_from_nothing(tmp_path):
 
 @pytest.mark.parametrize("kind", ["orbit", "spline"])
 def test_path_to_pictures(gscore, run_folder, tmp_path, kind):
-    """Oracle: every frame shows the splats near the middle, and neighbours are alike."""
+    """Oracle: the splats near the middle of every frame, and similar neighbours."""
     out = tmp_path / "out"
     code, _, _ = gscore(
         "render", run_folder(), "-o", out, "--path", kind, "--frames", "24", "--quiet"
@@ -194,7 +194,7 @@ def test_video(gscore, run_folder, tmp_path, splats):
 
 
 def facts_of_video(gscore, monkeypatch, folder, path, *options):
-    """The facts that the verb prints for a video that is not written, and what it says of it."""
+    """The facts that the verb prints for a video that is not written, and its messages."""
     monkeypatch.setattr("gscore.commands.render.write_video", lambda p, made, fps: len(list(made)))
     code, out, err = gscore("render", folder, "-o", path, "-r", "16", "--json", *options)
     assert code == 0
@@ -202,7 +202,7 @@ def facts_of_video(gscore, monkeypatch, folder, path, *options):
 
 
 def test_a_video_goes_around_by_itself(gscore, run_folder, tmp_path, monkeypatch):
-    """Oracle: eight seconds of an orbit, and a sentence that says so; chosen views as before."""
+    """Oracle: eight seconds of an orbit, and a sentence about it; chosen views as before."""
     pytest.importorskip("av")
     folder, path = run_folder(), tmp_path / "v.mp4"
     facts, err = facts_of_video(gscore, monkeypatch, folder, path, "--fps", "5")
@@ -215,7 +215,7 @@ def test_a_video_goes_around_by_itself(gscore, run_folder, tmp_path, monkeypatch
 
 
 def test_a_video_where_there_is_no_middle(gscore, run_folder, tmp_path, cameras, monkeypatch):
-    """Oracle: cameras on a ring that look outwards: a spline from the first to the last."""
+    """Oracle: cameras on a ring that face outwards: a spline from the first to the last."""
     pytest.importorskip("av")
     folder = run_folder()
     turned = np.diag([-1.0, 1.0, -1.0, 1.0]) @ cameras.viewmats
@@ -313,7 +313,7 @@ def test_bad_outputs_and_models(gscore, run_folder, tmp_path, splats):
 
 
 def test_names_of_pictures_stay_inside_and_apart():
-    """Oracle: names as captures have them, with sub-folders, same stems and hostile paths."""
+    """Oracle: names of photos in captures, with sub-folders, same stems and hostile paths."""
     assert still_names(["a/b.jpg", "c.JPG"]) == ["a/b", "c"]
     assert still_names(["x.jpg", "x.png"]) == ["x_jpg", "x_png"]
     assert still_names(["a\ud800b.png"]) == ["a_b"]

@@ -1,4 +1,4 @@
-"""Files under the names of outputs: gscore's own are replaced, others only with --overwrite."""
+"""Existing files at output paths: gscore's own are replaced, others only with --overwrite."""
 
 import json
 import os
@@ -20,7 +20,7 @@ HOLIDAY = b"a film of a holiday"
 
 
 def refused(gscore, path, *line):
-    """Whether the verb ends with a sentence that names the file, which stays as it is."""
+    """Check that the verb ends with a sentence that names the file, and leaves it unchanged."""
     code, _, err = gscore(*line)
     assert code == 2 and "without a mark of" in err and path.name in err, err
     assert "--overwrite" in err and path.read_bytes() == HOLIDAY
@@ -29,7 +29,7 @@ def refused(gscore, path, *line):
 
 @pytest.mark.parametrize("output", ["film.mp4", "one.png", "folder"])
 def test_renders_replace_their_own_alone(gscore, run_folder, tmp_path, output):
-    """Oracle: the bytes of a user's file before, and a second rendering over a first."""
+    """Oracle: the bytes of a user's file, and a second rendering over a first."""
     pytest.importorskip("av")
     path = tmp_path / output
     view = ("--path", "orbit", "--frames", "2") if output == "film.mp4" else ("--view", "a_1.png")
@@ -44,7 +44,7 @@ def test_renders_replace_their_own_alone(gscore, run_folder, tmp_path, output):
 
 @pytest.mark.parametrize("kind", ["png", "npy"])
 def test_depth_maps_of_others_stay(gscore, run_folder, tmp_path, kind):
-    """Oracle: the bytes of a user's file, and that no picture was written beside it."""
+    """Oracle: the bytes of a user's file, and no picture next to it."""
     line = ("render", run_folder(), "-o", tmp_path / "out", "--view", "a_1.png", "--depth", kind)
     theirs = tmp_path / "out" / f"a_1_depth.{kind}"
     theirs.parent.mkdir()
@@ -78,7 +78,7 @@ def test_measurements_replace_their_own_alone(gscore, run_folder, tmp_path, capt
 
 @pytest.mark.parametrize("name", ["results.json", "capture0-psnr.svg", "capture0-sizes.svg"])
 def test_benches_replace_their_own_alone(gscore, tmp_path, capture, name):
-    """Oracle: the bytes of a user's file that has the name of a figure; nothing is trained."""
+    """Oracle: the bytes of a user's file with the name of a figure; no training."""
     theirs = tmp_path / name.replace("capture0", capture.name)
     theirs.write_bytes(HOLIDAY)
     assert refused(gscore, theirs, "bench", "time-error", capture, "-o", tmp_path)
@@ -100,7 +100,7 @@ def test_a_contact_sheet_of_others_stays(gscore, tmp_path, capture):
 
 
 def test_what_is_no_file_is_refused_before_the_work(gscore, run_folder, tmp_path):
-    """Oracle: a folder and a named pipe with the name of the picture, there as before."""
+    """Oracle: a folder and a named pipe with the name of the picture, both unchanged."""
     folder = run_folder()
     (tmp_path / "folder.png").mkdir()
     os.mkfifo(tmp_path / "pipe.png")
@@ -143,7 +143,7 @@ def test_what_a_verb_writes_is_its_own(gscore, run_folder, tmp_path, name):
     ],
 )
 def test_pages_written_before_their_mark_are_known(title, ours, tmp_path):
-    """Oracle: the first lines that reports and comparisons had then."""
+    """Oracle: the first lines of older reports and comparisons."""
     page = whole_page(title, "<p>x</p>")
     (tmp_path / "a.html").write_text(page)
     assert is_ours(tmp_path / "a.html")
@@ -216,8 +216,8 @@ THEIRS = {
 
 @pytest.mark.parametrize("name", list(THEIRS))
 def test_files_of_others_that_name_gscore_stay(name, tmp_path):
-    """Oracle: what users and other programs wrote, with gscore's name in it, though not where
-    gscore leaves its mark."""
+    """Oracle: files of users and other programs with gscore's name in them, but not at the place of
+    gscore's mark."""
     THEIRS[name](tmp_path / name)
     assert b"gscore" in (tmp_path / name).read_bytes() and not is_ours(tmp_path / name)
     with pytest.raises(ConfigError, match="without a mark of"):
@@ -228,13 +228,13 @@ def test_files_of_others_that_name_gscore_stay(name, tmp_path):
     "text", [b"{", b'{"gscore": 1}', b"[" * 9000, b"PK\x03\x04gscore", b"glTF"]
 )
 def test_damaged_files_are_nobodys(text, tmp_path):
-    """Oracle: no mark can be read, so they stay."""
+    """Oracle: an unreadable mark, so that they stay."""
     (tmp_path / "a").write_bytes(text)
     assert not is_ours(tmp_path / "a")
 
 
 def test_empty_files_may_be_replaced(tmp_path):
-    """Oracle: a file made by mktemp holds nothing that could be lost."""
+    """Oracle: a file made by mktemp, in which no data could be lost."""
     (tmp_path / "a.png").touch()
     check_replaced([tmp_path / "a.png", tmp_path / "none.png"], overwrite=False)
     np.save(tmp_path / "b.npy", np.zeros(3))
@@ -246,7 +246,7 @@ def test_empty_files_may_be_replaced(tmp_path):
     ("flag", "words"), [(os.ST_RDONLY, "the disk is read-only"), (0, "permission denied")]
 )
 def test_why_a_folder_takes_no_files(tmp_path, monkeypatch, flag, words):
-    """Oracle: the flag of the file system that Linux gives."""
+    """Oracle: the flag of the file system, as set by Linux."""
     told = os.statvfs(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     monkeypatch.setattr(os, "statvfs", lambda path: os.statvfs_result((*told[:8], flag, *told[9:])))

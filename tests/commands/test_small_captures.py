@@ -46,7 +46,7 @@ def test_the_written_file_measures_as_the_training_said(gscore, run, small, trai
 
 
 def test_converted_files_measure_so_too(gscore, run, small, tmp_path):
-    """Oracle: PSNR of the run; a PLY states the near plane, a .splat has no place for it."""
+    """Oracle: PSNR of the run; a PLY states the near plane, a .splat has no field for it."""
     said = psnr(run)
     for name in ("of.ply", "of.splat"):
         assert gscore("convert", run, tmp_path / name)[0] == 0
@@ -59,7 +59,7 @@ def test_converted_files_measure_so_too(gscore, run, small, tmp_path):
 
 
 def test_render_and_levels_of_detail_draw_what_the_photos_show(gscore, run, small, tmp_path):
-    """Oracle: the photo; within the error of the training, not the background."""
+    """Oracle: the photo; within the error of the training, unlike the background."""
     photo = read_image(small / "images/a_0.png") / 255
     lod = tmp_path / "model.lod"
     assert gscore("lod", run, "-o", lod)[0] == 0
@@ -83,6 +83,6 @@ def test_a_scaled_model_scales_its_near_plane(gscore, run, tmp_path):
 
 
 def test_ordinary_captures_state_none(trained):
-    """Oracle: the header as other readers know it."""
+    """Oracle: the header as known to other readers."""
     head = (trained / "point_cloud.ply").read_bytes()[:2000]
     assert b"gscore near" not in head and json.loads((trained / "config.json").read_text())

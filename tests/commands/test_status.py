@@ -1,4 +1,4 @@
-"""The moving line: it fits any terminal, and leaves nothing behind."""
+"""The status line: it fits any terminal, and leaves no rest."""
 
 import contextlib
 import io
@@ -19,7 +19,7 @@ PARTS = ["1:02:03 left", "step 14,878 of 15,000", "PSNR 28.8 dB", "431,526 splat
 @pytest.mark.parametrize("width", [*range(1, 121), 200, 300])
 @pytest.mark.parametrize("share", [None, 0.0, 0.597, 1.0])
 def test_a_line_of_any_width(width: int, share: float | None) -> None:
-    """Oracle: the width; the parts that are shown are the first ones, whole."""
+    """Oracle: the width; the first parts, each in full."""
     text = line_within(PARTS, share, width)
     assert 0 < cells(text) <= width
     if share is None and width >= len(PARTS[0]):
@@ -40,7 +40,8 @@ def test_wide_letters_count_twice() -> None:
 
 
 class Terminal(io.TextIOWrapper):
-    """A pseudo-terminal's near end as a stream, read as it is written: its own buffer is small."""
+    """The near end of a pseudo-terminal as a stream, read while it is written, because its buffer
+    is small."""
 
     def __init__(self, columns: int, encoding: str = "utf-8") -> None:
         self._far, near = pty.openpty()
@@ -57,14 +58,14 @@ class Terminal(io.TextIOWrapper):
         return count
 
     def said(self) -> str:
-        """What was written since the last look."""
+        """The output since the last call."""
         heard, self._heard = self._heard, b""
         return heard.decode(self.encoding)
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Seconds that the module reads; a second passes at each look."""
+    """The clock of the module; a second passes at each reading."""
     now = [0.0]
 
     def look() -> float:
@@ -78,7 +79,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 @pytest.mark.parametrize("columns", [40, 80, 132, 300])
 def test_a_terminal_stays_tidy(columns: int, clock: list[float]) -> None:
-    """Oracle: a terminal emulator: two lines that stay, one that moves, and nothing after it."""
+    """Oracle: a terminal emulator: two permanent lines, one moving line, and no rest."""
     terminal = Terminal(columns)
     line = Status(terminal)
     line.say("first")
@@ -98,7 +99,8 @@ def test_a_terminal_stays_tidy(columns: int, clock: list[float]) -> None:
 
 
 def test_a_terminal_that_is_resized(clock: list[float]) -> None:
-    """Oracle: the width of the terminal at the moment of each writing, and room for ^C behind."""
+    """Oracle: the width of the terminal at the moment of each output, and room for ^C at the
+    end."""
     terminal = Terminal(100)
     line = Status(terminal)
     for columns in (100, 60, 40, 300, 20, 80):
@@ -113,7 +115,7 @@ def test_a_terminal_that_is_resized(clock: list[float]) -> None:
 def test_where_nothing_moves(
     term: str | None, clock: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: whole lines, none before ten seconds, then one in ten seconds; no \\r, no bar."""
+    """Oracle: whole lines, none before ten seconds, then one in ten seconds; no \r, no bar."""
     stream = io.StringIO()
     if term:
         monkeypatch.setenv("TERM", term)
@@ -130,7 +132,7 @@ def test_where_nothing_moves(
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437", "utf-8"])
 def test_any_encoding_and_any_name(encoding: str, clock: list[float]) -> None:
-    """Oracle: no error, no letter that moves the cursor, no wrapped line."""
+    """Oracle: no error, no character that moves the cursor, no wrapped line."""
     terminal = Terminal(60, encoding)
     told = Counted(Status(terminal), 3, "view")
     for done in (1, 2, 3):
@@ -150,7 +152,7 @@ def test_quiet_writes_nothing() -> None:
 
 
 def test_lines_break_between_words() -> None:
-    """Oracle: the words, in lines of a terminal; a path stays whole; a file is not broken up."""
+    """Oracle: the words, in lines of a terminal; an unbroken path; unbroken lines in a file."""
     text = "Masks are used: what they hide is not trained. " + "/a/path-that/is-long" * 4
     terminal = Terminal(40)
     rows = wrapped(text, terminal).split("\n")
@@ -176,7 +178,7 @@ def test_a_whole_training_in_a_terminal(capture, tmp_path) -> None:
 
 @pytest.mark.parametrize("verb", ["train", "eval", "render", "depth", "info"])
 def test_something_is_shown_before_anything_slow(verb: str, tmp_path) -> None:
-    """Oracle: packages that say when they are loaded, in place of the real ones."""
+    """Oracle: packages that report when they are loaded, in place of the real ones."""
     for name in ("torch", "numpy"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise ImportError('IT IS LOADED')")

@@ -58,7 +58,7 @@ def test_time_error_writes_curves_and_figures(
 def test_ablations_change_what_they_name(
     small: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the configs that would be trained."""
+    """Oracle: the configs of the trainings."""
     trained: list[TrainConfig] = []
 
     def measured(variant: Variant, *_: object, **__: object) -> Curve:
@@ -95,7 +95,7 @@ def test_ablations_change_what_they_name(
 def test_sizes_are_judged_alike(
     capsys: pytest.CaptureFixture[str], small: list[str], tmp_path: Path
 ) -> None:
-    """Oracle: the size that is the preset's own is the last point of its curve; fronts by hand."""
+    """Oracle: the preset's own size as the last point of its curve; fronts by hand."""
     out = tmp_path / "out"
     options = [str(EXAMPLE), *small[2:], "--seeds", "0", "-o", str(out)]
     sizes = ["--sweep-splats", "2000", "50000", "--sweep-widths", "120", "400"]
@@ -109,7 +109,7 @@ def test_sizes_are_judged_alike(
     assert capture["sizes"]["judged_on"] == [400, 533]
     own = rows[50_000, 400]
     assert (own["psnr"], own["ssim"], own["splats"]) == (end["psnr"], end["ssim"], end["splats"])
-    # Small photos are judged at the large size too: by pictures of the same splats.
+    # Small photos are evaluated at the large size too, by pictures of the same splats.
     assert rows[50_000, 120]["psnr"] != own["psnr"]
     fastest = min(rows.values(), key=lambda row: row["seconds"])
     assert fastest["best_for_its_time"]
@@ -119,7 +119,7 @@ def test_sizes_are_judged_alike(
 
 
 def test_photos_of_another_size_measure_the_same_splats() -> None:
-    """Oracle: judged on a second copy of its own photos, a training reaches the same figures."""
+    """Oracle: the same figures of a training evaluated on a second copy of its own photos."""
     data, config = PRESETS["preview"](EXAMPLE)
     data = replace(data, mask_mode="none", test_every=20, eval=True, resolution=120)
     config = replace(config, iterations=3)
@@ -132,7 +132,7 @@ def test_photos_of_another_size_measure_the_same_splats() -> None:
 
 
 def test_fronts() -> None:
-    """Oracle: by hand. c costs more than b and is worse; d costs what a does and is worse."""
+    """Oracle: by hand. c costs more than b and is worse; d costs as much as a and is worse."""
 
     def outcome(seconds: float, psnr: float) -> SizeOutcome:
         size = Size(preset="p", max_splats=1, width=1, iterations=1)
@@ -145,7 +145,7 @@ def test_fronts() -> None:
 
 
 def test_bad_peers_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    """Oracle: the message names the file and what is missing."""
+    """Oracle: the message, which names the file and the missing key."""
     peer = tmp_path / "peer.json"
     options = ["bench", "time-error", str(EXAMPLE), "-o", str(tmp_path / "o"), "--peers", str(peer)]
     for content, word in (("{", "not a file of curves"), ('{"capture": "a"}', "'curves'")):
@@ -237,7 +237,7 @@ def _peer(path: Path, capture: str = "studio", **changed: object) -> Path:
 
 
 def test_what_a_peer_leaves_out_stays_unknown(tmp_path: Path) -> None:
-    """Oracle: strict JSON with null, read back alike; a figure without that curve."""
+    """Oracle: strict JSON with null, read back unchanged; a figure without that curve."""
     capture, (curve,) = read_peers(_peer(tmp_path / "peer.json"))
     content = curve_json(curve)
     text = json.dumps(content, allow_nan=False)
@@ -274,7 +274,7 @@ POINT = {"seconds": 1.0, "psnr": 20.0}
 def test_curves_that_cannot_be_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], changed: dict, words: str
 ) -> None:
-    """Oracle: the message names the file, the place and what was expected."""
+    """Oracle: the message, which names the file, the place and the expected value."""
     peer = _peer(tmp_path / "peer.json", **changed)
     options = ["-o", str(tmp_path / "out"), "--peers", str(peer)]
     assert main(["bench", "time-error", str(EXAMPLE), *options]) == 2
@@ -283,7 +283,7 @@ def test_curves_that_cannot_be_are_refused(
 
 
 def test_only_curves_of_one_size_are_compared() -> None:
-    """Oracle: by hand. The peer at 800 px is better, and is no aim for those at 400 px."""
+    """Oracle: by hand. The peer at 800 px is better, and no target for those at 400 px."""
     a, b = (
         Curve(label=label, width=400, height=300, seeds=[[_point(1, 20), _point(2, end)]])
         for label, end in (("a", 25), ("b", 24))
@@ -337,7 +337,7 @@ def test_what_was_measured_is_kept(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Oracle: two of three presets are trained, repeated ones once, when Ctrl-C comes."""
+    """Oracle: two of three presets trained, repeated ones once, when Ctrl-C comes."""
     labels_done = []
 
     def trained(config: TrainConfig, *_: object, **__: object) -> Trained:
@@ -368,7 +368,7 @@ def test_what_was_measured_is_kept(
 
 
 def test_presets_are_judged_on_one_size() -> None:
-    """Oracle: the widths asked for; the larger photos judge, and equal ones are read once."""
+    """Oracle: the requested widths; evaluation on the larger photos, with equal ones read once."""
     data = PRESETS["preview"](EXAMPLE)[0]
     data = replace(data, mask_mode="none", test_every=20, eval=True)
     widths = [60, 120, 60, 120]

@@ -23,7 +23,7 @@ _WORK = {
     Skip.ZERO_TILE: "backward_pairs",
     Skip.MASKED_TILE: "forward_pairs",
 }
-"""What skips of the rasterizer save."""
+"""Work that skips of the rasterizer save."""
 
 
 def _trained(photos: Any, *without: Skip, work: str = "forward_pairs") -> tuple[Trainer, float]:

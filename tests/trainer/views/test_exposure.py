@@ -26,7 +26,7 @@ from gscore.trainer.views.exposure import (
 
 STUDIO = Path(__file__).parents[3] / "examples" / "studio"
 STOP = np.log(2) / 2.2
-"""ln gain of encoded values that is told as a stop."""
+"""ln gain of encoded values that is reported as one stop."""
 
 
 class Exposed(Dataset):
