@@ -2,18 +2,21 @@
 
 Parts get unused names and are written before their index, so that the index on the disk always
 finds its own parts, even if the disk is full or the program is killed in between. It has a CRC-32
-of each part, to detect exchanged parts.
+of each part, to detect exchanged parts. A record of the parts, which stays if the program is
+killed, lets the next write of the same index remove those that no index names.
 """
 
 import contextlib
+import json
+import os
 import re
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from ..errors import FormatError
-from ..io.files import atomic_write
+from ..io.files import atomic_write, write_record
 from ..json_text import parse_json
 from ..quoting import quoted
 
@@ -28,6 +31,7 @@ def write_parts(
     parts: Mapping[str, Content],
     text_of: Callable[[dict[str, str], dict[str, int]], bytes],
     names_in: NamesIn,
+    optional: Iterable[str] = (),
 ) -> None:
     """Write the parts under unused names, then the index; then remove the parts of the old index,
     if gscore wrote it.
@@ -37,27 +41,84 @@ def write_parts(
         parts: Contents of the parts by preferred name.
         text_of: Returns the index, from the names and CRC-32s of the parts by key of `parts`.
         names_in: Finds the parts in an index.
+        optional: Preferred names of parts that only some models have.
 
     Raises:
         GsError: a file cannot be written; the old model is untouched.
     """
-    old, is_ours = _named(index, names_in)
-    names = _free_names(index.parent, parts)
-    written: list[Path] = []
-    try:
-        for name, content in parts.items():
-            atomic_write(index.with_name(names[name]), content)
-            written.append(index.with_name(names[name]))
-        checks = {
-            name: zlib.crc32(content) if isinstance(content, bytes) else _crc32(path)
-            for (name, content), path in zip(parts.items(), written, strict=True)
-        }
-        atomic_write(index, text_of(names, checks))
-    except Exception:  # not an interrupt, which may come after the index was renamed
-        _remove(written)
-        raise
-    if is_ours:
-        _remove(path for path in old if path not in written and _is_named_like(path, parts))
+    usual = {*parts, *optional}
+
+    def tidy(notes: bytes) -> None:
+        noted = (path for path in _noted(index, notes) if _is_named_like(path, usual))
+        _remove_unnamed(index, noted, names_in)
+
+    with write_record(index.with_name(f"{index.name}.parts"), tidy) as record:
+        old, is_ours = _named(index, names_in)
+        old = [path for path in old if is_ours and _is_named_like(path, usual)]
+        for path in old:
+            with contextlib.suppress(OSError):  # it is missing
+                _note(record, path, path.stat())
+        names = _free_names(index.parent, parts)
+        written: list[Path] = []
+        try:
+            for name, content in parts.items():
+                path = index.with_name(names[name])
+                atomic_write(path, _noting(record, path, content))
+                written.append(path)
+            checks = {
+                name: zlib.crc32(content) if isinstance(content, bytes) else _crc32(path)
+                for (name, content), path in zip(parts.items(), written, strict=True)
+            }
+            atomic_write(index, text_of(names, checks))
+        except Exception:
+            _remove(written)
+            raise
+        except BaseException:  # an interrupt, which may come after the index was renamed
+            record.seek(0)
+            tidy(record.read())
+            raise
+        _remove(path for path in old if path not in written)
+
+
+def _noting(record: BinaryIO, path: Path, content: Content) -> Callable[[BinaryIO], None]:
+    """Writer of a part that notes it before it gets its name."""
+
+    def write(file: BinaryIO) -> None:
+        if callable(content):
+            content(file)
+        else:
+            file.write(content)
+        file.flush()
+        _note(record, path, os.fstat(file.fileno()))
+
+    return write
+
+
+def _note(record: BinaryIO, path: Path, stat: os.stat_result) -> None:
+    """Note that gscore wrote a file; its size and time tell it from later ones of that name."""
+    record.write(json.dumps([path.name, stat.st_size, stat.st_mtime_ns]).encode() + b"\n")
+    record.flush()
+
+
+def _noted(index: Path, notes: bytes) -> Iterator[Path]:
+    """Files next to an index that are as they were when they were noted."""
+    for line in notes.splitlines():
+        with contextlib.suppress(OSError, ValueError, TypeError):
+            name, size, modified = parse_json(line)
+            for path in _next_to(index, [name]):
+                stat = path.lstat()
+                if (stat.st_size, stat.st_mtime_ns) == (size, modified):
+                    yield path
+
+
+def _remove_unnamed(index: Path, files: Iterable[Path], names_in: NamesIn) -> None:
+    """Remove files that neither the index nor a renamed or copied one next to it names; none if
+    the index is damaged."""
+    if index.exists() and not parts_of(index, names_in):
+        return
+    indexes = [index, *index.parent.glob(f"*{index.suffix}")] if (files := [*files]) else []
+    named = {path for one in indexes for path in parts_of(one, names_in)}
+    _remove(path for path in files if path not in named)
 
 
 def _is_named_like(path: Path, parts: Iterable[str]) -> bool:
@@ -92,8 +153,13 @@ def _named(index: Path, names_in: NamesIn) -> tuple[tuple[Path, ...], bool]:
         is_ours = str(content["asset"]["generator"]).startswith("gscore ")
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return (), False
+    return tuple(_next_to(index, names)), is_ours
+
+
+def _next_to(index: Path, names: Iterable[str]) -> Iterator[Path]:
+    """Paths of plain names in the folder of an index."""
     plain = (name for name in names if name not in ("", ".", "..") and Path(name).name == name)
-    return tuple(index.with_name(name) for name in plain if "\\" not in name), is_ours
+    return (index.with_name(name) for name in plain if "\\" not in name)
 
 
 def _free_names(folder: Path, names: Iterable[str]) -> dict[str, str]:

@@ -30,6 +30,8 @@ PALETTE_WIDTH = 64
 """Palette rows per line of its texture."""
 SECTIONS = ("means", "scales", "quats", "sh0", "shN")
 """Sections of a meta.json with files."""
+_OF_SH = ("shN_centroids.webp", "shN_labels.webp")
+"""Textures that models of SH degree 0 lack."""
 CHECKS = "crc32"
 """Key in the asset of a meta.json: CRC-32 of each texture file."""
 FIRST_TAG = 252
@@ -50,7 +52,7 @@ def write_sog(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     meta |= {} if options.origin is None else {ORIGIN: options.origin.tolist()}
     files = textures.encode_all(pictures)
     if path.suffix.lower() == ".json":
-        write_parts(path, files, lambda *found: _index(meta, *found), parts_in)
+        write_parts(path, files, lambda *found: _index(meta, *found), parts_in, _OF_SH)
         return notes
     packed = io.BytesIO()
     # Stored, not deflated: WebP is compressed already, and some readers support only this.
@@ -113,10 +115,10 @@ def _textures(splats: Splats) -> tuple[dict[str, Any], dict[str, np.ndarray], li
             "count": len(rows),
             "bands": splats.sh_degree,
             "codebook": book.tolist(),
-            "files": ["shN_centroids.webp", "shN_labels.webp"],
+            "files": [*_OF_SH],
         }
-        pictures["shN_centroids.webp"] = _palette_texture(nearest_entries(book, rows))
-        pictures["shN_labels.webp"] = _label_texture(labels)
+        centroids, of_rows = _palette_texture(nearest_entries(book, rows)), _label_texture(labels)
+        pictures |= dict(zip(_OF_SH, (centroids, of_rows), strict=True))
     return meta, pictures, notes
 
 

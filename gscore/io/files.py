@@ -88,21 +88,51 @@ _remains: dict[Path, tuple[float, list[str]]] = {}
 """Time of the last listing and the temporary files found, by folder."""
 
 
-def _temporary(path: Path) -> tuple[Path, BinaryIO]:
+@contextlib.contextmanager
+def write_record(path: Path, of_killed: Callable[[bytes], None]) -> Iterator[BinaryIO]:
+    """An empty file for notes on a write of several files, removed at the end of the block.
+
+    It stays if the process is killed, until the next record for the same `path`.
+
+    Args:
+        path: The record has a temporary name next to it.
+        of_killed: Receives the notes of each killed process.
+
+    Raises:
+        GsError: the record cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        record, file = _temporary(path, of_killed)
+    except (OSError, ValueError) as error:
+        raise GsError(f"Cannot write {brief(path)}: {reason(error)}") from error
+    try:
+        yield file
+    finally:
+        with contextlib.suppress(OSError):  # notes that did not fit on the disk
+            file.close()
+        with contextlib.suppress(OSError):
+            record.unlink()
+
+
+def _temporary(
+    path: Path, of_killed: Callable[[bytes], None] | None = None
+) -> tuple[Path, BinaryIO]:
     """A new file, locked and open, next to `path`, because a rename is atomic only within one file
     system."""
     while True:
         candidate = path.with_name(_temporary_name(path.name))
-        _remove_remains(candidate)
-        file = candidate.open("xb")
+        _remove_remains(candidate, of_killed)
+        file = candidate.open("x+b")
         # Before it was locked, another process may have removed it as one left by a killed process.
         if _try_lock(file, otherwise=True) and candidate.exists():
             return candidate, file
         file.close()
 
 
-def _remove_remains(candidate: Path) -> None:
-    """Remove temporary files for the same name as `candidate` whose process has ended."""
+def _remove_remains(candidate: Path, of_killed: Callable[[bytes], None] | None) -> None:
+    """Remove temporary files for the same name as `candidate` whose process has ended, and pass on
+    their contents."""
     folder, now = candidate.parent, time.monotonic()
     listed, names = _remains.get(folder, (-math.inf, []))
     if now - listed > _LIST_AGAIN:
@@ -114,7 +144,10 @@ def _remove_remains(candidate: Path) -> None:
         if same and _IS_RANDOM.fullmatch(name[-len(_RANDOM) :]):
             with contextlib.suppress(OSError), (folder / name).open("r+b") as file:
                 if _try_lock(file, otherwise=False):
-                    (folder / name).unlink()
+                    content = file.read(_MOST_NOTES) if of_killed else b""
+                    (folder / name).unlink()  # fails on Windows while its writer works
+                    if of_killed:
+                        of_killed(content)
 
 
 def _try_lock(file: BinaryIO, *, otherwise: bool) -> bool:
@@ -204,6 +237,8 @@ _TEMPORARY = 8
 _RANDOM = f".{'0' * _TEMPORARY}.tmp"
 _IS_RANDOM = re.compile(rf"\.[0-9a-f]{{{_TEMPORARY}}}\.tmp")
 """Ends of temporary names."""
+_MOST_NOTES = 1 << 20
+"""Most bytes that are read of a record."""
 _LIST_AGAIN = 30.0
 """Seconds after which a folder is listed again: it may have thousands of files."""
 _KINDS = {
