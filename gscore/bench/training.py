@@ -177,14 +177,14 @@ def train_measured(
                 compared=True,
             )
         seconds += time.perf_counter() - began
-        exposure, placing = analyze_photos(config, photos)
+        exposure, pose_check = analyze_photos(config, photos)
         trainer = Trainer(
             config,
             photos,
             points=start.points,
             known=start.known,
             gains=exposure.gains,
-            placing=placing,
+            pose_check=pose_check,
         )
         for step in range(1, config.iterations + 1):
             began = time.perf_counter()

@@ -83,7 +83,7 @@ def train_in_turn(
                 raise
             return 2
         except GsError:
-            if team.told and not team.is_rank0:
+            if team.notified and not team.is_rank0:
                 return 2  # rank 0 printed the reason
             raise
 
@@ -143,7 +143,7 @@ def _follow(args: argparse.Namespace, team: "ProcessGroup") -> int:
         except RankLostError:
             return 2
         except GsError as error:
-            if team.told:
+            if team.notified:
                 return 2
             raise DatasetError(f"Rank {team.rank} ({platform.node()}): {error}") from error
 

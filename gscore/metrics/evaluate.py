@@ -135,7 +135,7 @@ def evaluate(
         height, width = target.shape[:2]
         view = {"name": name, "width": width, "height": height}
         view |= values | {"render_seconds": seconds}
-        if "psnr_masked" in view and (of := getattr(dataset, "judged_by", "")):
+        if "psnr_masked" in view and (of := getattr(dataset, "evaluated_part", "")):
             view[MASKED_OF] = of
         views.append(view)
         if on_view is not None:

@@ -51,7 +51,7 @@ class Prepared:
     trainer: Trainer
     warnings: Sequence[str] = ()
     """Warnings of reading the photos."""
-    enough: str = ""
+    caps: str = ""
     """Message on caps of steps and splats; empty: none applies."""
     asked: dict[str, int] = field(default_factory=dict)
     """Requested values of the options that were capped by the number of photos."""
@@ -59,7 +59,7 @@ class Prepared:
     guide: GuideSetup = field(default_factory=GuideSetup)
     stereo: StereoStart = field(default_factory=StereoStart)
     exposure: Exposure = field(default_factory=Exposure)
-    placing: PoseCheck = field(default_factory=PoseCheck)
+    pose_check: PoseCheck = field(default_factory=PoseCheck)
 
     @property
     def mask_mode(self) -> str:
@@ -73,14 +73,14 @@ class Prepared:
         found = {
             "region": trainer.region_words,
             "masks": _MASKS.get(self.mask_mode, ""),
-            "enough": self.enough,
+            "enough": self.caps,
             "stereo": self.stereo.why,
             "drops": trainer.drop_words,
             "ensemble": trainer.ensemble_words,
             "depth": self.depth.decision,
             "guide": self.guide.why,
             "exposure": self.exposure.why,
-            "poses": self.placing.why,
+            "poses": self.pose_check.why,
         }
         texts |= {topic: text for topic, text in found.items() if text}
         return [Decision(topic, texts[topic]) for topic in TOPICS if texts.get(topic)]
@@ -155,7 +155,7 @@ def prepare(
         mask_mode=photos.mask_mode,
         taken=taken,
     )
-    config, enough = limited()
+    config, caps = limited()
     world = frame(photos)
     if data.depths:
         MapFolder(photos.source / data.depths)  # raises for a missing folder
@@ -181,8 +181,8 @@ def prepare(
         if stereo:
             on_view = progress_of("depth of photos", config, emit, control)
             added = stereo_start(config, photos, points, on_view=on_view)
-            config, enough = limited(known=added.known, compared=True)
-        exposure, placing = analyze_photos(config, photos)
+            config, caps = limited(known=added.known, compared=True)
+        exposure, pose_check = analyze_photos(config, photos)
         trainer = Trainer(
             config,
             photos,
@@ -192,7 +192,7 @@ def prepare(
             points=points if added.points is None else added.points,
             known=added.known,
             gains=exposure.gains,
-            placing=placing,
+            pose_check=pose_check,
             photo_cache=loaded.cache,
             team=team,
             region=region,
@@ -203,13 +203,13 @@ def prepare(
     return Prepared(
         trainer=trainer,
         warnings=[*photos.warnings, *loaded.warnings],
-        enough=enough,
+        caps=caps,
         asked=_asked_beyond(asked, config),
         depth=depth,
         guide=guide,
         stereo=added,
         exposure=exposure,
-        placing=placing,
+        pose_check=pose_check,
     )
 
 

@@ -166,7 +166,7 @@ class Session:
 
     def _render(self, request: FrameRequest) -> bytes:
         """Render a frame request to RGB bytes."""
-        picture = self._trainer.renderer.seen(request).clamp_(0, 1).mul_(255).add_(0.5)
+        picture = self._trainer.renderer.render_request(request).clamp_(0, 1).mul_(255).add_(0.5)
         return picture.to(torch.uint8).numpy().tobytes()
 
     @contextmanager
@@ -395,7 +395,7 @@ class Session:
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
         splats = trainer.finish()
         photo_parameters = self._results.write_photo_parameters(
-            self._prepared.exposure.numbers, self._prepared.placing.why
+            self._prepared.exposure.numbers, self._prepared.pose_check.why
         )
         self._results.write_splats(self._folder.point_cloud)
         self._emit(Saved(step=trainer.steps, path=str(self._folder.point_cloud)))

@@ -87,7 +87,7 @@ class Trainer:
         points: PointCloud | None = None,
         known: float | None = None,
         gains: PhotoGains | None = None,
-        placing: PoseCheck | None = None,
+        pose_check: PoseCheck | None = None,
         photo_cache: int | None = None,
         team: ProcessGroup | None = None,
         region: RegionBox | None = None,
@@ -105,7 +105,7 @@ class Trainer:
             points: Start points, COLMAP world.
             known: Share of the unmasked pixels with stereo depth; None: stereo did not run.
             gains: Initial exposure gains; None: photo colours are used unchanged.
-            placing: Checked training cameras; None: those of the capture.
+            pose_check: Checked training cameras; None: those of the capture.
             photo_cache: Bytes of photos to keep in memory; None: all.
             team: Process group of a distributed training; each rank has a trainer.
             region: Box of the splats of `start` that are trained, COLMAP world; None: all.
@@ -169,16 +169,16 @@ class Trainer:
         """Seconds of the stages of the last step."""
         cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self.photo_parameters = PhotoParameters(
-            config, gains, initial_poses(placing, photos.train, self.frame)
+            config, gains, initial_poses(pose_check, photos.train, self.frame)
         )
         """Optimised exposure gains and camera poses of the photos."""
         self._v_viewmat = zeros(4, 4)
         self.region = None if region is None else region.in_training(self.frame.similarity)
         """The region box, training frame; its start splats are kept inside."""
-        self.still: FrozenSplats | None = None
+        self.frozen: FrozenSplats | None = None
         """Frozen splats around the region, rendered with the trained ones; None: none."""
         if region is not None and start is not None:
-            start, self.still = split_frozen(start, region, config, self.frame)
+            start, self.frozen = split_frozen(start, region, config, self.frame)
         first, free_space = initial_splats(
             config, photos, self.frame, self.plan, cameras, cloud, start=start, count=count
         )
@@ -192,7 +192,7 @@ class Trainer:
             self.photo_parameters,
             lambda: [member.model for member in self.members],
             cache=photo_cache,
-            still=self.still,
+            frozen=self.frozen,
         )
         """Renderer of the current model."""
         self._rasterizer = self.renderer.rasterizer
@@ -245,7 +245,7 @@ class Trainer:
 
     @property
     def _frozen_count(self) -> int:
-        return 0 if self.still is None else len(self.still)
+        return 0 if self.frozen is None else len(self.frozen)
 
     @property
     def region_words(self) -> str:
@@ -474,8 +474,8 @@ class Trainer:
 
     def parts(self) -> Iterator[Splats]:
         """Yield the rows of `splats` in parts, which are valid until the next step."""
-        if self.still is not None:
-            yield from self.still.parts(_ROWS_A_PART, self.model.sh_degree)
+        if self.frozen is not None:
+            yield from self.frozen.parts(_ROWS_A_PART, self.model.sh_degree)
         for member in self.members:
             for at in range(0, len(member.model), _ROWS_A_PART):
                 rows = slice(at, at + _ROWS_A_PART)
@@ -625,9 +625,9 @@ class Trainer:
 
     def _whole(self, trained: Splats) -> Splats:
         """Frozen splats followed by the `trained` ones, COLMAP world."""
-        if self.still is None:
+        if self.frozen is None:
             return trained
-        return joined([self.still.world, trained])
+        return joined([self.frozen.world, trained])
 
     def _in_world(self, params: dict[str, torch.Tensor]) -> Splats:
         return self.frame.similarity.splats_from_training(splats_from_tensors(params))

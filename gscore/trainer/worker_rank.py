@@ -30,7 +30,7 @@ def run_worker(team: ProcessGroup, source: Path | None) -> bool:
         Whether the training completed.
 
     Raises:
-        GsError: this rank failed; the others have been notified unless `team.told` is False.
+        GsError: this rank failed; the others have been notified unless `team.notified` is False.
     """
     mmap_large_blocks()
     order = team.receive()

@@ -90,7 +90,7 @@ def test_ignored_pixels_do_not_count(fake_dataset):
     assert ignoring_nothing.mean["psnr"] < first["psnr_masked"]
     assert headline_psnr(ignoring_nothing.mean) == ignoring_nothing.mean["psnr"]
     assert "masks" not in quality_words(ignoring_nothing.mean)
-    dataset.judged_by = "region"
+    dataset.evaluated_part = "region"
     of_region = evaluate(lambda i: renders[i], dataset, [0, 1])
     for numbers in (of_region.mean, *of_region.views):
         assert quality_words(numbers).startswith("PSNR inside the region ")

@@ -50,7 +50,7 @@ def depth_points(
     # Four candidates per point, because the checks reject many.
     pixels = sum(int(cameras.widths[i]) * int(cameras.heights[i]) for i in used)
     stride = max(1, int(np.sqrt(pixels / (4 * count))))
-    known = NearestPoints(photos.scene.points.points, asked=2 * count)
+    known = NearestPoints(photos.scene.points.points, queries=2 * count)
     parts = [_from_view(photos, priors, used, i, stride, known) for i in used]
     points = np.concatenate([part[0] for part in parts])
     colors = np.concatenate([part[1] for part in parts])

@@ -100,7 +100,7 @@ class BatchGradients:
         grads = [model.grads[name] for name in PARAMETERS if name != "shN"]
         tables = [Table(grad, adds=True, divisor=photos) for grad in grads]
         tables += [Table(counter, adds=True) for counter in counters.values()]
-        parts = self._sums(self._rows, tables, told=self._all_sizes, threads=threads)
+        parts = self._sums(self._rows, tables, all_sizes=self._all_sizes, threads=threads)
         # The sum of two numbers does not depend on their order, so with two ranks each keeps its
         # own rows and adds the other's, unless it rendered the other's photo.
         if self._team.size == 2 and self._team.rank < photos:

@@ -13,7 +13,7 @@ def fail(team: ProcessGroup, error: GsError) -> None:
     """Notify the other ranks that this rank cannot read its photo."""
     _gather(team, [1.0, 0.0, 0.0, 0.0, 0.0], [0] * team.size)
     team.texts(str(error))
-    team.told = True
+    team.notified = True
 
 
 class BatchLosses(NamedTuple):
@@ -58,11 +58,11 @@ def of_all(
     missing, values, errors, costs, marks = found.T
     if missing.any():
         rank, texts = int(missing.argmax()), team.texts("")
-        team.told = True
+        team.notified = True
         raise DatasetError(f"Rank {rank}: {texts[rank]}")
     if (marks != mark).any() or (marks != marks[0]).any():
         rank = int((marks != marks[0]).argmax())
-        team.told = True
+        team.notified = True
         raise GsError(
             f"Rank {rank} has other splats than rank 0 after the same steps, because its machine "
             "computes differently. Resume with --resume on machines of one kind, or with "

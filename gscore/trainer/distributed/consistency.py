@@ -37,7 +37,7 @@ def check_equal(team: ProcessGroup, mine: Mapping[str, Any]) -> None:
         ours, theirs = first["facts"], other["facts"]
         for name in sorted(ours.keys() | theirs.keys()):
             if ours.get(name) != theirs.get(name):
-                team.told = True
+                team.notified = True
                 raise ConfigError(
                     f"{_name(team, rank)} differs from rank 0 ({team.hosts[0]}) in "
                     f"{name}: {_shown(theirs, name)} there, {_shown(ours, name)} here. All ranks "
@@ -60,11 +60,11 @@ def check_ready(team: ProcessGroup, error: Exception | None) -> None:
         team, {"error": "" if error is None else str(error) or type(error).__name__}
     )
     if error is not None:
-        team.told = True
+        team.notified = True
         raise error
     for rank, other in enumerate(all_facts):
         if other["error"]:
-            team.told = True
+            team.notified = True
             raise DatasetError(f"{_name(team, rank)}: {other['error']}")
 
 

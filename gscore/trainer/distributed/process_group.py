@@ -99,7 +99,7 @@ class ProcessGroup:
         """[size, 3] `account` of each rank, before the last step."""
         self.in_step = False
         """True if the others may be waiting for data of this rank."""
-        self.told = False
+        self.notified = False
         """True if the others have been notified of the end."""
         self._dist = dist
         try:
@@ -174,8 +174,8 @@ class ProcessGroup:
 
     def shutdown(self, *, failed: bool = False) -> None:
         """Send the end command from rank 0, unless the others have been notified."""
-        if not (self.told or self.in_step):
-            self.told = True
+        if not (self.notified or self.in_step):
+            self.notified = True
             self.broadcast(rank_commands.end(failed=failed))
 
     def receive(self) -> dict[str, Any]:
@@ -195,13 +195,15 @@ class ProcessGroup:
         ]
 
     def rows(
-        self, mine: Tensor, room: ScratchBuffer, *, told: np.ndarray | None = None
+        self, mine: Tensor, room: ScratchBuffer, *, all_sizes: np.ndarray | None = None
     ) -> list[Tensor]:
         """The rows of each rank: `mine` is [M, K] int32, M may differ. Rows of others are stored
-        in `room`; `told` as in `all_to_all`."""
+        in `room`; `all_sizes` as in `all_to_all`."""
         others = [0 if rank == self.rank else 1 for rank in range(self.size)]
         copies = mine if self.size == 2 else mine.repeat(self.size - 1, 1)
-        found = self.all_to_all(copies, [len(mine) * other for other in others], room, told=told)
+        found = self.all_to_all(
+            copies, [len(mine) * other for other in others], room, all_sizes=all_sizes
+        )
         return [part if other else mine for part, other in zip(found, others, strict=True)]
 
     def all_to_all(
@@ -210,15 +212,15 @@ class ProcessGroup:
         sizes: Sequence[int],
         room: ScratchBuffer,
         *,
-        told: np.ndarray | None = None,
+        all_sizes: np.ndarray | None = None,
     ) -> list[Tensor]:
         """Send `sizes[r]` rows of `mine`, [M, K] int32, to each rank r, in the order of the ranks;
         returns the rows received from each rank, stored in `room`.
 
-        `told`: [size, size] `sizes` of each rank, if known; None: they are exchanged first.
+        `all_sizes`: [size, size] `sizes` of each rank, if known; None: they are exchanged first.
         """
-        told = self.all_gather(sizes) if told is None else told
-        counts = told[:, self.rank].astype(int).tolist()
+        all_sizes = self.all_gather(sizes) if all_sizes is None else all_sizes
+        counts = all_sizes[:, self.rank].astype(int).tolist()
         found = room.of(sum(counts), mine.shape[1])
         self.sent += (len(mine) - sizes[self.rank]) * mine.shape[1] * mine.element_size()
         self._together(lambda: self._dist.all_to_all_single(found, mine, counts, list(sizes)))

@@ -50,7 +50,7 @@ class RowSums:
         mine: "SortedRows",
         tables: Sequence[Table],
         *,
-        told: np.ndarray | None = None,
+        all_sizes: np.ndarray | None = None,
         threads: int = 0,
     ) -> list[Tensor]:
         """Sum the rows over all ranks.
@@ -58,7 +58,7 @@ class RowSums:
         Args:
             mine: Rows of this rank.
             tables: K numbers per row in total; tables with a divisor are divided by it first.
-            told: [size, size] `sizes` of each rank, if known; None: the ranks exchange them.
+            all_sizes: [size, size] `sizes` of each rank, if known; None: the ranks exchange them.
             threads: 0: all cores.
 
         Returns:
@@ -71,8 +71,8 @@ class RowSums:
         packed = self._mine.of(len(mine.rows), width)
         pack_rows(tables, mine.rows, packed, threads=threads)
         if size == 2:
-            return team.rows(packed, self._given, told=told)
-        given = team.all_to_all(packed, mine.sizes, self._given, told=told)
+            return team.rows(packed, self._given, all_sizes=all_sizes)
+        given = team.all_to_all(packed, mine.sizes, self._given, all_sizes=all_sizes)
         places = [part[:, 0] // size for part in given]
         # Rows need not be sorted.
         count = max((int(at.max()) + 1 for at in places if len(at)), default=0)

@@ -253,7 +253,7 @@ def region_fingerprint(trainer: Trainer) -> dict[str, str]:
     """Short hash of the region and its frozen splats; empty without a region."""
     if trainer.region is None:
         return {}
-    around = "" if trainer.still is None else trainer.still.content_hash()
+    around = "" if trainer.frozen is None else trainer.frozen.content_hash()
     return {_REGION: trainer.region.content_hash() + around}
 
 

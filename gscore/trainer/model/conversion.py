@@ -49,7 +49,7 @@ def splats_from_points(
             "The capture has no finite 3D points to start from; "
             "run the SfM again so that it writes points3D."
         )
-    near = NearestPoints(points, asked=max_splats) if near is None else near
+    near = NearestPoints(points, queries=max_splats) if near is None else near
     if len(points) > max_splats:
         rng = np.random.default_rng(seed)
         chosen = np.sort(rng.choice(len(points), max_splats, replace=False))

@@ -8,26 +8,26 @@ _LEAF = 64
 """Points per leaf of that tree."""
 
 
-def few_queries(points: int, asked: int) -> bool:
-    """Return whether `asked` queries are so few that a tree that is fast to build pays off."""
-    return _MANY * asked < points
+def few_queries(points: int, queries: int) -> bool:
+    """Return whether there are so few queries that a tree that is fast to build pays off."""
+    return _MANY * queries < points
 
 
 class NearestPoints:
     """k-d tree of surface points, built on first use: for millions of points the most expensive
     preparation, in time and, with 40 bytes per point, in memory."""
 
-    def __init__(self, points: np.ndarray, *, asked: int | None = None) -> None:
+    def __init__(self, points: np.ndarray, *, queries: int | None = None) -> None:
         """Create the tree.
 
         Args:
             points: [P, 3] float64, any unit, not copied; points that are not finite are ignored.
-            asked: Approximate number of queries; None: the number of points.
+            queries: Approximate number of queries; None: the number of points.
         """
         finite = np.isfinite(points).all(axis=1)
         self.points = points if finite.all() else points[finite]
         """[P, 3], the finite points."""
-        self._build_fast = asked is not None and few_queries(len(self.points), asked)
+        self._build_fast = queries is not None and few_queries(len(self.points), queries)
         self._tree = None
 
     def __len__(self) -> int:

@@ -57,11 +57,11 @@ class FrozenSplats:
         found = self._joined.get(name)
         if found is None or found.shape != shape:
             found = self._joined[name] = empty(*shape)
-            still = self._tensors[name]
+            frozen = self._tensors[name]
             found[: len(self)] = 0
-            if still.numel():
+            if frozen.numel():
                 # SH bands that the frozen splats lack stay zero.
-                found[: len(self)][tuple(slice(n) for n in still.shape)] = still
+                found[: len(self)][tuple(slice(n) for n in frozen.shape)] = frozen
         found[len(self) :] = trained
         return found
 
@@ -99,9 +99,9 @@ class FrozenRasterizer(TrainingRasterizer):
     Radii, gradients and weights are those of the region's splats only.
     """
 
-    def __init__(self, still: FrozenSplats) -> None:
+    def __init__(self, frozen: FrozenSplats) -> None:
         super().__init__()
-        self._still = still
+        self._frozen = frozen
         self._into: dict[str, Tensor] = {}
 
     def draw(
@@ -109,12 +109,12 @@ class FrozenRasterizer(TrainingRasterizer):
     ) -> Picture:
         """As `TrainingRasterizer.draw`, with the frozen splats."""
         named: dict[str, Tensor] = dict(zip(PARAMETERS, splats, strict=True))
-        return super().draw(tuple(self._still.before(named).values()), view, settings)
+        return super().draw(tuple(self._frozen.before(named).values()), view, settings)
 
     @property
     def radii(self) -> Tensor:
         """[N] int32 px, as `TrainingRasterizer.radii`."""
-        return super().radii[len(self._still) :]
+        return super().radii[len(self._frozen) :]
 
     def gradients(
         self,
@@ -126,7 +126,7 @@ class FrozenRasterizer(TrainingRasterizer):
         viewmat: Tensor | None = None,
     ) -> Tensor:
         """As `TrainingRasterizer.gradients`."""
-        count = len(self._still)
+        count = len(self._frozen)
         room = {name: self._room(name, grad) for name, grad in into.items()}
         room["shN"][count:] = into["shN"]  # gradients of shN accumulate
         means2d = super().gradients(room, rgb, alpha, inverse_depth, viewmat=viewmat)
@@ -144,8 +144,8 @@ class FrozenRasterizer(TrainingRasterizer):
     ) -> np.ndarray:
         """As `TrainingRasterizer.weights`."""
         room = {name: self._room(name, grad) for name, grad in scratch.items()}
-        found = super().weights(self._still.before(splats), view, settings, shares, room)
-        return found[len(self._still) :]
+        found = super().weights(self._frozen.before(splats), view, settings, shares, room)
+        return found[len(self._frozen) :]
 
     def release(self) -> None:
         """As `TrainingRasterizer.release`."""
@@ -153,7 +153,7 @@ class FrozenRasterizer(TrainingRasterizer):
         self._into = {}
 
     def _room(self, name: str, like: Tensor) -> Tensor:
-        shape = (len(self._still) + len(like), *like.shape[1:])
+        shape = (len(self._frozen) + len(like), *like.shape[1:])
         found = self._into.get(name)
         if found is None or found.shape != shape:
             found = self._into[name] = zeros(*shape)

@@ -17,7 +17,7 @@ _COARSE = 400
 class RegionPhotos(Dataset):
     """Views that may show a box. Held-out views are evaluated on the pixels of the box."""
 
-    judged_by = "region"
+    evaluated_part = "region"
     """Name of the evaluated part of a photo, for `evaluate`."""
 
     def __init__(

@@ -44,7 +44,7 @@ def initial_splats(
         ConfigError: `start` has more splats than the config allows.
     """
     cloud = replace(cloud, points=frame.similarity.points_to_training(cloud.points))
-    near = NearestPoints(cloud.points, asked=count)
+    near = NearestPoints(cloud.points, queries=count)
     free_space = FreeSpace(
         cameras.centers[list(photos.train)],
         None if cloud.made_up else near,

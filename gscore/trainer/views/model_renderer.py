@@ -52,7 +52,7 @@ class ModelRenderer:
         models: Callable[[], list[Model]],
         *,
         cache: int | None = None,
-        still: FrozenSplats | None = None,
+        frozen: FrozenSplats | None = None,
     ) -> None:
         """Create the renderer.
 
@@ -64,15 +64,15 @@ class ModelRenderer:
             photo_parameters: Optimised gains and poses.
             models: Returns the models, which are merged for rendering.
             cache: Bytes of photos to keep; None: all.
-            still: Frozen splats, rendered with the model.
+            frozen: Frozen splats, rendered with the model.
         """
         self._config = config
         self._photos = photos
         self._frame = frame
         self._photo_parameters = photo_parameters
         self._pyramid = ImagePyramid(photos, cameras, near=frame.near, limit=cache)
-        self._still = still
-        self.rasterizer = TrainingRasterizer() if still is None else FrozenRasterizer(still)
+        self._frozen = frozen
+        self.rasterizer = TrainingRasterizer() if frozen is None else FrozenRasterizer(frozen)
         """The rasterizer, shared with the training steps to share its memory."""
         self.models = models
         """Returns the models to render."""
@@ -109,7 +109,7 @@ class ModelRenderer:
         `upcoming`: the next views, for prefetching.
         """
         found = self._pyramid.at(index, factor, upcoming=upcoming)
-        if self._still is not None and self._photos.mask_mode == "ignore":
+        if self._frozen is not None and self._photos.mask_mode == "ignore":
             found = mask_to_region(found, self.models()[0].params)
         return found._replace(view=self._photo_parameters.at_refined_pose(found.view, index))
 
@@ -134,7 +134,7 @@ class ModelRenderer:
         )
         synced = self.splats()
         pose = align_pose(
-            synced if self._still is None else self._still.before(synced),
+            synced if self._frozen is None else self._frozen.before(synced),
             self.sized(index, factor),
             settings,
             mask_mode=self._photos.mask_mode,
@@ -142,7 +142,7 @@ class ModelRenderer:
         )
         return self._show(replace(full, viewmat=pose), background=background).rgb.clone()
 
-    def seen(self, request: FrameRequest) -> torch.Tensor:
+    def render_request(self, request: FrameRequest) -> torch.Tensor:
         """Render a frame request of a viewer, [height, width, 3] float32."""
         viewmats = self._frame.similarity.viewmats_to_training(request.viewmat[None])
         size = request.width, request.height

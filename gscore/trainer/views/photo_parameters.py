@@ -87,14 +87,14 @@ class PhotoParameters:
 
 
 def initial_poses(
-    placing: PoseCheck | None, train: Sequence[int], frame: TrainingFrame
+    pose_check: PoseCheck | None, train: Sequence[int], frame: TrainingFrame
 ) -> PhotoPoses | None:
     """Initial poses in the training frame; None: the poses of the capture."""
-    if placing is None or placing.viewmats is None:
+    if pose_check is None or pose_check.viewmats is None:
         return None
     return PhotoPoses(
         train,
-        frame.similarity.viewmats_to_training(placing.viewmats),
+        frame.similarity.viewmats_to_training(pose_check.viewmats),
         unit=frame.extent,
-        learns=placing.learns,
+        learns=pose_check.learns,
     )

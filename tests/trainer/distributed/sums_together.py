@@ -43,8 +43,8 @@ def main() -> int:
             sums = [torch.zeros_like(part) for part in parts]
             found = np.zeros(ROWS, bool)
             have = sums_of.sorted(torch.from_numpy(rows))
-            told = team.all_gather(have.sizes) if known else None
-            for piece in sums_of(have, list(map(Table, parts)), told=told):
+            all_sizes = team.all_gather(have.sizes) if known else None
+            for piece in sums_of(have, list(map(Table, parts)), all_sizes=all_sizes):
                 unpack_rows([Table(sum_, adds=True) for sum_ in sums], piece)
                 found[piece[:, 0].numpy()] = True
             assert (found == had).all()

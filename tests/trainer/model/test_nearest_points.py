@@ -17,7 +17,7 @@ def test_distances_are_the_smallest_of_all(asked: int | None) -> None:
     points = rng.normal(size=(900, 3))
     points[5], points[6] = np.nan, np.inf
     places = rng.normal(size=(20, 3))
-    near = NearestPoints(points, asked=asked)
+    near = NearestPoints(points, queries=asked)
     assert len(near) == 898
     all_of_them = np.linalg.norm(places[:, None] - near.points[None], axis=2)
     found = near.distances(places, 4)
@@ -35,9 +35,9 @@ def test_both_trees_give_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud = PointCloud(points=points, colors=colors)
     options = {"extent": 1.0, "opacity": 0.1, "scale": 1.0, "max_splats": 500, "seed": 3}
     quick = splats_from_points(cloud, **options)
-    assert NearestPoints(points, asked=500)._build_fast
+    assert NearestPoints(points, queries=500)._build_fast
     monkeypatch.setattr(module, "_MANY", 10**9)
-    assert not NearestPoints(points, asked=500)._build_fast
+    assert not NearestPoints(points, queries=500)._build_fast
     even = splats_from_points(cloud, **options)
     for name in PARAMETERS:
         np.testing.assert_array_equal(getattr(quick, name), getattr(even, name))

@@ -134,7 +134,7 @@ def test_disturbed_poses_come_back(make_photos: Callable[..., Any]) -> None:
     )
 
     def trained(placing: PoseCheck) -> Trainer:
-        trainer = Trainer(config, photos, placing=placing)
+        trainer = Trainer(config, photos, pose_check=placing)
         for _ in range(config.iterations):
             trainer.step()
         return trainer
@@ -182,7 +182,7 @@ def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
     """Oracle: the bits of the poses up to `pose_start` and from `pose_stop` on."""
     config = replace(CONFIG, pose_start=0.25, pose_stop=0.5)
     placing = PoseCheck(viewmats=photos.scene.cameras.viewmats, learns=True)
-    trainer, seen = Trainer(config, photos, placing=placing), []
+    trainer, seen = Trainer(config, photos, pose_check=placing), []
     assert trainer.photo_parameters.poses is not None
     for _ in range(60):
         trainer.step()
@@ -195,7 +195,7 @@ def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
 def test_resume_is_bit_equal(photos: Any, tmp_path: Path) -> None:
     """Oracle: all tensors and other state of an uninterrupted run, with other threads."""
     placing = PoseCheck(viewmats=disturbed(photos, degrees=0.5, shift=0.01), learns=True)
-    whole = Trainer(replace(CONFIG, threads=1), photos, placing=placing)
+    whole = Trainer(replace(CONFIG, threads=1), photos, pose_check=placing)
     for step in range(1, 61):
         whole.step()
         if step in (3, 21, 50):
