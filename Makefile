@@ -9,16 +9,16 @@ LIBRARY := build/native/.built
 NATIVE_TESTS := build/native/.tests-built
 CMAKE := $(BIN)/cmake -G Ninja -S csrc -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) -DCMAKE_BUILD_TYPE=Release
 
-# Where Linux takes torch from: PyTorch's builds without CUDA, which save 2.7 GB. TORCH_INDEX= takes the usual one.
+# Where Linux takes torch from: PyTorch's builds without CUDA, which save 2.7 GB. TORCH_INDEX= selects PyPI.
 ifeq ($(shell uname -s),Linux)
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 endif
 
-# Which Blenders `make test` runs the add-on in: newest, oldest, all, versions, or none.
+# Blenders for the add-on tests of `make test`: newest, oldest, all, versions, or none.
 BLENDER ?= newest
 # The Blender that ends `make demo`: a version, newest, or none; older ones may not open what it saves.
 DEMO_BLENDER ?= newest
-# What `make extension` makes zips for: nothing for this machine's platform, all, or names like windows-x64.
+# Platforms of `make extension`: empty for this machine, all, or names like windows-x64.
 PLATFORMS ?=
 
 .PHONY: help demo install test test-slow stress test-blender test-window extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth docs wheel clean
@@ -27,42 +27,42 @@ PLATFORMS ?=
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-17s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
-# What a user needs. The editable install lists packages when it is made, so a new package renews it; it builds nothing.
-# torch comes first and alone, so that an index that does not answer costs seconds and not as many for each package.
-# -qq keeps pip's errors alone: its warnings are of how it is set up, and bury what matters. No number of q silences the
-# warnings of retries, of 300 characters each, so what pip prints about an optional index is dropped; one sentence follows.
+# The environment of a user. An editable install lists the packages that exist, so a new package repeats it; no build.
+# torch is installed first and alone, so that an index without an answer costs seconds once and not per package.
+# -qq shows pip's errors only, not warnings about its setup. Retry warnings of 300 characters ignore any number of q, so
+# the output about an optional index is dropped; one sentence follows.
 $(INSTALLED): pyproject.toml constraints.txt $(wildcard gscore/*/__init__.py gscore/*/*/__init__.py)
 	@echo "Installing into $(VENV): 1.5 GB, half of it torch"
 	@$(PYTHON) -m venv $(VENV)
 	@$(PIP) install -qq --upgrade pip
 ifneq ($(TORCH_INDEX),)
 	@$(PIP) install -qqq --retries 1 --timeout 15 --no-deps --index-url $(TORCH_INDEX) --constraint constraints.txt torch \
-		2> /dev/null || echo "$(TORCH_INDEX) has no torch to give, so the usual one follows, with 2.7 GB of CUDA; TORCH_INDEX=URL names another."
+		2> /dev/null || echo "$(TORCH_INDEX) has no torch, so it comes from PyPI with 2.7 GB of CUDA; TORCH_INDEX=URL sets another index."
 endif
 	@$(PIP) install -qq --constraint constraints.txt --config-settings wheel.cmake=false --editable '.[all]' \
 		'cmake>=3.25' 'ninja>=1.11'
 	@touch $@
 
-# Linters and what tests need, for those who work on gscore.
+# Linters and packages of the tests, for developers.
 $(DEVELOPED): $(INSTALLED)
-	@echo "Adding linters and what tests need to $(VENV)"
+	@echo "Adding linters and test packages to $(VENV)"
 	@$(PIP) install -qq --constraint constraints.txt --group dev
 	@touch $@
 
-# The library in the checkout, again after a change in csrc/.
+# The native library in the checkout, rebuilt after changes in csrc/.
 $(LIBRARY): $(INSTALLED) $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/src/*)
 	@echo "Building the native library"
 	@$(CMAKE) -B build/native -DGS_TESTS=OFF > /dev/null
 	@$(BIN)/cmake --build build/native
 	@touch $@
 
-# The same build folder, the native tests added.
+# The same build folder with the native tests.
 $(NATIVE_TESTS): $(LIBRARY) $(wildcard csrc/tests/* csrc/fuzz/*)
 	@$(CMAKE) -B build/native -DGS_TESTS=ON > /dev/null
 	@$(BIN)/cmake --build build/native
 	@touch $@
 
-install: $(LIBRARY)  ## .venv/bin/gscore with its native library, and nothing else
+install: $(LIBRARY)  ## .venv/bin/gscore with its native library
 
 # Trains the bundled capture and leaves out/demo/{point_cloud.ply,metrics.json,report.html}; then brings it into Blender
 # (the bpy module) with cameras and splats and renders it there: out/demo/{demo.blend,blender.png}.
@@ -146,7 +146,7 @@ faults: $(LIBRARY)  ## kills, full disks, damaged files, done to real trainings
 	$(BIN)/python tools/break/faults.py --kills $(KILLS)
 	$(BIN)/python tools/break/ranks.py
 
-lint: $(DEVELOPED)  ## ruff, pyright, and what may be wrong with workflows
+lint: $(DEVELOPED)  ## ruff, pyright, and checks of the workflows
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
