@@ -1,4 +1,4 @@
-"""Models that formats are tried with."""
+"""Models for the tests of formats."""
 
 from collections.abc import Callable
 
@@ -14,8 +14,8 @@ Draw = Callable[[Splats], np.ndarray]
 
 @pytest.fixture
 def make_model() -> MakeModel:
-    """Models like trained ones: soft and hard splats of all shapes before a camera at the origin,
-    looking along +z."""
+    """Models like trained ones: soft and hard splats of all shapes in front of a camera at the
+    origin that faces +z."""
 
     def make(count: int = 3000, degree: int = 3, seed: int = 0) -> Splats:
         rng = np.random.default_rng(seed)

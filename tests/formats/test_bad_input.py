@@ -1,5 +1,5 @@
-"""Files that cannot be read: a sentence names the format found and what can be done, soon and in
-little memory."""
+"""Unreadable files: a sentence names the format found and a remedy, quickly and in little
+memory."""
 
 import gzip
 import io
@@ -34,7 +34,7 @@ def _spz(
 
 
 def _spz_4(count: int, streams: list[tuple[int, int]], start: int = 32) -> bytes:
-    """A file of version 4 whose table is `streams`, of zeros."""
+    """A file of version 4 with the table `streams`, filled with zeros."""
     header = struct.pack("<4sIIBBBBI12x", b"NGSP", 4, count, 0, 12, 0, len(streams), start)
     table = b"".join(struct.pack("<QQ", *stream) for stream in streams)
     return header + table + bytes(200)
@@ -198,7 +198,7 @@ def test_what_is_wrong_is_said(case: str, tmp_path: Path) -> None:
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
     assert time.process_time() - began < _MOST_SECONDS
-    # Beside the file itself, which is read as it is.
+    # In addition to the file itself, which is read whole.
     assert most - path.stat().st_size < _MOST_BYTES, f"{most / 1e6:.0f} MB"
 
 
@@ -214,7 +214,7 @@ def test_every_verb_says_it_in_one_line(tmp_path: Path, capsys: pytest.CaptureFi
 
 @pytest.mark.parametrize("name", ["../l.webp", "/etc/passwd", "a/b.webp", "..\\l.webp", "..", ""])
 def test_an_unpacked_sog_stays_in_its_folder(name: str, tmp_path: Path) -> None:
-    """Oracle: names that lead elsewhere are refused, though files may be there."""
+    """Oracle: names that lead outside the folder are refused, even if files exist there."""
     inside = tmp_path / "in"
     inside.mkdir()
     for part, raw in _sog_parts().items():
@@ -228,7 +228,7 @@ def test_an_unpacked_sog_stays_in_its_folder(name: str, tmp_path: Path) -> None:
 
 
 def test_a_missing_part_is_named(make_model: MakeModel, tmp_path: Path) -> None:
-    """Oracle: the name of the file that is gone, of a SOG's folder and of a .gltf."""
+    """Oracle: the name of the missing file, of a SOG's folder and of a .gltf."""
     write_splat_file(tmp_path / "s" / "meta.json", make_model(20, 0))
     (tmp_path / "s" / "quats.webp").unlink()
     with pytest.raises(DatasetError, match=r"quats\.webp"):
@@ -242,7 +242,8 @@ def test_a_missing_part_is_named(make_model: MakeModel, tmp_path: Path) -> None:
 
 
 def test_numbers_that_are_not_finite(make_model: MakeModel, tmp_path: Path) -> None:
-    """Oracle: a glTF with NaN and infinity in some splats: those alone are left out, and told."""
+    """Oracle: a glTF with NaN and infinity in some splats: those alone are left out, with a
+    note."""
     model = make_model(10, 1)
     model.means[2, 0], model.shN[5, 1, 2] = np.nan, np.inf
     options = WriteOptions(antialiased=False, comments=(), spz_version=3)
@@ -263,7 +264,7 @@ def test_a_package_that_is_not_there(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    """Oracle: the command that installs it, for reading and for writing; nothing is written."""
+    """Oracle: the command that installs it, for reading and for writing; no files."""
     if module == "pxr":
         pytest.importorskip("pxr.UsdVol")
     write_splat_file(tmp_path / name, make_model(5), spz_version=4)
@@ -280,7 +281,7 @@ def test_a_package_that_is_not_there(
 @pytest.mark.parametrize("content", [b"#usda 1.0\n(", b'#usda 1.0\ndef Mesh "A" {}\n', None])
 def test_usd(content: bytes | None, make_model: MakeModel, tmp_path: Path) -> None:
     """Oracle: a sentence for text that does not parse, for a scene of meshes, and for a binary file
-    of which the middle is gone: Pixar's library may end its process over that, not ours."""
+    with its middle missing: Pixar's library may end its process over that, not ours."""
     pytest.importorskip("pxr.UsdVol")
     path = tmp_path / ("a.usda" if content else "a.usdc")
     if content is None:
@@ -308,7 +309,7 @@ def test_usd(content: bytes | None, make_model: MakeModel, tmp_path: Path) -> No
 def test_usd_that_is_damaged_in_its_words(
     old: bytes, new: bytes, why: str, make_model: MakeModel, tmp_path: Path
 ) -> None:
-    """Oracle: what is wrong, in words, where the library fails to say it or takes it for good."""
+    """Oracle: the defect, in words, where the library does not report it or accepts the file."""
     pytest.importorskip("pxr.UsdVol")
     path = tmp_path / "a.usda"
     write_splat_file(path, make_model(3, 1))
@@ -332,7 +333,7 @@ def test_nothing_is_written_where_it_fails(make_model: MakeModel, tmp_path: Path
 def test_splats_that_are_repeated_without_end(
     by: str, make_model: MakeModel, tmp_path: Path
 ) -> None:
-    """Oracle: a few times are read, as many as there are; hundreds are refused in little memory,
+    """Oracle: a few repetitions, read in full number; hundreds are refused in little memory,
     whether many nodes share a mesh or many meshes share their numbers."""
     path = tmp_path / "a.gltf"
     write_splat_file(path, make_model(5000, 0))
@@ -357,7 +358,7 @@ def test_splats_that_are_repeated_without_end(
 
 
 def test_a_sog_of_too_many_splats_for_its_bytes(tmp_path: Path) -> None:
-    """Oracle: two million splats in two thousand bytes are refused; 60,000 equal ones are read."""
+    """Oracle: two million splats in two thousand bytes, refused; 60,000 equal ones, read."""
     for count in (60_000, 2_000_000):
         width, height = textures.size_for(count)
         plain = textures.encode_all({"x": np.full((height, width, 4), 255, np.uint8)})["x"]

@@ -1,4 +1,4 @@
-"""Codebooks and palettes. Oracle: the values they stand for, and quantisers known from theory."""
+"""Codebooks and palettes. Oracle: the encoded values, and theoretical bounds of quantisers."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_a_palette_stands_for_all_rows(count: int) -> None:
     some = labels == labels[count // 3]
     assert 1 <= some.sum() <= 5
     near = np.abs(rows[some].mean(axis=0) - found[labels[count // 3]]).max()
-    assert near < 0.5 * rows.std()  # the last group may hold a row twice
+    assert near < 0.5 * rows.std()  # the last group may repeat a row
     error = np.mean((found[labels] - rows) ** 2)
     assert error < 0.15 * rows.var()
 

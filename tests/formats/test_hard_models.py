@@ -1,4 +1,4 @@
-"""Models that are hard to pack, and files beside the one that is written; oracle: the models."""
+"""Models that are hard to pack, and files next to the output; oracle: the models."""
 
 import json
 from pathlib import Path
@@ -57,7 +57,7 @@ def test_the_mark_of_packed_splats_counts(make_model: MakeModel, tmp_path: Path)
 def test_no_file_beside_is_replaced(
     make_model: MakeModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: what stood there; and an unpacked SOG that is read stays as it is."""
+    """Oracle: the existing files; an unpacked SOG that is read is unchanged."""
     write_splats(tmp_path / "a.ply", make_model(1000))
     (tmp_path / "scan.bin").write_bytes(b"precious")
     assert main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "scan.gltf")]) == 2
@@ -72,7 +72,7 @@ def test_no_file_beside_is_replaced(
 
 
 def test_names_that_only_end_like_one(make_model: MakeModel, tmp_path: Path) -> None:
-    """Oracle: two unpacked SOGs in one folder would share their textures."""
+    """Oracle: two unpacked SOGs in one folder, which would share their textures."""
     with pytest.raises(ConfigError, match="no format"):
         write_splat_file(tmp_path / "a_meta.json", make_model(1000))
 
@@ -82,8 +82,8 @@ def test_names_that_only_end_like_one(make_model: MakeModel, tmp_path: Path) -> 
 def test_far_splats_move_few_others_in_a_compressed_ply(
     make_model: MakeModel, tmp_path: Path, far: float, count: int, beside: int
 ) -> None:
-    """Oracle: the splats, of which near ones stay within a hundredth of their distances, and those
-    that fill whole chunks closer; a note where far ones are moved nearer."""
+    """Oracle: the splats: near ones within a hundredth of their distances, those that fill whole
+    chunks closer; a note where far ones are moved nearer."""
     model = make_model(count)
     model.means[:3] += np.float32(far) * np.array([[1], [-1], [2]], np.float32)
     told = write_splat_file(tmp_path / "a.compressed.ply", model)
@@ -114,9 +114,8 @@ def _dull(model: Splats) -> Splats:
 def test_one_far_splat_makes_no_other_coarse(
     make_model: MakeModel, tmp_path: Path, name: str, far: float, side: float
 ) -> None:
-    """Oracle: the model: all others stay within a hundredth of their distances, the
-    median within a thousandth; the far one stays in its direction, and a note names it where it is
-    moved."""
+    """Oracle: the model: all others within a hundredth of their distances, the median within a
+    thousandth; the far one keeps its direction, and a note names it where it is moved."""
     model = _dull(make_model(2000, 0))
     model.means[:] *= side
     model.scales[:] += np.log(side)
@@ -140,7 +139,7 @@ def test_splats_of_a_tenth_are_never_moved(
     make_model: MakeModel, tmp_path: Path, name: str
 ) -> None:
     """Oracle: the directions and distances of a sky of far splats, which are no strays; the note
-    states how coarse positions are."""
+    states the step of positions."""
     model = _dull(make_model(1000, 0))
     sky = model.means[::5] / np.linalg.norm(model.means[::5], axis=1, keepdims=True)
     model.means[::5] = sky * np.float32(1e6)
@@ -154,7 +153,7 @@ def test_splats_of_a_tenth_are_never_moved(
 def test_a_far_splat_looks_the_same_from_the_middle(
     make_model: MakeModel, draw: Draw, tmp_path: Path, name: str
 ) -> None:
-    """Oracle: the picture of the model that was written, by a camera beside its middle."""
+    """Oracle: the picture of the written model, by a camera off its middle."""
     model = _dull(make_model(200, 0))
     model.means[7] = 1e5, 3e4, 6e5
     model.scales[7], model.opacities[7] = np.log(3e4), 4
@@ -186,7 +185,7 @@ def test_one_extreme_number_makes_no_other_coarse(
 def test_the_bounds_of_a_packed_gltf_hold_what_it_holds(
     make_model: MakeModel, tmp_path: Path
 ) -> None:
-    """Oracle: positions as they are read again, after a half turn; a far splat is moved."""
+    """Oracle: positions read back, after a half turn; a far splat is moved."""
     model = _dull(make_model(500, 0))
     model.means[7] = 1e7
     write_splat_file(tmp_path / "a.spz.gltf", model)

@@ -1,4 +1,4 @@
-"""Bytes written here by hand, from the published layouts and without a writer of ours."""
+"""Bytes written here by hand, from the published layouts and without our writers."""
 
 import gzip
 import io
@@ -25,7 +25,7 @@ _ONE = np.float32(1)
 
 
 def _one(**values: object) -> Splats:
-    """A splat of degree 0 at the origin, of size 1, half opaque, grey, not turned."""
+    """A splat of degree 0 at the origin, of size 1, half opaque, grey, unrotated."""
     given = {"means": [0, 0, 0], "quats": [1, 0, 0, 0], "scales": [0, 0, 0], "sh0": [0, 0, 0]}
     given |= values
     arrays = {k: np.array([v], np.float32) for k, v in given.items() if k != "shN"}
@@ -52,7 +52,7 @@ def _spz_body(version: int) -> bytes:
 
 
 def _check_spz(splats: Splats, version: int) -> None:
-    """By the layout: right-up-back, so y and z change their signs here."""
+    """Expected values by the layout: right-up-back, so y and z change their signs here."""
     np.testing.assert_array_equal(splats.means, [[1.5, 2.0, -0.25], [-0.0625, -3.0, 4.0]])
     alpha = 51 / 255
     assert splats.opacities[0] > 5
@@ -67,7 +67,7 @@ def _check_spz(splats: Splats, version: int) -> None:
         np.testing.assert_allclose(splats.quats[0], [0, HALF, HALF, 0], atol=1e-6)
         z = -HALF * 73 / 511
         np.testing.assert_allclose(splats.quats[1], [np.sqrt(1 - z * z), 0, 0, z], atol=1e-6)
-    # Degree 1 is -y, z, -x: the first two turn with y and z. Channels are innermost.
+    # Degree 1 is -y, z, -x: the first two change sign with y and z. Channels are innermost.
     wanted = np.arange(9).reshape(3, 3) / 128 * [[-1], [-1], [1]]
     np.testing.assert_allclose(splats.shN[0], wanted, atol=1e-7)
     wanted = np.arange(9, 0, -1).reshape(3, 3) / 128 * [[-1], [-1], [1]]
@@ -113,8 +113,8 @@ def test_spz_in_zstd(extension: bytes, tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_spz_in_other_axes(axes: int, place: list[float], tmp_path: Path) -> None:
-    """Oracle: names of axes in the library, as 16 for right-front-up, turned by hand; a number that
-    has no name leaves the usual ones, and is told."""
+    """Oracle: names of axes in the library, as 16 for right-front-up, turned by hand; an unknown
+    number means the usual axes, with a note."""
     header = struct.pack("<4sIIBBBBI12x", b"NGSP", 3, 1, 0, 4, 2, 0, 0)[:16]
     places = b"".join((16 * k).to_bytes(3, "little") for k in (1, 2, 4))
     body = places + bytes([200] + [128] * 6) + struct.pack("<I", 3 << 30)
@@ -126,7 +126,7 @@ def test_spz_in_other_axes(axes: int, place: list[float], tmp_path: Path) -> Non
 
 
 def test_spz_in_other_axes_is_turned_whole(tmp_path: Path) -> None:
-    """Oracle: renders of the model that was put into the axes of a mirrored world."""
+    """Oracle: renders of the model in the axes of a mirrored world."""
     rng = np.random.default_rng(5)
     model = _one(
         means=[0.1, -0.2, 2], quats=rng.normal(size=4), scales=[-1, -2, -3], sh0=[0.5, 0.2, -0.3],
@@ -173,7 +173,7 @@ def test_spz_as_written(tmp_path: Path) -> None:
     assert raw[25] == 128 and list(raw[26:29]) == [128, 166, 89]
     assert list(raw[29:32]) == [128, 160, 176]
     (word,) = struct.unpack_from("<I", raw, 32)
-    # w and y are as large; the first of x, y, z, w wins. y = -sqrt(1/2) there, made positive.
+    # w and y have equal magnitude; the first of x, y, z, w wins. y = -sqrt(1/2), made positive.
     assert word >> 30 == 1 and word & 0x1FF == 511 and word >> 9 & 1 == 1
     assert list(raw[36:]) == [64, 128, 128, 128, 96, 128, 128, 128, 0]
 
@@ -337,14 +337,14 @@ def test_ksplat(level: int, tmp_path: Path) -> None:
     np.testing.assert_allclose(splats.scales[0], np.log([1, 2, 4]), atol=1e-6)
     np.testing.assert_array_equal(splats.quats[3], [0.5, 0.5, -0.5, 0.5])
     np.testing.assert_allclose(splats.sh0[2, 0] * SH_C0 + 0.5, [0, 0.2, 1], atol=1e-6)
-    # A band has its reds, then its greens, then its blues.
+    # A band stores its reds, then its greens, then its blues.
     wanted = np.arange(9).reshape(3, 3).T / 8
     np.testing.assert_allclose(splats.shN[0], wanted, atol=4 / 255)
     assert not splats.shN[3].any()
 
 
 def test_ksplat_without_the_number_of_its_sections(tmp_path: Path) -> None:
-    """Oracle: the same file that states it; splat-transform's own files have the room alone."""
+    """Oracle: the same file with the number; splat-transform's own files only have the room."""
     raw = bytearray(ksplat_bytes(1))
     (tmp_path / "stated").write_bytes(raw)
     struct.pack_into("<I", raw, 8, 0)
@@ -355,7 +355,7 @@ def test_ksplat_without_the_number_of_its_sections(tmp_path: Path) -> None:
 
 
 def _gltf(rows: dict[str, tuple], **primitive: object) -> dict:
-    """A file with its buffer within, of attributes as (type, componentType, bytes)."""
+    """A file with an embedded buffer, of attributes as (type, componentType, bytes)."""
     import base64
 
     raw, views, accessors, attributes = b"", [], [], {}
@@ -410,7 +410,7 @@ def test_gltf(tmp_path: Path) -> None:
 
 
 def test_gltf_of_the_drafts(tmp_path: Path) -> None:
-    """Oracle: sizes below zero are logarithms, as drafts of the extension had them."""
+    """Oracle: negative sizes, which are logarithms in drafts of the extension."""
     rows = PLAIN_ROWS | {f"{_K}SCALE": ("VEC3", 5126, struct.pack("<3f", -4, -5, 0.5))}
     (tmp_path / "a.gltf").write_text(json.dumps(_gltf(rows)))
     splats = read_splat_file(tmp_path / "a.gltf").splats
@@ -418,7 +418,7 @@ def test_gltf_of_the_drafts(tmp_path: Path) -> None:
 
 
 def test_gltf_applies_nodes(tmp_path: Path) -> None:
-    """Oracle: the position that the nodes' translation, rotation and scale give, worked out."""
+    """Oracle: the position by the nodes' translation, rotation and scale, worked out."""
     content = _gltf(PLAIN_ROWS)
     content |= {
         "scene": 0,
@@ -435,7 +435,7 @@ def test_gltf_applies_nodes(tmp_path: Path) -> None:
 
 
 def _packed_gltf(place: tuple[float, ...], bounds: list | None, **changed: object) -> dict:
-    """A file that holds an SPZ with one splat, turned by a sixth about z."""
+    """A file with an embedded SPZ of one splat, turned by a sixth about z."""
     body = b"".join(int(v * 16).to_bytes(3, "little", signed=True) for v in place)
     body += bytes([51, 128, 128, 128, 160, 144, 176]) + struct.pack("<I", 3 << 30 | 361)
     body += bytes([128] * 3 + [160] * 3 + [192] * 3)  # of degree 1
@@ -573,7 +573,7 @@ def _usd_means(text: str, path: Path) -> list[list[float]]:
 
 def test_usd_instances(tmp_path: Path) -> None:
     """Oracle: the same prims written out: two instances of one class, one of them nested in an
-    instance of a scope that holds the prim and another instance."""
+    instance of a scope that contains the prim and another instance."""
     pytest.importorskip("pxr.UsdVol")
     text = f"""
 class "Model" {{ {_PRIM} }}

@@ -1,5 +1,5 @@
-"""Memory that large models take; oracle: the system's count of this process, and three times the
-size of the model."""
+"""Memory for large models; oracle: the system's count of this process, and three times the size of
+the model."""
 
 import json
 import subprocess
@@ -16,7 +16,8 @@ if not Path("/proc/self/clear_refs").exists():
     pytest.skip("the system counts no peaks", allow_module_level=True)
 
 COUNT, FLOATS = 1_000_000, 59
-"""So many that what is as large for any model, palettes and blocks of rows, weighs little."""
+"""So large that costs that are constant for any model, palettes and blocks of rows, matter
+little."""
 MODEL = COUNT * FLOATS * 4 / 1e6
 """MB of a model of degree 3 in memory."""
 CHILD = """
@@ -49,7 +50,7 @@ ENDINGS = (".ply", ".compressed.ply", ".spz", ".sog", ".splat", ".glb", ".spz.gl
 def test_three_times_the_model_is_enough(
     ending: str, make_model: MakeModel, tmp_path: Path
 ) -> None:
-    """Oracle: see the module; the model is counted in both."""
+    """Oracle: the factor in the first line of this module; the model is counted in both."""
     if ending == ".usdc":
         pytest.importorskip("pxr.UsdVol")
     small, large, written = (tmp_path / f"{name}{ending}" for name in ("small", "large", "written"))

@@ -1,5 +1,4 @@
-"""Models in several files that are replaced in place; oracle: the model that was there, or the new
-one."""
+"""Models in several files, replaced in place; oracle: the old model or the new one."""
 
 import json
 import shutil
@@ -22,7 +21,7 @@ NAMES = ("meta.json", "a.gltf", "a.spz.gltf")
 
 @pytest.mark.parametrize("name", NAMES)
 def test_one_model_replaces_another(make_model: MakeModel, tmp_path: Path, name: str) -> None:
-    """Oracle: the last model, the files that its index names, and none of the ones before."""
+    """Oracle: the last model, the files in its index, and none of the previous ones."""
     (tmp_path / "notes.webp").write_bytes(b"mine")
     (tmp_path / "b.bin").write_bytes(b"mine")
     for seed in range(3):
@@ -40,8 +39,7 @@ def test_one_model_replaces_another(make_model: MakeModel, tmp_path: Path, name:
 def test_a_write_that_fails_leaves_the_old_model(
     make_model: MakeModel, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the old model's means and files, however many parts fit on the disk before it was
-    full."""
+    """Oracle: the old model's means and files, for any number of parts that fit on the disk."""
     write_splat_file(tmp_path / name, make_model(300, 1, 1))
     old, there = read_splats(tmp_path / name).means, {*tmp_path.iterdir()}
     real, count = parts.atomic_write, len(there)
@@ -68,8 +66,7 @@ class Killed(BaseException):
 def test_a_killed_write_leaves_one_whole_model(
     make_model: MakeModel, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the old model, whichever rename the program was killed at, and the new one once it
-    was not."""
+    """Oracle: the old model after a kill at any rename, and the new one without a kill."""
     write_splat_file(tmp_path / name, make_model(300, 1, 1))
     old = read_splats(tmp_path / name).means
     for before in range(len([*tmp_path.iterdir()])):
@@ -179,7 +176,7 @@ def test_a_renamed_model_keeps_parts_of_a_killed_write(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_exchanged_parts_are_refused(make_model: MakeModel, tmp_path: Path, name: str) -> None:
-    """Oracle: the name of each part that was taken from another model of as many splats; files
+    """Oracle: the name of each part taken from another model of the same number of splats; files
     without checksums are read as before."""
     for folder, seed in (("one", 1), ("two", 2)):
         write_splat_file(tmp_path / folder / name, make_model(300, 1, seed))
@@ -201,7 +198,7 @@ def test_exchanged_parts_are_refused(make_model: MakeModel, tmp_path: Path, name
 
 def test_parts_of_other_programs_stay(make_model: MakeModel, tmp_path: Path) -> None:
     """Oracle: the bytes of a buffer that another program's glTF shares with others, and of a file
-    that an index names outside of its folder."""
+    outside its folder that an index names."""
     write_splat_file(tmp_path / "a.gltf", make_model(30))
     content = json.loads((tmp_path / "a.gltf").read_text())
     content["asset"]["generator"] = "another program"
@@ -220,7 +217,7 @@ def test_parts_of_other_programs_stay(make_model: MakeModel, tmp_path: Path) -> 
 def test_a_copied_index_leaves_the_parts_of_the_first(
     make_model: MakeModel, tmp_path: Path
 ) -> None:
-    """Oracle: the first model, which is still read after its copied index was replaced."""
+    """Oracle: the first model, still readable after its copied index was replaced."""
     write_splat_file(tmp_path / "a.gltf", make_model(30, 1, 0))
     shutil.copy(tmp_path / "a.gltf", tmp_path / "b.gltf")
     write_splat_file(tmp_path / "b.gltf", make_model(40, 1, 1))

@@ -1,4 +1,5 @@
-"""Every format written and read again: what survives, and that the loss of the rest is said."""
+"""Every format written and read again: the values that survive, and the notes on the loss of the
+rest."""
 
 import json
 from dataclasses import fields, replace
@@ -28,7 +29,7 @@ WRITTEN = {
     "a.spz.gltf": "gltf",
     "a.usdc": "usd",
 }
-"""Names of files, and the format that they turn out to be of."""
+"""File names, and the detected format of each."""
 LEAST_DB = {"splat": 38.0}
 """PSNR of the render, where it is not 45."""
 EXACT = ("ply", "gltf", "usd")
@@ -36,7 +37,7 @@ EXACT = ("ply", "gltf", "usd")
 
 @pytest.fixture(params=WRITTEN)
 def name(request: pytest.FixtureRequest) -> str:
-    """The name of a file to write."""
+    """The name of the output file."""
     if WRITTEN[request.param] == "usd":
         pytest.importorskip("pxr.UsdVol")
     return request.param
@@ -51,7 +52,7 @@ def _degree(name: str) -> int:
 
 
 def test_the_render_survives(name: str, make_model: MakeModel, draw: Draw, tmp_path: Path) -> None:
-    """Oracle: the render of the model that was written, of the degree that the format holds."""
+    """Oracle: the render of the written model, of the degree that the format stores."""
     model = make_model(degree=_degree(name))
     written = write_splat_file(tmp_path / name, model)
     found = read_splat_file(tmp_path / name)
@@ -64,7 +65,7 @@ def test_the_render_survives(name: str, make_model: MakeModel, draw: Draw, tmp_p
 def test_directions_and_handedness_survive(
     name: str, make_model: MakeModel, tmp_path: Path
 ) -> None:
-    """Oracle: one splat turned and coloured unevenly, seen from six sides."""
+    """Oracle: one splat, rotated and of uneven colour, rendered from six sides."""
     most = next(f.most_degree for f in FORMATS if f.key == WRITTEN[name])
     one = make_model(1, most, seed=4)
     one = replace(
@@ -98,7 +99,7 @@ def _looking_along(axis: int, side: float, at: np.ndarray) -> np.ndarray:
 def test_the_tag_survives(
     name: str, antialiased: bool, make_model: MakeModel, tmp_path: Path
 ) -> None:
-    """Oracle: what was written; a format without a place for it says so."""
+    """Oracle: the written tag; a note from formats without a place for it."""
     written = write_splat_file(tmp_path / name, make_model(5, 0), antialiased=antialiased)
     kept = WRITTEN[name] != "splat"
     assert read_splat_file(tmp_path / name).antialiased == (antialiased and kept)
@@ -109,7 +110,7 @@ def test_the_tag_survives(
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_degrees(name: str, degree: int, make_model: MakeModel, tmp_path: Path) -> None:
-    """Oracle: the degree asked for, where the format holds it."""
+    """Oracle: the requested degree, where the format stores it."""
     model = make_model(40, 3)
     write_splat_file(tmp_path / name, model, sh_degree=degree)
     found = gscore.read_splats(tmp_path / name)
@@ -117,7 +118,8 @@ def test_degrees(name: str, degree: int, make_model: MakeModel, tmp_path: Path) 
 
 
 def test_degree_4(name: str, make_model: MakeModel, draw: Draw, tmp_path: Path) -> None:
-    """Oracle: renders of what was written, of degree 4 where the format has it; else a sentence."""
+    """Oracle: renders of the written model, of degree 4 where the format has it; else a
+    sentence."""
     model = make_model(degree=4)
     model.sh0[:] = np.clip(model.sh0, -1.7, 1.7)
     written = write_splat_file(tmp_path / name, model)
@@ -132,7 +134,7 @@ def test_degree_4(name: str, make_model: MakeModel, draw: Draw, tmp_path: Path) 
 
 
 def test_spz_4_of_degree_4(make_model: MakeModel, draw: Draw, tmp_path: Path) -> None:
-    """Oracle: SPZ of version 3, which holds the same bytes otherwise packed."""
+    """Oracle: SPZ of version 3, with the same bytes in another packing."""
     model = make_model(300, 4)
     read = []
     for version in (3, 4):
@@ -143,7 +145,7 @@ def test_spz_4_of_degree_4(make_model: MakeModel, draw: Draw, tmp_path: Path) ->
 
 
 def test_lost_harmonics_are_said(make_model: MakeModel, tmp_path: Path) -> None:
-    """Oracle: the sentence, and none where nothing was there to lose."""
+    """Oracle: the sentence, and none where there was no degree to lose."""
     model = make_model(5, 2)
     model.sh0[:] = np.clip(model.sh0, -1.7, 1.7)
     told = write_splat_file(tmp_path / "a.splat", model).notes
@@ -180,7 +182,8 @@ def test_any_number_of_splats(name: str, count: int, make_model: MakeModel, tmp_
 def test_no_splats_are_refused(
     name: str, count: int, make_model: MakeModel, tmp_path: Path
 ) -> None:
-    """Oracle: one sentence that names the file, which is not made; none, and none to be drawn."""
+    """Oracle: one sentence that names the file, which is not made; for an empty model, and one of
+    invisible splats."""
     model = make_model(count, 1)
     model.means[:] = np.nan
     with pytest.raises(ConfigError, match="no splat to write into"):
@@ -192,7 +195,7 @@ def test_no_splats_are_refused(
 def test_clamped_colours_are_said(
     name: str, ends: str, make_model: MakeModel, tmp_path: Path
 ) -> None:
-    """Oracle: the coefficients that come back otherwise; and none of those within the range."""
+    """Oracle: the coefficients that are read back changed; none of those within the range."""
     model = make_model(500, 0)
     model.sh0[:] = np.clip(model.sh0, -1.7, 1.7)
     assert not write_splat_file(tmp_path / name, model).notes
@@ -204,7 +207,7 @@ def test_clamped_colours_are_said(
 
 
 def test_twice_is_the_same(name: str, make_model: MakeModel, tmp_path: Path) -> None:
-    """Oracle: a second round trip, which has nothing left to round but what codebooks move."""
+    """Oracle: a second round trip, without further rounding but by codebooks."""
     write_splat_file(tmp_path / name, make_model(600, 1))
     first = gscore.read_splats(tmp_path / name)
     write_splat_file(tmp_path / name, first)
@@ -221,7 +224,7 @@ def test_twice_is_the_same(name: str, make_model: MakeModel, tmp_path: Path) -> 
 
 
 def test_content_decides_and_not_the_name(name: str, make_model: MakeModel, tmp_path: Path) -> None:
-    """Oracle: the format of the file before it got another name."""
+    """Oracle: the format of the file before it was renamed."""
     if name.endswith((".json", ".gltf")):
         pytest.skip("names files beside it")
     if name.endswith((".usda", ".usdc", ".usdz")):
@@ -239,7 +242,7 @@ def test_every_format_is_tried_here() -> None:
 
 @pytest.mark.parametrize("ending", [".obj", ".ksplat", ""])
 def test_endings_that_are_not_written(ending: str, make_model: MakeModel, tmp_path: Path) -> None:
-    """Oracle: a ConfigError that lists what there is; nothing is written."""
+    """Oracle: a ConfigError that lists the endings; no files."""
     with pytest.raises(ConfigError, match=r"\.spz"):
         write_splat_file(tmp_path / f"a{ending}", make_model(5))
     assert not list(tmp_path.iterdir())
@@ -256,7 +259,7 @@ def test_an_unpacked_sog_is_its_folder(make_model: MakeModel, tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", ["a.usda", "a.usdz", "a.usd"])
 def test_other_names_of_usd(name: str, make_model: MakeModel, tmp_path: Path) -> None:
-    """Oracle: the positions that were written, in text, in a package, in the binary form."""
+    """Oracle: the written positions, in text, in a package, in the binary form."""
     pytest.importorskip("pxr.UsdVol")
     model = make_model(20, 1)
     write_splat_file(tmp_path / name, model)
@@ -266,7 +269,7 @@ def test_other_names_of_usd(name: str, make_model: MakeModel, tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", ["two words.gltf", "100% grün#1.gltf", "a%20b.gltf"])
 def test_names_that_are_no_uris(name: str, make_model: MakeModel, tmp_path: Path) -> None:
-    """Oracle: the model read again, whose buffer is named by a URI without spaces."""
+    """Oracle: the model read again, with a URI without spaces for its buffer."""
     write_splat_file(tmp_path / name, make_model(20, 0))
     uri = json.loads((tmp_path / name).read_text())["buffers"][0]["uri"]
     assert uri.isascii() and " " not in uri and unquote(uri) == name.replace(".gltf", ".bin")
