@@ -140,8 +140,8 @@ def check_grad_close(
 ) -> None:
     """Assert |actual - expected| <= rel |expected| + floor max(1, |expected|_max) per element.
 
-    A zero `expected` is refused: a comparison of nothing with nothing proves nothing. The message
-    holds the worst element, the relative L2 error, the cosine and the mean signed error.
+    A zero `expected` is refused, because two zeros prove nothing. The message has the worst
+    element, the relative L2 error, the cosine and the mean signed error.
     """
     assert actual.shape == expected.shape, f"{name}: {actual.shape} against {expected.shape}"
     assert expected.abs().max() > 1e-4, f"{name}: the expected gradient is zero everywhere"
@@ -206,13 +206,13 @@ def random_scene() -> Callable[..., RasterScene]:
 
 @pytest.fixture(scope="session")
 def smooth_scene() -> Callable[..., RasterScene]:
-    """`settle_scene`: a scene on which finite differences see no jump."""
+    """`settle_scene`: a scene without jumps within reach of finite differences."""
     return settle_scene
 
 
 @pytest.fixture(scope="session")
 def hostile_rows() -> dict[str, dict[str, Any]]:
-    """Name and field values of damages that must take a splat out of the picture."""
+    """Names and field values of damages that must remove a splat from the picture."""
     return HOSTILE_ROWS
 
 

@@ -58,8 +58,8 @@ def relative(found: torch.Tensor, expected: np.ndarray) -> float:
 @pytest.mark.usefixtures("isa")
 @pytest.mark.parametrize("rest", [3, 15])
 def test_rows_that_skip_steps_end_where_dense_adam_takes_them(rest: int) -> None:
-    """Oracle: the twin, 1,000 steps in which rows come and go, some for longer than the table of
-    skipped steps reaches, some once and never again, some never."""
+    """Oracle: the twin, 1,000 steps in which rows come and go, some for longer than the length of
+    the table of skipped steps, some once and never again, some never."""
     rng = np.random.default_rng(rest)
     n = 90
     first = rng.normal(size=(n, rest, 3)).astype(np.float32)
@@ -115,7 +115,7 @@ def test_the_table_is_the_sum_of_the_steps_that_were_skipped() -> None:
 
 
 def test_looking_changes_nothing_and_shows_what_settling_gives() -> None:
-    """Oracle: bits before and after, and the values that the call in place leaves."""
+    """Oracle: bits before and after, and the values left by the call in place."""
     rng = np.random.default_rng(0)
     slot, places = slot_of(rng.normal(size=(50, 3, 3)), skips=True), points(50, rng)
     for step in range(1, 20):
@@ -139,7 +139,7 @@ def test_looking_changes_nothing_and_shows_what_settling_gives() -> None:
 @pytest.mark.usefixtures("isa")
 def test_whatever_a_view_draws_has_settled_for_it() -> None:
     """Oracle: the radii of the rasterizer, for cameras inside and outside of the cloud and large
-    splats; and rows far from the picture keep waiting."""
+    splats; rows far from the picture stay lazy."""
     rng = np.random.default_rng(3)
     n, waiting = 4000, 0
     for trial in range(12):
@@ -178,7 +178,7 @@ def test_whatever_a_view_draws_has_settled_for_it() -> None:
 
 
 def test_gradients_gather_until_a_step() -> None:
-    """Oracle: one step with the sum; rows seen at any of the calls move, others wait."""
+    """Oracle: one step with the sum; rows visible in any of the calls move, others wait."""
     first = np.ones((4, 3, 3))
     slot, twin = slot_of(first, skips=True), Twin(first)
     assert slot.skips is not None
@@ -226,7 +226,7 @@ def test_rows_that_are_not_finite_count_as_zero_everywhere(bad: float) -> None:
 @pytest.mark.usefixtures("isa")
 @pytest.mark.parametrize("size", [0.0, 1e-45, 1e-30, 1e-19, 1e19, 3e38])
 def test_tiny_and_huge_gradients_stay_finite(size: float) -> None:
-    """Oracle: Adam's step is at most about lr, whatever the gradient's unit."""
+    """Oracle: Adam's step of at most about lr, for any unit of the gradient."""
     slots = [slot_of(np.ones((20, 9)), skips=skips) for skips in (False, True)]
     for step in range(1, 11):
         for slot in slots:
@@ -269,7 +269,7 @@ def test_same_bits_for_any_number_of_threads() -> None:
 
 
 def test_wrong_tensors_are_refused() -> None:
-    """Oracle: the message names the tensor, what it should be and what it is."""
+    """Oracle: the message, which names the tensor, its expected and its actual type or shape."""
     slot = slot_of(np.ones((4, 3)), skips=True)
     slot.step = 1
     assert slot.skips is not None

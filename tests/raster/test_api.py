@@ -47,7 +47,7 @@ def test_numpy_and_torch_agree_to_the_bit(tmp_path: Path) -> None:
 
 
 def test_depths_can_be_left_out() -> None:
-    """Oracle: the same picture; alpha differs by rounding only, see the header."""
+    """Oracle: the same picture; alpha differs by rounding only (csrc/include/gscore.h)."""
     splats, _ = synthetic_scene(3000, 160, 90)
     full, bare = _view(splats), _view(splats, depths=False)
     np.testing.assert_array_equal(full.rgb, bare.rgb)
@@ -72,7 +72,7 @@ def test_a_window_is_a_part_of_the_picture(window: tuple[int, int, int, int]) ->
 
 @pytest.mark.parametrize("depths", [False, True])
 def test_pixels_that_end_at_one_depth_are_those_of_a_far_plane(depths: bool) -> None:
-    """Oracles: `far`, bit for bit; nothing and everything where depths are no usual ones."""
+    """Oracles: `far`, bit for bit; empty and full pictures for unusual depths."""
     splats, _ = synthetic_scene(3000, 160, 90)
     whole = _view(splats, depths=depths)
     ends = {value: np.full((90, 160), value, np.float32) for value in (3.5, 0, -np.inf, np.nan)}
@@ -105,7 +105,7 @@ def test_cancel_stops_a_long_call() -> None:
     assert time.perf_counter() - began < 3
     with pytest.raises(gscore.Cancelled):
         _view(big, cancel=flag)
-    sheets = Splats(  # each covers all tiles of a picture that takes long to sort into tiles
+    sheets = Splats(  # each covers all tiles of a picture that is slow to sort into tiles
         means=big.means[:2000],
         quats=big.quats[:2000],
         scales=np.full((2000, 3), 3.0, np.float32),
@@ -166,7 +166,7 @@ def test_workspaces_come_back_while_one_is_made(monkeypatch: pytest.MonkeyPatch)
 
     class Making(_native.Raster):
         def __init__(self) -> None:
-            pool.give_back(spare)  # what the garbage collector may do here
+            pool.give_back(spare)  # allowed to the garbage collector here
             super().__init__()
 
     monkeypatch.setattr(_native, "Raster", Making)

@@ -1,6 +1,6 @@
-"""The door to the library: what it may be given the address of; oracle: messages, numpy and torch.
+"""Arrays passed to the library by address; oracle: messages, numpy and torch.
 
-Whatever passes is read or written as so many numbers of one dtype, so whatever else must not.
+The library reads or writes each as a number of values of one dtype, so all others must be refused.
 """
 
 from typing import Any
@@ -57,7 +57,7 @@ def test_arrays_that_fit_are_found(name: str) -> None:
 
 @pytest.mark.parametrize("name", BAD)
 def test_arrays_that_do_not_fit_are_named(name: str) -> None:
-    """Oracle: the message says what was expected and what came."""
+    """Oracle: the message, with the expected and the actual array."""
     array, message = BAD[name]
     wanted = r"means must be \[4, 3\] float32, contiguous, on the CPU, "
     with pytest.raises(ShapeError, match=wanted + ".*" + message):
@@ -65,7 +65,7 @@ def test_arrays_that_do_not_fit_are_named(name: str) -> None:
 
 
 def test_a_view_whose_signs_are_left_out_is_refused() -> None:
-    """Oracle: torch's flag; its memory holds the numbers with the other sign."""
+    """Oracle: torch's flag; its memory stores the numbers with the other sign."""
     view = torch.zeros(4, 1, dtype=torch.complex64).conj().imag[:1, 0]
     assert view.is_neg() and view.is_contiguous()
     with pytest.raises(ShapeError, match="v must be"):
@@ -73,7 +73,7 @@ def test_a_view_whose_signs_are_left_out_is_refused() -> None:
 
 
 def test_outputs_of_another_dtype_or_size_are_refused() -> None:
-    """Oracle: a ShapeError with the array's name instead of memory that is written beyond."""
+    """Oracle: a ShapeError with the array's name instead of writes out of bounds."""
     n, size = 5, (6, 7)
     shapes = ((n, 3), (n, 4), (n, 3), (n,), (n, 1, 3), (n, 3, 3))
     splats = [np.ones(shape, np.float32) for shape in shapes]
@@ -99,7 +99,7 @@ def test_outputs_of_another_dtype_or_size_are_refused() -> None:
 
 @pytest.mark.parametrize("threads", [-1, 1025, 2**32, 2**32 + 2, 2.0, "2"])
 def test_threads_that_cannot_be_are_refused(threads: Any) -> None:
-    """Oracle: the message. A C integer takes 2^32 + 2 for 2 without a word."""
+    """Oracle: the message. A C integer silently converts 2^32 + 2 to 2."""
     splats = [np.ones(s, np.float32) for s in ((1, 3), (1, 4), (1, 3), (1,), (1, 1, 3), (1, 0, 3))]
     view = Frustum(np.eye(4), np.diag([9.0, 9.0, 1.0]), 2, 2)
     pictures = {"rgb": np.zeros((2, 2, 3), np.float32), "alpha": np.zeros((2, 2), np.float32)}

@@ -18,7 +18,7 @@ def _tied(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def _clump_and_far_one(rng: np.random.Generator, count: int) -> np.ndarray:
-    """So near each other that sixteen bits of the whole range do not tell them apart."""
+    """So near each other that sixteen bits of the whole range do not separate them."""
     depths = 1 + 1e-4 * rng.permutation(count) / count
     depths[rng.integers(count)] = 1e6
     return depths
@@ -27,7 +27,7 @@ def _clump_and_far_one(rng: np.random.Generator, count: int) -> np.ndarray:
 @pytest.mark.parametrize("depths_of", [_spread, _tied, _clump_and_far_one])
 @pytest.mark.parametrize("count", [1, 2, 24, 25, 700, 70_000])
 def test_splats_are_blended_by_depth_then_by_place(count: int, depths_of) -> None:  # type: ignore[no-untyped-def]
-    """Oracle: wide splats of even alpha, one before the other, in float64, until a pixel is
+    """Oracle: wide splats of even alpha, one in front of the other, in float64, until a pixel is
     complete."""
     rng = np.random.default_rng(count)
     depths = depths_of(rng, count).astype(np.float32)

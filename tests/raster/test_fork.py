@@ -41,7 +41,7 @@ def _work(threads: int) -> bytes:
 
 @pytest.fixture
 def busy() -> Iterator[None]:
-    """Another thread draws without a pause."""
+    """Another thread that renders without a pause."""
     stop = threading.Event()
 
     def draw() -> None:
@@ -56,10 +56,10 @@ def busy() -> Iterator[None]:
 
 
 def _child_draws(expected: bytes) -> bool:
-    """Whether a child that os.fork makes finds the same bits in time."""
+    """True if a child of os.fork renders the same bits in time."""
     child = os.fork()
     if child == 0:
-        signal.alarm(PATIENCE)  # a child that hangs dies of it
+        signal.alarm(PATIENCE)  # ends a child that hangs
         try:
             os._exit(0 if _work(2) == expected else 1)
         finally:
@@ -68,7 +68,7 @@ def _child_draws(expected: bytes) -> bool:
 
 
 def test_a_fork_after_a_render_draws() -> None:
-    """Oracle: as above; the parent draws on afterwards."""
+    """Oracle: as above; the parent renders again afterwards."""
     expected = _work(2)
     assert _child_draws(expected)
     assert _work(3) == expected
@@ -76,7 +76,7 @@ def test_a_fork_after_a_render_draws() -> None:
 
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_forks_while_another_thread_renders_draw(busy: None) -> None:
-    """Oracle: as above, for many forks: each catches the other thread at another place."""
+    """Oracle: as above, for many forks, each at another point of the other thread."""
     expected = _work(2)
     assert all(_child_draws(expected) for _ in range(12))
 

@@ -1,4 +1,4 @@
-"""Structs and constants as ctypes knows them; oracle: csrc/include/gscore.h and a C compiler."""
+"""Structs and constants in ctypes; oracle: csrc/include/gscore.h and a C compiler."""
 
 import ctypes as ct
 import os
@@ -84,7 +84,7 @@ def _compiler() -> list[str]:
 
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What a program that includes the header prints, by the first word of each line."""
+    """The output of a program that includes the header, by the first word of each line."""
     folder = tmp_path_factory.mktemp("header")
     lines = [f"CONSTANT({name})" for name in CONSTANTS]
     for name, struct in STRUCTS.items():

@@ -1,4 +1,4 @@
-"""Oracle: the loss written out in float64 torch with autograd; and facts known by hand."""
+"""Oracle: the loss written out in float64 torch with autograd; and values known by hand."""
 
 import pytest
 import torch
@@ -36,7 +36,7 @@ def pictures(height: int, width: int, seed: int = 0) -> tuple[torch.Tensor, ...]
     [(1, 1), (8, 8), (11, 5), (33, 47), (130, 96), (65, 17), (12, 530), (23, 1030), (389, 7)],
 )
 def test_value_and_gradient(isa: str, size: tuple[int, int], mode: str) -> None:
-    """Oracle: `twin`; values to 1e-6, gradients to 1e-5 of the largest. And means over pixels."""
+    """Oracle: `twin`; values to 1e-6, gradients to 1e-5 of the largest; means over pixels."""
     image, target, mask = pictures(*size)
     exact = image.double().requires_grad_()
     loss, ssim = twin(exact, target, mask, mode, 0.2)
@@ -63,8 +63,8 @@ def test_value_and_gradient(isa: str, size: tuple[int, int], mode: str) -> None:
 
 
 def test_a_dot_teaches_as_far_as_two_windows_reach(isa: str) -> None:
-    """Oracle: `twin`, of a dot in a flat picture ten pixels before and behind where tiles meet: of
-    what reaches across, a millionth is left, which other pictures drown."""
+    """Oracle: `twin`, of a dot in a flat picture ten pixels on either side of a tile border: a
+    millionth reaches across, which is lost in other pictures."""
     for row, column in ((10, 255), (29, 274)):
         target = torch.full((40, 530, 3), 128, dtype=torch.uint8)
         image = target.float() * (1 / 255)
@@ -156,7 +156,7 @@ def test_bad_input_is_named() -> None:
 @pytest.mark.parametrize("mode", ["none", "composite", "ignore"])
 @pytest.mark.parametrize("size", [(1, 1), (33, 47), (23, 1030), (389, 7)])
 def test_a_gain_and_what_it_learns(isa: str, size: tuple[int, int], mode: str) -> None:
-    """Oracle: `image_loss_reference` with the gain as a leaf, in pictures of which parts are white
+    """Oracle: `image_loss_reference` with the gain as a leaf, in pictures with parts that are white
     in the photo and brighter than that; gradients to 1e-5 of the largest, those in ln gain by the
     chain rule."""
     image, target, mask = pictures(*size)

@@ -1,4 +1,4 @@
-"""Features that match; oracles: all distances in float64, and pairs known beforehand."""
+"""Feature matches; oracles: all distances in float64, and pairs known beforehand."""
 
 from collections.abc import Iterator
 
@@ -54,7 +54,7 @@ def test_limits_are_those_asked_for(limits: tuple[float, float]) -> None:
 
 
 def test_what_is_there_twice_has_no_match() -> None:
-    """Oracle: as far from the one as from the other, nothing tells which is meant."""
+    """Oracle: no match between equal distances, which are ambiguous."""
     first = descriptors(np.random.default_rng(1), 12)
     twice = np.concatenate([first[:4], first])
     found = match_descriptors(first, twice, **NEAR)
@@ -62,7 +62,7 @@ def test_what_is_there_twice_has_no_match() -> None:
 
 
 def test_the_farthest_descriptors_are_told_apart() -> None:
-    """Oracle: their distance, 255 sqrt(128), the largest there is."""
+    """Oracle: their distance, 255 sqrt(128), the largest possible."""
     first = np.zeros((3, header.DESCRIPTOR_SIZE), np.uint8)
     second = np.full((1, header.DESCRIPTOR_SIZE), 255, np.uint8)
     far = 255 * 128**0.5

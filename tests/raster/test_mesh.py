@@ -12,14 +12,14 @@ K = np.array([[70.0, 0, 41.3], [0, 68.0, 29.2], [0, 0, 1]])
 
 
 def rays(viewmat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where a camera stands [3], and the rays of its pixels [H, W, 3], 1 long along its z."""
+    """Camera position [3], and the rays of its pixels [H, W, 3], 1 long along its z."""
     x, y = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
     local = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(K).T
     return -viewmat[:3, :3].T @ viewmat[:3, 3], local @ viewmat[:3, :3]
 
 
 def pose(seed: int) -> np.ndarray:
-    """A camera some units from the origin, which it looks at, rolled."""
+    """A rolled camera some units from the origin, which it faces."""
     rng = np.random.default_rng(seed)
     center = rng.normal(size=3)
     center *= 4 / np.linalg.norm(center)
@@ -33,7 +33,7 @@ def pose(seed: int) -> np.ndarray:
 
 
 def ball(rings: int, segments: int) -> tuple[np.ndarray, np.ndarray]:
-    """A sphere of radius 1 of triangles with corners on it."""
+    """A sphere of radius 1, of triangles with their corners on it."""
     theta, phi = np.meshgrid(
         np.linspace(0, np.pi, rings + 1), np.linspace(0, 2 * np.pi, segments + 1), indexing="ij"
     )
@@ -48,7 +48,7 @@ def ball(rings: int, segments: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_plane_has_the_depth_of_its_equation(seed: int) -> None:
-    """Oracle: 1 / z of the rays on the plane, in closed form; it reaches behind the camera."""
+    """Oracle: 1 / z of the rays on the plane, in closed form; it extends behind the camera."""
     rng = np.random.default_rng(seed)
     viewmat = pose(seed)
     normal, u = rng.normal(size=3), rng.normal(size=3)
@@ -66,7 +66,7 @@ def test_a_plane_has_the_depth_of_its_equation(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_fine_ball_is_a_sphere(seed: int) -> None:
-    """Oracle: the nearer solution of |c + t d| = 1, up to how flat the triangles are."""
+    """Oracle: the nearer solution of |c + t d| = 1, up to the flatness of the triangles."""
     viewmat = pose(seed)
     center, towards = rays(viewmat)
     a, b = (towards**2).sum(-1), towards @ center
@@ -81,7 +81,8 @@ def test_a_fine_ball_is_a_sphere(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_triangles_are_those_of_the_twin(seed: int) -> None:
-    """Oracle: the float64 twin, of triangles before, beside, behind and through the camera."""
+    """Oracle: the float64 twin, of triangles in front of, next to, behind and through the
+    camera."""
     rng = np.random.default_rng(seed)
     vertices = rng.normal(size=(60, 3)) * rng.choice([0.3, 3.0])
     triangles = rng.integers(0, 60, (40, 3)).astype(np.int32)
@@ -99,7 +100,7 @@ def test_triangles_are_those_of_the_twin(seed: int) -> None:
 def test_near_ends_and_parallel_rays_are_those_of_the_twin(
     seed: int, near: float, orthographic: bool
 ) -> None:
-    """Oracle: the float64 twin, which solves for each pixel; triangles lie on both sides of it."""
+    """Oracle: the float64 twin, which solves for each pixel; triangles are on both sides of it."""
     rng = np.random.default_rng(seed)
     vertices = rng.normal(size=(60, 3)) * 3
     triangles = rng.integers(0, 60, (40, 3)).astype(np.int32)
@@ -117,7 +118,7 @@ def test_near_ends_and_parallel_rays_are_those_of_the_twin(
 
 
 def test_neighbours_leave_no_crack() -> None:
-    """Oracle: every ray into a closed ball hits it; edges lie wherever they happen to."""
+    """Oracle: a hit by every ray into a closed ball, for edges at any place."""
     for seed in range(20):
         viewmat = pose(seed)
         center, towards = rays(viewmat)
@@ -128,7 +129,7 @@ def test_neighbours_leave_no_crack() -> None:
 
 
 def test_what_is_no_mesh_is_refused() -> None:
-    """Oracle: the docstring; indices that are not there would read anywhere."""
+    """Oracle: the docstring; missing indices would read out of bounds."""
     vertices, triangles = np.eye(3), np.array([[0, 1, 2]], np.int32)
     viewmat = pose(0)
     for bad in (3, -1):

@@ -38,7 +38,7 @@ def golden():
 
 def render_golden(golden, antialias, monkeypatch):
     """The golden scene by the numpy API, and the screen-space values of that call."""
-    pool = _native.RasterPool()  # holds one workspace, the one that draws
+    pool = _native.RasterPool()  # keeps the one workspace that renders
     monkeypatch.setattr(_native, "pool", pool)
     splats = Splats(**{name: golden[f"in_{name}"].astype(np.float32) for name in FIELDS})
     height, width = golden["alpha"].shape
@@ -94,7 +94,7 @@ def test_one_splat_has_its_closed_form(one_splat):
 
 
 def test_one_faint_layer_lies_at_its_own_depth(one_splat):
-    """A mean of one value is that value, and does not depend on the weight."""
+    """The mean of one value is that value, independent of the weight."""
     z = 3.0
     out, inputs = draw(one_splat(sigma=0.4, opacity=0.006, position=(0, 0, z)))
     drawn = out.alpha > 0

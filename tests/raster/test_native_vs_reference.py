@@ -1,4 +1,4 @@
-"""Oracle: the float64 reference. Every instruction set's pictures and gradients against it."""
+"""Oracle: the float64 reference, for pictures and gradients of every instruction set."""
 
 from functools import cache
 from typing import NamedTuple
@@ -23,9 +23,9 @@ FLIP_RATE = 1e-3
 GRADIENT_MEDIAN, GRADIENT_TAIL = 1e-5, 1e-3
 """Median and 99.9th percentile of |error| / |row of the true gradient|."""
 ROW_FLOOR, NUMBER_FLOOR = 0.01, 0.1
-"""Rows shorter than this share of the median row count as that long, rows of a single number (the
-opacities) as the second. What is left there of sums that cancel measures the cancellation: plain
-torch in float32 shows the same tails on these rows."""
+"""Rows shorter than this share of the median row are given that length, rows of a single number
+(the opacities) the second share. Their remaining error measures the cancellation in sums: plain
+torch in float32 has the same tails on these rows."""
 
 SCENES = {
     "plain": {"count": 600, "width": 64, "height": 48, "overscan": 0.1},
@@ -93,7 +93,7 @@ CASES = [
 
 
 class Truth(NamedTuple):
-    """What the reference says of a scene."""
+    """The reference's results for a scene."""
 
     pictures: dict[str, torch.Tensor]
     band: torch.Tensor
@@ -102,7 +102,7 @@ class Truth(NamedTuple):
 
 
 def loss_of(pictures, weights):
-    """The same random linear functional of all pictures, blind to pixels in the band."""
+    """The same random linear functional of all pictures, zero for pixels in the band."""
     return sum((pictures[name] * weights[name].to(pictures[name].dtype)).sum() for name in PICTURES)
 
 
@@ -169,7 +169,7 @@ def true_of(draw):
 
 
 def check_pictures(pictures, truth):
-    """Outside the band to rounding; inside, hardly any pixel may tip over."""
+    """To rounding outside the band; inside, few pixels may flip."""
     assert truth.pictures["alpha"].mean() > 0.1
     assert truth.band.double().mean() < 0.1  # almost all pixels are compared closely
     for name, true in truth.pictures.items():
@@ -180,7 +180,7 @@ def check_pictures(pictures, truth):
 
 
 def relative_to_rows(actual, true):
-    """|error| / |row|, flat; rows of the truth that are zero must be zero, and drop out."""
+    """|error| / |row|, flat; rows that are zero in the truth must be zero, and are left out."""
     actual, true = (tensor.double().reshape(len(tensor), -1) for tensor in (actual, true))
     length = true.norm(dim=1)
     seen = length > 0
@@ -247,7 +247,7 @@ def test_clip_planes_and_low_pass(draw, isa):
 
 
 def test_pixels_that_end_at_depths_of_their_own(draw, isa):
-    """Pictures and gradients; of a slope that passes through the splats, and of pixels without."""
+    """Pictures and gradients, for a slope through the splats, and for pixels without."""
     scene = draw("plain")
     far_depths = torch.linspace(2, 6, scene.width).expand(scene.height, -1).clone()
     far_depths[:, ::7] = torch.nan

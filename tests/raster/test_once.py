@@ -1,4 +1,4 @@
-"""Second derivatives, which there are none of: an error wherever a graph would lack them."""
+"""Second derivatives, which are not implemented: an error wherever a graph would lack them."""
 
 from collections.abc import Callable
 from typing import Any
@@ -26,7 +26,7 @@ def _rendered(inputs: dict[str, Any]) -> tuple[Tensor, Tensor]:
 
 
 def _rendered_squares(inputs: dict[str, Any]) -> tuple[Tensor, Tensor]:
-    """The same where that gradient depends on the picture."""
+    """The same with a gradient that depends on the picture."""
     return rasterize(**inputs).rgb.square().sum(), inputs["means"]
 
 
@@ -46,8 +46,8 @@ CASES = (_rendered, _rendered_squares, _depths, _loss)
 
 @pytest.mark.parametrize("case", CASES, ids=lambda c: c.__name__.strip("_"))
 def test_a_second_derivative_is_refused(case: Make, inputs: dict[str, Any]) -> None:
-    """Oracle: the error, where torch alone would add up what it has: here the second derivative
-    of a term beside it."""
+    """Oracle: the error, where torch alone would sum the terms it has: here the second derivative
+    of another term."""
     value, x = case(inputs)
     (first,) = torch.autograd.grad(value + x.square().sum(), x, create_graph=True)
     with pytest.raises(GsError, match=r"first derivatives only.*create_graph"):

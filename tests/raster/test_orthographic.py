@@ -19,7 +19,7 @@ PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 @pytest.fixture
 def parallel(random_scene):
-    """A scene posed anywhere, and the K of parallel rays that fills its picture."""
+    """A scene at any pose, and the K of parallel rays that fills its picture."""
     scene = random_scene(3, count=400, width=64, height=48, overscan=0.2, elongation=1.0)
     K = scene.K.clone()
     K[0, 0], K[1, 1], K[0, 2], K[1, 2] = 9.0, 11.5, 30.25, 26.75
@@ -75,7 +75,7 @@ def test_size_does_not_depend_on_depth(one_splat, z):
 
 
 def test_colours_are_those_of_a_camera_far_away(parallel):
-    """Oracle: a pinhole camera 1e5 times the scene's size away, with the focal length to match."""
+    """Oracle: a pinhole camera 1e5 times the scene's size away, with the matching focal length."""
     scene, K = parallel
     near_by, _ = draw_reference(scene, K)
     away = 1e6
@@ -95,7 +95,7 @@ def test_colours_are_those_of_a_camera_far_away(parallel):
 
 @pytest.mark.parametrize("antialias", [False, True])
 def test_native_agrees_with_the_reference(parallel, isa, antialias):
-    """Oracle: the float64 reference, closely outside the band where rounding may tip a pixel."""
+    """Oracle: the float64 reference, closely outside the band where rounding may flip a pixel."""
     scene, K = parallel
     truth, band = draw_reference(scene, K, antialias=antialias)
     view = draw_native(scene, K, antialias=antialias)

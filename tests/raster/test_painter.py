@@ -1,4 +1,4 @@
-"""Drawing without autograd; oracle: bits of the differentiable functions."""
+"""Rendering without autograd; oracle: bits of the differentiable functions."""
 
 from collections.abc import Callable
 from typing import Any
@@ -57,7 +57,7 @@ def test_bits_are_those_of_autograd(random_scene: Make, antialias: bool, inverse
 
 
 def test_gradients_of_higher_coefficients_are_added(random_scene: Make) -> None:
-    """Oracle: twice the gradient after two calls, in bands above the evaluated degree nothing."""
+    """Oracle: twice the gradient after two calls, zero in bands above the evaluated degree."""
     inputs = random_scene(4).inputs(torch.float32)
     splats = [inputs[name].detach() for name in PARAMETERS]
     painter = TrainingRasterizer()

@@ -49,7 +49,7 @@ def test_one_round_splat_on_the_axis(one_splat):
 
 
 def test_one_ellipsoid_on_the_axis(one_splat):
-    """Scales 0.3, 0.1, turned by 90 degrees about z: the long axis stands upright."""
+    """Scales 0.3, 0.1, turned by 90 degrees about z: the long axis is vertical."""
     splat = one_splat(position=(0, 0, 2))
     splat["scales"] = torch.tensor([[0.3, 0.1, 0.05]], dtype=torch.float64)
     splat["quats"] = torch.tensor([[sqrt(0.5), 0, 0, sqrt(0.5)]], dtype=torch.float64)
@@ -70,7 +70,7 @@ def test_one_round_splat_off_the_axis(one_splat):
 
 
 def test_viewmat_moves_the_world_into_the_camera(one_splat):
-    """A camera turned by 90 degrees about y sees along +x; up stays up."""
+    """A camera turned by 90 degrees about y faces +x; up stays up."""
     splat = one_splat(sigma=0.1, position=(5.0, 0.0, 0.0))
     viewmat = torch.tensor(
         [[0, 0, -1, 0], [0, 1, 0, 0], [1, 0, 0, -2], [0, 0, 0, 1]], dtype=torch.float64
@@ -208,7 +208,7 @@ def test_antialias_scales_the_opacity_by_the_root_of_the_determinants(one_splat)
 
 
 def test_antialias_floor(one_splat):
-    """A splat of 0.01 px keeps 0.005 of its opacity, and its size has no say in that factor."""
+    """A splat of 0.01 px keeps 0.005 of its opacity, and its size does not enter that factor."""
     splat = one_splat(sigma=0.001, opacity=0.9)
     splat["opacities"].requires_grad_()
     splat["scales"].requires_grad_()

@@ -22,7 +22,7 @@ BACKGROUND = torch.tensor([0.3, 0.6, 0.1], dtype=torch.float64)
 
 
 def weighted_losses(scene, inputs, **options):
-    """[4] losses, one an output: the picture times fixed random weights. And the mean alpha."""
+    """[4] losses, one per output: the picture times fixed random weights; and the mean alpha."""
     out = rasterize_reference(
         **inputs, background=BACKGROUND, inverse_depth=True, depth=True, **options
     )
@@ -55,7 +55,7 @@ def check_gradients(scene, names, central_difference, assert_grad_close, **optio
                 losses[row], inputs[name], retain_graph=True, allow_unused=True
             )
             if analytic is None or not analytic.any():
-                # Colour reaches only the rgb picture; everything else reaches all of them.
+                # Colour affects only the rgb picture; everything else affects all of them.
                 assert name in ("sh0", "shN") and output != "rgb"
                 assert numerical[row].abs().max() < 1e-9
                 continue
@@ -63,7 +63,7 @@ def check_gradients(scene, names, central_difference, assert_grad_close, **optio
 
 
 def opaque_front(scene):
-    """Stack three big, nearly opaque splats: the cap and the early stop both take part."""
+    """Stack three big, nearly opaque splats, which use both the cap and the early stop."""
     cam = means_to_camera(scene.means, scene.viewmat)
     front = cam[:, 2].argsort()[:3]
     scales, opacities = scene.scales.clone(), scene.opacities.clone()
@@ -138,7 +138,7 @@ def test_splats_beyond_the_jacobian_clamp(smooth_scene, central_difference, asse
     clamped = (jacobian[:, 0, 2] - free).abs() > 1e-6
     inputs = scene.inputs()
     rasterize_reference(**inputs, raw=True).rgb.sum().backward()
-    assert (clamped & inputs["means"].grad.any(1)).sum() >= 2  # clamped, and seen in the picture
+    assert (clamped & inputs["means"].grad.any(1)).sum() >= 2  # clamped, and visible
     names = ["means", "quats", "scales", "opacities", "viewmat"]
     check_gradients(scene, names, central_difference, assert_grad_close, raw=True)
 
@@ -147,7 +147,7 @@ def test_capped_alpha_and_early_stop(smooth_scene, central_difference, assert_gr
     scene = smooth_scene(700, count=9, sh_degree=1, edit=opaque_front)
     uncapped, through_all = light_through_all(scene)
     assert (uncapped > 0.99).any()
-    assert (through_all < 0.5e-4).any()  # what the stop leaves out
+    assert (through_all < 0.5e-4).any()  # the rest after the stop
     names = ["means", "quats", "scales", "opacities", "sh0", "viewmat"]
     check_gradients(scene, names, central_difference, assert_grad_close, raw=True)
 

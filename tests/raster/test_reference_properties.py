@@ -57,7 +57,7 @@ def test_moving_world_and_camera_together_changes_nothing(random_scene):
     first = rasterize_reference(**scene.inputs(), **OPTIONS)
     second = rasterize_reference(**moved.inputs(), **OPTIONS)
     assert first.alpha.mean() > 0.1
-    # 1e-6, because the matrices hold float32 values and are orthogonal only to that
+    # 1e-6, because the matrices have float32 values and are orthogonal only to that
     assert (pictures(first) - pictures(second)).abs().max() < 1e-5
 
 
@@ -204,7 +204,7 @@ def test_band_marks_the_stop_and_ignores_what_lies_behind_it(one_splat):
 
     assert band_of(*layers(0.90005))[6, 8]  # 0.1^3 * 0.09995 is within 1e-3 of 1e-4
     assert not band_of(*layers(0.95))[6, 8]
-    behind = one_splat(sigma=0.3, opacity=0.99, position=(0, 0, 9))  # on the cap, but unseen
+    behind = one_splat(sigma=0.3, opacity=0.99, position=(0, 0, 9))  # on the cap, but hidden
     assert not band_of(*layers(0.95), behind)[6, 8]
 
 

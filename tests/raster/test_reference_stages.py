@@ -101,7 +101,7 @@ def test_jacobian_is_the_derivative_of_the_projection_inside_the_image():
 
 
 def test_jacobian_clamp_is_measured_from_the_principal_point():
-    """Closed form: slopes stop at the image edge plus 0.3 tan(fov/2), each side by itself."""
+    """Closed form: slopes stop at the image edge plus 0.3 tan(fov/2), on each side separately."""
     z = 2.0
     points = torch.tensor([[-50.0, -50.0, z], [50.0, 50.0, z]], dtype=torch.float64)
     jacobian = reference.projection_jacobian(points, K, WIDTH, HEIGHT)
@@ -143,7 +143,7 @@ def test_conic_is_numpys_inverse():
 
 
 def symmetric(entries):
-    """[N, 2, 2] from (xx, xy, yy): both off-diagonal entries move together, as they do in life."""
+    """[N, 2, 2] from (xx, xy, yy): both off-diagonal entries move together, as in use."""
     xx, xy, yy = entries.unbind(1)
     return torch.stack([xx, xy, xy, yy], 1).reshape(-1, 2, 2)
 

@@ -1,4 +1,4 @@
-"""Rows of several tables side by side in one, and back; oracle: numpy's indexing."""
+"""Rows of several tables packed side by side, and back; oracle: numpy's indexing."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def packed_of(parts: list[torch.Tensor], rows: np.ndarray, divisor: float = 1) -
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_rows_are_divided_copied_and_added(threads: int) -> None:
-    """Oracle: numpy's indexing, to the bit; rows that were not packed stay as they are."""
+    """Oracle: numpy's indexing, to the bit; rows that were not packed are unchanged."""
     rows = np.random.default_rng(0).permutation(500)[:200]
     there, mine = tables(1), tables(0)
     thirds = mine[2].numpy().copy()
@@ -50,7 +50,7 @@ def test_rows_are_divided_copied_and_added(threads: int) -> None:
 
 
 def test_no_rows_and_no_tables_of_rows_are_fine() -> None:
-    """Oracle: nothing changes."""
+    """Oracle: equal bits."""
     there = tables(1)
     unpack_rows([Table(part) for part in there], packed_of(tables(0), np.zeros(0, np.int64)))
     for found, before in zip(there, tables(1), strict=True):
@@ -61,7 +61,7 @@ def test_no_rows_and_no_tables_of_rows_are_fine() -> None:
 
 @pytest.mark.parametrize("row", [-1, 500])
 def test_rows_that_are_none_are_refused(row: int) -> None:
-    """Oracle: the error, and tables that are as they were but for the other rows."""
+    """Oracle: the error, and unchanged tables but for the other rows."""
     there = tables(1)
     packed = packed_of(tables(0), np.arange(7))
     packed[5, 0] = row
@@ -75,7 +75,7 @@ def test_rows_that_are_none_are_refused(row: int) -> None:
 
 
 def test_tables_that_are_none_are_refused() -> None:
-    """Oracle: the error names what was expected."""
+    """Oracle: the error, which names the expected table."""
     packed = torch.zeros(2, 4, dtype=torch.int32)
     with pytest.raises(ShapeError, match="contiguous"):
         unpack_rows([Table(torch.zeros(3, 9).T)], packed)

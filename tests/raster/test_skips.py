@@ -75,6 +75,6 @@ def test_tiles_left_out_show_the_background_and_change_no_gradient_of_the_others
 
 
 def test_tiles_of_another_shape_are_refused() -> None:
-    """Oracle: the message names both shapes."""
+    """Oracle: the message, which names both shapes."""
     with pytest.raises(ShapeError, match=r"tiles must be \[6, 10\] uint8, .* got \[6, 9\]"):
         _pass(torch.ones(HEIGHT, WIDTH, 3), tiles=torch.ones(6, 9, dtype=torch.uint8))

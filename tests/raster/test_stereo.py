@@ -15,7 +15,7 @@ RANGE = {"farthest": 0.12, "nearest": 0.32}
 
 
 def shots(scene: Scene, *angles: float) -> list[tuple[StereoView, np.ndarray]]:
-    """Photos and depths from some sides."""
+    """Photos and depths from several sides."""
     return [scene.shot(scene.viewmat(angle)) for angle in angles]
 
 
@@ -24,7 +24,7 @@ def shots(scene: Scene, *angles: float) -> list[tuple[StereoView, np.ndarray]]:
 def test_a_sweep_is_that_of_the_twin(
     size: tuple[int, int], radius: int, best: int, sources: int, isa: str
 ) -> None:
-    """Oracle: the float64 twin; pixels whose two highest planes are equal to rounding apart."""
+    """Oracle: the float64 twin; pixels with two highest planes equal to rounding are left out."""
     scene = Scene(*size)
     views = [view for view, _ in shots(scene, 0, 8, -8, 14)[: sources + 1]]
     options = {**RANGE, "planes": 17, "radius": radius, "best": best, "noise": 2.0}
@@ -68,7 +68,7 @@ def test_threads_change_no_bit(isa: str) -> None:
 
 
 def test_flat_windows_score_low() -> None:
-    """Oracle: a wall without texture has nothing to compare, whatever noise it has."""
+    """Oracle: a wall without texture, which has low scores at any noise."""
     scene = Scene(96, 72, flat=True)
     rng = np.random.default_rng(0)
     views = []
@@ -82,7 +82,7 @@ def test_flat_windows_score_low() -> None:
 
 
 def test_one_place_shows_no_depth() -> None:
-    """Oracle: a camera that only turned sees all planes alike, so that none stands out."""
+    """Oracle: a camera that only turned, for which all planes are equal, so that none is best."""
     scene = Scene(96, 72)
     reference, _ = scene.shot(scene.viewmat(0))
     turned = np.eye(4)
@@ -116,7 +116,7 @@ def test_a_check_is_that_of_the_twin() -> None:
 
 
 def test_what_cannot_be_used_is_refused() -> None:
-    """Oracle: the manual of the library, csrc/include/gscore.h."""
+    """Oracle: the documentation of the library, csrc/include/gscore.h."""
     views = [view for view, _ in shots(Scene(33, 25), 0, 8)]
     good = {**RANGE, "planes": 8}
     sweep(views[0], views[1:], **good)
@@ -144,7 +144,7 @@ def test_what_cannot_be_used_is_refused() -> None:
 
 
 def test_a_sweep_can_be_cancelled() -> None:
-    """Oracle: a flag that is set before the call."""
+    """Oracle: a flag set before the call."""
     views = [view for view, _ in shots(Scene(33, 25), 0, 8)]
     flag = CancelFlag()
     flag.set()

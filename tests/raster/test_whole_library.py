@@ -1,4 +1,4 @@
-"""Libraries that were cut short, before the system maps them."""
+"""Truncated libraries, detected before the system maps them."""
 
 import random
 import sys
@@ -19,7 +19,7 @@ def whole() -> bytes:
 
 
 def test_a_whole_library_misses_nothing(whole: bytes, tmp_path: Path) -> None:
-    """Oracle: libraries that work, this one also with something behind it."""
+    """Oracle: libraries that work, this one also with appended bytes."""
     import _ctypes
 
     (tmp_path / "more.so").write_bytes(whole + b"more")
@@ -28,7 +28,7 @@ def test_a_whole_library_misses_nothing(whole: bytes, tmp_path: Path) -> None:
 
 
 def test_what_is_missing_is_counted(whole: bytes, tmp_path: Path) -> None:
-    """Oracle: the number of bytes that were cut off, wherever the header is still whole."""
+    """Oracle: the number of bytes cut off, as long as the header is whole."""
     path, numbers = tmp_path / "cut.so", random.Random(7)
     for length in [64, len(whole) - 1, *(numbers.randrange(64, len(whole)) for _ in range(30))]:
         path.write_bytes(whole[:length])
@@ -36,7 +36,7 @@ def test_what_is_missing_is_counted(whole: bytes, tmp_path: Path) -> None:
 
 
 def test_headers_of_noise_are_survived(whole: bytes, tmp_path: Path) -> None:
-    """Oracle: some number, without an error, for whatever bytes follow those of the format."""
+    """Oracle: some number, without an error, for any bytes after those of the format."""
     path, numbers = tmp_path / "noise.so", random.Random(8)
     for length in range(0, 200, 3):
         path.write_bytes(whole[:16] + numbers.randbytes(length))

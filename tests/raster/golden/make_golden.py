@@ -1,12 +1,12 @@
 """Write the golden values: gsplat's published formulas in plain numpy, splat by splat.
 
-An outside opinion on the rasterizer's values. Written from the documentation of gsplat 1.5.3
+An independent check of the rasterizer's values. Written from the documentation of gsplat 1.5.3
 (docs.gsplat.studio: rasterization, projection, spherical harmonics) and from Ye et al., "gsplat: An
 Open-Source Library for Gaussian Splatting", arXiv 2409.06765, with its "Mathematical Supplement",
-arXiv 2312.02121; it shares nothing with gscore. Opacities stay below 0.9 and the picture is never
-opaque, so that the versions' different alpha caps (0.99, 0.999) and the early stop do not enter.
+arXiv 2312.02121; it shares no code with gscore. Opacities stay below 0.9 and the picture is never
+opaque, so that the versions' different alpha caps (0.99, 0.999) and the early stop do not matter.
 
-Run `python tests/raster/golden/make_golden.py` to write gsplat_formulas.npz beside this file.
+Run `python tests/raster/golden/make_golden.py` to write gsplat_formulas.npz next to this file.
 """
 
 import io
@@ -21,10 +21,10 @@ OUTPUT = Path(__file__).parent / "gsplat_formulas.npz"
 
 
 def make_inputs() -> dict[str, np.ndarray]:
-    """Raw splats and a camera, float64; all but the view matrix hold values exact in float32.
+    """Raw splats and a camera, float64; all but the view matrix are exact in float32.
 
-    The view matrix is rigid to float64 accuracy, so the camera centre is the same by inverse and
-    by transpose.
+    The view matrix is rigid to float64 accuracy, so the camera centre is the same by inverse and by
+    transpose.
     """
     rng = np.random.default_rng(20240912)
     axis = np.array([0.3, -0.8, 0.52])
