@@ -37,7 +37,7 @@ def data_root() -> Path:
 
 @pytest.fixture(scope="session")
 def mutations() -> Callable[[bytes], Iterator[bytes]]:
-    """Damaged copies of a file: cut at many lengths, bytes flipped, counts blown up, noise."""
+    """Damaged copies of a file: cut at many lengths, bytes flipped, counts raised, noise."""
 
     def damage(good: bytes) -> Iterator[bytes]:
         rng = np.random.default_rng(5)
@@ -70,7 +70,7 @@ def _look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 @dataclass
 class SmallCapture:
-    """A COLMAP capture on disk whose every quantity is known."""
+    """A COLMAP capture on disk with known values of every quantity."""
 
     root: Path
     model: ColmapModel
@@ -79,7 +79,7 @@ class SmallCapture:
 
 @pytest.fixture
 def make_capture(tmp_path: Path) -> Callable[..., SmallCapture]:
-    """Writes a capture: cameras in a ring around coloured points, their photos show them.
+    """Write a capture: cameras in a ring around coloured points, and photos of them.
 
     Each point is a disc of its own colour, radius 3 px, so that colours and positions can be read
     back from the photos.

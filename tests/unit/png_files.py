@@ -1,4 +1,4 @@
-"""PNG files of kinds that Pillow cannot write, and such that lie."""
+"""PNG files of kinds that Pillow cannot write, and with wrong headers."""
 
 import struct
 import zlib
@@ -18,8 +18,8 @@ def png(
 
     Args:
         values: [H, W], [H, W, 2], [H, W, 3] or [H, W, 4] uint8 or uint16.
-        height: What the header states; None: the truth.
-        key: The colour that is transparent.
+        height: Stated in the header; None: the true one.
+        key: The transparent colour.
         packed: The compressed pixels; empty: those of `values`.
     """
     colour = {1: 0, 2: 4, 3: 2, 4: 6}[1 if values.ndim == 2 else values.shape[2]]

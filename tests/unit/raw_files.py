@@ -9,7 +9,7 @@ Tag = tuple[int, int, tuple[int, ...] | bytes]
 _LETTERS = {3: "H", 4: "I", 5: "I", 10: "i"}
 _CHILDREN = 330
 XYZ_TO_SRGB = (32405, -15371, -4985, -9693, 18760, 416, 556, -2040, 10572)
-"""Ten-thousandths (IEC 61966-2-1): a camera that sees linear sRGB."""
+"""Ten-thousandths (IEC 61966-2-1): a camera with linear sRGB as its colour space."""
 
 
 def directories(
@@ -18,7 +18,7 @@ def directories(
     """A TIFF.
 
     Args:
-        pages: Of each its tags and pixels, and those of the directory below it, or None.
+        pages: For each its tags and pixels, and those of its sub-directory, or None.
         order: `<` or `>`.
     """
     out = bytearray((b"II*\0" if order == "<" else b"MM\0*") + bytes(4))
@@ -34,7 +34,7 @@ def directories(
 
 
 def _directory(out: bytearray, tags: list[Tag], pixels: np.ndarray, order: str) -> tuple[int, int]:
-    """Append pixels and their directory; where it lies, and where its link lies."""
+    """Append pixels and their directory; return the offsets of it and of its link."""
     height, width = pixels.shape[:2]
     samples = 1 if pixels.ndim == 2 else 3
     data = pixels.astype(pixels.dtype.newbyteorder(order)).tobytes()
@@ -73,7 +73,7 @@ def _put(out: bytearray, data: bytes) -> int:
 def page(
     pixels: np.ndarray, *, reduced: bool | None = None, old: bool = False
 ) -> tuple[list[Tag], np.ndarray, list[Tag], None]:
-    """A picture in colour; `reduced`: what it says of itself, None: nothing."""
+    """A colour picture; `reduced`: its NewSubfileType flag, None: no tag."""
     tags: list[Tag] = [(262, 3, (2,))]
     if reduced is not None:
         tags.append((255, 3, (2 if reduced else 1,)) if old else (254, 4, (int(reduced),)))

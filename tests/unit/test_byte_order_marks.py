@@ -20,7 +20,7 @@ MARKS = pytest.mark.parametrize("mark", ["", "\ufeff"])
 
 @MARKS
 def test_lists_and_camera_texts(mark: str, tmp_path: Path) -> None:
-    """Oracle: the view that is named; the numbers that are written."""
+    """Oracle: the named view; the written numbers."""
     listed = tmp_path / "test.txt"
     listed.write_text(f"{mark}b.png\n", encoding="utf-8")
     config = DataConfig(source=tmp_path, eval=True, test_list=listed)
@@ -33,7 +33,7 @@ def test_lists_and_camera_texts(mark: str, tmp_path: Path) -> None:
 
 @MARKS
 def test_json(mark: str, tmp_path: Path) -> None:
-    """Oracle: what was written."""
+    """Oracle: the written values."""
 
     def write(name: str, content: str) -> Path:
         (tmp_path / name).write_text(mark + content, encoding="utf-8")

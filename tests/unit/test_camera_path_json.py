@@ -1,4 +1,4 @@
-"""Files of camera paths. Oracles are named in the tests."""
+"""Camera path files. Each test names its oracle."""
 
 import json
 import math
@@ -35,14 +35,14 @@ def written(folder: Path, content: object) -> Path:
 
 
 def test_the_path_of_nerfstudios_viewer(tmp_path: Path) -> None:
-    """Oracle: a point projected by hand: OpenGL poses, the field of view that of the height."""
+    """Oracle: a point projected by hand: OpenGL poses, a vertical field of view."""
     found = read_camera_path(written(tmp_path, NERFSTUDIO))
     cameras = found.cameras
     assert found.fps == 24 and len(cameras) == 2
     assert (cameras.widths[0], cameras.heights[0]) == (200, 100)
     for K, viewmat, fov in zip(cameras.Ks, cameras.viewmats, (90, 60), strict=True):
         focal = 50 / math.tan(math.radians(fov / 2))
-        # World (1, 3, 2) is 2 units before the camera and 3 to its right, which is world +y.
+        # World (1, 3, 2) is 2 units in front of the camera and 3 to its right, which is world +y.
         at = viewmat @ (1, 3, 2, 1)
         np.testing.assert_allclose(at, (3, 0, 2, 1), atol=1e-12)
         pixel = K @ at[:3] / at[2]
@@ -50,7 +50,7 @@ def test_the_path_of_nerfstudios_viewer(tmp_path: Path) -> None:
 
 
 def test_a_path_for_nerfstudios_viewer_comes_back(tmp_path: Path) -> None:
-    """Oracles: the cameras that were written; the file of the viewer, pose by pose."""
+    """Oracles: the written cameras; the file of the viewer, pose by pose."""
     read = read_camera_path(written(tmp_path, NERFSTUDIO))
     write_nerfstudio_path(tmp_path / "again.json", read.cameras, fps=23.976)
     again = read_camera_path(tmp_path / "again.json")
@@ -102,7 +102,7 @@ def test_frames_come_in_the_order_of_their_time(tmp_path: Path) -> None:
 
 
 def test_cameras_json_is_read_as_ever(tmp_path: Path) -> None:
-    """Oracle: the cameras that were written."""
+    """Oracle: the written cameras."""
     cameras = Cameras(
         viewmats=np.tile(np.eye(4), (2, 1, 1)),
         Ks=np.tile(np.array([[50.0, 0, 20], [0, 60, 15], [0, 0, 1]]), (2, 1, 1)),
@@ -132,13 +132,13 @@ def test_cameras_json_is_read_as_ever(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_wrong_is_named(tmp_path: Path, spoil: dict, words: str) -> None:
-    """Oracle: the field that was spoiled."""
+    """Oracle: the damaged field."""
     with pytest.raises(FormatError, match=words):
         read_camera_path(written(tmp_path, NERFSTUDIO | spoil))
 
 
 def test_paths_without_cameras(tmp_path: Path) -> None:
-    """Oracle: the sentence, for each kind of file; and for one that is not there."""
+    """Oracle: the sentence, for each kind of file, and for a missing one."""
     for content in ([], {"frames": []}, NERFSTUDIO | {"camera_path": []}):
         with pytest.raises(DatasetError, match="holds no cameras"):
             read_camera_path(written(tmp_path, content))

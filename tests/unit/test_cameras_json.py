@@ -31,7 +31,7 @@ def cameras(rng: np.random.Generator) -> Cameras:
 
 
 def test_official_layout(cameras: Cameras, tmp_path: Path) -> None:
-    """Oracle: position and rotation are those of the inverted world-to-camera matrix."""
+    """Oracle: position and rotation of the inverted world-to-camera matrix."""
     write_cameras(tmp_path / "cameras.json", cameras)
     entries = json.loads((tmp_path / "cameras.json").read_text())
     assert [entry["id"] for entry in entries] == [0, 1, 2]
@@ -46,7 +46,7 @@ def test_official_layout(cameras: Cameras, tmp_path: Path) -> None:
 
 
 def test_round_trip(cameras: Cameras, tmp_path: Path) -> None:
-    """Oracle: the cameras written."""
+    """Oracle: the written cameras."""
     write_cameras(tmp_path / "cameras.json", cameras)
     again = read_cameras_json(tmp_path / "cameras.json")
     np.testing.assert_allclose(again.viewmats, cameras.viewmats, atol=1e-12)
@@ -56,7 +56,7 @@ def test_round_trip(cameras: Cameras, tmp_path: Path) -> None:
 
 
 def test_up_is_kept_where_it_is_known(cameras: Cameras, tmp_path: Path) -> None:
-    """Oracle: the direction written; files of others state none; a wrong one is refused."""
+    """Oracle: the written direction; none from files of other programs; a wrong one is refused."""
     path, up = tmp_path / "cameras.json", np.array([0.0, 0.6, 0.8])
     write_cameras(path, cameras)
     assert read_cameras_json(path).up is None and "up" not in path.read_text()
@@ -103,7 +103,7 @@ def test_official_files_have_no_principal_point(cameras: Cameras, tmp_path: Path
     ],
 )
 def test_unusable_entries(key: str, value: object, cameras: Cameras, tmp_path: Path) -> None:
-    """Oracle: the sentence names file, camera and key; a missing key likewise."""
+    """Oracle: the sentence, with file, camera and key; likewise for a missing key."""
     write_cameras(tmp_path / "cameras.json", cameras)
     entries = json.loads((tmp_path / "cameras.json").read_text())
     entries[1][key] = value
@@ -118,7 +118,7 @@ def test_unusable_entries(key: str, value: object, cameras: Cameras, tmp_path: P
 
 
 def test_hostile(cameras: Cameras, mutations: Callable, tmp_path: Path) -> None:
-    """Oracle: a damaged file gives cameras or one of our errors, never another exception."""
+    """Oracle: cameras or one of our errors, for a damaged file; no other exception."""
     path, refused = tmp_path / "cameras.json", 0
     write_cameras(path, cameras)
     for raw in [*mutations(path.read_bytes()), b"{}", b"[1]", b"[[]]", b"null", b"[" * 9999]:

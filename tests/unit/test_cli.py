@@ -38,7 +38,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_verb_that_does_not_exist(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: the nearest verb is offered."""
+    """Oracle: the nearest verb as a proposal."""
     assert commands.main(["trian"]) == 2
     assert "did you mean `gscore train`?" in capsys.readouterr().err
 
@@ -46,7 +46,7 @@ def test_a_verb_that_does_not_exist(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_verb_that_is_left_out_of_an_installation(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: a verb of which there is no file, as in the wheel of the Blender extension."""
+    """Oracle: a verb without a file, as in the wheel of the Blender extension."""
     monkeypatch.setitem(commands.VERBS, "weigh", "weigh splats")
     assert commands.main(["weigh"]) == 2
     assert "`gscore weigh` is not part of this installation" in capsys.readouterr().err
@@ -62,7 +62,7 @@ def test_help_of_each_verb(verb: str, capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_underscores_are_dashes_in_names_only() -> None:
-    """Oracle: names as argparse knows them; values stay."""
+    """Oracle: names as argparse has them; values are unchanged."""
     given = ["--test_iterations", "7_000", "--max_splats=1_0", "-r", "a_b", "c_d"]
     expected = ["--test-iterations", "7_000", "--max-splats=1_0", "-r", "a_b", "c_d"]
     assert commands.dashed(given) == expected
@@ -100,7 +100,7 @@ def test_failures_become_a_code_and_a_sentence(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Oracle: 2 for what a user can mend, in one line; 1 with a traceback for the rest."""
+    """Oracle: 2 for errors of the user, in one line; 1 with a traceback for the rest."""
     fake(monkeypatch, error)
     assert commands.main(["info"]) == code
     err = capsys.readouterr().err
@@ -113,7 +113,7 @@ def test_failures_become_a_code_and_a_sentence(
 def test_ctrl_c_outside_of_training(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the shell's code for SIGINT, and a word."""
+    """Oracle: the shell's code for SIGINT, and a message."""
     fake(monkeypatch, KeyboardInterrupt())
     assert commands.main(["info"]) == 130
     assert capsys.readouterr().err == "Stopped.\n"
@@ -130,7 +130,7 @@ def test_ctrl_c_outside_of_training(
 def test_stopped_before_there_was_anything(
     quiet: bool, events: str | None, err: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: a sentence for people, an event for programs, nothing where nothing is wanted."""
+    """Oracle: a sentence for people, an event for programs, no output where none is requested."""
 
     def work(show: Any, control: Any) -> None:
         raise Cancelled("while reading")
@@ -142,7 +142,7 @@ def test_stopped_before_there_was_anything(
 
 
 def test_help_is_a_verb_too(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: the help that --help gives, and the nearest verb for one that there is not."""
+    """Oracle: the output of --help, and the nearest verb for an unknown one."""
     for line, same in (("help", "--help"), ("help info", "info --help")):
         assert commands.main(line.split()) == 0
         told = capsys.readouterr().out
@@ -154,7 +154,7 @@ def test_help_is_a_verb_too(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_bad_option_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: one line, code 2, and where to read on."""
+    """Oracle: one line, code 2, and a reference to the help."""
     assert commands.main(["train", "x", "-o", "y", "--iterations", "many"]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1
@@ -215,14 +215,14 @@ def test_a_mistyped_option(line: str, words: str, capsys: pytest.CaptureFixture[
     ],
 )
 def test_a_long_value_is_not_repeated(word: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: a message of a few lines, whatever was given."""
+    """Oracle: a message of a few lines, for any value."""
     filled = word.format(x="x" * 9000, one="1" * 9000)
     assert commands.main(["train", "nowhere", "-o", "nowhere either", filled]) == 2
     assert 0 < len(capsys.readouterr().err) < 1000
 
 
 def test_names_keep_their_capitals(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: COLMAP and PLY are written so, also where a sentence is made of a phrase."""
+    """Oracle: the spelling of COLMAP and PLY, also where a phrase becomes a sentence."""
     for line in ("train --help", "info --help"):
         assert commands.main(line.split()) == 0
     out = capsys.readouterr().out
@@ -258,7 +258,7 @@ def test_help_is_short(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_extras_bring_what_is_said_to_be_missing() -> None:
-    """Oracle: pyproject.toml; every package of the extras people install is known."""
+    """Oracle: pyproject.toml; every package of the extras for users is known."""
     path = Path(__file__).parents[2] / "pyproject.toml"
     extras = tomllib.loads(path.read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     modules = {"pillow": "PIL"}
@@ -271,8 +271,8 @@ def test_extras_bring_what_is_said_to_be_missing() -> None:
 
 
 def test_python_without_torch() -> None:
-    """Oracle: a fresh interpreter in which torch cannot be imported: a sentence, and still the type
-    that programs look for."""
+    """Oracle: a fresh interpreter in which torch cannot be imported: a sentence, and still the
+    exception type that programs catch."""
     code = (
         "import sys; sys.modules['torch'] = None\nimport gscore\n"
         "try: gscore.rasterize\nexcept ImportError as error: print(error, error.name)"
@@ -285,7 +285,7 @@ def test_python_without_torch() -> None:
 
 
 def test_python_dash_m(tmp_path: Path) -> None:
-    """Oracle: the same as the installed command, from any folder; torch is not loaded."""
+    """Oracle: the same output as the installed command, from any folder; torch is not loaded."""
     code = (
         "import sys; from gscore.commands import main; main(['--help']); "
         "assert 'torch' not in sys.modules"
@@ -310,7 +310,7 @@ def test_python_dash_m(tmp_path: Path) -> None:
 def test_names_that_no_file_can_have(
     arguments: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: Any
 ) -> None:
-    """Oracle: exit code 2 and one sentence, as for any other name that is not there."""
+    """Oracle: exit code 2 and one sentence, as for any other missing name."""
     monkeypatch.chdir(tmp_path)
     assert commands.main(arguments) == 2
     told = capsys.readouterr().err
@@ -325,7 +325,7 @@ def test_names_that_no_file_can_have(
 def test_threads_that_cannot_be_are_refused(
     verb: str, threads: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: exit code 2 and a sentence with the value, before anything is looked for."""
+    """Oracle: exit code 2 and a sentence with the value, before any search for files."""
     assert commands.main([*verb.split(), f"--threads={threads}"]) == 2
     told = capsys.readouterr().err
     assert "threads" in told and threads in told and "Traceback" not in told
@@ -334,7 +334,7 @@ def test_threads_that_cannot_be_are_refused(
 
 @pytest.mark.parametrize("threads", [-1, 1025, 2**40])
 def test_threads_that_cannot_be_are_refused_in_python(threads: int) -> None:
-    """Oracle: the message, from what takes threads besides the rasterizer."""
+    """Oracle: the message, from every function with threads except the rasterizer."""
     message = r"threads must be 0 \(all cores\) to 1024, got"
     with pytest.raises(ConfigError, match=message):
         list(map_threads(abs, [1, 2, 3], threads=threads))
@@ -358,8 +358,8 @@ def test_a_working_folder_that_was_removed(
 
 
 def test_little_is_imported_before_signals_are_handled():
-    """Oracle: the modules that Python and `signal` alone load; a Ctrl-C that comes while others are
-    loaded ends in a traceback instead of 130 and "Stopped."."""
+    """Oracle: the modules that Python and `signal` alone load; a Ctrl-C during other imports would
+    end in a traceback instead of 130 and "Stopped."."""
     root = str(Path(commands.__file__).parents[2])
     code = f"""
 import os, signal, sys  # `site` loads os

@@ -59,7 +59,7 @@ def _theirs(rng: np.random.Generator) -> pycolmap.Reconstruction:
 
 
 def _assert_same(ours: ColmapModel, theirs: pycolmap.Reconstruction, digits: float = 0) -> None:
-    """Every number of both models, to the bit if `digits` is 0."""
+    """Assert equal numbers in both models, to the bit if `digits` is 0."""
 
     def same(a: object, b: object) -> None:
         np.testing.assert_allclose(a, b, rtol=digits, atol=digits)  # type: ignore[arg-type]
@@ -105,7 +105,7 @@ def test_camera_models_are_those_of_pycolmap() -> None:
 
 @pytest.mark.parametrize("binary", [True, False])
 def test_reads_what_pycolmap_writes(binary: bool, tmp_path: Path, rng: np.random.Generator) -> None:
-    """Oracle: the reconstruction that pycolmap wrote, with every camera model."""
+    """Oracle: the reconstruction written by pycolmap, with every camera model."""
     theirs = _theirs(rng)
     folder = tmp_path / "sparse" / "0"
     folder.mkdir(parents=True)
@@ -149,7 +149,7 @@ def small() -> ColmapModel:
 
 
 def test_empty_model_round_trip(small: ColmapModel, tmp_path: Path) -> None:
-    """Oracle: what was written."""
+    """Oracle: the written model."""
     for binary in (True, False):
         write_model(small, tmp_path / str(binary), binary=binary)
         again = read_model(tmp_path / str(binary))
@@ -158,7 +158,7 @@ def test_empty_model_round_trip(small: ColmapModel, tmp_path: Path) -> None:
 
 
 def test_observations_of_dropped_points(make_capture: Callable, tmp_path: Path) -> None:
-    """Oracle: pycolmap reads the model; observations of points left out are of no point."""
+    """Oracle: pycolmap's reading of the model; observations of dropped points are unassigned."""
     model = make_capture(write=False, points=4).model
     points = model.points
     fewer = ColmapPoints(**{name: value[1:] for name, value in vars(points).items()})
@@ -170,14 +170,14 @@ def test_observations_of_dropped_points(make_capture: Callable, tmp_path: Path) 
 
 
 def test_intrinsics_of_every_model() -> None:
-    """Oracle: pycolmap's calibration matrix and its own idea of 'undistorted'."""
+    """Oracle: pycolmap's calibration matrix and its own definition of 'undistorted'."""
     for kind in CAMERA_MODELS[:-1]:
         theirs = pycolmap.Camera.create_from_model_name(1, kind.name, 500.0, 640, 480)
         ours = ColmapCamera(
             model=kind.name, width=640, height=480, params=np.array(theirs.params, float)
         )
         np.testing.assert_array_equal(ours.K, theirs.calibration_matrix())
-        if ours.is_pinhole:  # we are careful: fisheye models with zeros are no pinhole
+        if ours.is_pinhole:  # to be safe, fisheye models with zeros are not pinholes
             assert theirs.is_undistorted()
         if len(kind.params) > 4:
             bent = np.array(theirs.params, float)
@@ -186,7 +186,7 @@ def test_intrinsics_of_every_model() -> None:
 
 
 class TestFinding:
-    """Where models are looked for."""
+    """Folders in which models are found."""
 
     def _put(self, small: ColmapModel, folder: Path, images: int = 0) -> None:
         image = {
@@ -201,12 +201,12 @@ class TestFinding:
 
     @pytest.mark.parametrize("place", ["sparse/0", "sparse", ".", "0", "colmap/sparse/0"])
     def test_places(self, place: str, small: ColmapModel, tmp_path: Path) -> None:
-        """Oracle: the folder the model was put in."""
+        """Oracle: the folder of the model."""
         self._put(small, tmp_path / place)
         assert find_model(tmp_path) == (tmp_path / place, ())
 
     def test_largest_of_several(self, small: ColmapModel, tmp_path: Path) -> None:
-        """Oracle: the one with most images, with a sentence that says so."""
+        """Oracle: the one with most images, with a sentence about the choice."""
         for name, images in (("0", 2), ("1", 5), ("10", 3)):
             self._put(small, tmp_path / "sparse" / name, images)
         model = read_model(tmp_path)
@@ -216,7 +216,7 @@ class TestFinding:
         assert "0 (2), 10 (3)" in warning
 
     def test_none(self, tmp_path: Path) -> None:
-        """Oracle: the sentence says where was looked and what to do."""
+        """Oracle: the sentence, with the searched folders and a remedy."""
         with pytest.raises(DatasetError, match=r"is an empty folder\. Give one with photos"):
             read_model(tmp_path)
         (tmp_path / "notes.md").touch()
@@ -277,7 +277,7 @@ def test_names_stay_inside(name: str, safe: bool) -> None:
     ],
 )
 def test_bad_cameras(text: str, message: str, tmp_path: Path) -> None:
-    """Oracle: the sentence names file, line and expectation."""
+    """Oracle: the sentence, with file, line and expected value."""
     (tmp_path / "cameras.txt").write_text(text)
     (tmp_path / "images.txt").write_text("")
     with pytest.raises(FormatError, match=message):
@@ -298,7 +298,7 @@ def test_bad_cameras(text: str, message: str, tmp_path: Path) -> None:
     ],
 )
 def test_bad_images(text: str, message: str, tmp_path: Path) -> None:
-    """Oracle: the sentence names file, line and expectation."""
+    """Oracle: the sentence, with file, line and expected value."""
     (tmp_path / "cameras.txt").write_text("1 PINHOLE 8 6 5 5 4 3")
     (tmp_path / "images.txt").write_text(text)
     with pytest.raises(FormatError, match=message):

@@ -1,4 +1,4 @@
-"""COLMAP files as they come: large, with marks and counts, joined by hand, with any names."""
+"""Real-world COLMAP files: large, with marks and counts, joined by hand, with any names."""
 
 import struct
 from collections.abc import Callable
@@ -28,7 +28,7 @@ def same(a: ColmapModel, b: ColmapModel) -> None:
 def test_windows_of_any_size_give_the_same(
     make_capture: Callable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the model that was written; windows end within records, tracks and names."""
+    """Oracle: the written model; windows end within records, tracks and names."""
     model = make_capture(write=False, views=5, points=40).model
     write_model(model, tmp_path / "bin")
     write_model(model, tmp_path / "txt", binary=False)
@@ -45,7 +45,7 @@ def test_windows_of_any_size_give_the_same(
 def test_observations_that_nobody_wants(
     binary: bool, make_capture: Callable, tmp_path: Path
 ) -> None:
-    """Oracle: the same images, with nothing seen in them; asked with the points."""
+    """Oracle: the same images without observations; with them if requested with the points."""
     model = make_capture(write=False).model
     write_model(model, tmp_path, binary=binary)
     asked = []
@@ -59,7 +59,7 @@ def test_observations_that_nobody_wants(
 def test_the_longest_tracks_of_an_image(
     binary: bool, make_capture: Callable, tmp_path: Path
 ) -> None:
-    """Oracle: track lengths counted over all images; nothing of what is kept is another's."""
+    """Oracle: track lengths counted over all images; no kept observation belongs to another."""
     made = make_capture(write=False, views=6, points=40).model
     rng = np.random.default_rng(0)
     keep = [rng.random(len(image.xys)) < 0.6 for image in made.images]
@@ -118,7 +118,7 @@ def test_byte_order_marks(make_capture: Callable, tmp_path: Path) -> None:
 def test_counts_that_are_not_right_are_told(
     name: str, what: str, make_capture: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Oracle: COLMAP's own comment above the records; silence where it is right."""
+    """Oracle: COLMAP's own comment above the records; no warning where it is right."""
     model = make_capture(write=False).model
     write_model(model, tmp_path, binary=False)
     path, there = tmp_path / f"{name}.txt", len(getattr(model, what))
@@ -135,7 +135,7 @@ def test_counts_that_are_not_right_are_told(
 def test_an_id_that_is_there_twice(
     name: str, binary: bool, make_capture: Callable, tmp_path: Path
 ) -> None:
-    """Oracle: the sentence names file and id."""
+    """Oracle: the sentence, with file and id."""
     write_model(make_capture(write=False, views=3, points=2).model, tmp_path, binary=binary)
     path = tmp_path / f"{name}s{'.bin' if binary else '.txt'}"
     raw = path.read_bytes()

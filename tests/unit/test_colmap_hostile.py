@@ -1,4 +1,4 @@
-"""Damaged COLMAP models: one of our errors or a model, never anything else."""
+"""Damaged COLMAP models: one of our errors or a model, no other exception."""
 
 import struct
 from collections.abc import Callable
@@ -33,7 +33,8 @@ def test_damaged(
 
 @pytest.mark.parametrize("name", _FILES)
 def test_every_truncation(name: str, make_capture: Callable, tmp_path: Path) -> None:
-    """Oracle: a binary file cut anywhere is refused, with file, place, expectation and advice."""
+    """Oracle: a binary file cut anywhere is refused, with file, place, expected value and
+    advice."""
     write_model(make_capture(write=False, views=3, points=2).model, tmp_path)
     path = tmp_path / f"{name}.bin"
     good = path.read_bytes()
@@ -47,7 +48,7 @@ def test_every_truncation(name: str, make_capture: Callable, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", _FILES)
 def test_huge_counts_allocate_nothing(name: str, make_capture: Callable, tmp_path: Path) -> None:
-    """Oracle: a count of 2^60 records is refused at once instead of filling the memory."""
+    """Oracle: an immediate refusal of a count of 2^60 records, without allocation."""
     write_model(make_capture(write=False).model, tmp_path)
     path = tmp_path / f"{name}.bin"
     path.write_bytes(struct.pack("<Q", 2**60) + path.read_bytes()[8:])
@@ -59,7 +60,7 @@ def test_huge_counts_allocate_nothing(name: str, make_capture: Callable, tmp_pat
 def test_bytes_beyond_the_count_are_told(
     name: str, make_capture: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Oracle: the number of bytes that were appended; silence about the file as it was."""
+    """Oracle: the number of appended bytes; no warning about the original file."""
     write_model(make_capture(write=False).model, tmp_path)
     read_model(tmp_path)
     assert not caplog.text
@@ -70,7 +71,7 @@ def test_bytes_beyond_the_count_are_told(
 
 
 def test_unknown_binary_camera_model(make_capture: Callable, tmp_path: Path) -> None:
-    """Oracle: the sentence names the id and what is known."""
+    """Oracle: the sentence, with the id and the known models."""
     write_model(make_capture(write=False).model, tmp_path)
     path = tmp_path / "cameras.bin"
     raw = bytearray(path.read_bytes())
@@ -83,7 +84,7 @@ def test_unknown_binary_camera_model(make_capture: Callable, tmp_path: Path) -> 
 
 
 def test_name_that_is_no_text(make_capture: Callable, tmp_path: Path) -> None:
-    """Oracle: the sentence names the file and shows the bytes."""
+    """Oracle: the sentence, with the file and the bytes."""
     write_model(make_capture(write=False).model, tmp_path)
     path = tmp_path / "images.bin"
     path.write_bytes(path.read_bytes().replace(b"view_03.png", b"view_\xff3.png"))

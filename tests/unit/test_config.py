@@ -1,4 +1,4 @@
-"""Options and their files; oracle: equality after a round trip, messages that name the fault."""
+"""Options and their files; oracle: equality after a round trip, messages that name the error."""
 
 import argparse
 import json
@@ -37,7 +37,7 @@ def test_presets_survive_a_file(preset: str, tmp_path: Path) -> None:
 
 
 def test_all_kinds_of_values_survive_a_file(tmp_path: Path) -> None:
-    """Oracle: equality, with paths, enums, tuples and a float that has no short form."""
+    """Oracle: equality, with paths, enums, tuples and a float without a short form."""
     data = DataConfig(source=tmp_path, test_list=tmp_path / "n.txt", resolution=2.5, eval=True)
     train = replace(ODD, lpips=tmp_path / "lpips.onnx")
     path = tmp_path / "config.json"
@@ -109,7 +109,7 @@ def test_bad_options_are_named(values: Any, message: str) -> None:
 
 
 def test_a_removed_option_may_state_its_default() -> None:
-    """Oracle: a file that says nothing of it."""
+    """Oracle: a file without it."""
     stated = {"reg_final": 1.0, "coarse_by_detail": False}
     assert from_dict(TrainConfig, stated, where="x") == TrainConfig()
 
@@ -131,7 +131,7 @@ def test_the_largest_seed_and_steps_that_never_come_are_taken() -> None:
     ],
 )
 def test_bad_files_are_named(tmp_path: Path, text: str, message: str) -> None:
-    """Oracle: file, place and fault in one sentence."""
+    """Oracle: file, place and error in one sentence."""
     path = tmp_path / "c.json"
     path.write_text(text, encoding="latin-1")
     with pytest.raises(ConfigError, match=message) as error:
@@ -146,7 +146,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 
 def test_differences_are_sentences() -> None:
-    """Oracle: the fields that were changed, in their order, less those ignored."""
+    """Oracle: the changed fields, in their order, less those ignored."""
     other = replace(ODD, iterations=9, background=Background.BLACK, lpips=None)
     assert differences(ODD, other, ignore={"iterations"}) == [
         "background was white, is black",
@@ -162,8 +162,8 @@ def test_to_dict_holds_json_values_only() -> None:
 
 
 def test_minus_one_is_as_is_under_every_preset() -> None:
-    """Oracle: the 1600 px that 3DGS takes photos as they are up to; a preset's own where nothing is
-    said."""
+    """Oracle: the 1600 px up to which 3DGS keeps photos unscaled; the preset's own without the
+    option."""
     parser = argparse.ArgumentParser()
     add_data_options(parser)
     for make in PRESETS.values():
@@ -182,7 +182,7 @@ def test_numbers_of_400_digits_are_not_repeated_whole() -> None:
 
 
 def test_words_that_read_as_absence_are_quoted() -> None:
-    """Oracle: the value `missing` of an option is not mistaken for an option that was missing."""
+    """Oracle: the value `missing` of an option, not mistaken for a missing option."""
     old, new = TrainConfig(stereo=Stereo.MISSING), TrainConfig(stereo=Stereo.AUTO)
     assert differences(old, new) == ["stereo was 'missing', is auto"]
 

@@ -1,4 +1,4 @@
-"""Options as a command; oracle: the parser of `gscore train` gives the same options back."""
+"""Options as a command; oracle: the same options from the parser of `gscore train`."""
 
 import argparse
 import shlex
@@ -33,7 +33,7 @@ ODD = {
 
 
 def parsed(command: str) -> tuple[DataConfig, TrainConfig]:
-    """What `gscore train` makes of a command."""
+    """The options that `gscore train` parses from a command."""
     program, name, *words = shlex.split(command)
     assert (program, name) == ("gscore", "train")
     parser = Parser(prog="gscore train")
@@ -52,7 +52,7 @@ def test_a_training_command_gives_its_options_back(preset: str, options: dict) -
     start = "gscore train 'my photos/first' -o 'out/my run'"
     assert command.startswith(f"{start} --preset {preset}")
     assert (command.count("--") == 1) is (not options)
-    assert "--overwrite" not in shlex.split(command)  # nobody replaces a run by pasting
+    assert "--overwrite" not in shlex.split(command)  # pasting must not replace a run
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_a_training_command_gives_its_options_back(preset: str, options: dict) -
     ],
 )
 def test_a_capture_is_read_as_before(changes: dict, words: list[str] | None) -> None:
-    """Oracle: equality after a round trip, and the words one would type."""
+    """Oracle: equality after a round trip, and the words a user would type."""
     data, train = PRESETS["draft"](CAPTURE)
     data = replace(data, **changes)
     command = train_command(data, train, Path("run"))
@@ -86,7 +86,7 @@ def test_a_capture_is_read_as_before(changes: dict, words: list[str] | None) -> 
     ],
 )
 def test_maps_are_made_for_the_same_split(changes: dict, words: list[str]) -> None:
-    """Oracle: what `gscore depth` takes, and the split it reads out of it."""
+    """Oracle: the options of `gscore depth`, and the split in them."""
     data = replace(DataConfig(source=CAPTURE), **changes)
     program, name, *given = shlex.split(depth_command(data))
     assert (program, name, given) == ("gscore", "depth", [str(CAPTURE), *words])
@@ -115,7 +115,7 @@ def test_a_budget_takes_the_place_of_steps() -> None:
     [("steps_a_photo", "iterations", 4160), ("splats_a_photo", "max_splats", 312_000)],
 )
 def test_what_photos_limit_is_given_back(limit: str, option: str, value: int) -> None:
-    """Oracle: equality after a round trip, with the limit and without; the preset is as it was."""
+    """Oracle: equality after a round trip, with the limit and without; the preset is unchanged."""
     data, train = PRESETS["high"](CAPTURE)
     limited = replace(train, **{option: value})
     meant = replace(limited, **{limit: 0})
@@ -139,8 +139,8 @@ def test_what_photos_limit_is_given_back(limit: str, option: str, value: int) ->
     ],
 )
 def test_a_command_has_what_was_typed(preset: str, words: str) -> None:
-    """Oracle: the options of the typed command, and its words, of which those are left out that
-    give what the preset does anyway."""
+    """Oracle: the options of the typed command, and its words without those that the preset sets
+    anyway."""
     data, train = parsed(f"gscore train {CAPTURE.name} -o run --preset {preset} {words}")
     command = train_command(data, train, Path("run"))
     assert parsed(command) == (data, train)
@@ -148,7 +148,7 @@ def test_a_command_has_what_was_typed(preset: str, words: str) -> None:
 
 
 def test_what_photos_limited_is_not_stated() -> None:
-    """Oracle: what was asked for; another number that somebody means stays."""
+    """Oracle: the requested number; another number set on purpose is kept."""
     data, train = PRESETS["high"](CAPTURE)
     limited = replace(train, iterations=4160, max_splats=312_000)
     asked = {"iterations": train.iterations, "max_splats": train.max_splats}
@@ -166,7 +166,7 @@ def test_photos_of_a_width_that_no_option_gives_have_no_command() -> None:
 
 
 def test_an_offset_that_no_option_gives_has_no_command() -> None:
-    """Oracle: the split of a run from Python; without held-out views the offset says nothing."""
+    """Oracle: the split of a run from Python; without held-out views the offset has no effect."""
     data, train = PRESETS["draft"](CAPTURE)
     data = replace(data, test_offset=3)
     assert train_command(replace(data, eval=True), train, Path("run")) == ""
@@ -174,7 +174,8 @@ def test_an_offset_that_no_option_gives_has_no_command() -> None:
 
 
 def test_a_split_on_the_command_line_replaces_an_offset() -> None:
-    """Oracle: a run held out every 8th view from the 8th; asked for every 5th, from the first."""
+    """Oracle: a run with every 8th view held out from the 8th; a request for every 5th, from the
+    first."""
     given = argparse.Namespace(test_every=5)
     config = with_data_options(DataConfig(source=CAPTURE, eval=True, test_offset=7), given)
     assert (config.test_every, config.test_offset, config.eval) == (5, None, True)

@@ -1,4 +1,4 @@
-"""Requests to a trainer; oracle: the state they must lead to."""
+"""Requests to a trainer; oracle: the resulting state."""
 
 import os
 import socket
@@ -41,7 +41,7 @@ def test_lines_lead_to_states() -> None:
 
 
 def test_a_pause_ends_with_resume_or_stop() -> None:
-    """Oracle: the waiting thread goes on."""
+    """Oracle: the waiting thread, which continues."""
     for way in ("resume", "stop"):
         control = Control()
         control.pause()
@@ -55,7 +55,7 @@ def test_a_pause_ends_with_resume_or_stop() -> None:
 
 
 def test_a_pipe_is_read_line_by_line_and_its_end_counts() -> None:
-    """Oracle: commands arrive as soon as their line is complete; the end is told once."""
+    """Oracle: each command as soon as its line is complete; the end, reported once."""
     control, ends = Control(), []
     read, write = os.pipe()
     thread = listen(control, read, on_end=lambda: ends.append(1))
@@ -75,7 +75,7 @@ def test_a_pipe_is_read_line_by_line_and_its_end_counts() -> None:
 
 
 def test_only_pipes_and_sockets_end_with_their_parent(tmp_path: Path) -> None:
-    """Oracle: the kind of file; /dev/null and files end at once, which means nothing."""
+    """Oracle: the kind of file; /dev/null and files end immediately, which is ignored."""
     (tmp_path / "commands").write_text("pause\n")
     control, ends = Control(), []
     for path in (tmp_path / "commands", Path(os.devnull)):
@@ -92,7 +92,7 @@ def test_only_pipes_and_sockets_end_with_their_parent(tmp_path: Path) -> None:
 
 
 def test_commands_can_come_while_the_trainer_looks() -> None:
-    """Oracle: no request is lost and no deadlock, with a thread that keeps asking."""
+    """Oracle: no lost request and no deadlock, with a thread that polls continuously."""
     control = Control()
 
     def ask() -> None:

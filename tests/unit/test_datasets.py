@@ -1,4 +1,4 @@
-"""Captures on disk against what they were made from."""
+"""Captures on disk; oracle: the data that they were made from."""
 
 import threading
 from collections.abc import Callable
@@ -23,7 +23,7 @@ def _load(root: Path, **options: Any) -> Dataset:
 
 
 def test_plain_capture(make_capture: Callable) -> None:
-    """Oracle: the model and photos that were written."""
+    """Oracle: the written model and photos."""
     capture = make_capture()
     data = _load(capture.root)
     cameras = data.scene.cameras
@@ -78,7 +78,7 @@ def test_target_sizes(size: tuple[int, int], resolution: float, expected: tuple[
 
 
 def test_largest_width(make_capture: Callable) -> None:
-    """Oracle: without -r photos are scaled to the width of the option, with it they are not."""
+    """Oracle: the width of the option without -r; unscaled photos with it."""
     root = make_capture(size=(101, 67)).root
     assert _load(root, max_width=40).image(0).shape == (27, 40, 3)
     assert _load(root, max_width=40, resolution=1).image(0).shape == (67, 101, 3)
@@ -88,14 +88,14 @@ def test_largest_width(make_capture: Callable) -> None:
 
 @pytest.mark.parametrize("resolution", [0, -2, 0.5, 9, 15, float("nan"), float("inf")])
 def test_unusable_resolutions(resolution: float, make_capture: Callable) -> None:
-    """Oracle: the sentence says what -r takes."""
+    """Oracle: the sentence, with the values of -r."""
     with pytest.raises(ConfigError, match=r"resolution is .*; expected -1"):
         _load(make_capture().root, resolution=resolution)
 
 
 @pytest.mark.parametrize("resolution", [1, 2, 2.5, 4, 40])
 def test_scaled_cameras_see_the_same(resolution: float, make_capture: Callable) -> None:
-    """Oracle: a point projects to the same fraction of the picture, on each axis by itself."""
+    """Oracle: the same fraction of the picture for a projected point, on each axis separately."""
     capture = make_capture(size=(101, 67))
     full, small = _load(capture.root), _load(capture.root, resolution=resolution)
     sizes = [np.stack([d.scene.cameras.widths, d.scene.cameras.heights], 1) for d in (full, small)]
@@ -131,7 +131,7 @@ def test_photos_of_another_size(make_capture: Callable) -> None:
 
 
 def test_photos_of_another_shape(make_capture: Callable) -> None:
-    """Oracle: a cropped photo is refused with both sizes."""
+    """Oracle: the refusal of a cropped photo, with both sizes."""
     capture = make_capture()
     write_png(capture.root / "images" / "view_03.png", np.zeros((48, 40, 3), np.uint8))
     with pytest.raises(DatasetError, match=r"view_03\.png is 40 x 48 pixels, .* for 64 x 48"):
@@ -142,7 +142,7 @@ def test_photos_turned_by_exif(make_capture: Callable) -> None:
     """Oracle: a model made from upright photos, while the files are stored sideways."""
     capture = make_capture(names=[f"{i}.jpg" for i in range(3)], write=False)
     exif = Image.Exif()
-    exif[0x0112] = 6  # to show, turn clockwise: stored is the upright picture turned back
+    exif[0x0112] = 6  # to show, turn clockwise: the file has the upright picture turned back
     for name, photo in capture.photos.items():
         (capture.root / "images").mkdir(parents=True, exist_ok=True)
         Image.fromarray(np.ascontiguousarray(np.rot90(photo, 1))).save(
@@ -192,10 +192,10 @@ def test_copies_of_photos_are_told(make_capture: Callable) -> None:
 
 
 class TestMissing:
-    """Photos and folders that are not there."""
+    """Missing photos and folders."""
 
     def test_some_photos(self, make_capture: Callable) -> None:
-        """Oracle: the others are used, in order, with a warning that names the missing."""
+        """Oracle: the others, in order, with a warning that names the missing."""
         capture = make_capture()
         for i in (1, 4):
             (capture.root / "images" / f"view_{i:02d}.png").unlink()
@@ -218,7 +218,7 @@ class TestMissing:
         assert "--images" in message
 
     def test_folders(self, make_capture: Callable, tmp_path: Path) -> None:
-        """Oracle: the sentence names the folder and the option."""
+        """Oracle: the sentence, with the folder and the option."""
         capture = make_capture()
         with pytest.raises(DatasetError, match=r"no image folder .*photos.*--images"):
             _load(capture.root, images="photos")
@@ -236,7 +236,7 @@ class TestMissing:
             _load(tmp_path / "empty")
 
     def test_other_ending_or_case(self, make_capture: Callable) -> None:
-        """Oracle: photos converted to another format or renamed by case are found, and said."""
+        """Oracle: photos converted to another format or renamed by case, found and reported."""
         capture = make_capture(names=["a.JPG", "Sub/b.jpg", "c.png"], write=False)
         write_model(capture.model, capture.root / "sparse" / "0")
         files = {"a.JPG": "a.png", "Sub/b.jpg": "sub/B.png", "c.png": "c.png"}
@@ -249,7 +249,7 @@ class TestMissing:
         assert "2 images are named differently" in warning and "a.JPG -> a.png" in warning
 
     def test_model_without_images(self, make_capture: Callable) -> None:
-        """Oracle: a model of nothing is refused."""
+        """Oracle: the refusal of an empty model."""
         capture = make_capture(write=False)
         write_model(replace(capture.model, images=[]), capture.root)
         with pytest.raises(DatasetError, match="has no images"):
@@ -265,7 +265,7 @@ class TestMissing:
 
 
 class TestDecoding:
-    """When photos are decoded, and what if they are broken."""
+    """Decoding of photos: when it happens, and errors of broken ones."""
 
     def test_once_and_lazily(self, make_capture: Callable, monkeypatch: Any) -> None:
         """Oracle: a count of calls; loading decodes nothing, preloading each photo once."""
@@ -289,7 +289,7 @@ class TestDecoding:
         assert sum(data.image(i).nbytes for i in range(9)) == data.nbytes
 
     def test_threads_agree(self, make_capture: Callable) -> None:
-        """Oracle: the photos; many threads asking at the same time get the same bytes."""
+        """Oracle: the photos; the same bytes for many threads at the same time."""
         capture = make_capture()
         data = _load(capture.root)
         results: list[list[np.ndarray]] = []
@@ -308,14 +308,14 @@ class TestDecoding:
                 np.testing.assert_array_equal(image, again)
 
     def test_part(self, make_capture: Callable) -> None:
-        """Oracle: only the views asked for are reported."""
+        """Oracle: reports about the requested views only."""
         data = _load(make_capture().root)
         done: list[int] = []
         data.preload([2, 5], on_progress=lambda k, total: done.append(total))
         assert done == [2, 2]
 
     def test_cancel(self, make_capture: Callable) -> None:
-        """Oracle: stops at the first question."""
+        """Oracle: a stop at the first check."""
         data = _load(make_capture().root)
         with pytest.raises(Cancelled):
             data.preload(cancelled=lambda: True)
@@ -331,14 +331,15 @@ class TestDecoding:
             data.preload(threads=threads)
 
     def test_photo_that_is_none(self, make_capture: Callable) -> None:
-        """Oracle: known before anything is decoded."""
+        """Oracle: an error before any decoding."""
         capture = make_capture()
         (capture.root / "images" / "view_02.png").write_bytes(b"")
         with pytest.raises(FormatError, match=r"view_02\.png cannot be read as an image"):
             _load(capture.root)
 
     def test_too_little_memory(self, make_capture: Callable, monkeypatch: Any) -> None:
-        """Oracle: an allocation that fails while a photo is scaled: its name and size are told."""
+        """Oracle: an allocation that fails while a photo is scaled: its name and size are
+        reported."""
         data = _load(make_capture().root)
 
         def fails(*_: Any, **__: Any) -> None:
@@ -360,7 +361,7 @@ class TestDecoding:
 
 
 class TestMasks:
-    """Alpha, mask folders and what they mean."""
+    """Alpha, mask folders and their modes."""
 
     def _masks(self, root: Path, naming: str, count: int = 9, folder: str = "masks") -> None:
         for i in range(count):
@@ -371,7 +372,7 @@ class TestMasks:
 
     @pytest.mark.parametrize("naming", ["{}.png", "{}.png.png", "{}.PNG"])
     def test_folder(self, naming: str, make_capture: Callable) -> None:
-        """Oracle: the masks written, soft values kept; both naming customs."""
+        """Oracle: the written masks, with soft values; both naming conventions."""
         capture = make_capture()
         self._masks(capture.root, naming)
         data = _load(capture.root)
@@ -383,7 +384,7 @@ class TestMasks:
         assert data.nbytes == 9 * 64 * 48 * 4
 
     def test_inverted_masks(self, make_capture: Callable) -> None:
-        """Oracle: 255 minus the masks as read; the mode is ignore unless the user says."""
+        """Oracle: 255 minus the masks as read; the mode is ignore unless the option sets it."""
         capture = make_capture()
         self._masks(capture.root, "{}.png")
         usual = _load(capture.root)
@@ -452,7 +453,7 @@ class TestMasks:
             )
 
     def test_labels_are_masks(self, make_capture: Callable) -> None:
-        """Oracle: 0 and 1 in 16 bits are yes and no, and a sentence says that this was assumed."""
+        """Oracle: 0 and 1 in 16 bits as yes and no, and a sentence about this assumption."""
         capture = make_capture()
         labels = np.zeros((48, 64), np.uint16)
         labels[:, 20:] = 1
@@ -500,7 +501,7 @@ class TestMasks:
         has_mask: bool,
         make_capture: Callable,
     ) -> None:
-        """Oracle: the documented table; a folder wins over alpha."""
+        """Oracle: the documented table; a folder has precedence over alpha."""
         capture = make_capture(alpha=alpha)
         if folder:
             self._masks(capture.root, "{}.png")
@@ -520,7 +521,7 @@ class TestMasks:
         assert mask[10, :4].tolist() == [0, 0, 128, 255]
 
     def test_other_folder(self, make_capture: Callable) -> None:
-        """Oracle: the folder of the option is used, a missing or foreign one refused."""
+        """Oracle: the folder of the option; a missing or foreign one is refused."""
         capture = make_capture()
         self._masks(capture.root, "{}.png", folder="mattes")
         assert _load(capture.root).mask_mode == "none"
@@ -535,7 +536,7 @@ class TestMasks:
         assert data.mask_mode == "none" and "It is not used" in data.warnings[0]
 
     def test_some_missing(self, make_capture: Callable) -> None:
-        """Oracle: views without a mask count as a whole, with a warning."""
+        """Oracle: full views without a mask, with a warning."""
         capture = make_capture()
         self._masks(capture.root, "{}.png", count=7)
         data = _load(capture.root)
@@ -557,13 +558,13 @@ class TestMasks:
 
 
 class TestPoints:
-    """Points mended while loading."""
+    """Points repaired while loading."""
 
     @pytest.mark.parametrize("known", [True, False])
     def test_black_points_are_colored(self, known: bool, make_capture: Callable) -> None:
-        """Oracle: the colours of the discs that the points are drawn as in the photos."""
+        """Oracle: the colours of the discs drawn for the points in the photos."""
         capture = make_capture(black=True, views=12)
-        if not known:  # without observations every photo is asked
+        if not known:  # without observations every photo is searched
             images = [
                 replace(image, point3D_ids=np.full_like(image.point3D_ids, -1))
                 for image in capture.model.images
@@ -586,14 +587,14 @@ class TestPoints:
         np.testing.assert_allclose(data.scene.points.colors, expected / number[:, None], atol=0.51)
 
     def test_masked_pixels_give_no_color(self, make_capture: Callable) -> None:
-        """Oracle: all photos masked out leave the points grey."""
+        """Oracle: grey points where all photos are masked out."""
         capture = make_capture(black=True)
         for name in capture.photos:
             write_png(capture.root / "masks" / name, np.zeros((48, 64), np.uint8))
         assert (_load(capture.root).scene.points.colors == 128).all()
 
     def test_one_coloured_point_is_enough(self, make_capture: Callable) -> None:
-        """Oracle: only a model that is black altogether was made without colours."""
+        """Oracle: a model with a single coloured point; only entirely black ones lack colours."""
         capture = make_capture()
         rgb = np.zeros_like(capture.model.points.rgb)
         rgb[2] = 9
@@ -618,7 +619,7 @@ class TestPoints:
     def test_points_that_are_not_finite(
         self, black: bool, far: float, make_capture: Callable
     ) -> None:
-        """Oracle: they are left out; the others keep their colours."""
+        """Oracle: the other points, with their colours."""
         capture = make_capture()
         xyz = capture.model.points.xyz.copy()
         xyz[[1, 3], 0] = [far, np.inf]
@@ -639,7 +640,7 @@ class TestPoints:
 
 
 def test_hostile_folder(make_capture: Callable, mutations: Callable) -> None:
-    """Oracle: a capture with a damaged model or photo loads or gives one of our errors."""
+    """Oracle: a capture or one of our errors, for a damaged model or photo."""
     capture = make_capture(views=4)
     for path in (capture.root / "sparse/0/images.bin", capture.root / "images/view_01.png"):
         good = path.read_bytes()

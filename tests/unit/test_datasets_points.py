@@ -1,4 +1,4 @@
-"""Random starting points: where cameras look, by construction."""
+"""Random starting points in the views of cameras, by construction."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from gscore.transforms import invert_rigid
 
 
 def _cameras(positions: np.ndarray, forward: np.ndarray) -> Cameras:
-    """Cameras at `positions` looking along `forward`, both [C, 3]."""
+    """Cameras at `positions` that face along `forward`, both [C, 3]."""
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     for pose, position, axis in zip(poses, positions, forward, strict=True):
         z = axis / np.linalg.norm(axis)
@@ -54,7 +54,8 @@ def test_around_something(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("kind", ["forward", "outward", "single"])
 def test_elsewhere_all_points_are_seen(kind: str, rng: np.random.Generator) -> None:
-    """Oracle: every point projects into some camera, no farther than three times the spread."""
+    """Oracle: a projection into some camera for every point, no farther than three times the
+    spread."""
     positions = rng.uniform(-1, 1, (12, 3))
     forward = np.tile([0.0, 0, 1], (12, 1)) if kind != "outward" else positions
     if kind == "single":
@@ -68,7 +69,7 @@ def test_elsewhere_all_points_are_seen(kind: str, rng: np.random.Generator) -> N
 
 
 def test_seed(rng: np.random.Generator) -> None:
-    """Oracle: the same seed gives the same points, another one others."""
+    """Oracle: the same points for the same seed, others for another."""
     cameras = _cameras(rng.standard_normal((4, 3)), rng.standard_normal((4, 3)))
     first = random_points(cameras, 10, seed=3).points
     np.testing.assert_array_equal(first, random_points(cameras, 10, seed=3).points)

@@ -1,4 +1,4 @@
-"""Memory that threads share while they decode photos; oracles: counters, and the kernel's."""
+"""Memory shared by threads that decode photos; oracles: counters, and the kernel's count."""
 
 import threading
 import time
@@ -31,7 +31,8 @@ def file_of(path: Path, size: tuple[int, int], to: tuple[int, int]) -> ViewFile:
 
 @pytest.mark.parametrize(("size", "together"), [(3, 3), (5, 2), (6, 1), (25, 1)])
 def test_no_more_than_there_is(size: int, together: int) -> None:
-    """Oracle: a counter of who is inside, of eight threads; what is larger than all is alone."""
+    """Oracle: a counter of active threads, of eight; a photo larger than the whole room is
+    alone."""
     room, lock = _Room(10), threading.Lock()
     inside, most = 0, 0
 
@@ -90,11 +91,11 @@ def test_strips_are_the_whole(mode: str, tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_memory_of_a_large_photo(tmp_path: Path) -> None:
-    """Oracle: the kernel's count while 40 megapixels are read; not more than is said."""
+    """Oracle: the kernel's count while 40 megapixels are read, at most the estimate."""
     path, size = tmp_path / "a.jpg", (8000, 5000)
     Image.new("RGB", size, (90, 120, 30)).save(path)
     file = file_of(path, size, (400, 250))
-    decode_view(file_of(path, size, size))  # loads what is loaded once
+    decode_view(file_of(path, size, size))  # loads one-time modules
     before = peak_bytes(restart=True)
     if not before:
         pytest.skip("the system does not tell")

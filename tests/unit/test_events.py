@@ -95,8 +95,8 @@ STARTED = Started(
 
 
 def test_decisions_are_read_from_either_kind_of_key() -> None:
-    """Oracle: the same decisions, listed, and as the keys by topic that were there before the list;
-    the keys of today's events are those of then."""
+    """Oracle: the same decisions, from the list and from the keys by topic of older versions;
+    today's events still have those keys."""
     data = json.loads(to_line(STARTED))
     assert data["decisions"][0] == {"topic": "enough", "text": "Fewer steps."}
     assert (data["enough"], data["depth"]) == ("Fewer steps.", "Depth is not used.")
@@ -114,7 +114,7 @@ def test_damaged_decisions_are_no_event(value) -> None:
 
 
 def test_kinds_are_those_of_the_protocol() -> None:
-    """Oracle: the protocol's words."""
+    """Oracle: the kinds in the protocol."""
     words = "estimate started progress preview snapshot eval warning saved done error"
     words += " sequence frame depth depth_progress evaluated eval_progress"
     words += " sfm sfm_estimate sfm_progress frames frames_progress"

@@ -1,4 +1,4 @@
-"""Atomic writing against real failures of the file system."""
+"""Atomic writing under real failures of the file system."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ def _listing(folder: Path) -> list[str]:
 
 
 def test_writes_and_makes_folders(tmp_path: Path) -> None:
-    """Oracle: the bytes read back, and nothing else left in the folder."""
+    """Oracle: the bytes read back, and no other file in the folder."""
     path = tmp_path / "a" / "b" / "file.bin"
     atomic_write(path, b"first")
     atomic_write(path, lambda file: [file.write(b"sec"), file.write(b"ond")][0] and None)
@@ -29,7 +29,7 @@ def test_writes_and_makes_folders(tmp_path: Path) -> None:
 
 
 def test_failure_leaves_the_old_file(tmp_path: Path) -> None:
-    """Oracle: contents before a writer that fails half-way, with an error of its own kind."""
+    """Oracle: the previous content, for a writer that fails half-way with its own error."""
     path = tmp_path / "file.bin"
     atomic_write(path, b"old")
 
@@ -44,7 +44,7 @@ def test_failure_leaves_the_old_file(tmp_path: Path) -> None:
 
 
 def test_a_file_that_was_given_up(tmp_path: Path) -> None:
-    """Oracle: contents before; what gives it up comes through, and later files are written."""
+    """Oracle: the previous content; the exception is raised, and later files are written."""
     path = tmp_path / "file.bin"
     atomic_write(path, b"old")
     reached = []
@@ -56,7 +56,7 @@ def test_a_file_that_was_given_up(tmp_path: Path) -> None:
     with pytest.raises(KeyError), file_errors(check):
         atomic_write(path, b"new")
     assert path.read_bytes() == b"old" and _listing(tmp_path) == ["file.bin"]
-    assert len(reached) == 1 and len(reached[0]) == 2  # all was written by then
+    assert len(reached) == 1 and len(reached[0]) == 2  # all data were written by then
     with file_errors(lambda: None):
         atomic_write(path, b"newer")
     assert path.read_bytes() == b"newer"
@@ -80,8 +80,8 @@ atomic_write(Path(sys.argv[1]), write)
 def test_remains_of_killed_writes_are_removed(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the names in the folder: what a process writes stays while it lives, and goes with
-    the next write of the same file once it was killed; all other files stay."""
+    """Oracle: the names in the folder: temporary files of a process stay while it runs, and go with
+    the next write of the same file after it was killed; all other files stay."""
     monkeypatch.setattr(files, "_LIST_AGAIN", -1.0)
     others = [f".other{name[:200]}.0123abcd.tmp", ".o.ply.tmp", ".o.ply.notrandm.tmp", "x.tmp"]
     for other in others:
@@ -106,7 +106,7 @@ def test_remains_of_killed_writes_are_removed(
 def test_threads_that_write_one_file_leave_each_other_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: one of the contents, and no error, of forty writes on eight threads."""
+    """Oracle: one of the contents, and no error, for forty writes on eight threads."""
     monkeypatch.setattr(files, "_LIST_AGAIN", -1.0)
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda k: atomic_write(tmp_path / "a", bytes([k]) * 1000), range(40)))
@@ -127,7 +127,7 @@ def test_full_disk(tmp_path: Path) -> None:
 
 
 def test_file_in_place_of_folder(tmp_path: Path) -> None:
-    """Oracle: the sentence names the path and the trouble."""
+    """Oracle: the sentence, with the path and the error."""
     (tmp_path / "out").write_text("a file")
     with pytest.raises(GsError, match=r"Cannot write .*out.*a file"):
         atomic_write(tmp_path / "out" / "x.ply", b"1")
@@ -138,7 +138,7 @@ def test_file_in_place_of_folder(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write anywhere")
 def test_read_only_folder(tmp_path: Path) -> None:
-    """Oracle: the sentence names the trouble."""
+    """Oracle: the sentence, with the error."""
     tmp_path.chmod(0o500)
     with pytest.raises(GsError, match="permission denied"):
         atomic_write(tmp_path / "x", b"1")
@@ -153,7 +153,7 @@ def test_permissions_of_ordinary_files(tmp_path: Path) -> None:
 
 
 def test_readers_never_see_half(tmp_path: Path) -> None:
-    """Oracle: a second thread that keeps reading sees only whole versions."""
+    """Oracle: whole versions only, in a second thread that reads continuously."""
     path = tmp_path / "file"
     versions = {bytes([k]) * 100_000 for k in range(8)}
     atomic_write(path, bytes([0]) * 100_000)
@@ -173,7 +173,7 @@ def test_readers_never_see_half(tmp_path: Path) -> None:
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    """Oracle: the sentence names the file."""
+    """Oracle: the sentence, with the file."""
     with pytest.raises(DatasetError, match=r"Cannot read .*none\.bin: there is no such file"):
         read_bytes(tmp_path / "none.bin")
 
@@ -187,7 +187,7 @@ def test_missing_file(tmp_path: Path) -> None:
     ],
 )
 def test_names_that_cannot_be(tmp_path: Path, name: str, told: str) -> None:
-    """Oracle: one sentence that can be printed, writing and reading."""
+    """Oracle: one printable sentence, for writing and reading."""
     with pytest.raises(GsError, match=f"Cannot write .*: .*{told}") as error:
         atomic_write(tmp_path / name, b"1")
     str(error.value).encode()
@@ -198,7 +198,7 @@ def test_names_that_cannot_be(tmp_path: Path, name: str, told: str) -> None:
 
 
 def test_errors_of_the_writer_stay_its_own(tmp_path: Path) -> None:
-    """Oracle: a ValueError that has nothing to do with the name."""
+    """Oracle: a ValueError that is unrelated to the name."""
 
     def fail(file: BinaryIO) -> None:
         raise ValueError("mine")

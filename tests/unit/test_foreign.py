@@ -1,4 +1,4 @@
-"""What other programs write is called by its name, wherever a capture or a PLY was expected."""
+"""Files of other programs, named where a capture or a PLY is expected."""
 
 import gzip
 import io
@@ -59,9 +59,9 @@ FILES = {
     "jpg": (b"\xff\xd8\xff\xe0" + bytes(40), "a single photo", "folder"),
     "blend": (b"BLENDER-v405", "Blender", "add-on"),
 }  # fmt: skip
-"""By the usual ending: the first bytes that the format's own definition states, words to expect."""
+"""By the usual ending: the first bytes by the format's definition, and words of the message."""
 BY_NAME = ("splat", "ksplat", "gltf", "psx")
-"""These have no signature, so their ending must tell."""
+"""Formats without a signature, detected by their ending."""
 
 
 @pytest.fixture(params=FILES)
@@ -74,7 +74,7 @@ def given(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Path, str, st
 
 
 def test_by_content(given: tuple[Path, str, str]) -> None:
-    """Oracle: the signatures that the formats' definitions state, under another ending too."""
+    """Oracle: the signatures in the formats' definitions, under another ending too."""
     path, name, advice = given
     assert (
         name in describe_unsupported(path)
@@ -87,7 +87,7 @@ def test_by_content(given: tuple[Path, str, str]) -> None:
 
 
 def test_where_a_ply_or_a_capture_is_expected(given: tuple[Path, str, str]) -> None:
-    """Oracle: the same sentence from both readers, which all verbs and the add-on go through."""
+    """Oracle: the same sentence from both readers, which all verbs and the add-on use."""
     path, name, _ = given
     words = r"gscore does not read|video without cameras|not a capture|not splats|is not XML"
     with pytest.raises(GsError, match=words) as of_splats:
@@ -95,7 +95,7 @@ def test_where_a_ply_or_a_capture_is_expected(given: tuple[Path, str, str]) -> N
     with pytest.raises(GsError, match=words) as of_capture:
         load_dataset(DataConfig(source=path))
     assert name in str(of_splats.value)
-    if path.suffix != ".xml":  # cameras of Metashape are a capture, of which this one ends early
+    if path.suffix != ".xml":  # cameras of Metashape are a capture; this one is truncated
         assert name in str(of_capture.value)
 
 
@@ -117,7 +117,7 @@ def test_every_verb_says_so(line: str, tmp_path: Path, capsys: pytest.CaptureFix
 def test_photos_without_cameras(
     place: str, verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the command that finds cameras; the photos stay where they are if in `images`."""
+    """Oracle: the command that finds cameras; photos in `images` stay in their folder."""
     folder = tmp_path / "my photos"
     for i in range(3):
         write_png(folder / place / f"{i}.png", np.zeros((4, 4, 3), np.uint8))
@@ -129,7 +129,7 @@ def test_photos_without_cameras(
 
 
 def test_a_folder_of_other_things(tmp_path: Path) -> None:
-    """Oracle: the sentence on what lies in it; SOG unpacked; nothing where nothing is known."""
+    """Oracle: the sentence on its content; SOG unpacked; none for unknown content."""
     assert describe_unsupported(tmp_path) == "" and describe_unsupported(tmp_path / "nowhere") == ""
     (tmp_path / "notes.txt").write_text("none of them")
     assert (
@@ -145,7 +145,7 @@ def test_a_folder_of_other_things(tmp_path: Path) -> None:
 
 
 def test_what_gscore_wrote_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: sentences that name the folder, its kind, and what takes it."""
+    """Oracle: sentences with the folder, its kind, and the verb for it."""
     blocks, runs, run = (tmp_path / name for name in ("blocks", "runs", "run"))
     for k in range(2):
         write_png(blocks / f"block_{k}" / "images" / "a.png", np.zeros((4, 4, 3), np.uint8))
@@ -179,7 +179,7 @@ def test_what_gscore_wrote_itself(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_a_capture_where_a_run_is_expected(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the command that makes a run of it."""
+    """Oracle: the command that trains it."""
     (tmp_path / "sparse" / "0").mkdir(parents=True)
     for name in ("cameras", "images", "points3D"):
         (tmp_path / "sparse" / "0" / f"{name}.txt").write_text("")
@@ -211,8 +211,8 @@ INDEXES = {
 def test_cameras_among_photos_that_are_not_read(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: each program's own file name and first bytes; what it is and how to export it, in
-    `info` and in the facts of the panel."""
+    """Oracle: each program's own file name and first bytes; its kind and export advice, in `info`
+    and in the facts of the panel."""
     for i in range(3):
         write_png(tmp_path / "images" / f"{i}.png", np.zeros((4, 4, 3), np.uint8))
     content, kind, *advice = (UNREAD | INDEXES)[name]
@@ -229,8 +229,8 @@ def test_cameras_among_photos_that_are_not_read(
 def test_an_index_of_splats_is_named(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the specifications' names and keys; given itself or by its folder, to verbs that take
-    splats and to those that take captures."""
+    """Oracle: the specifications' names and keys; given itself or by its folder, to verbs for
+    splats and to those for captures."""
     content, kind = INDEXES[name]
     path = tmp_path / name
     path.write_bytes(content)

@@ -1,4 +1,4 @@
-"""Names and points as other systems and programs leave them; oracle: the capture written."""
+"""Names and points of other systems and programs; oracle: the written capture."""
 
 import json
 import shutil
@@ -93,7 +93,7 @@ def test_forms_in_a_transforms_json(stated: str, on_disk: str, tmp_path: Path) -
 def test_photos_where_their_names_do_not_say(
     prefix: str, place: str, make_capture: Callable
 ) -> None:
-    """Oracle: the photos of a flat folder, whatever stands before their names in the model."""
+    """Oracle: the photos of a flat folder, for any prefix of their names in the model."""
     capture = make_capture(views=4)
     _rename(capture.root, [prefix + name for name in capture.photos])
     if place != "images":
@@ -108,7 +108,7 @@ def test_photos_where_their_names_do_not_say(
 
 
 def test_absolute_names_that_are_there_twice(make_capture: Callable) -> None:
-    """Oracle: folders below the one that all share tell photos of one name apart."""
+    """Oracle: equal names, distinguished by the folders below the common one."""
     names = [f"{side}/{i}.png" for side in ("left", "right") for i in range(2)]
     capture = make_capture(names=names)
     _rename(capture.root, [f"/data/{name}" for name in names])
@@ -121,7 +121,7 @@ def test_absolute_names_that_are_there_twice(make_capture: Callable) -> None:
 
 
 def test_folders_that_lack_are_not_guessed(make_capture: Callable) -> None:
-    """Oracle: a file whose name two images of the model have is neither's photo."""
+    """Oracle: no photo from a file whose name two images of the model have."""
     capture = make_capture(names=["a.png", "b.png", "c.png"])
     _rename(capture.root, ["left/a.png", "right/a.png", "left/b.png"])
     with pytest.raises(DatasetError, match=r"2 of the 3 images .* are missing"):
@@ -132,7 +132,7 @@ def test_folders_that_lack_are_not_guessed(make_capture: Callable) -> None:
 @pytest.mark.parametrize("place", ["sparse/0", "sparse", ""])
 @pytest.mark.parametrize("left", ["nothing", "an empty file"])
 def test_points_in_a_ply(name: str, place: str, left: str, make_capture: Callable) -> None:
-    """Oracle: the points that were moved there."""
+    """Oracle: the points moved there."""
     capture = make_capture(views=4)
     points = capture.model.points
     table = np.empty(
@@ -152,7 +152,7 @@ def test_points_in_a_ply(name: str, place: str, left: str, make_capture: Callabl
 
 
 def test_advice_where_there_are_no_points(make_capture: Callable) -> None:
-    """Oracle: the sentence names the file that would help."""
+    """Oracle: the sentence, with the file that would help."""
     capture = make_capture(views=4)
     (capture.root / "sparse/0/points3D.bin").unlink()
     assert any("or a PLY of points named points3D.ply" in s for s in _load(capture.root).warnings)

@@ -1,4 +1,4 @@
-"""`--hold-out`; oracle: the fields of DataConfig that the older options set."""
+"""`--hold-out`; oracle: the DataConfig fields set by the older options."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,7 @@ PLAIN = DataConfig(source=Path("in"))
     ],
 )
 def test_each_form(text: str, fields: dict) -> None:
-    """Oracle: by hand; and the word that comes back means the same."""
+    """Oracle: by hand; the text converted back means the same."""
     data = replace(PLAIN, **parse_hold_out(text))
     assert data == replace(PLAIN, **fields)
     assert replace(PLAIN, **parse_hold_out(hold_out_word(data))) == data
@@ -50,7 +50,7 @@ def test_the_rule_that_wins_has_the_word() -> None:
     ["", "1", "0", "-3", "2.5", "first:", "first:0", "first:x", "frist:3", "last:2,middle:1"],
 )
 def test_what_is_no_form_is_refused(text: str) -> None:
-    """Oracle: the sentence names all forms and what was given."""
+    """Oracle: the sentence, with all forms and the given text."""
     with pytest.raises(ConfigError, match="first:N, last:N") as error:
         parse_hold_out(text)
     assert str(error.value).endswith(f"got '{text}'")

@@ -10,7 +10,7 @@ from gscore.io.images.image_header import ImageInfo, read_header
 
 
 def by_pillow(path: Path) -> ImageInfo:
-    """What Pillow says of the file."""
+    """Size and orientation by Pillow."""
     with Image.open(path) as image:
         alpha = image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
         turn = image.getexif().get(0x0112, 1)
@@ -77,7 +77,7 @@ def test_jpeg_kinds(mode: str, progressive: bool, picture: Image.Image, tmp_path
 
 
 def test_other_and_damaged_files_give_nothing(picture: Image.Image, tmp_path: Path) -> None:
-    """Oracle: the documented None, for every place at which a file can be cut."""
+    """Oracle: the documented None, for a cut at every place of a file."""
     assert read_header(tmp_path / "none.png") is None
     (tmp_path / "x.tif").write_bytes(b"II*\0 rest")
     assert read_header(tmp_path / "x.tif") is None

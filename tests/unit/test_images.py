@@ -1,4 +1,4 @@
-"""Images in and out against Pillow and exact averages."""
+"""Images read and written; oracles: Pillow and exact averages."""
 
 import io
 import struct
@@ -20,7 +20,7 @@ from gscore.io.images.read_image import read_image, read_info, read_mask, reduce
 def test_png_is_read_by_pillow(
     shape: tuple[int, ...], tmp_path: Path, rng: np.random.Generator
 ) -> None:
-    """Oracle: Pillow decodes our PNG to the same bytes, and so do we."""
+    """Oracle: the same bytes from our PNG in Pillow and in our reader."""
     image = rng.integers(0, 256, shape).astype(np.uint8)
     write_png(tmp_path / "x.png", image)
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "x.png")), image)
@@ -75,7 +75,7 @@ def test_palette_with_transparency(tmp_path: Path) -> None:
 
 
 def test_exif_is_ignored_unless_asked(tmp_path: Path) -> None:
-    """Oracle: COLMAP reads pixels as stored; orientation 6 means 'turn clockwise to show'."""
+    """Oracle: pixels as stored, as in COLMAP; orientation 6 means 'turn clockwise to show'."""
     stored = np.zeros((16, 32, 3), np.uint8)
     stored[:, :16] = 250
     exif = Image.Exif()
@@ -89,7 +89,7 @@ def test_exif_is_ignored_unless_asked(tmp_path: Path) -> None:
 
 
 def test_masks(tmp_path: Path) -> None:
-    """Oracle: values written by hand; 0/1 labels are stretched, varying alpha wins."""
+    """Oracle: values written by hand; 0/1 labels are stretched, varying alpha has precedence."""
     soft = np.array([[0, 100], [200, 255]], np.uint8)
     Image.fromarray(soft).save(tmp_path / "soft.png")
     np.testing.assert_array_equal(read_mask(tmp_path / "soft.png"), soft)
@@ -113,7 +113,8 @@ def test_whole_factors_are_exact_means(width: int, height: int, rng: np.random.G
 
 
 def test_other_factors_keep_positions() -> None:
-    """Oracle: a linear ramp stays the same function of the pixel-centre position in [0, 1]."""
+    """Oracle: a linear ramp, which stays the same function of the pixel-centre position in [0,
+    1]."""
     ramp = np.tile(np.rint((np.arange(101) + 0.5) / 101 * 250), (67, 1)).astype(np.uint8)
     small = resize(ramp, 37, 29)
     expected = (np.arange(37) + 0.5) / 37 * 250
@@ -121,14 +122,14 @@ def test_other_factors_keep_positions() -> None:
 
 
 def test_no_ringing() -> None:
-    """Oracle: an edge between two values stays between them."""
+    """Oracle: an edge between two values, which stays between them."""
     edge = np.where(np.arange(100) < 53, 40, 200).astype(np.uint8)
     small = resize(np.tile(edge, (100, 1)), 37, 41)
     assert small.min() == 40 and small.max() == 200
 
 
 def test_hidden_colors_do_not_bleed() -> None:
-    """Oracle: red beside transparent green is half-transparent red."""
+    """Oracle: half-transparent red from red next to transparent green."""
     image = np.zeros((2, 2, 4), np.uint8)
     image[:, 0] = [255, 0, 0, 255]
     image[:, 1] = [0, 255, 0, 0]
@@ -152,10 +153,10 @@ def test_reduce_averages_blocks(rng: np.random.Generator) -> None:
             assert abs(small[row, column] - block.mean()) <= 0.7
 
 
-@pytest.mark.filterwarnings("ignore::UserWarning")  # Pillow remarks on damaged TIFF
+@pytest.mark.filterwarnings("ignore::UserWarning")  # Pillow warns about damaged TIFF
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "TIFF", "BMP", "WEBP"])
 def test_hostile(kind: str, mutations: Callable[[bytes], Iterator[bytes]], tmp_path: Path) -> None:
-    """Oracle: a damaged file gives an image or one of our errors, never another exception."""
+    """Oracle: an image or one of our errors, for a damaged file; no other exception."""
     buffer = io.BytesIO()
     ramp = (np.mgrid[0:24, 0:16].sum(axis=0) * 6).astype(np.uint8)
     Image.fromarray(np.dstack([ramp] * 3)).save(buffer, kind)
@@ -172,7 +173,7 @@ def test_hostile(kind: str, mutations: Callable[[bytes], Iterator[bytes]], tmp_p
 
 
 def test_huge_size_is_refused(tmp_path: Path) -> None:
-    """Oracle: a header announcing 60000 x 60000 pixels with no data behind it."""
+    """Oracle: a header of 60000 x 60000 pixels without data."""
     head = struct.pack(">IIBBBBB", 60000, 60000, 8, 2, 0, 0, 0)
     chunk = struct.pack(">I", 13) + b"IHDR" + head + struct.pack(">I", zlib.crc32(b"IHDR" + head))
     (tmp_path / "x.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
@@ -181,7 +182,7 @@ def test_huge_size_is_refused(tmp_path: Path) -> None:
 
 
 def test_large_photos_are_no_reason_to_warn(tmp_path: Path) -> None:
-    """Oracle: 175 megapixels are within Pillow's limit, above the half from which it warns."""
+    """Oracle: 175 megapixels, within Pillow's limit and above the half from which it warns."""
     head = struct.pack(">IIBBBBB", 14000, 12500, 8, 2, 0, 0, 0)
     chunk = struct.pack(">I", 13) + b"IHDR" + head + struct.pack(">I", zlib.crc32(b"IHDR" + head))
     (tmp_path / "x.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
@@ -195,7 +196,7 @@ def test_large_photos_are_no_reason_to_warn(tmp_path: Path) -> None:
 
 
 def test_messages(tmp_path: Path) -> None:
-    """Oracle: what, where and what to do."""
+    """Oracle: the error, its place and a remedy."""
     with pytest.raises(DatasetError, match=r"There is no image .*none\.png"):
         read_image(tmp_path / "none.png")
     (tmp_path / "text.png").write_text("hello")

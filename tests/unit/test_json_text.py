@@ -1,4 +1,4 @@
-"""JSON of others; oracles: its grammar, and the syntax trees."""
+"""JSON of other programs; oracles: its grammar, and the syntax trees."""
 
 import math
 from pathlib import Path
@@ -13,7 +13,7 @@ PACKAGE = Path(gscore.__file__).parent
 
 @pytest.mark.parametrize("mark", ["", "\ufeff"])
 def test_text_and_bytes_with_and_without_mark(mark: str) -> None:
-    """Oracle: the value that was written."""
+    """Oracle: the written value."""
     text = mark + '{"a": [1, 2.5, null]}'
     assert parse_json(text) == parse_json(text.encode()) == {"a": [1, 2.5, None]}
 

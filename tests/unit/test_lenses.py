@@ -1,4 +1,4 @@
-"""Lenses that bend lines, with numpy alone. Oracle: pycolmap's cameras."""
+"""Lens distortion, with numpy alone. Oracle: pycolmap's cameras."""
 
 import numpy as np
 import pycolmap
@@ -18,26 +18,27 @@ def _params(model: str, rng: np.random.Generator) -> list[float]:
 
 
 def test_all_models_are_known() -> None:
-    """Oracle: the list of COLMAP's models, without those that bend nothing or have no focus."""
+    """Oracle: the list of COLMAP's models, without undistorted ones and those without a focal
+    length."""
     straight = {"PINHOLE", "SIMPLE_PINHOLE"}
     assert {model.name for model in CAMERA_MODELS} - straight - NO_PINHOLE == BENT
 
 
 @pytest.mark.parametrize("model", sorted(BENT))
 def test_rays_meet_the_pixels_of_pycolmap(model: str) -> None:
-    """Rays up to 45 degrees aside, and the axis; and back."""
+    """Rays up to 45 degrees off the axis, and the axis; both ways."""
     rng = np.random.default_rng(3)
     params = _params(model, rng)
     camera = pycolmap.Camera(model=model, width=640, height=480, params=params)
     rays = np.concatenate([rng.uniform(-0.7, 0.7, (200, 2)), np.zeros((1, 2))])
     wanted = camera.img_from_cam(np.concatenate([rays, np.ones((len(rays), 1))], axis=1))
-    # FOV: near its axis theirs is a series.
+    # FOV: near its axis pycolmap uses a series.
     np.testing.assert_allclose(bent_pixels(model, params, rays), wanted, rtol=0, atol=1e-8)
     np.testing.assert_allclose(straight_rays(model, params, wanted), rays, rtol=0, atol=1e-8)
 
 
 def test_lenses_of_no_bend_are_those_of_a_pinhole() -> None:
-    """Oracle: f x / z, of models whose formulas have a limit there."""
+    """Oracle: f x / z, of models with a limit there."""
     rays = np.array([[0.0, 0.0], [0.3, -0.4]])
     for model, bend in (("FOV", [0.0]), ("EUCM", [0.0, 1.0]), ("DIVISION", [0.0])):
         params = [500.0, 480.0, 310.0, 255.0, *bend]
@@ -47,8 +48,8 @@ def test_lenses_of_no_bend_are_those_of_a_pinhole() -> None:
 
 
 def test_what_the_lens_never_reaches_has_no_ray() -> None:
-    """Oracle: r (1 - 0.5 r^2) is never above 0.544; an even fisheye's picture has a right angle at
-    pi / 2 focal lengths."""
+    """Oracle: a maximum of 0.544 of r (1 - 0.5 r^2); a right angle at pi / 2 focal lengths for an
+    equidistant fisheye."""
     pixels = np.array([[0.5, 0.0], [0.53, 0.0], [0.56, 0.0], [0.0, -5.0]])
     rays = straight_rays("SIMPLE_RADIAL", [1.0, 0.0, 0.0, -0.5], pixels)
     assert np.isfinite(rays[:2]).all() and np.isnan(rays[2:]).all()

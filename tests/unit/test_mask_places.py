@@ -1,4 +1,4 @@
-"""Masks where other programs put them, and of other sizes; oracle: the masks that were written."""
+"""Masks in the folders of other programs, and of other sizes; oracle: the written masks."""
 
 import json
 from collections.abc import Callable
@@ -21,7 +21,7 @@ SHAPE = (48, 64)
 
 
 def _mask(i: int, shape: tuple[int, int] = SHAPE) -> np.ndarray:
-    """White from a column on that is eight times the number."""
+    """White from column 8 * number on."""
     mask = np.zeros(shape, np.uint8)
     mask[:, 8 * i * shape[1] // SHAPE[1] :] = 255
     return mask
@@ -39,7 +39,7 @@ def _write(folder: Path, names: list[str], shape: tuple[int, int] = SHAPE) -> No
 
 
 def _as_transforms(capture: object, root: Path, photos: str) -> None:
-    """The capture again with a transforms.json, its photos in a folder of their own."""
+    """The capture again with a transforms.json, its photos in a separate folder."""
     frames = []
     for image in capture.model.images:  # type: ignore[attr-defined]
         pose = np.linalg.inv(image.viewmat) @ np.diag([1.0, -1, -1, 1])
@@ -56,7 +56,7 @@ def _as_transforms(capture: object, root: Path, photos: str) -> None:
 def test_masks_in_a_folder_near_the_photos(
     photos: str, folder: str, asked: str, naming: str, make_capture: Callable, tmp_path: Path
 ) -> None:
-    """Oracle: found with and without the folder of the photos in their names."""
+    """Oracle: masks found with and without the folder of the photos in their names."""
     capture, root = make_capture(views=4), tmp_path / "nerf"
     _as_transforms(capture, root, photos)
     _write(root / folder, [naming.format(image.name) for image in capture.model.images])
@@ -67,14 +67,14 @@ def test_masks_in_a_folder_near_the_photos(
 
 
 def test_names_of_different_folders_keep_them(tmp_path: Path) -> None:
-    """Oracle: one mask is not that of two photos of one name."""
+    """Oracle: no mask shared by two photos of one name."""
     _write(tmp_path, ["a.png"])
     assert Folder(tmp_path).find_masks(["left/a.png", "right/a.png"]) == [None, None]
 
 
 @pytest.mark.parametrize("folder", ["masks", "mask"])
 def test_folders_of_a_colmap_capture(folder: str, make_capture: Callable) -> None:
-    """Oracle: either folder is found, by a training and by a search for cameras."""
+    """Oracle: either folder, in a training and in a search for cameras."""
     capture = make_capture(views=4)
     _write(capture.root / folder, [image.name for image in capture.model.images])
     _check(load_dataset(DataConfig(source=capture.root)))
@@ -83,8 +83,8 @@ def test_folders_of_a_colmap_capture(folder: str, make_capture: Callable) -> Non
 
 @pytest.mark.parametrize("name", ["{0.stem}_mask.png", "{0.name}.mask.png", "{0.stem}_MASK.tif"])
 def test_masks_next_to_photos(name: str, make_capture: Callable) -> None:
-    """Oracle: those of a COLMAP capture are found and are no photos of a search; a photo of the
-    capture is no mask, and a folder of masks counts first."""
+    """Oracle: masks of a COLMAP capture, which are no photos of a search; a photo of the capture is
+    no mask, and a folder of masks has precedence."""
     capture = make_capture(views=4)
     images, names = capture.root / "images", [image.name for image in capture.model.images]
     for i, photo in enumerate(names):
@@ -98,7 +98,7 @@ def test_masks_next_to_photos(name: str, make_capture: Callable) -> None:
 
 
 def test_marked_masks_of_a_search_in_a_folder(tmp_path: Path) -> None:
-    """Oracle: the names that Metashape's and RealityScan's templates give."""
+    """Oracle: the names by Metashape's and RealityScan's templates."""
     names = [f"{i}.jpg" for i in range(3)]
     _write(tmp_path, ["0_mask.png", "1.jpg_mask.png", "2.jpg.mask.png"])
     assert [path.name for path in find_masks(tmp_path, tmp_path, names).values()] == [
@@ -109,7 +109,7 @@ def test_marked_masks_of_a_search_in_a_folder(tmp_path: Path) -> None:
 
 
 def test_a_photo_called_mask_is_a_photo(tmp_path: Path) -> None:
-    """Oracle: one without a photo that it could belong to is searched, and is no mask."""
+    """Oracle: a search that includes it where no photo matches it, and no mask."""
     _write(tmp_path, ["a_mask.png", "b.png", "b_mask.png", "c.png"])
     assert list_photos(tmp_path, ())[0] == ["a_mask.png", "b.png", "c.png"]
     photos = [tmp_path / name for name in ("b.png", "b_mask.png")]
@@ -118,7 +118,7 @@ def test_a_photo_called_mask_is_a_photo(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("shape", [(96, 128), (143, 191), (60, 80), (24, 32), (49, 65)])
 def test_masks_of_another_size(shape: tuple[int, int], make_capture: Callable) -> None:
-    """Oracle: those of larger photos are scaled; smaller ones, and nearly the photo's size, are
+    """Oracle: scaled masks of larger photos; smaller ones, and nearly the photo's size, are
     refused."""
     capture = make_capture(views=4)
     _write(capture.root / "masks", [image.name for image in capture.model.images], shape)
@@ -136,7 +136,7 @@ def test_masks_of_another_size(shape: tuple[int, int], make_capture: Callable) -
 
 
 def test_other_proportions_are_refused(make_capture: Callable) -> None:
-    """Oracle: a mask of a cropped photo is told by both sizes."""
+    """Oracle: a mask of a cropped photo, refused with both sizes."""
     capture = make_capture(views=4)
     _write(capture.root / "masks", [image.name for image in capture.model.images], (96, 120))
     with pytest.raises(DatasetError, match=r"120 x 96 pixels, its photo .* 64 x 48"):
@@ -144,7 +144,7 @@ def test_other_proportions_are_refused(make_capture: Callable) -> None:
 
 
 def test_soft_masks_stay_soft() -> None:
-    """Oracle: the mean of each block, and yes or no where the mask has nothing between."""
+    """Oracle: the mean of each block, and yes or no where the mask has no other value."""
     soft = np.array([[0, 100, 255, 255], [0, 100, 255, 255]], np.uint8)
     np.testing.assert_array_equal(resize_mask(soft, 2, 1), [[50, 255]])
     hard = np.array([[0, 255, 255, 0, 0, 0]] * 3, np.uint8)

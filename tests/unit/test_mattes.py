@@ -1,4 +1,4 @@
-"""What masks of a folder are taken for."""
+"""Detection of mattes among the masks of a folder."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +20,7 @@ def _ellipse(x: float, y: float, rx: float, ry: float) -> np.ndarray:
 
 
 def _person(i: int) -> np.ndarray:
-    """Stands in the middle, her feet out of the picture."""
+    """A person in the middle, her feet outside the picture."""
     return _ellipse(38 + i, 40, 12, 35)
 
 
@@ -47,7 +47,7 @@ def _tripod(i: int) -> np.ndarray:
 def test_mattes_are_told_from_masks_that_hide(
     shape: Callable[[int], np.ndarray], mattes: bool, tmp_path: Path
 ) -> None:
-    """Oracle: what the shapes are meant to be; also where one photo in five is an exception."""
+    """Oracle: the intended kind of each shape; also where one photo in five is an exception."""
     files = [tmp_path / f"{i:02d}.png" for i in range(20)]
     for i, file in enumerate(files):
         kept = np.ones((H, W)) if i % 5 == 4 else shape(i % 4)
@@ -56,13 +56,13 @@ def test_mattes_are_told_from_masks_that_hide(
 
 
 def test_one_mask_is_judged_by_what_it_shows(tmp_path: Path) -> None:
-    """Oracle: as above; that all masks are equal says nothing of one."""
+    """Oracle: as above; equality of all masks is no evidence for one."""
     write_png(tmp_path / "a.png", np.asarray(_person(0) * 255, np.uint8))
     assert are_mattes(1, lambda _: read_mask(tmp_path / "a.png"))
 
 
 def test_the_example_s_masks_are_mattes() -> None:
-    """Oracle: they are; an option overrules it."""
+    """Oracle: mattes; an option has precedence."""
     studio = Path(__file__).parents[2] / "examples" / "studio"
     assert load_dataset(DataConfig(source=studio)).mask_mode == "composite"
     assert load_dataset(DataConfig(source=studio, mask_mode="ignore")).mask_mode == "ignore"

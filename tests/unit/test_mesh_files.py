@@ -16,7 +16,7 @@ FAN = [[0, 1, 2], [0, 2, 3]]
 
 
 def ply_of(path: Path, faces: list[list[int]], *, text: bool, name: str = "vertex_indices") -> Path:
-    """A file as another program writes it."""
+    """A file as written by another program."""
     vertex = np.array([tuple(row) for row in SQUARE], [(axis, "f4") for axis in "xyz"])
     face = np.empty(len(faces), [(name, "O"), ("flags", "u1")])
     for at, corners in enumerate(faces):
@@ -32,7 +32,7 @@ def ply_of(path: Path, faces: list[list[int]], *, text: bool, name: str = "verte
 @pytest.mark.parametrize("text", [False, True])
 @pytest.mark.parametrize("name", ["vertex_indices", "vertex_index"])
 def test_faces_of_a_ply_become_triangles(tmp_path: Path, text: bool, name: str) -> None:
-    """Oracle: a square and a triangle, by hand; plyfile wrote them."""
+    """Oracle: a square and a triangle, by hand, written by plyfile."""
     path = ply_of(tmp_path / "a.ply", [[0, 1, 2, 3], [3, 1, 0]], text=text, name=name)
     found = read_mesh(path)
     assert found.triangles.tolist() == [*FAN, [3, 1, 0]]
@@ -40,7 +40,7 @@ def test_faces_of_a_ply_become_triangles(tmp_path: Path, text: bool, name: str) 
 
 
 def test_faces_of_an_obj_become_triangles(tmp_path: Path) -> None:
-    """Oracle: by hand; the ways in which the format names corners."""
+    """Oracle: by hand; all ways in which the format refers to corners."""
     path = tmp_path / "a.OBJ"
     path.write_text(
         "# a comment\nmtllib x.mtl\no one\nv 0 0 0\nv 1 0 0 1.0\nv 1 1 0\nv 0 1 0\nvt 0 0\n"
@@ -52,7 +52,7 @@ def test_faces_of_an_obj_become_triangles(tmp_path: Path) -> None:
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
-    """Oracle: the arrays, to the bit; plyfile reads the same."""
+    """Oracle: the arrays, to the bit; the same from plyfile."""
     rng = np.random.default_rng(0)
     vertices, triangles = rng.normal(size=(50, 3)), rng.integers(0, 50, (300_000, 3))
     write_mesh(tmp_path / "a.ply", vertices, triangles)
@@ -80,7 +80,7 @@ OBJS = {
 
 @pytest.mark.parametrize("name", OBJS)
 def test_what_is_no_mesh_is_refused_in_words(tmp_path: Path, name: str) -> None:
-    """Oracle: what the sentence has to name."""
+    """Oracle: the entry named in the sentence."""
     content, words = OBJS[name]
     path = tmp_path / "a.obj"
     path.write_text(content)
@@ -90,7 +90,7 @@ def test_what_is_no_mesh_is_refused_in_words(tmp_path: Path, name: str) -> None:
 
 
 def test_vertices_that_no_face_uses_may_be_anything(tmp_path: Path) -> None:
-    """Oracle: the triangle that is whole."""
+    """Oracle: the valid triangle."""
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv nan 0 0\nf 1 2 3\n")
     assert read_mesh(path).triangles.tolist() == [[0, 1, 2]]
@@ -98,7 +98,7 @@ def test_vertices_that_no_face_uses_may_be_anything(tmp_path: Path) -> None:
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    """Oracle: what the sentence has to name: a format, splats, a folder, nothing."""
+    """Oracle: the kind named in the sentence: a format, splats, a folder, a missing file."""
     (tmp_path / "a.glb").write_bytes(b"glTF\2\0\0\0")
     with pytest.raises(FormatError, match="neither a PLY nor an OBJ"):
         read_mesh(tmp_path / "a.glb")

@@ -1,4 +1,4 @@
-"""What is no regular file is refused, not waited for; an alarm ends whoever opens it after all."""
+"""Refusal of files that are not regular, without waiting; an alarm ends a test that opens one."""
 
 import os
 import shutil
@@ -65,21 +65,21 @@ def alarm() -> Iterator[None]:
 def test_every_reader_refuses_a_named_pipe(
     read: Callable[[Path], Any], name: str, tmp_path: Path
 ) -> None:
-    """Oracle: the sentence names the file and what it is; nothing waits for a writer."""
+    """Oracle: the sentence, with the file and its kind; no wait for a writer."""
     os.mkfifo(tmp_path / name)
     with pytest.raises(DatasetError, match=rf"{name} is a named pipe, a file was expected\. Put"):
         read(tmp_path / name)
 
 
 def test_a_config_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
-    """Oracle: nothing waits for a writer."""
+    """Oracle: no wait for a writer."""
     os.mkfifo(tmp_path / "config.json")
     with pytest.raises(ConfigError, match=r"config\.json: expected a config file"):
         load_config(tmp_path / "config.json")
 
 
 def test_metrics_that_are_a_pipe_count_as_missing(tmp_path: Path) -> None:
-    """Oracle: nothing waits for a writer."""
+    """Oracle: no wait for a writer."""
     os.mkfifo(tmp_path / "metrics.json")
     assert read_metrics(tmp_path) == {}
 
@@ -92,7 +92,7 @@ def test_other_kinds_are_named() -> None:
 
 @pytest.mark.parametrize("place", ["images", "masks"])
 def test_a_capture_with_a_pipe_is_refused(make_capture: Callable, place: str) -> None:
-    """Oracle: the photo or mask in whose place it stands."""
+    """Oracle: the name of the photo or mask that it replaces."""
     made = make_capture()
     shutil.copytree(made.root / "images", made.root / "masks", dirs_exist_ok=True)
     victim = made.root / place / "view_00.png"
@@ -103,7 +103,7 @@ def test_a_capture_with_a_pipe_is_refused(make_capture: Callable, place: str) ->
 
 
 def test_a_depth_map_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
-    """Oracle: the folder lists it as it lists files."""
+    """Oracle: the list of the folder, in which it is a file."""
     os.mkfifo(tmp_path / "view.npy")
     found = MapFolder(tmp_path).find("view.png")
     assert found is not None
@@ -112,7 +112,7 @@ def test_a_depth_map_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
 
 
 def test_reading_headers_can_be_stopped(make_capture: Callable) -> None:
-    """Oracle: asked once a photo, and the second answer ends it."""
+    """Oracle: one check per photo, the second of which stops it."""
     asked: list[int] = []
 
     def cancelled() -> bool:

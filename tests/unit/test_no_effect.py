@@ -1,4 +1,4 @@
-"""Options that do nothing in a run; oracle: what TrainConfig says of each."""
+"""Options without effect in a run; oracle: the descriptions in TrainConfig."""
 
 import argparse
 
@@ -18,7 +18,7 @@ alpha_weight opaque_weight steps_a_photo splats_a_photo refine_start refine_stop
 prune_opacity finest prune_share free_space quiet events exposure refine_poses no_sfm json
 disable_viewer set region guide_surface guide_free
 """
-"""Options that do something in every run, or whose effect the capture decides."""
+"""Options with an effect in every run, or with one that depends on the capture."""
 REFUSED = frozenset(name.lstrip("-").replace("-", "_") for name in option_names_3dgs.REFUSED)
 
 
@@ -32,7 +32,7 @@ def told(line: str) -> str:
 
 
 def test_no_option_is_forgotten() -> None:
-    """Oracle: the parser; who adds an option says here or in the table whether it can be idle."""
+    """Oracle: the parser; a new option is listed here or in the table of possibly idle ones."""
     parser = argparse.ArgumentParser()
     train.add_arguments(parser)
     names = {action.dest for action in parser._actions}

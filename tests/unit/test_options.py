@@ -1,4 +1,4 @@
-"""Every option of every verb with values that are none; oracle: a sentence naming the option."""
+"""Every option of every verb with invalid values; oracle: a sentence naming the option."""
 
 import argparse
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ def parsers(verb: str) -> Iterator[tuple[list[str], argparse.ArgumentParser]]:
 
 
 def forms(action: argparse.Action, value: str) -> Iterator[list[str]]:
-    """The ways to give an option a value."""
+    """Ways to give an option a value."""
     for name in action.option_strings:
         yield [f"{name}={value}"]
         yield [name, value]
@@ -35,7 +35,7 @@ def forms(action: argparse.Action, value: str) -> Iterator[list[str]]:
 def test_any_value_is_taken_or_refused_in_one_line(
     verb: str, value: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: argparse's own end with code 2; `--` is refused by name wherever a value is due."""
+    """Oracle: argparse's own end with code 2; `--` is refused by name in place of a value."""
     seen = 0
     for _, parser in parsers(verb):
         for action in parser._actions:
@@ -55,7 +55,7 @@ def test_two_dashes_and_nothing_are_no_values(
     verb: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Oracle: through the whole command line, for all options that take one value; an empty path,
-    as an unset variable of a shell leaves it, is not the current folder."""
+    as from an unset shell variable, is not the current folder."""
     for words, parser in parsers(verb):
         for action in parser._actions:
             name = max(action.option_strings, key=len, default="")

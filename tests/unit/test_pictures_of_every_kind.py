@@ -1,4 +1,4 @@
-"""Pictures of every kind: read as they are meant or refused in words; oracle: numbers by hand."""
+"""Pictures of every kind, read as intended or refused with a message; oracle: numbers by hand."""
 
 import io
 import struct
@@ -33,13 +33,13 @@ def grey(path: Path) -> np.ndarray:
 @pytest.mark.parametrize(("kind", "white"), [("u1", 255), ("u2", 65535), ("f4", 1.0)])
 @pytest.mark.parametrize("photometric", [0, 1])
 def test_grey_tiff(order: str, kind: str, white: float, photometric: int, tmp_path: Path) -> None:
-    """Oracle: the ramp; where zero is white the file holds what is missing to white."""
+    """Oracle: the ramp; inverted values where zero is white."""
     meant = RAMP if photometric else 1 - RAMP
     values = meant * white if kind == "f4" else np.rint(meant * white)
     (tmp_path / "a.tif").write_bytes(tiff(values.astype(order + kind), photometric=photometric))
     try:
         found = grey(tmp_path / "a.tif")
-    except FormatError as error:  # a kind that Pillow does not know
+    except FormatError as error:  # a kind unknown to Pillow
         assert (order, kind, photometric) == (">", "u2", 0) and "is not supported" in str(error)
     else:
         np.testing.assert_allclose(found, BYTES, atol=0.51)
@@ -47,7 +47,7 @@ def test_grey_tiff(order: str, kind: str, white: float, photometric: int, tmp_pa
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_colour_tiff_of_16_bits(order: str, tmp_path: Path) -> None:
-    """Oracle: the ramp in three channels, within the step that Pillow's cutting leaves."""
+    """Oracle: the ramp in three channels, within the step of Pillow's truncation."""
     values = np.rint(np.dstack([RAMP, RAMP[::-1], RAMP * 0.5]) * 65535)
     (tmp_path / "a.tif").write_bytes(tiff(values.astype(order + "u2"), photometric=2))
     np.testing.assert_allclose(read_image(tmp_path / "a.tif"), values / 257, atol=1.01)
@@ -71,14 +71,14 @@ def test_colour_tiff_of_16_bits(order: str, tmp_path: Path) -> None:
 def test_numbers_whose_white_is_unknown(
     order: str, kind: str, values: np.ndarray, tmp_path: Path
 ) -> None:
-    """Oracle: refused by name; black, cut or wrapped pictures otherwise."""
+    """Oracle: a refusal by name; the pictures would be black, clipped or wrapped."""
     (tmp_path / "a.tif").write_bytes(tiff(values.astype(order + kind)))
     with pytest.raises(FormatError, match=r"a\.tif (has|cannot be read)"):
         read_image(tmp_path / "a.tif")
 
 
 def test_floats_of_several_channels_are_refused(tmp_path: Path) -> None:
-    """Oracle: Pillow knows none; the sentence lists what is read."""
+    """Oracle: a kind unknown to Pillow; the sentence lists the supported ones."""
     values = np.dstack([RAMP] * 3).astype("<f4")
     (tmp_path / "a.tif").write_bytes(tiff(values, photometric=2))
     with pytest.raises(
@@ -90,7 +90,7 @@ def test_floats_of_several_channels_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("scale", [1, 255, 4095])
 @pytest.mark.parametrize("channels", [1, 3, 4])
 def test_few_bits_in_16(scale: int, channels: int, tmp_path: Path) -> None:
-    """Oracle: 1, 8 or 12 bits that were never scaled would be black: refused."""
+    """Oracle: a refusal of 1, 8 or 12 unscaled bits, which would be black."""
     values = np.repeat(np.rint(RAMP * scale)[..., None], channels, axis=2).astype(np.uint16)
     values[..., 3:] = 65535
     (tmp_path / "a.png").write_bytes(png(values[..., 0] if channels == 1 else values))
@@ -99,8 +99,7 @@ def test_few_bits_in_16(scale: int, channels: int, tmp_path: Path) -> None:
 
 
 def test_16_bits_with_transparency(tmp_path: Path) -> None:
-    """Oracle: grey that is keyed out, alpha channels, and a keyed colour, of which 8 bits are
-    lost."""
+    """Oracle: keyed grey, alpha channels, and a keyed colour that loses 8 bits."""
     values = np.rint(RAMP * 65535).astype(np.uint16)
     (tmp_path / "key.png").write_bytes(png(values, key=(int(values[2, 3]),)))
     image = read_image(tmp_path / "key.png")
@@ -118,7 +117,7 @@ def test_16_bits_with_transparency(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("orientation", "turns"), [(3, 2), (6, -1), (8, 1)])
 def test_16_bits_are_turned_too(orientation: int, turns: int, tmp_path: Path) -> None:
-    """Oracle: numpy turns the ramp as EXIF asks."""
+    """Oracle: the ramp turned by numpy as EXIF states."""
     exif = Image.Exif()
     exif[0x0112] = orientation
     image = Image.fromarray(np.rint(RAMP * 65535).astype(np.uint16))
@@ -129,7 +128,7 @@ def test_16_bits_are_turned_too(orientation: int, turns: int, tmp_path: Path) ->
 
 @pytest.mark.parametrize(("maxval", "kind"), [(255, "u1"), (1023, ">u2"), (65535, ">u2")])
 def test_pnm(maxval: int, kind: str, tmp_path: Path) -> None:
-    """Oracle: the ramp over what the header calls white."""
+    """Oracle: the ramp over the maximum in the header."""
     values = np.rint(RAMP * maxval).astype(kind)
     head = f"P5 8 6 {maxval}\n".encode()
     (tmp_path / "a.pgm").write_bytes(head + values.tobytes())
@@ -137,7 +136,7 @@ def test_pnm(maxval: int, kind: str, tmp_path: Path) -> None:
 
 
 def test_the_first_of_several_pictures_is_read(tmp_path: Path) -> None:
-    """Oracle: the frames written; COLMAP takes the first one too."""
+    """Oracle: the written frames; COLMAP uses the first one too."""
     frames = [Image.new("RGB", (8, 6), color) for color in ("#c00000", "#00c000")]
     for name in ("a.webp", "a.png", "a.tif"):
         options = {"lossless": True} if name == "a.webp" else {}
@@ -149,7 +148,7 @@ def test_the_first_of_several_pictures_is_read(tmp_path: Path) -> None:
 
 
 def test_colour_profiles_change_nothing(tmp_path: Path) -> None:
-    """Oracle: the bytes written; values are taken as they are, as COLMAP and 3DGS take them."""
+    """Oracle: the written bytes; values are used unchanged, as in COLMAP and 3DGS."""
     from PIL import ImageCms
 
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes()
@@ -171,7 +170,7 @@ def _palette(path: Path) -> None:
 
 @pytest.mark.parametrize("top", [1, 2, 128, 254])
 def test_masks_of_labels(top: int, tmp_path: Path) -> None:
-    """Oracle: yes and no, whichever number means yes, and the sentence that says so."""
+    """Oracle: yes and no, for any number that means yes, and the sentence about it."""
     write_png(tmp_path / "grey.png", (LABELS * top).astype(np.uint8))
     write_png(tmp_path / "colour.png", np.dstack([(LABELS * top).astype(np.uint8)] * 3))
     (tmp_path / "deep.png").write_bytes(png((LABELS * top).astype(np.uint16)))
@@ -181,13 +180,13 @@ def test_masks_of_labels(top: int, tmp_path: Path) -> None:
         np.testing.assert_array_equal(read_mask(path), KEEP, err_msg=path.name)
         assumed = assumed_of_mask(path)
         if top == 1 and path.name.startswith("f4"):
-            assert assumed == ""  # floats from 0 to 1 are no guess
+            assert assumed == ""  # floats from 0 to 1 are unambiguous
         else:
             assert assumed == f"hold only 0 and {top}; {top} is taken for white"
 
 
 def test_masks_of_yes_and_no(tmp_path: Path) -> None:
-    """Oracle: the same in the kinds that need no guess, and in a palette's colours."""
+    """Oracle: the same in unambiguous kinds, and in a palette's colours."""
     Image.fromarray(LABELS > 0).save(tmp_path / "bits.png")
     write_png(tmp_path / "bytes.png", KEEP)
     (tmp_path / "deep.png").write_bytes(png((LABELS * 65535).astype(np.uint16)))
@@ -204,7 +203,7 @@ def test_masks_of_yes_and_no(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_soft_masks(order: str, tmp_path: Path) -> None:
-    """Oracle: the ramp in 16 bits and in floats; numbers beyond are refused."""
+    """Oracle: the ramp in 16 bits and in floats; numbers out of range are refused."""
     for kind, white in (("u2", 65535), ("f4", 1)):
         (tmp_path / "a.tif").write_bytes(tiff((RAMP * white).astype(order + kind)))
         np.testing.assert_allclose(read_mask(tmp_path / "a.tif"), BYTES, atol=1)
@@ -215,7 +214,7 @@ def test_soft_masks(order: str, tmp_path: Path) -> None:
 
 
 def test_deep_colour_masks(tmp_path: Path) -> None:
-    """Oracle: 0 and 1 in 16-bit colour, of which nothing is left: refused."""
+    """Oracle: a refusal of 0 and 1 in 16-bit colour, which become 0."""
     (tmp_path / "a.png").write_bytes(png(np.dstack([LABELS] * 3).astype(np.uint16)))
     with pytest.raises(FormatError, match=r"a\.png has 16 bits per channel but is nearly black"):
         read_mask(tmp_path / "a.png")
@@ -227,7 +226,7 @@ def noise(height: int = 72, width: int = 96) -> np.ndarray:
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
 def test_png_with_fewer_rows(channels: int, tmp_path: Path) -> None:
-    """Oracle: 10 of the 72 rows that the header states, the rest of the file in order."""
+    """Oracle: 10 of the 72 rows stated in the header, in an otherwise valid file."""
     values = np.dstack([noise()[..., :1]] * channels)[:10].squeeze()
     (tmp_path / "a.png").write_bytes(png(values, height=72))
     for read in (read_image, read_mask):
@@ -236,7 +235,7 @@ def test_png_with_fewer_rows(channels: int, tmp_path: Path) -> None:
 
 
 def test_png_that_ends_in_black_is_whole(tmp_path: Path) -> None:
-    """Oracle: black pixels that are there; by one row less it is cut short."""
+    """Oracle: black pixels in the file; one row less is a truncation."""
     values = noise()
     values[40:] = 0
     for kind in ("L", "P", "1", "RGB", "RGBA", "LA", "I;16"):
@@ -296,8 +295,8 @@ def test_jpeg_without_its_end_marker(
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Oracle: the whole file, of which the end marker or half of it is cut off: the same pixels and
-    one warning. With blocks missing besides, and where blocks are not counted (progressive), it is
+    """Oracle: the whole file without all or half of its end marker: the same pixels and one
+    warning. With blocks missing too, and where blocks are not counted (progressive), it is
     refused."""
     image = noise() if colour else noise()[..., 0]
     raw = jpeg(image, subsampling=subsampling, restart_marker_blocks=restart)
@@ -323,8 +322,8 @@ def test_jpeg_without_its_end_marker(
 def test_jpeg_with_fewer_rows(
     optimize: bool, restart: int, subsampling: int, colour: bool, tmp_path: Path
 ) -> None:
-    """Oracle: a JPEG of 16 rows whose header is made to state 72, and the whole one of 72 rows,
-    whose last pixels are the grey that libjpeg leaves where data are missing."""
+    """Oracle: a JPEG of 16 rows with a header of 72, and the whole one of 72 rows, which ends in
+    the grey that libjpeg uses for missing data."""
     options = {"optimize": optimize, "subsampling": subsampling, "restart_marker_blocks": restart}
     image = noise()
     image[60:] = 128
@@ -338,14 +337,14 @@ def test_jpeg_with_fewer_rows(
     path.write_bytes(raw[:frame] + struct.pack(">H", 72) + raw[frame + 2 :])
     wide, tall = (8, 8) if not colour or subsampling == 0 else (16, 16 if subsampling == 2 else 8)
     lacking = -(-96 // wide) * (-(-72 // tall) - 16 // tall)
-    assert missing_blocks(path) in (lacking - 1, lacking)  # what fills a byte may look like codes
+    assert missing_blocks(path) in (lacking - 1, lacking)  # byte padding may resemble codes
     with pytest.raises(FormatError, match=r"a\.jpg .*cut short, \d+ of its blocks are missing"):
         read_image(path)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
 def test_files_that_end_early(share: float, tmp_path: Path) -> None:
-    """Oracle: the first part of a file of each kind, as a copy that was broken off leaves it."""
+    """Oracle: the first part of a file of each kind, as left by an interrupted copy."""
     image = Image.fromarray(noise())
     kinds = {"a.png": {}, "a.jpg": {}, "a.webp": {"lossless": True}, "b.webp": {}, "a.bmp": {}}
     kinds |= {"a.tga": {}, "b.tga": {"compression": "tga_rle"}, "a.ppm": {}, "a.tif": {}}
@@ -366,7 +365,7 @@ def test_files_that_end_early(share: float, tmp_path: Path) -> None:
 
 
 def test_tiff_with_fewer_bytes_than_pixels(tmp_path: Path) -> None:
-    """Oracle: a strip that is stated to hold 10 of its 72 rows; what follows it is no picture."""
+    """Oracle: a strip that states 10 of its 72 rows; the bytes after it are no picture."""
     raw = tiff(noise(), photometric=2, stated_bytes=10 * 96 * 3)
     (tmp_path / "a.tif").write_bytes(raw)
     with pytest.raises(FormatError, match=r"a\.tif .*cut short, 2880 of 20736 bytes"):
@@ -381,8 +380,8 @@ def _bmp(width: int, height: int) -> bytes:
 
 
 def test_absurd_sizes(tmp_path: Path) -> None:
-    """Oracle: headers of 60,000 x 60,000 px; the sentence has file, size and limit, and no memory
-    is taken for them."""
+    """Oracle: headers of 60,000 x 60,000 px; a sentence with file, size and limit, and no
+    allocation."""
     import tracemalloc
 
     tiny = jpeg(noise(8, 8))
@@ -419,8 +418,8 @@ def test_absurd_sizes(tmp_path: Path) -> None:
 def test_pictures_beyond_pillows_limit_are_read(
     ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the pixels as read below the limit; beyond it Pillow's own limit, which a host may
-    rely on, stays what it is, and what does not fit into memory is refused with numbers."""
+    """Oracle: the pixels read below the limit; beyond it Pillow's own limit, which a host may rely
+    on, is unchanged, and a picture too large for the memory is refused with numbers."""
     path = tmp_path / f"a.{ending}"
     Image.fromarray(noise(64, 80)).save(path)
     wanted = read_image(path)
@@ -440,7 +439,7 @@ def test_pictures_beyond_pillows_limit_are_read(
     ("ending", "options"), [("png", {}), ("tif", {"compression": "tiff_deflate"})]
 )
 def test_a_decompression_bomb_is_refused(ending: str, options: dict, tmp_path: Path) -> None:
-    """Oracle: 196 million pixels of one colour, which take some hundred kilobytes."""
+    """Oracle: 196 million pixels of one colour, in some hundred kilobytes."""
     path, side = tmp_path / f"a.{ending}", 14_000
     Image.new("L", (side, side)).save(path, **options)
     assert path.stat().st_size < 1e6
@@ -450,7 +449,7 @@ def test_a_decompression_bomb_is_refused(ending: str, options: dict, tmp_path: P
 
 
 def test_too_little_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: an allocation that fails while pixels are decoded is told with the file's name."""
+    """Oracle: an allocation that fails while pixels are decoded, reported with the file's name."""
     write_png(tmp_path / "a.png", noise())
 
     def fails(self: Image.Image) -> None:

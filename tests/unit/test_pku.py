@@ -1,7 +1,7 @@
-"""Multi-view video in the layouts of PKU-DyMVHumans, on a small scenario that is rendered here.
+"""Multi-view video in the layouts of PKU-DyMVHumans, on a small scenario rendered here.
 
 The data set itself may not be redistributed. `make_case` writes its folders as its own scripts do:
-every frame in a COLMAP world of its own, black points, soft mattes, fx unlike fy, test views twice.
+every frame in a different COLMAP world, black points, soft mattes, fx unlike fy, test views twice.
 """
 
 import json
@@ -47,7 +47,7 @@ def viewmats() -> np.ndarray:
 
 
 def splats_at(frame: int) -> Splats:
-    """Blobs in the true world, half of which have moved."""
+    """Blobs in the true world, half of which move."""
     rng = np.random.default_rng(4)
     means = rng.normal(size=(40, 3)) * 0.35
     means[:20] += [0.02 * frame, 0.0, 0.01 * frame]
@@ -62,7 +62,7 @@ def splats_at(frame: int) -> Splats:
 
 
 def world_of(frame: int) -> np.ndarray:
-    """[4, 4] the similarity that structure from motion happened to choose for a frame."""
+    """[4, 4] the arbitrary similarity of SfM for a frame."""
     rng = np.random.default_rng(100 + frame)
     q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     out = np.eye(4)
@@ -72,7 +72,7 @@ def world_of(frame: int) -> np.ndarray:
 
 
 def moved(viewmat: np.ndarray, world: np.ndarray) -> np.ndarray:
-    """The camera in a world that a similarity leads to."""
+    """The camera in the world after a similarity."""
     scale = np.cbrt(np.linalg.det(world[:3, :3]))
     out = viewmat @ np.linalg.inv(world)
     out[:3] *= scale
@@ -111,7 +111,7 @@ class Case:
         write_model(self.model(frame), folder / "sparse")
 
     def model(self, frame: int, *, noise: float = 0.0) -> ColmapModel:
-        """What structure from motion finds in a frame."""
+        """The SfM result of a frame."""
         world, rng = world_of(frame), np.random.default_rng(frame)
         focal = [K[0, 0] * (1 + 0.001 * frame), K[1, 1] * (1 + 0.001 * frame)]
         images = []
@@ -182,7 +182,7 @@ class Case:
         self._pictures(root / f"images/{frame:06d}", name, self._rgba(frame), frame)
         intrinsic = np.eye(4)
         intrinsic[:3, :3] = K
-        intrinsic[0, 1] = 1e-5  # decomposing float32 matrices leaves some
+        intrinsic[0, 1] = 1e-5  # the rounding of decomposed float32 matrices
         entries = [
             {
                 "file_path": f"images/{frame:06d}/{name.format(c=i, f=frame)}",
@@ -250,7 +250,7 @@ def pictures() -> tuple[dict[int, list[np.ndarray]], dict[int, list[np.ndarray]]
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory, pictures: Any) -> Callable[[str], Path]:
-    """A scenario with one layout, written once: files that are synced to the disk take long."""
+    """A scenario with one layout, written once, because files synced to the disk are slow."""
     root = tmp_path_factory.mktemp("layouts")
 
     def write(layout: str) -> Path:
@@ -296,7 +296,7 @@ def test_every_layout_gives_the_true_cameras(make_case: Callable[..., Case], lay
 def test_every_layout_gives_photos_and_soft_mattes(
     make_case: Callable[..., Case], layout: str
 ) -> None:
-    """Oracle: the bytes that were written; mattes are opacity, not regions to leave out."""
+    """Oracle: the written bytes; mattes are opacity, not ignored regions."""
     case = make_case(layout)
     dataset = load_dataset(DataConfig(source=case.root, frame=10, resolution=1))
     assert dataset.mask_mode == "composite"
@@ -311,7 +311,7 @@ def test_every_layout_gives_photos_and_soft_mattes(
 
 
 def test_black_points_are_coloured_from_the_photos(make_case: Callable[..., Case]) -> None:
-    """Oracle: the brightness of the blobs that the points are the centres of."""
+    """Oracle: the brightness of the blobs at the points."""
     case = make_case("data_COLMAP")
     dataset = load_dataset(DataConfig(source=case.root / "data_COLMAP/000000", resolution=1))
     assert len(dataset.scene.points) == 40
@@ -381,7 +381,7 @@ def test_frames_are_picked_by_number_or_path(make_case: Callable[..., Case]) -> 
 
 @pytest.mark.parametrize("layout", ["", *LAYOUTS])
 def test_every_layout_is_a_sequence(make_case: Callable[..., Case], layout: str) -> None:
-    """Oracle: the frames written; with the rig, the cameras of the first and other photos."""
+    """Oracle: the written frames; with the rig, the cameras of the first and other photos."""
     case = make_case(layout or "data_COLMAP")
     found = find_frames(DataConfig(source=case.root / layout, eval=True))
     assert [frame.number for frame in found] == list(FRAMES)
@@ -466,7 +466,7 @@ def test_points_come_from_the_nearest_model(make_case: Callable[..., Case]) -> N
 
 
 def test_a_rig_with_a_wrong_and_a_lost_camera(make_case: Callable[..., Case]) -> None:
-    """Oracle: the true blobs; the camera that frame 0 lacks keeps its own, true place."""
+    """Oracle: the true blobs; the true place of the camera that frame 0 lacks."""
     case = make_case("data_COLMAP")
     zero, five = (case.root / f"data_COLMAP/{frame:06d}" for frame in (0, 5))
     model = case.model(0)
@@ -487,7 +487,7 @@ def test_a_rig_with_a_wrong_and_a_lost_camera(make_case: Callable[..., Case]) ->
 
 
 def test_another_rig_is_refused(make_case: Callable[..., Case]) -> None:
-    """Oracle: cameras that stand elsewhere, and cameras with other names."""
+    """Oracle: cameras at other places, and cameras with other names."""
     case = make_case("data_COLMAP")
     zero, five = (case.root / f"data_COLMAP/{frame:06d}" for frame in (0, 5))
     model = case.model(5, noise=0.7)
@@ -664,7 +664,7 @@ def test_damage_is_named(
     error: type[GsError],
     message: str,
 ) -> None:
-    """Oracle: one sentence with the file at fault, for each way to damage a layout."""
+    """Oracle: one sentence with the damaged file, for each way to damage a layout."""
     root = make_case(layout).root
     read_capture(DataConfig(source=root, frame=0))
     damage(root)

@@ -56,7 +56,7 @@ def test_the_frame_is_the_capture_under_other_names(case: Path) -> None:
 
 
 def test_cams_are_the_true_cameras(case: Path) -> None:
-    """Oracle: cameras_true.json, and that the model lies 2.3 mm from it in the median."""
+    """Oracle: cameras_true.json, with a median distance of 2.3 mm from the model."""
     capture = read_capture(DataConfig(source=case / "per_frame"))
     truth = json.loads((STUDIO / "cameras_true.json").read_text())
     for view, true in zip(capture.views, truth["views"], strict=True):
@@ -82,7 +82,7 @@ def test_fifty_cameras_train_and_ten_test(case: Path) -> None:
 
 
 def test_the_rig_may_be_the_true_one(case: Path) -> None:
-    """Oracle: the points of SfM, which are in metres already, hardly move."""
+    """Oracle: the points of SfM, which are in metres already and hardly move."""
     true = read_capture(DataConfig(source=case / "per_frame"))
     own = read_capture(DataConfig(source=case / "data_COLMAP"))
     joined = read_capture(DataConfig(source=case / "data_COLMAP", rig=case / "per_frame"))

@@ -73,7 +73,7 @@ def _assert_equal(a: Splats, b: Splats) -> None:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_writes_the_official_layout(degree: int, make_splats: Callable, tmp_path: Path) -> None:
-    """Oracle: names and order of the official files, values as plyfile reads them."""
+    """Oracle: names and order of the official files, values as read by plyfile."""
     splats = make_splats(degree=degree)
     write_splats(tmp_path / "a.ply", splats, comments=("SplatRenderMode: mip",))
     data = plyfile.PlyData.read(str(tmp_path / "a.ply"))
@@ -94,7 +94,7 @@ def test_writes_the_official_layout(degree: int, make_splats: Callable, tmp_path
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_round_trip_to_the_bit(degree: int, make_splats: Callable, tmp_path: Path) -> None:
-    """Oracle: what was written, with more splats than one block, zeros of both signs, denormals."""
+    """Oracle: the written splats, more than one block, zeros of both signs, denormals."""
     splats = make_splats(40_000, degree)
     splats.means[:3, 0] = [-0.0, 1e-42, 3.4e38]
     write_splats(tmp_path / "a.ply", splats)
@@ -116,10 +116,11 @@ def test_million_splats_in_seconds(make_splats: Callable, tmp_path: Path) -> Non
 
 
 class TestDialects:
-    """Files other programs write."""
+    """Files of other programs."""
 
     def test_any_order_and_more_properties(self, make_splats: Callable, tmp_path: Path) -> None:
-        """Oracle: the same splats, columns shuffled, without normals, with strangers between."""
+        """Oracle: the same splats, with shuffled columns, without normals, with extra columns
+        between."""
         splats = make_splats()
         columns = _columns(splats)
         names = sorted(columns, key=lambda name: name[::-1])
@@ -134,7 +135,7 @@ class TestDialects:
     def test_text_and_big_endian(
         self, text: bool, order: str, make_splats: Callable, tmp_path: Path
     ) -> None:
-        """Oracle: the same splats as plyfile writes them (text with 8 digits)."""
+        """Oracle: the same splats written by plyfile (text with 8 digits)."""
         splats = make_splats(degree=1)
         _write(tmp_path / "a.ply", _columns(splats), text=text, order=order)
         again = read_ply(tmp_path / "a.ply")
@@ -149,7 +150,7 @@ class TestDialects:
         _assert_equal(read_ply(tmp_path / "a.ply"), splats)
 
     def test_bytes_as_color(self, make_splats: Callable, tmp_path: Path) -> None:
-        """Oracle: colour = 0.5 + 0.2820948 f_dc gives the byte back."""
+        """Oracle: the byte from colour = 0.5 + 0.2820948 f_dc."""
         splats = make_splats(degree=0)
         columns = {n: c for n, c in _columns(splats).items() if not n.startswith("f_dc")}
         rgb = np.arange(150, dtype=np.uint8).reshape(50, 3)
@@ -179,7 +180,7 @@ class TestDialects:
         assert "35 SH coefficients" in caplog.text and "first 24" in caplog.text
 
     def test_incomplete_band_is_cut(self, make_splats: Callable, tmp_path: Path) -> None:
-        """Oracle: 5 coefficients a channel hold one whole band of 3."""
+        """Oracle: one whole band of 3 from 5 coefficients a channel."""
         columns = _columns(make_splats(degree=0))
         for k in range(15):
             columns[f"f_rest_{k}"] = np.full(50, k, np.float32)
@@ -190,8 +191,8 @@ class TestDialects:
     def test_broken_rows_are_left_out(
         self, make_splats: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
     ) -> None:
-        """Oracle: the rows that were damaged by hand, counted; an opacity of +inf means opaque, a
-        log scale of -inf flat."""
+        """Oracle: the rows damaged by hand, counted; an opacity of +inf means opaque, a log scale
+        of -inf flat."""
         splats = make_splats()
         splats.means[3, 1] = np.nan
         splats.shN[4, 7, 2] = np.inf
@@ -207,17 +208,17 @@ class TestDialects:
         assert "4 of 50 splats have numbers that are not finite" in caplog.text
 
     def test_no_splats(self, make_splats: Callable, tmp_path: Path) -> None:
-        """Oracle: an empty model is a model."""
+        """Oracle: an empty model, which is valid."""
         write_splats(tmp_path / "a.ply", make_splats(0))
         again = read_ply(tmp_path / "a.ply")
         assert len(again) == 0 and again.sh_degree == 3
 
 
 class TestRefusals:
-    """What is no splat model, in one sentence."""
+    """Refusal in one sentence of files that are no splat model."""
 
     def test_point_cloud(self, tmp_path: Path) -> None:
-        """Oracle: the sentence names what is missing and what to choose."""
+        """Oracle: the sentence, with the missing property and the option to choose."""
         points = {name: np.zeros(4, np.float32) for name in "xyz"}
         _write(tmp_path / "points.ply", points | {"red": np.zeros(4, np.uint8)})
         with pytest.raises(FormatError) as caught:
@@ -254,7 +255,7 @@ class TestRefusals:
             read_ply(tmp_path / "a.ply")
 
     def test_rest_not_of_three_channels(self, make_splats: Callable, tmp_path: Path) -> None:
-        """Oracle: seven coefficients cannot be three channels."""
+        """Oracle: seven coefficients, which cannot be three channels."""
         columns = _columns(make_splats(degree=1))
         del columns["f_rest_8"], columns["f_rest_7"]
         _write(tmp_path / "a.ply", columns)
@@ -273,7 +274,7 @@ class TestRefusals:
             read_ply(tmp_path / "a.ply")
 
     def test_every_truncation(self, make_splats: Callable, tmp_path: Path) -> None:
-        """Oracle: a file cut anywhere is refused, naming the file."""
+        """Oracle: a refusal of a file cut anywhere, with its name."""
         path = tmp_path / "a.ply"
         write_splats(path, make_splats(3, 0))
         good = path.read_bytes()
@@ -283,7 +284,7 @@ class TestRefusals:
                 read_ply(path)
 
     def test_huge_count(self, make_splats: Callable, tmp_path: Path) -> None:
-        """Oracle: 10^15 vertices are refused without allocating."""
+        """Oracle: a refusal of 10^15 vertices without allocation."""
         path = tmp_path / "a.ply"
         write_splats(path, make_splats(3, 0))
         path.write_bytes(path.read_bytes().replace(b"vertex 3", b"vertex 1000000000000000"))
@@ -294,7 +295,7 @@ class TestRefusals:
     def test_hostile(
         self, text: bool, make_splats: Callable, mutations: Callable, tmp_path: Path
     ) -> None:
-        """Oracle: a damaged file gives splats or one of our errors, never another exception."""
+        """Oracle: splats or one of our errors, for a damaged file; no other exception."""
         path, refused = tmp_path / "a.ply", 0
         _write(path, _columns(make_splats(4, 1)), text=text)
         for raw in mutations(path.read_bytes()):
@@ -339,7 +340,7 @@ class TestPointClouds:
         assert not read_point_cloud(tmp_path / "a.ply").colors.any()
 
     def test_no_points(self, tmp_path: Path) -> None:
-        """Oracle: the sentence names what is missing."""
+        """Oracle: the sentence, with the missing property."""
         _write(tmp_path / "a.ply", {"x": np.ones(2, np.float32)})
         with pytest.raises(FormatError, match="lack y, z"):
             read_point_cloud(tmp_path / "a.ply")
@@ -348,7 +349,7 @@ class TestPointClouds:
 def test_antialiasing_is_told_by_the_header(
     tmp_path: Path, make_splats: Callable[..., Splats]
 ) -> None:
-    """Oracle: the comment written; a missing file is named."""
+    """Oracle: the written comment; a missing file is named."""
     splats = make_splats(5, 0)
     write_splats(tmp_path / "plain.ply", splats, comments=("SplatRenderMode: default",))
     write_splats(tmp_path / "mip.ply", splats, comments=("made by hand", MIP_COMMENT))
@@ -361,7 +362,7 @@ def test_antialiasing_is_told_by_the_header(
 
 
 def test_a_negative_count_is_told(make_splats: Callable, tmp_path: Path) -> None:
-    """Oracle: the sentence names the count, not what an array library says of it."""
+    """Oracle: the sentence, with the count and without text of an array library."""
     path = tmp_path / "a.ply"
     write_splats(path, make_splats())
     raw = path.read_bytes()
@@ -375,7 +376,7 @@ def test_a_negative_count_is_told(make_splats: Callable, tmp_path: Path) -> None
 def test_bytes_after_the_last_row_are_told(
     make_splats: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Oracle: a header that states a row less than the file holds."""
+    """Oracle: a header that states a row less than the file has."""
     path = tmp_path / "a.ply"
     splats = make_splats()
     write_splats(path, splats)
@@ -392,7 +393,7 @@ def test_bytes_after_the_last_row_are_told(
 def test_lines_after_the_last_row_are_told(
     make_splats: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Oracle: a text file that states two rows less than it holds; empty lines do not count."""
+    """Oracle: a text file that states two rows less than it has; empty lines do not count."""
     path = tmp_path / "a.ply"
     _write(path, _columns(make_splats(9)), text=True)
     path.write_bytes(path.read_bytes() + b"\n\n")
@@ -408,7 +409,7 @@ def test_lines_after_the_last_row_are_told(
 def test_any_letters_in_comments_and_a_byte_order_mark(
     mark: bytes, text: bool, make_splats: Callable, tmp_path: Path
 ) -> None:
-    """Oracle: the same model without them; plyfile alone takes neither."""
+    """Oracle: the same model without them; plyfile alone accepts neither."""
     path = tmp_path / "a.ply"
     _write(path, _columns(make_splats(9)), text=text)
     plain = read_ply(path)
@@ -425,7 +426,8 @@ def test_any_letters_in_comments_and_a_byte_order_mark(
 def test_comments_of_any_letters_and_lines_are_written(
     make_splats: Callable, tmp_path: Path
 ) -> None:
-    """Oracle: plyfile, which takes ASCII alone, reads the comments and as many rows."""
+    """Oracle: plyfile, which accepts ASCII alone, reads the comments and the same number of
+    rows."""
     path = tmp_path / "a.ply"
     write_splats(path, make_splats(), comments=("größer\nend_header\r\nzwei", MIP_COMMENT))
     found = plyfile.PlyData.read(str(path))

@@ -106,7 +106,7 @@ def parts(rng: np.random.Generator) -> dict[str, np.ndarray]:
 def test_values_within_half_a_step(
     color_bounds: bool, parts: dict[str, np.ndarray], tmp_path: Path
 ) -> None:
-    """Oracle: the numbers encoded, within half a quantisation step of each field."""
+    """Oracle: the encoded numbers, within half a quantisation step of each field."""
     _encode(tmp_path / "a.ply", **parts, color_bounds=color_bounds)
     splats = read_ply(tmp_path / "a.ply")
     assert len(splats) == 600 and splats.sh_degree == 0
@@ -159,7 +159,7 @@ def test_values_by_hand(tmp_path: Path) -> None:
 
 
 def test_damaged_layouts(parts: dict[str, np.ndarray], tmp_path: Path) -> None:
-    """Oracle: too few chunks and wrong coefficient names are refused by name."""
+    """Oracle: a refusal by name of too few chunks and wrong coefficient names."""
     path = tmp_path / "a.ply"
     _encode(path, **parts, rest=np.zeros((600, 9)))
     data = plyfile.PlyData.read(str(path))
@@ -182,7 +182,7 @@ def test_damaged_layouts(parts: dict[str, np.ndarray], tmp_path: Path) -> None:
 
 
 def test_hostile(parts: dict[str, np.ndarray], mutations: Callable, tmp_path: Path) -> None:
-    """Oracle: a damaged file gives splats or one of our errors, never another exception."""
+    """Oracle: splats or one of our errors, for a damaged file; no other exception."""
     path, refused = tmp_path / "a.ply", 0
     few = {name: values[:5] for name, values in parts.items()}
     _encode(path, **few, rest=np.zeros((5, 9)))

@@ -1,4 +1,4 @@
-"""Vertices of splats as other programs write them."""
+"""Splat properties as written by other programs."""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -18,7 +18,7 @@ from gscore.splats import Splats
 
 @pytest.fixture
 def splats(rng: np.random.Generator) -> Splats:
-    """40 random splats of SH degree 1 before a camera that looks along +z."""
+    """40 random splats of SH degree 1 in front of a camera that faces +z."""
     return Splats(
         means=rng.normal([0, 0, 3], 0.3, (40, 3)).astype(np.float32),
         quats=rng.standard_normal((40, 4), dtype=np.float32),
@@ -51,7 +51,7 @@ def _assert_equal(a: Splats, b: Splats) -> None:
 
 def test_the_filter_of_mip_splatting_is_applied(splats: Splats, tmp_path: Path) -> None:
     """Oracle: sizes and opacities by the formula of the paper, worked out splat by splat; a splat
-    whose filter is zero keeps its bits, also where the file is read in parts."""
+    with a zero filter keeps its bits, also where the file is read in parts."""
     radius = np.linspace(0, 0.2, 40).astype(np.float32)
     _rewritten(tmp_path / "a.ply", splats, filter_3D=radius)
     found = read_ply(tmp_path / "a.ply")
@@ -68,8 +68,8 @@ def test_the_filter_of_mip_splatting_is_applied(splats: Splats, tmp_path: Path) 
 
 
 def test_the_picture_of_a_filtered_model(splats: Splats, tmp_path: Path) -> None:
-    """Oracle: the picture of covariances that were widened before they were written, by which the
-    sum of what the splats cover stays nearly the same."""
+    """Oracle: the picture of covariances widened before writing, with almost the same total
+    coverage of the splats."""
     _rewritten(tmp_path / "a.ply", splats, filter_3D=np.full(40, 0.1, np.float32))
     squares = np.exp(2 * splats.scales.astype(float))
     wider = squares + 0.01
@@ -112,7 +112,7 @@ def test_names_of_cloudcompare(splats: Splats, text: bool, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply", "a.spz", "a.sog", "a.splat"])
 def test_flat_splats_are_written(splats: Splats, name: str, tmp_path: Path) -> None:
-    """Oracle: as many splats as there are, and no note of any that is left out."""
+    """Oracle: all splats, and no note of any that is left out."""
     splats.scales[:16, 1] = -np.inf
     told = write_splat_file(tmp_path / name, splats)
     assert not any("left out" in note for note in told.notes)
@@ -135,7 +135,7 @@ def test_flat_splats_are_written(splats: Splats, name: str, tmp_path: Path) -> N
     ],
 )  # fmt: skip
 def test_the_axis_that_a_comment_states(line: str, axis: str) -> None:
-    """Oracle: the comments of nerfstudio, Brush (always y, whatever is up) and gscore."""
+    """Oracle: the comments of nerfstudio, Brush (always y, for any up direction) and gscore."""
     assert stated_up(["made by hand", line]) == axis
 
 
@@ -145,8 +145,8 @@ def test_the_axis_that_a_comment_states(line: str, axis: str) -> None:
 def test_comments_cost_no_letter_of_the_rows(
     splats: Splats, text: str, mark: bytes, line_end: bytes, tmp_path: Path
 ) -> None:
-    """Oracle: the model without comments; plyfile, which reads headers letter by letter, is given
-    less than a thousand of them."""
+    """Oracle: the model without comments; plyfile, which parses headers character by character, is
+    given less than a thousand of them."""
     write_splats(tmp_path / "a.ply", splats)
     head, rows = (tmp_path / "a.ply").read_bytes().split(b"end_header\n", 1)
     comments = f"comment {text}\nobj_info {text}\ncomment\n".encode()
@@ -168,8 +168,8 @@ def test_comments_cost_no_letter_of_the_rows(
 
 @pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply"])
 def test_comments_that_no_reader_takes(splats: Splats, name: str, tmp_path: Path) -> None:
-    """Oracle: one sentence and no file, where a header would be longer than is read; just below
-    that it is read."""
+    """Oracle: one sentence and no file, for a header above the reader's limit; a readable file just
+    below it."""
     with pytest.raises(ConfigError, match="Shorten its comments"):
         write_splat_file(tmp_path / name, splats, comments=("ü" * 300_000,))
     assert not [*tmp_path.iterdir()]

@@ -35,7 +35,7 @@ def test_what_is_no_grey_picture(wrong: np.ndarray) -> None:
 
 @pytest.mark.parametrize("packed", [True, False])
 def test_colours_and_opacity(tmp_path: Path, packed: bool) -> None:
-    """Oracle: Pillow's decoder; levels as they were, those of transparent pixels too."""
+    """Oracle: Pillow's decoder; unchanged levels, also of transparent pixels."""
     pixels = np.random.default_rng(1).integers(0, 256, (7, 5, 4)).astype(np.uint8)
     pixels[:2, :, 3] = 0
     (tmp_path / "a.png").write_bytes(rgba_png(pixels, packed=packed))

@@ -1,4 +1,4 @@
-"""Camera files of other programs; oracle: `tests/program_files.py`, whose formulas are theirs."""
+"""Camera files of other programs; oracle: `tests/program_files.py`, with their formulas."""
 
 import json
 import shutil
@@ -29,7 +29,8 @@ UTM = np.array([500_000.0, 5_600_000.0, 120.0])
 
 @pytest.fixture
 def rig() -> Rig:
-    """Eight cameras that look about, tilted, on their side and head down, off the middle."""
+    """Eight cameras facing various ways, tilted, on their side and upside down, with an off-centre
+    principal point."""
     turns = Rotation.random(8, rng=np.random.default_rng(3)).as_matrix()
     places = np.random.default_rng(4).normal(size=(8, 3))
     names = tuple(f"view_{i}.png" for i in range(8))
@@ -37,7 +38,7 @@ def rig() -> Rig:
 
 
 def _points(rig: Rig, count: int = 40) -> np.ndarray:
-    """World points before the first camera, within 35 degrees of its axis."""
+    """World points in front of the first camera, within 35 degrees of its axis."""
     rng = np.random.default_rng(5)
     rays = np.column_stack([rng.uniform(-0.5, 0.5, (count, 2)), np.ones(count)])
     return (rays * rng.uniform(1, 3, (count, 1))) @ rig.turns[0] + rig.places[0]
@@ -64,7 +65,7 @@ def _pixels(view: View, points: np.ndarray) -> np.ndarray:
 
 
 def _check(capture: Capture, rig: Rig, program: str, tolerance: float = 1e-6) -> None:
-    """Poses, and the pixels that the first camera, before which the points lie, sees."""
+    """Check poses, and the pixels of points in front of the first camera."""
     assert [view.name for view in capture.views] == list(rig.names)
     origin = np.zeros(3) if capture.origin is None else capture.origin
     for view, turn, place in zip(capture.views, rig.turns, rig.places, strict=True):
@@ -102,7 +103,7 @@ def test_realityscan(form: str, terms: dict[str, float], rig: Rig, tmp_path: Pat
 
 
 def test_portrait_photos_of_realityscan(rig: Rig, tmp_path: Path) -> None:
-    """Oracle: the same document: lengths are in units of the longer side, whichever that is."""
+    """Oracle: the same document: lengths are in units of the longer side, in either orientation."""
     rig = replace(rig, size=(48, 64), terms=TILTED)
     files.write_rs_csv(_photos(tmp_path, rig), rig)
     _check(_read(tmp_path), rig, "realityscan")
@@ -145,7 +146,7 @@ def test_slave_cameras_of_metashape_are_named(by_sensor: bool, rig: Rig, tmp_pat
 
 
 def test_geocentric_cameras_of_metashape(rig: Rig, tmp_path: Path) -> None:
-    """Oracle: a chunk on the Earth's surface; up points away from the middle of the Earth."""
+    """Oracle: a chunk on the Earth's surface; up points away from the Earth's centre."""
     shift = np.array([4_027_893.0, 307_045.0, 4_919_475.0])
     rig = replace(rig, places=rig.places + shift)
     files.write_metashape(_photos(tmp_path, rig), rig, replace(CHUNK, shift=shift))
@@ -169,7 +170,7 @@ def test_opensfm(kind: str, terms: dict[str, float], rig: Rig, tmp_path: Path) -
     """Oracle: "Geometric Models" of OpenSfM's documentation; its points, and z for up."""
     rig = replace(rig, terms=terms)
     points = _points(rig)
-    folder = tmp_path / "opensfm" if kind == "brown" else tmp_path  # as OpenDroneMap has it
+    folder = tmp_path / "opensfm" if kind == "brown" else tmp_path  # as in OpenDroneMap
     folder.mkdir(exist_ok=True)
     files.write_opensfm(folder, rig, kind, points)
     capture = _read(_photos(tmp_path, rig))
@@ -224,7 +225,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_no_camera_model_has_is_refused_by_name(case: str, rig: Rig, tmp_path: Path) -> None:
-    """Oracle: terms that COLMAP's models lack, each named in the sentence with what to do."""
+    """Oracle: terms that COLMAP's models lack, each named in the sentence with a remedy."""
     write, terms, words = REFUSED[case]
     rig = replace(rig, terms=terms)
     write(_photos(tmp_path, rig), rig)
@@ -248,7 +249,7 @@ def test_sidecars_of_several_components_are_refused(rig: Rig, tmp_path: Path) ->
 
 
 def test_longitudes_are_no_lengths(rig: Rig, tmp_path: Path) -> None:
-    """Oracle: a drone's positions in degrees are refused; metres of a projection are read."""
+    """Oracle: a refusal of a drone's positions in degrees; metres of a projection are read."""
     _photos(tmp_path, rig)
     degrees = np.array([[8.68, 50.11, 120.0]]) + rig.places * [1e-4, 1e-4, 1.0]
     files.write_rs_csv(tmp_path, replace(rig, places=degrees))
@@ -267,8 +268,8 @@ def _write_ply(path: Path, points: np.ndarray) -> None:
 
 
 def test_points_of_the_folder(rig: Rig, tmp_path: Path) -> None:
-    """Oracle: the PLY of the same world is read, one of other coordinates is left out and named,
-    and of several the one called points3D.ply counts."""
+    """Oracle: the PLY of the same world, read; one of other coordinates is left out and named, and
+    of several the one called points3D.ply is used."""
     files.write_rs_csv(_photos(tmp_path, rig), rig)
     points = _points(rig)
     _write_ply(tmp_path / "cloud.ply", points)
@@ -295,7 +296,7 @@ def test_points_of_the_folder(rig: Rig, tmp_path: Path) -> None:
     ],
 )
 def test_masks(write: Callable, name: str, rig: Rig, tmp_path: Path) -> None:
-    """Oracle: masks under each program's own names, with a part that is black."""
+    """Oracle: masks under each program's own names, with a black part."""
     write(_photos(tmp_path, rig), rig)
     mask = np.full((48, 64), 255, np.uint8)
     mask[:10] = 0
@@ -311,7 +312,7 @@ def test_masks(write: Callable, name: str, rig: Rig, tmp_path: Path) -> None:
 
 
 def test_photos_that_exif_turns(rig: Rig, tmp_path: Path) -> None:
-    """Oracle: a photo on its side: where the file states no size a sentence says which way it is
+    """Oracle: a photo on its side: where the file states no size, a sentence states the orientation
     used; Metashape's states it."""
     rig = replace(rig, size=(48, 64))
     files.write_rs_csv(_photos(tmp_path, rig), rig)
@@ -328,8 +329,8 @@ def test_photos_that_exif_turns(rig: Rig, tmp_path: Path) -> None:
 
 
 def test_names_are_found_by_their_ends(rig: Rig, tmp_path: Path) -> None:
-    """Oracle: paths of another machine, in other letter case, with a folder that tells equal names
-    apart; without one the photo is not guessed."""
+    """Oracle: paths of another machine, in other letter case, with a folder that distinguishes
+    equal names; without one the photo is not guessed."""
     inner = tuple(f"{side}/shot{i}.png" for i in range(4) for side in ("left", "right"))
     _photos(tmp_path, replace(rig, names=inner))
     stated = tuple("C:\\Photos\\" + name.replace("/", "\\").upper() for name in inner)
@@ -341,7 +342,7 @@ def test_names_are_found_by_their_ends(rig: Rig, tmp_path: Path) -> None:
 
 
 def test_missing_photos(rig: Rig, tmp_path: Path) -> None:
-    """Oracle: three of eight photos are gone and named; with five gone it is refused."""
+    """Oracle: three of eight photos missing, which are named; a refusal with five missing."""
     files.write_rs_csv(_photos(tmp_path, rig), rig)
     for i in range(3):
         (tmp_path / "images" / rig.names[i]).unlink()
@@ -388,8 +389,8 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_inspected(kind: str, rig: Rig, tmp_path: Path) -> None:
-    """Oracle: the kind, the file and the number of cameras that were written; the file itself may
-    be given too."""
+    """Oracle: the kind, the file and the number of written cameras; also for the file itself as
+    input."""
     rig = replace(rig, off=(0.0, 0.0)) if kind == "LLFF" else rig
     path = KINDS[kind](_photos(tmp_path, rig), rig)
     for source in (tmp_path, path):
@@ -402,8 +403,8 @@ def test_inspected(kind: str, rig: Rig, tmp_path: Path) -> None:
 
 
 def test_of_several_camera_files_one_is_read_and_the_others_named(rig: Rig, tmp_path: Path) -> None:
-    """Oracle: a CSV and an XML in one folder; sidecars in sub-folders, found below the folder that
-    was given but not below its parent."""
+    """Oracle: a CSV and an XML in one folder; sidecars in sub-folders, found below the given folder
+    but not below its parent."""
     files.write_metashape(_photos(tmp_path / "a", rig), rig)
     path = files.write_rs_csv(tmp_path / "a", rig)
     text = " ".join(_read(tmp_path / "a").warnings)
@@ -421,7 +422,8 @@ def test_of_several_camera_files_one_is_read_and_the_others_named(rig: Rig, tmp_
 
 
 def test_colmap_and_transforms_come_first(rig: Rig, tmp_path: Path) -> None:
-    """Oracle: a transforms.json of one camera in the same folder is what is read, as before."""
+    """Oracle: a transforms.json of one camera in the same folder, which has precedence as
+    before."""
     files.write_rs_csv(_photos(tmp_path, rig), rig)
     frame = {"file_path": "images/view_0.png", "transform_matrix": np.eye(4).tolist()}
     content = {"fl_x": 60, "w": 64, "h": 48, "frames": [frame]}

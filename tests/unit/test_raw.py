@@ -1,4 +1,4 @@
-"""Raw photos and TIFFs that begin with a reduced picture; oracle: the pixels they were made of."""
+"""Raw photos and TIFFs that begin with a reduced picture; oracle: the source pixels."""
 
 import sys
 from pathlib import Path
@@ -23,7 +23,7 @@ SMALL = np.full((15, 20, 3), 90, np.uint8)
 @pytest.mark.parametrize("old", [False, True])
 @pytest.mark.parametrize("place", [0, 1, 2])
 def test_the_full_picture_of_a_tiff(order: str, old: bool, place: int, tmp_path: Path) -> None:
-    """Oracle: the pixels and size of the only picture that is not called reduced."""
+    """Oracle: the pixels and size of the only picture not marked as reduced."""
     pages = [page(SMALL, reduced=True, old=old) for _ in range(2)]
     pages.insert(place, page(FULL, reduced=False, old=old))
     path = tmp_path / "a.tif"
@@ -34,7 +34,7 @@ def test_the_full_picture_of_a_tiff(order: str, old: bool, place: int, tmp_path:
 
 
 def test_pages_that_are_not_called_reduced(tmp_path: Path) -> None:
-    """Oracle: the first of several pages, and the only picture of a file whatever it says."""
+    """Oracle: the first of several pages, and the only picture of a file with any mark."""
     for pages in ([page(SMALL), page(FULL)], [page(SMALL, reduced=True)]):
         (tmp_path / "a.tif").write_bytes(directories(pages, "<"))
         np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), SMALL)
@@ -42,7 +42,7 @@ def test_pages_that_are_not_called_reduced(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("reduced", [True, None])
 def test_a_full_picture_below_the_first(reduced: bool | None, tmp_path: Path) -> None:
-    """Oracle: refused by name, by its size as by its pixels."""
+    """Oracle: a refusal by name, when reading its size and its pixels."""
     tags, pixels, _, _ = page(SMALL, reduced=reduced)
     below = page(FULL, reduced=False)[0]
     (tmp_path / "a.tif").write_bytes(directories([(tags, pixels, below, FULL)], "<"))
@@ -52,7 +52,7 @@ def test_a_full_picture_below_the_first(reduced: bool | None, tmp_path: Path) ->
 
 
 def test_cameras_are_not_searched_by_reduced_pictures(tmp_path: Path) -> None:
-    """Oracle: refused, as COLMAP reads the first picture of a file."""
+    """Oracle: a refusal, because COLMAP reads the first picture of a file."""
     pages = [page(SMALL, reduced=True), page(FULL, reduced=False)]
     (tmp_path / "a.tif").write_bytes(directories(pages, "<"))
     with pytest.raises(DatasetError, match="which COLMAP would read"):
@@ -60,7 +60,7 @@ def test_cameras_are_not_searched_by_reduced_pictures(tmp_path: Path) -> None:
 
 
 def _raw_photo(path: Path, *, order: str = "<", turn: int = 1) -> np.ndarray:
-    """A DNG of a grey ramp and an orange patch; the values it holds, 0 to 1, [H, W, 3]."""
+    """A DNG of a grey ramp and an orange patch; its values, 0 to 1, [H, W, 3]."""
     meant = np.repeat(np.linspace(0.05, 0.8, 96)[None, :, None], 64, axis=0).repeat(3, axis=2)
     meant[20:40, 30:60] = (0.6, 0.3, 0.1)
     mosaic = meant[..., 1].copy()
@@ -75,7 +75,7 @@ def _raw_photo(path: Path, *, order: str = "<", turn: int = 1) -> np.ndarray:
 def test_raw_is_refused_without_rawpy(
     name: str, order: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the file's name and what to do; never the preview, whatever the ending."""
+    """Oracle: the file's name and a remedy; never the preview, for any ending."""
     monkeypatch.setitem(sys.modules, "rawpy", None)
     _raw_photo(tmp_path / name, order=order)
     for read in (read_info, read_image):
@@ -87,7 +87,7 @@ def test_raw_is_refused_without_rawpy(
     "head", [b"IIRO\x08\0\0\0", b"IIU\0\x18\0\0\0", b"FUJIFILMCCD-RAW 0201", b"\0\0\0\x18ftypcrx "]
 )
 def test_raw_photos_that_are_no_tiffs(head: bytes, tmp_path: Path) -> None:
-    """Oracle: known by their first bytes; JPEGs are not raw by their ending."""
+    """Oracle: their first bytes; a JPEG is not raw by its ending."""
     (tmp_path / "a.orf").write_bytes(head + bytes(100))
     assert is_raw(tmp_path / "a.orf")
     Image.new("RGB", (8, 8)).save(tmp_path / "b.dng", "JPEG")
@@ -95,7 +95,7 @@ def test_raw_photos_that_are_no_tiffs(head: bytes, tmp_path: Path) -> None:
 
 
 def test_canon_and_tiffs_without_a_mark(tmp_path: Path) -> None:
-    """Oracle: CR2's mark behind the header, and the ending of a TIFF that says nothing."""
+    """Oracle: CR2's mark behind the header, and the ending of a TIFF without marks."""
     plain = directories([page(SMALL)], "<")
     (tmp_path / "a.tif").write_bytes(plain[:8] + b"CR\2\0" + plain[12:])
     (tmp_path / "a.nef").write_bytes(plain)

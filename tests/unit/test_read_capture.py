@@ -1,4 +1,4 @@
-"""Captures read without their photos, as a program that only shows the cameras does."""
+"""Captures read without their photos, as in a program that only shows the cameras."""
 
 import json
 import shutil
@@ -22,7 +22,7 @@ def bare(tmp_path: Path) -> Path:
 
 
 def test_colmap_without_photos(bare: Path) -> None:
-    """Oracle: every image of the model, at the place where its photo belongs."""
+    """Oracle: every image of the model, at the path of its photo."""
     model = read_colmap(STUDIO)
     capture = read_capture(DataConfig(source=bare), photos_required=False)
     assert [view.name for view in capture.views] == [image.name for image in model.images]
@@ -36,7 +36,7 @@ def test_colmap_without_photos(bare: Path) -> None:
 
 
 def test_transforms_without_photos(tmp_path: Path) -> None:
-    """Oracle: every frame of the file, at the place where its photo belongs."""
+    """Oracle: every frame of the file, at the path of its photo."""
     frame = {"file_path": "images/a.jpg", "transform_matrix": np.eye(4).tolist()}
     data = {"fl_x": 50.0, "w": 40, "h": 30, "frames": [frame]}
     (tmp_path / "transforms.json").write_text(json.dumps(data))
@@ -48,7 +48,7 @@ def test_transforms_without_photos(tmp_path: Path) -> None:
 
 
 def test_needs_no_pillow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: Python, told that there is no Pillow and no torch."""
+    """Oracle: a Python in which importing Pillow and torch fails."""
     for name in ("PIL", "torch", "scipy", "pycolmap"):
         monkeypatch.setitem(sys.modules, name, None)
     assert len(read_capture(DataConfig(source=STUDIO)).views) == 60

@@ -1,4 +1,4 @@
-"""Scaling down with numpy. Oracle: `images.resize`, that is Pillow, to the bit."""
+"""Scaling down with numpy. Oracle: `images.resize`, which is Pillow, to the bit."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Oracle: folders written here by hand, and the names the trainer's own module uses."""
+"""Oracle: folders written here by hand, and the names in the trainer's own module."""
 
 import json
 from pathlib import Path
@@ -21,7 +21,7 @@ def _run(path: Path, *, steps: tuple[int, ...], iterations: int) -> Path:
 
 
 def test_no_run_is_none(tmp_path: Path) -> None:
-    """Oracle: a missing folder, and one with somebody else's file."""
+    """Oracle: a missing folder, and one with a user's file."""
     (tmp_path / "notes.txt").write_text("mine")
     assert read_run(tmp_path) is None
     assert read_run(tmp_path / "missing") is None
@@ -43,14 +43,14 @@ def test_a_stopped_run_can_go_on(tmp_path: Path) -> None:
     ids=["empty", "short", "cut", "huge", "without"],
 )
 def test_a_checkpoint_that_is_none_states_no_course(tmp_path: Path, content: bytes) -> None:
-    """Oracle: none, and no exception; of a checkpoint of a training, tests/trainer/test_run.py."""
+    """Oracle: None, and no exception; tests/trainer/test_run.py has a training's checkpoint."""
     (tmp_path / "step.safetensors").write_bytes(content)
     assert read_course(tmp_path / "step.safetensors") == []
     assert read_course(tmp_path / "missing") == []
 
 
 def test_a_finished_run_is_finished(tmp_path: Path) -> None:
-    """Oracle: as many steps as asked for; the PSNR in metrics.json."""
+    """Oracle: the requested number of steps; the PSNR in metrics.json."""
     path = _run(tmp_path, steps=(2000,), iterations=2000)
     (path / "metrics.json").write_text(json.dumps({"psnr": 27.5}), encoding="utf-8")
     (path / "point_cloud.ply").write_bytes(b"ply")
@@ -62,7 +62,7 @@ def test_a_finished_run_is_finished(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"data": {}, "train": {"steps": 1}}', "\xff"])
 def test_a_broken_config_is_a_problem(tmp_path: Path, content: str) -> None:
-    """Oracle: the file is named; nothing is offered to go on with."""
+    """Oracle: the name of the file; no resume is offered."""
     path = _run(tmp_path, steps=(5,), iterations=9)
     (path / "config.json").write_bytes(content.encode("latin-1"))
     (path / "metrics.json").write_text('{"psnr": "high"}', encoding="utf-8")
@@ -73,7 +73,7 @@ def test_a_broken_config_is_a_problem(tmp_path: Path, content: str) -> None:
 
 
 def test_clearing_spares_what_is_not_ours(tmp_path: Path) -> None:
-    """Oracle: the listing of a folder with a stranger's files, and of one without."""
+    """Oracle: the listing of a folder with a user's files, and of one without."""
     own = _run(tmp_path / "own", steps=(5,), iterations=9)
     shared = _run(tmp_path / "shared", steps=(5,), iterations=9)
     for name in (".gscore.lock", ".point_cloud.ply.0a1b2c3d.tmp"):
@@ -89,8 +89,8 @@ def test_clearing_spares_what_is_not_ours(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ours", [True, False])
 def test_clearing_spares_meshes_of_the_user(tmp_path: Path, ours: bool) -> None:
-    """Oracle: guides by the names that the add-on gives go, others stay; all stay beside a
-    metrics.json that no training wrote."""
+    """Oracle: guides under the names of the add-on, which are removed; others stay; all stay next
+    to a metrics.json not written by a training."""
     own = _run(tmp_path / "own", steps=(5,), iterations=9)
     if not ours:
         (own / "config.json").unlink()

@@ -23,21 +23,21 @@ def test_equals_real_form_of_scipy(degree: int, dirs: np.ndarray) -> None:
     expected = []
     for band in range(degree + 1):
         for m in range(-band, band + 1):
-            y = sph_harm_y(band, abs(m), theta, phi)  # carries the Condon-Shortley sign (-1)^m
+            y = sph_harm_y(band, abs(m), theta, phi)  # has the Condon-Shortley sign (-1)^m
             part = y.real if m == 0 else math.sqrt(2) * (y.imag if m < 0 else y.real)
             expected.append(part)
     np.testing.assert_allclose(sh_basis(degree, dirs), np.stack(expected, -1), atol=1e-13)
 
 
 def test_signs_of_3dgs() -> None:
-    """Oracle: the first band of the 3DGS paper's code is -y, z, -x times 0.4886025119."""
+    """Oracle: the first band of the 3DGS paper's code, -y, z, -x times 0.4886025119."""
     values = sh_basis(1, np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]))
     c = 0.4886025119029199
     np.testing.assert_allclose(values[:, 1:], [[0, 0, -c], [-c, 0, 0], [0, c, 0]], atol=1e-15)
 
 
 def test_orthonormal() -> None:
-    """Oracle: the integral of products over the sphere is the identity (Gauss-Legendre, exact)."""
+    """Oracle: the identity as the integral of products over the sphere (Gauss-Legendre, exact)."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
     phi = np.arange(16) * (2 * np.pi / 16)
     z, p = np.meshgrid(nodes, phi, indexing="ij")
@@ -56,7 +56,7 @@ def test_keeps_float32_and_batch_shape(dirs: np.ndarray) -> None:
 
 
 def test_color_of_constant_coefficient() -> None:
-    """Oracle: 0.5 + 0.28209479177387814 f_dc, the formula viewers use."""
+    """Oracle: 0.5 + 0.28209479177387814 f_dc, the formula of viewers."""
     rgb = np.array([0.0, 0.5, 1.0])
     np.testing.assert_allclose(rgb_to_sh0(rgb), (rgb - 0.5) / 0.28209479177387814, atol=1e-15)
     np.testing.assert_allclose(sh0_to_rgb(rgb_to_sh0(rgb)), rgb, atol=1e-15)

@@ -1,4 +1,4 @@
-"""Photos of one exposure, in a search for cameras and in a split; oracle: how they were made."""
+"""Photos of one exposure, in a search for cameras and in a split; oracle: their making."""
 
 import shutil
 from pathlib import Path
@@ -18,7 +18,7 @@ STUDIO = Path(__file__).parents[2] / "examples/studio"
 
 
 def _save(view: int, path: Path, *, turn: int = 1, time: str = "", shrink: float = 1) -> None:
-    """A photo of the studio saved again, as a phone held in some way would store it."""
+    """Save a photo of the studio again, as a phone in some orientation would."""
     with Image.open(STUDIO / f"images/view_{view:03}.jpg") as photo:
         picture = photo.resize((round(photo.width / shrink), round(photo.height / shrink)))
     if turn == 6:
@@ -40,7 +40,7 @@ def _kept(folder: Path) -> tuple[list[str], list[str]]:
 
 
 def test_one_photo_of_each_exposure(tmp_path: Path) -> None:
-    """Oracle: of files made of one photo the largest stays, however it is stored; others stay."""
+    """Oracle: the largest of files made of one photo, in any storage; others stay."""
     for view in range(4):
         _save(view, tmp_path / f"{view}.jpg")
     _save(1, tmp_path / "again/1.png", shrink=1.5)
@@ -52,7 +52,8 @@ def test_one_photo_of_each_exposure(tmp_path: Path) -> None:
 
 
 def test_a_moment_alone_is_no_proof(tmp_path: Path) -> None:
-    """Oracle: cameras that release together took three photos; an edited file is of one of them."""
+    """Oracle: three photos by cameras that release together; an edited file belongs to one of
+    them."""
     for view in range(3):
         _save(view * 20, tmp_path / f"camera {view}/1.jpg", time="2026:05:01 12:00:00")
     with Image.open(tmp_path / "camera 0/1.jpg") as photo:
@@ -72,8 +73,8 @@ def test_too_few_without_the_copies(tmp_path: Path) -> None:
 
 
 def test_photos_that_show_little(tmp_path: Path) -> None:
-    """Oracle: dark photos of two places, less than two levels apart, are two; one saved again is
-    one; of flat ones pixels prove nothing."""
+    """Oracle: two dark photos of two places, less than two levels apart; a photo saved again is
+    one; pixels of flat ones prove nothing."""
     for view in (0, 20):
         with Image.open(STUDIO / f"images/view_{view:03}.jpg") as photo:
             photo.point(lambda value: value * 0.06).save(tmp_path / f"{view}.png")
@@ -86,7 +87,7 @@ def test_photos_that_show_little(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def doubled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Ten views of the studio; view 8, of the usual split, is there a second time as PNG."""
+    """Ten views of the studio; view 8, of the usual split, has a second file as PNG."""
     capture = tmp_path_factory.mktemp("doubled")
     model = read_model(STUDIO)
     chosen = sorted(model.images, key=lambda image: image.name)[:10]
@@ -102,7 +103,7 @@ def doubled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_no_photo_on_both_sides(doubled: Path) -> None:
-    """Oracle: the second file of a test view is no training view; nothing else changes sides."""
+    """Oracle: the second file of a test view, which is no training view; all others stay."""
     dataset = load_dataset(DataConfig(source=doubled, eval=True))
     names = dataset.scene.cameras.names
     assert [names[i] for i in dataset.test] == [
@@ -116,7 +117,7 @@ def test_no_photo_on_both_sides(doubled: Path) -> None:
 
 
 def test_a_stated_split_stays(doubled: Path, tmp_path: Path) -> None:
-    """Oracle: the list, and a warning with the photo's name; without a test view no word."""
+    """Oracle: the list, and a warning with the photo's name; none without a test view."""
     (tmp_path / "list.txt").write_text("view_008.jpg")
     stated = load_dataset(DataConfig(source=doubled, eval=True, test_list=tmp_path / "list.txt"))
     assert [stated.scene.cameras.names[i] for i in stated.test] == ["view_008.jpg"]
@@ -127,7 +128,7 @@ def test_a_stated_split_stays(doubled: Path, tmp_path: Path) -> None:
 
 
 def test_dots_in_names_make_no_copies(tmp_path: Path) -> None:
-    """Oracle: other views of one second, whose names differ after a dot alone."""
+    """Oracle: other views of one second, with names that differ after a dot alone."""
     shots = []
     for view in (0, 5):
         path = tmp_path / f"frame.{view:04}.jpg"

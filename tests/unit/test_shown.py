@@ -1,4 +1,4 @@
-"""What messages repeat of an input; oracles: lengths by definition, and the syntax trees."""
+"""Input repeated in messages; oracles: lengths by definition, and the syntax trees."""
 
 import ast
 import shlex
@@ -19,14 +19,14 @@ LARGE = 50_000_000
 
 
 def test_short_values_are_whole() -> None:
-    """Oracle: Python's own words."""
+    """Oracle: Python's own repr."""
     for value in ("a.png", 7, 1.5, None, True, [[1.0, 2.0, 3.0, 4.0]] * 4, {"a": [1]}):
         assert quoted(value) == repr(value)
     assert brief(Path("a/b.ply")) == "a/b.ply"
 
 
 def test_commands_can_be_typed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: what a shell takes them apart to, and a program that is not on PATH."""
+    """Oracle: the split by a shell, and a program that is not on PATH."""
     words = ("render", Path("my photos/run"), "-o", "it's.mp4")
     assert shlex.split(as_typed(*words)) == ["gscore", *map(str, words)]
     monkeypatch.setenv("PATH", "")
@@ -46,7 +46,7 @@ def test_long_values_are_cut(value: object) -> None:
 
 
 def test_what_no_output_prints_is_replaced() -> None:
-    """Oracle: UTF-8 takes it."""
+    """Oracle: text that UTF-8 can encode."""
     assert brief("a\0b\ud800").encode() == b"a?b?"
     assert len(listing(["n" * 1000] * 9)) < 1100
 
@@ -70,7 +70,7 @@ def test_readers_repeat_no_megabytes(tmp_path: Path) -> None:
 
 
 def _unquoted(path: Path) -> list[str]:
-    """Places where an error is raised with a value as Python writes it, whatever its length."""
+    """Places where an error is raised with a value as Python writes it, of any length."""
     found = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.Raise) or node.exc is None:
@@ -85,6 +85,6 @@ def _unquoted(path: Path) -> list[str]:
 
 @pytest.mark.parametrize("layer", ["io", "datasets", "depth", "trainer", "commands", "bench"])
 def test_values_in_errors_go_through_the_helper(layer: str) -> None:
-    """Oracle: no `!r` in what is raised."""
+    """Oracle: no `!r` in raised errors."""
     files = [*(PACKAGE / layer).rglob("[!_]*.py"), PACKAGE / "config_file.py"]
     assert not [place for file in files for place in _unquoted(file)]

@@ -1,4 +1,4 @@
-"""Loading a package leaves signals alone; oracle: a handler of Python's that is there before."""
+"""Imports that leave signals alone; oracle: an earlier handler of Python's."""
 
 import subprocess
 import sys
@@ -28,6 +28,6 @@ print("alive")
 @pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM cannot be sent there")
 @pytest.mark.parametrize("where", ["thread", "main"])
 def test_pycolmap_takes_no_signals(where: str) -> None:
-    """Oracle: after `import pycolmap` alone this process dies with a stack trace."""
+    """Oracle: a process with `import pycolmap` alone, which dies with a stack trace."""
     done = subprocess.run([sys.executable, "-c", SCRIPT, where], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "asked to end\nalive\n", "")

@@ -46,7 +46,7 @@ def test_rules(options: dict[str, object], test: list[int]) -> None:
 
 
 def test_list_wins(tmp_path: Path) -> None:
-    """Oracle: the names written; comments, blank lines, missing folder or ending are fine."""
+    """Oracle: the written names; comments, blank lines, missing folder or ending are fine."""
     path = tmp_path / "test.txt"
     path.write_text("# held out\n\ncam/03.jpg\n05.jpg\r\n07\ncam/09\n")
     _, held = split_views(_NAMES, _config(test_list=path, test_last=2), stated={"cam/00.jpg"})
@@ -54,7 +54,7 @@ def test_list_wins(tmp_path: Path) -> None:
 
 
 def test_stated_by_the_capture() -> None:
-    """Oracle: its own split wins over every 8th, and loses to an explicit rule."""
+    """Oracle: its own split, which overrides every 8th, and is overridden by an explicit rule."""
     stated = {"cam/04.jpg"}
     assert split_views(_NAMES, _config(), stated=stated)[1] == [4]
     assert split_views(_NAMES, _config(test_last=1), stated=stated)[1] == [19]
@@ -63,7 +63,7 @@ def test_stated_by_the_capture() -> None:
 
 
 def test_unknown_and_ambiguous_names(tmp_path: Path) -> None:
-    """Oracle: the sentence lists the names and shows what names look like."""
+    """Oracle: the sentence, with the names and examples of valid ones."""
     path = tmp_path / "test.txt"
     path.write_text("\n".join(["03", *(f"no{i}" for i in range(7))]))
     with pytest.raises(DatasetError) as caught:
@@ -78,7 +78,7 @@ def test_unknown_and_ambiguous_names(tmp_path: Path) -> None:
 
 
 def test_list_that_is_missing_or_no_text(tmp_path: Path) -> None:
-    """Oracle: the sentence names the file."""
+    """Oracle: the sentence, with the file."""
     with pytest.raises(DatasetError, match=r"Cannot read .*none\.txt"):
         split_views(_NAMES, _config(test_list=tmp_path / "none.txt"))
     (tmp_path / "bin.txt").write_bytes(b"\xff\xfe\x00")
@@ -104,7 +104,7 @@ def test_numbers_out_of_range(options: dict[str, object], message: str) -> None:
 
 
 def test_nothing_left(tmp_path: Path) -> None:
-    """Oracle: a split needs views on both sides."""
+    """Oracle: the error, because a split needs views on both sides."""
     with pytest.raises(DatasetError, match="leaves no view to train: 20 of 20"):
         split_views(_NAMES, _config(test_last=25))
     with pytest.raises(DatasetError, match="leaves no view to train"):
@@ -115,7 +115,7 @@ def test_nothing_left(tmp_path: Path) -> None:
 
 
 def test_one_view_of_few_is_told(make_capture: Callable[..., SmallCapture]) -> None:
-    """Oracle: 9 views, of which every 40th is the first alone; every 8th are two."""
+    """Oracle: 9 views: every 40th is the first alone; every 8th are two."""
     capture = make_capture(views=9)
     for every, told in ((40, 1), (8, 0)):
         config = DataConfig(source=capture.root, eval=True, test_every=every)

@@ -13,7 +13,7 @@ from gscore.commands.terminal.streams import Steady, steady_streams
 
 
 def test_a_closed_pipe_is_told_once_and_then_silent() -> None:
-    """Oracle: EPIPE of the system; the number of the stream leads to the null device after it."""
+    """Oracle: EPIPE of the system; the descriptor is the null device afterwards."""
     reader, writer = os.pipe()
     os.close(reader)
     told: list[int | None] = []
@@ -31,7 +31,7 @@ def test_a_closed_pipe_is_told_once_and_then_silent() -> None:
 def test_what_was_lost_has_a_code(
     number: int, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: the codes of the documentation; a sentence where a disk is full."""
+    """Oracle: the codes of the documentation; a sentence for a full disk."""
 
     class Broken(io.StringIO):
         def write(self, text: str) -> int:
@@ -83,7 +83,7 @@ def test_a_terminal_gets_no_commands() -> None:
 
 
 def test_the_streams_are_back_afterwards() -> None:
-    """Oracle: the objects that were there."""
+    """Oracle: the original objects."""
     before = sys.stdout, sys.stderr
     with steady_streams("gscore", lambda code: None):
         assert isinstance(sys.stdout, Steady)

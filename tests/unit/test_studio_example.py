@@ -18,18 +18,18 @@ WIDTH, HEIGHT = 480, 640
 
 @pytest.fixture(scope="module")
 def truth() -> dict:
-    """What the renderer knew."""
+    """The ground truth of the renderer."""
     return json.loads((STUDIO / "cameras_true.json").read_text())
 
 
 @pytest.fixture(scope="module")
 def model() -> ColmapModel:
-    """What COLMAP found."""
+    """The model of COLMAP."""
     return read_model(STUDIO / "sparse" / "0")
 
 
 def read_depth(name: str, truth: dict) -> np.ndarray:
-    """[H, W] float64 metres along the optical axis, inf where there is nothing."""
+    """[H, W] float64 metres along the optical axis, inf without a surface."""
     code = np.asarray(Image.open(STUDIO / "depths" / f"{Path(name).stem}.png"))
     assert code.dtype == np.uint16
     with np.errstate(divide="ignore"):
@@ -42,7 +42,7 @@ def true_view(name: str, truth: dict) -> np.ndarray:
 
 
 def observations(model: ColmapModel) -> list[tuple[ColmapImage, np.ndarray, np.ndarray]]:
-    """Of every image: itself, rows of the points seen in it [M], where they are seen [M, 2]."""
+    """For every image: itself, rows of its observed points [M], and their pixels [M, 2]."""
     place = {int(i): k for k, i in enumerate(model.points.ids)}
     out = []
     for image in model.images:
@@ -86,7 +86,7 @@ def test_it_is_complete_and_small(truth: dict) -> None:
 
 
 def test_gscore_loads_it() -> None:
-    """Oracle: no warnings, 50 views to train on and 10 to test with."""
+    """Oracle: no warnings, 50 training views and 10 test views."""
     data = load_dataset(DataConfig(source=STUDIO, eval=True, test_list=STUDIO / "test.txt"))
     assert (len(data.train), len(data.test), list(data.warnings)) == (50, 10, [])
     assert len(data.scene.points) > 3000
@@ -94,7 +94,7 @@ def test_gscore_loads_it() -> None:
 
 
 def test_masks_are_soft_and_hold_the_figure(model: ColmapModel, truth: dict) -> None:
-    """Oracle: true cameras; points in the space of a standing person lie in the mask."""
+    """Oracle: true cameras; points in the space of a standing person are in the mask."""
     K = np.array(truth["K"])
     points = model.points.xyz
     person = (np.hypot(points[:, 0], points[:, 1]) < 0.45) & (np.abs(points[:, 2] - 0.9) < 0.75)
@@ -104,14 +104,14 @@ def test_masks_are_soft_and_hold_the_figure(model: ColmapModel, truth: dict) -> 
         assert mask.dtype == np.uint8 and mask.shape == (HEIGHT, WIDTH)
         assert 0.10 < (mask / 255).mean() < 0.35
         between = ((mask > 0) & (mask < 255)).mean()
-        assert 0.005 < between < 0.06  # antialiased rim, and no more than a rim
+        assert 0.005 < between < 0.06  # an antialiased rim only
         at, _ = project(points[person], np.array(view["viewmat"]), K)
         column, row = np.floor(at).astype(int).T
         assert (mask[row, column] > 127).mean() > 0.97
 
 
 def test_colmap_found_the_true_cameras(model: ColmapModel, truth: dict) -> None:
-    """Oracle: the renderer's cameras; the frames are the same, so no alignment here."""
+    """Oracle: the renderer's cameras in the same frame, so without alignment."""
     assert len(model.images) == VIEWS
     (camera,) = model.cameras.values()
     assert (camera.model, camera.width, camera.height) == ("PINHOLE", WIDTH, HEIGHT)
@@ -129,7 +129,7 @@ def test_colmap_found_the_true_cameras(model: ColmapModel, truth: dict) -> None:
 
 
 def test_depth_agrees_with_colmaps_points(model: ColmapModel, truth: dict) -> None:
-    """Oracle: COLMAP's points, seen through the renderer's cameras, lie where the depth says."""
+    """Oracle: COLMAP's points at the depth in the renderer's cameras."""
     assert len(model.points.xyz) > 3000
     assert model.points.error.mean() < 1.0
     K, relative = np.array(truth["K"]), []
@@ -143,7 +143,8 @@ def test_depth_agrees_with_colmaps_points(model: ColmapModel, truth: dict) -> No
 
 
 def test_pixel_centres_lie_at_a_half(model: ColmapModel, truth: dict) -> None:
-    """Oracle: features triangulated with the renderer's cameras alone land on the depth's rug.
+    """Oracle: features triangulated with the renderer's cameras alone, which are on the depth's
+    rug.
 
     A pixel grid half a pixel off would lift or sink the rug by 1.5 mm, or leave residuals.
     """
@@ -172,7 +173,7 @@ def test_pixel_centres_lie_at_a_half(model: ColmapModel, truth: dict) -> None:
 
 
 def test_depth_carries_one_picture_into_the_next(truth: dict) -> None:
-    """Oracle: the same surface has nearly the same colour in two neighbouring pictures."""
+    """Oracle: nearly the same colour of one surface in two neighbouring pictures."""
     K, first, second = np.array(truth["K"]), "view_020.jpg", "view_021.jpg"
     picture = [np.asarray(Image.open(STUDIO / "images" / n), np.float64) for n in (first, second)]
     depth = [read_depth(n, truth) for n in (first, second)]

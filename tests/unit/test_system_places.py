@@ -1,4 +1,4 @@
-"""Folders of the system, on every platform, and users' folders beside them."""
+"""Folders of the system, on every platform, and users' folders next to them."""
 
 import os
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -20,7 +20,7 @@ WINDOWS = {
 
 
 def judged(platform: str, text: str) -> str:
-    """`system`, `shared` or `fine`, as the two functions say of a path."""
+    """`system`, `shared` or `fine`, by the two functions for a path."""
     kind, variables = (PureWindowsPath, WINDOWS) if platform == "win32" else (PurePosixPath, {})
     place = kind(text)
     if system_tree(place, platform, variables):
@@ -55,19 +55,19 @@ def judged(platform: str, text: str) -> str:
     ],
 )
 def test_whose_a_place_is(platform: str, text: str, wanted: str) -> None:
-    """Oracle: what Filesystem Hierarchy Standard, Apple and Microsoft keep for the system."""
+    """Oracle: the system folders of the Filesystem Hierarchy Standard, Apple and Microsoft."""
     assert judged(platform, text) == wanted
 
 
 def test_the_folder_of_temporary_files_is_told_by_the_environment() -> None:
-    """Oracle: TMPDIR, wherever it leads, itself but not below."""
+    """Oracle: TMPDIR at any path, itself but not below."""
     variables = {"TMPDIR": "/scratch/tmp/"}
     assert is_shared(PurePosixPath("/scratch/tmp"), "linux", variables)
     assert not is_shared(PurePosixPath("/scratch/tmp/mine"), "linux", variables)
 
 
 def test_single_files_may_lie_where_everything_lies() -> None:
-    """Oracle: a film in the folder of temporary files is fine, one among devices is not."""
+    """Oracle: a film in the folder of temporary files, accepted; one among devices, refused."""
     check_separate(Path("/tmp"))
     with pytest.raises(ConfigError, match="/dev is a device folder"):
         check_separate(Path("/dev"))
@@ -75,7 +75,7 @@ def test_single_files_may_lie_where_everything_lies() -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="users without a home are a matter of containers")
 def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Oracle: Python cannot tell the home folder of a number that no account has."""
+    """Oracle: a user id without an account, for which Python finds no home folder."""
     monkeypatch.delenv("HOME")
     monkeypatch.setattr(os, "getuid", lambda: 4_000_000)
     with pytest.raises(RuntimeError):

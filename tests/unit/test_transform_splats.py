@@ -1,4 +1,4 @@
-"""Moving, turning, mirroring and scaling splats: against what they look like afterwards."""
+"""Moving, turning, mirroring and scaling splats: against their pictures afterwards."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def test_harmonics_turn(degree: int, matrix: np.ndarray, rng: np.random.Generato
 
 
 def test_harmonics_rotation_is_orthogonal(rng: np.random.Generator) -> None:
-    """Oracle: a rotation keeps the energy of a function."""
+    """Oracle: the energy of a function, which a rotation keeps."""
     for degree in range(5):
         turn = sh_rotation(degree, Rotation.random(rng=rng).as_matrix())
         np.testing.assert_allclose(turn @ turn.T, np.eye(2 * degree + 1), atol=1e-13)
@@ -91,9 +91,9 @@ def test_ellipsoids_follow(matrix: np.ndarray, rng: np.random.Generator) -> None
 @pytest.mark.parametrize("rest", [0, 3, 8, 15])
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_pictures_do_not_change(rest: int, mirrored: bool, rng: np.random.Generator) -> None:
-    """Oracle: the picture of the splats as they were, from a camera that was not moved.
+    """Oracle: the picture of the original splats, from the original camera.
 
-    A mirror image is seen by a mirrored camera, which shows the picture flipped.
+    A mirror image is rendered by a mirrored camera, whose picture is flipped.
     """
     splats = _splats(rng, rest)
     matrix = _matrix(rng, mirrored=mirrored)
@@ -144,6 +144,6 @@ def _with(entries: dict[tuple[int, int], float]) -> np.ndarray:
     ],
 )
 def test_refuses(matrix: np.ndarray, word: str, rng: np.random.Generator) -> None:
-    """Oracle: the documented limits; the sentence names the reason."""
+    """Oracle: the documented limits; the sentence with the reason."""
     with pytest.raises(ShapeError, match=word):
         transform_splats(_splats(rng, 0, 3), matrix)

@@ -67,7 +67,7 @@ def test_inverse_is_inverse(rng: np.random.Generator) -> None:
 
 
 def test_opengl_axes() -> None:
-    """Oracle: a camera at the origin of Blender looks along its -z with +y up."""
+    """Oracle: a camera at the origin of Blender that faces along its -z with +y up."""
     viewmat = viewmat_from_opengl(np.eye(4))
     point = np.array([0.25, 1.0, -4.0, 1.0])  # in front, above, to the right
     x, y, z, _ = viewmat @ point
@@ -148,7 +148,7 @@ def test_similarity_is_undone(cameras: Cameras, rng: np.random.Generator) -> Non
 
 @pytest.mark.parametrize("centers", [np.zeros((0, 3)), np.ones((1, 3)), np.ones((4, 3)) * 1e6])
 def test_similarity_without_extent(centers: np.ndarray) -> None:
-    """Oracle: nothing to scale by leaves the scale at 1."""
+    """Oracle: a scale of 1 without an extent."""
     similarity = Similarity.fit(centers)
     assert similarity.scale == 1
     np.testing.assert_array_equal(similarity.points_to_training(centers), np.zeros(centers.shape))
@@ -163,7 +163,7 @@ def test_similarity_refuses_what_would_overflow(far: float) -> None:
 
 @pytest.mark.parametrize("size", [1e-310, 1e-31, 1e-29, 1.0, 1e29])
 def test_similarity_of_any_size(size: float) -> None:
-    """Oracle: within a radius of 1, and more than half of it unless there is no length."""
+    """Oracle: a radius of at most 1, and more than half of it unless there is no length."""
     centers = np.array([[0.0, 0, 0], [size, 0, 0]])
     radius = np.abs(Similarity.fit(centers).points_to_training(centers)).max()
     assert radius < 1e-29 if size < 1e-30 else 0.5 <= radius <= 1
@@ -171,6 +171,6 @@ def test_similarity_of_any_size(size: float) -> None:
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, np.nan, np.inf])
 def test_similarity_refuses(scale: float) -> None:
-    """Oracle: a similarity has a positive finite scale."""
+    """Oracle: the refusal of a scale that is not positive and finite."""
     with pytest.raises(ShapeError, match="scale"):
         Similarity(scale=scale, shift=np.zeros(3))

@@ -81,12 +81,12 @@ def test_nerfstudio_equals_colmap(nerfstudio: tuple[Path, Any]) -> None:
         np.testing.assert_array_equal(data.image(i), capture.photos[image.name])
     np.testing.assert_allclose(data.scene.points.points, capture.model.points.xyz, atol=1e-6)
     np.testing.assert_array_equal(data.scene.points.colors, capture.model.points.rgb)
-    # The file itself may be given too.
+    # The file itself is valid input too.
     assert _load(root / "transforms.json").names == data.names
 
 
 def test_frames_have_their_own_cameras(nerfstudio: tuple[Path, Any]) -> None:
-    """Oracle: numbers of single frames win over those of the file."""
+    """Oracle: numbers of single frames, which override those of the file."""
     root, _ = nerfstudio
     data = json.loads((root / "transforms.json").read_text())
     data["frames"][2] |= {"fl_x": 99.0, "cx": 30.0}
@@ -104,7 +104,7 @@ def test_frames_have_their_own_cameras(nerfstudio: tuple[Path, Any]) -> None:
 
 
 def test_masks_black_is_ignored(nerfstudio: tuple[Path, Any]) -> None:
-    """Oracle: the mask written; a frame without one counts as a whole, with a warning."""
+    """Oracle: the written mask; a frame without one counts as a whole, with a warning."""
     root, _ = nerfstudio
     data = json.loads((root / "transforms.json").read_text())
     for i, frame in enumerate(data["frames"][:-1]):
@@ -149,7 +149,7 @@ class TestSynthetic:
         return tmp_path
 
     def test_cameras(self, root: Path) -> None:
-        """Oracle: f = w / 2 / tan(angle / 2); a camera at (0, 0, 4) that looks along -z."""
+        """Oracle: f = w / 2 / tan(angle / 2); a camera at (0, 0, 4) that faces -z."""
         data = _load(root)
         cameras = data.scene.cameras
         focal = 25 / np.tan(0.4)
@@ -170,7 +170,7 @@ class TestSynthetic:
         assert (len(everything.train), len(everything.test)) == (7, 0)
 
     def test_random_points(self, root: Path) -> None:
-        """Oracle: no points are stated, so random ones are made and said."""
+        """Oracle: random points and a message, because none are stated."""
         data = _load(root)
         assert len(data.scene.points) == 100_000
         assert any("no points" in warning for warning in data.warnings)
@@ -199,7 +199,7 @@ class TestSynthetic:
     ],
 )
 def test_unusable_files(change: dict, message: str, nerfstudio: tuple[Path, Any]) -> None:
-    """Oracle: the sentence names file, place and expectation."""
+    """Oracle: the sentence, with file, place and expected value."""
     root, _ = nerfstudio
     data = json.loads((root / "transforms.json").read_text())
     _write(root / "transforms.json", data | change)
@@ -226,7 +226,7 @@ def test_unusable_files(change: dict, message: str, nerfstudio: tuple[Path, Any]
     ],
 )
 def test_unusable_frames(change: dict, message: str, nerfstudio: tuple[Path, Any]) -> None:
-    """Oracle: the sentence names file, frame and expectation."""
+    """Oracle: the sentence, with file, frame and expected value."""
     root, _ = nerfstudio
     data = json.loads((root / "transforms.json").read_text())
     data["frames"][3] |= change
@@ -249,7 +249,7 @@ def test_missing_photos(nerfstudio: tuple[Path, Any]) -> None:
 
 
 def test_hostile(nerfstudio: tuple[Path, Any], mutations: Callable) -> None:
-    """Oracle: a damaged file gives a capture or one of our errors, never another exception."""
+    """Oracle: a capture or one of our errors, for a damaged file; no other exception."""
     root, _ = nerfstudio
     path, refused = root / "transforms.json", 0
     for raw in [*mutations(path.read_bytes()), b"[]", b"3", b"[" * 9999]:
@@ -263,7 +263,7 @@ def test_hostile(nerfstudio: tuple[Path, Any], mutations: Callable) -> None:
 
 
 def test_names_that_repeat_are_found_in_linear_time() -> None:
-    """Oracle: sorted by hand; a minute and more where each is looked for among all."""
+    """Oracle: names sorted by hand; a linear search for each would take over a minute."""
     names = [f"images/{i:06d}.jpg" for i in range(60_000)]
     began = time.process_time()
     assert repeated(names) == []

@@ -1,4 +1,5 @@
-"""Undistortion against pycolmap: what it draws at a distorted place ends up where K says."""
+"""Undistortion against pycolmap: a point that it projects through the lens must end up where K
+projects it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -89,7 +90,7 @@ def test_markers_land_where_the_pinhole_predicts(model: str, scale: float) -> No
     rays = np.column_stack([targets, np.ones(5)]) @ np.linalg.inv(K).T
     drawn = _project(camera, rays * depths[:, None]) * scale
     moved = np.abs(drawn - _project_pinhole(camera, rays) * scale).max()
-    assert moved > 0.5  # the distortion is there to be undone
+    assert moved > 0.5  # the distortion is large enough to matter
     for target, at in zip(targets, drawn, strict=True):
         photo = np.repeat(_marker(photo_size, at)[..., None], 3, axis=2)
         out = plan.remap(photo, size, pixels=(scale, scale))
@@ -107,8 +108,9 @@ def _project_pinhole(camera: ColmapCamera, rays: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("model", _DISTORTED)
 def test_the_pinhole_is_the_one_of_colmap(model: str, rng: np.random.Generator) -> None:
-    """Oracle: pycolmap's own choice, of lenses that bend little and much, in and out. Where ours is
-    refused or cut off, and only there, pycolmap's shows what is not in the photo, or some twice."""
+    """Oracle: pycolmap's own choice, for lenses of weak and strong distortion, in and out. Where
+    ours is refused or cut off, and only there, pycolmap's has pixels outside the photo, or some
+    twice."""
     told = 0
     for _ in range(20):
         camera = _camera(model)
@@ -133,8 +135,8 @@ def test_the_pinhole_is_the_one_of_colmap(model: str, rng: np.random.Generator) 
 
 
 def _bad_share(pinhole: pycolmap.Camera, lens: pycolmap.Camera) -> float:
-    """Share of a pinhole camera's picture that lies outside the photo of a lens, or that shows a
-    place of it which pycolmap finds in another direction."""
+    """Share of a pinhole camera's picture that is outside the photo of a lens, or at a place of it
+    which pycolmap maps to another direction."""
     x, y = (np.linspace(0, size, 65) for size in (pinhole.width, pinhole.height))
     rays = pinhole.cam_from_img(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
     photo = lens.img_from_cam(np.column_stack([rays, np.ones(len(rays))]))
@@ -165,7 +167,7 @@ def test_pictures_equal_those_of_colmap(model: str, rng: np.random.Generator) ->
     np.testing.assert_allclose(theirs_camera.calibration_matrix(), plan.K)
     ours = plan.remap(photo, (plan.width, plan.height))
     difference = np.abs(ours.astype(int) - theirs.to_array().astype(int)).max(axis=2)
-    # Where the photo ends they paint black and we repeat its border.
+    # Beyond the photo they paint black and we repeat its border.
     row, column = np.mgrid[0 : plan.height, 0 : plan.width] + 0.5
     source = plan.distort(np.column_stack([column.ravel(), row.ravel()])).reshape(*row.shape, 2)
     inside = ((source > 1) & (source < np.array(_SIZE) - 1)).all(axis=2)
@@ -198,7 +200,7 @@ def _stripes(points: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "OPENCV_FISHEYE"])
 def test_sharp_photos_keep_fine_detail(model: str) -> None:
-    """Oracle: the waves that the photo shows, evaluated where the lens takes each pixel."""
+    """Oracle: the waves of the photo, evaluated where the lens maps each pixel."""
     plan = _plan(_camera(model))
     row, column = np.mgrid[0 : _SIZE[1], 0 : _SIZE[0]] + 0.5
     photo = np.rint(_stripes(np.stack([column, row], axis=-1))).astype(np.uint8)
@@ -216,8 +218,8 @@ def test_sharp_photos_keep_fine_detail(model: str) -> None:
 
 
 def test_sharp_photos_of_one_value_stay_so() -> None:
-    """Oracle: weights that add up to 1 everywhere, also where the border is repeated; bytes that
-    cubic convolution would take beyond their range end there."""
+    """Oracle: weights of sum 1 everywhere, also at the repeated border; bytes that cubic
+    convolution would take out of range are clamped."""
     plan = _plan(_camera("OPENCV"))
     size = (plan.width, plan.height)
     assert (plan.remap(np.full((150, 200, 3), 201, np.uint8), size, sharp=True) == 201).all()
@@ -259,7 +261,7 @@ def test_a_colour_under_an_edge_of_alpha_stays(tmp_path: Path) -> None:
 
 
 def test_nearest_keeps_values(rng: np.random.Generator) -> None:
-    """Oracle: labels and depths stay members of the input; bilinear floats stay in range."""
+    """Oracle: labels and depths of the input; bilinear floats within its range."""
     plan = _plan(_camera("OPENCV"))
     labels = np.where(rng.uniform(size=(150, 200)) > 0.5, 255, 0).astype(np.uint8)
     out = plan.remap(labels, (plan.width, plan.height), nearest=True)
@@ -272,7 +274,7 @@ def test_nearest_keeps_values(rng: np.random.Generator) -> None:
 
 
 def test_one_pixel_photo() -> None:
-    """Oracle: a photo of one row or column has nothing to interpolate between."""
+    """Oracle: a photo of one row or column, in which there is nothing to interpolate."""
     plan = _plan(_camera("SIMPLE_RADIAL"))
     for shape in ((1, 1, 3), (1, 200, 3), (150, 1, 3)):
         photo = np.full(shape, 77, np.uint8)
@@ -281,7 +283,7 @@ def test_one_pixel_photo() -> None:
 
 
 def test_pinhole_needs_nothing() -> None:
-    """Oracle: cameras without distortion, and models whose distortion is 0, are left alone."""
+    """Oracle: cameras without distortion, and models of zero distortion, unchanged."""
     for model in ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "SIMPLE_RADIAL"):
         theirs = pycolmap.Camera.create_from_model_name(1, model, 170.0, *_SIZE)
         camera = ColmapCamera(model=model, width=200, height=150, params=np.array(theirs.params))
@@ -289,7 +291,7 @@ def test_pinhole_needs_nothing() -> None:
 
 
 def test_refusals() -> None:
-    """Oracle: panoramas and distortion that folds over are refused in a sentence."""
+    """Oracle: a sentence that refuses panoramas and distortion that folds over."""
     panorama = ColmapCamera(
         model="EQUIRECTANGULAR", width=200, height=100, params=np.array([200.0, 100.0])
     )
@@ -302,7 +304,7 @@ def test_refusals() -> None:
 
 
 def _is_one_to_one(plan: Undistortion, cells: int = 300) -> bool:
-    """Whether neighbours of a fine grid keep their order, by the signed areas of its triangles."""
+    """True if neighbours of a fine grid keep their order, by the signed areas of its triangles."""
     x, y = np.linspace(0, plan.width, cells), np.linspace(0, plan.height, cells)
     grid = np.stack(np.meshgrid(x, y), axis=-1)
     rays = (grid - plan.K[:2, 2]) / [plan.K[0, 0], plan.K[1, 1]]
@@ -326,8 +328,8 @@ def _barrel(k1: float, k2: float = 0.0) -> ColmapCamera:
 
 @pytest.mark.parametrize("k1", [-0.3, -0.4, -0.415, -0.42, -0.43, -0.44, -0.45])
 def test_rims_that_fold_are_left_out(k1: float) -> None:
-    """Oracle: the model's formula in float64: r (1 + k1 r^2) turns back at r = (-3 k1)^-1/2, and
-    what is left in the picture is one to one and nearly reaches there."""
+    """Oracle: the model's formula in float64: r (1 + k1 r^2) turns back at r = (-3 k1)^-1/2; the
+    rest of the picture is one to one and nearly reaches that radius."""
     camera = _barrel(k1)
     theirs = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), _theirs(camera))
     whole = Undistortion(
@@ -358,14 +360,14 @@ def test_rims_that_fold_are_left_out(k1: float) -> None:
     ("k1", "k2"), [(-0.46, 0.0), (-0.5, 0.0), (-0.7, 0.0), (-1.5, 0.0), (0.5, -2.0)]
 )
 def test_distortion_that_folds_back_is_refused(k1: float, k2: float) -> None:
-    """Oracle: pycolmap's own picture of such a camera shows a part of the photo twice."""
+    """Oracle: pycolmap's own picture of such a camera, which shows a part of the photo twice."""
     with pytest.raises(FormatError, match=r"RADIAL camera .* folds back|outside the photo"):
         plan_undistortion(_barrel(k1, k2))
 
 
 def test_a_second_turn_is_no_way_back() -> None:
-    """Oracle: r (1 - 0.9 r^2 + 0.27 r^4) falls from r = 0.70 to 1.23 and rises again, where signed
-    areas are positive as in the middle."""
+    """Oracle: r (1 - 0.9 r^2 + 0.27 r^4), which falls from r = 0.70 to 1.23 and rises again, with
+    positive signed areas as in the middle."""
     camera = _barrel(-0.9, 0.27)
     with pytest.raises(FormatError, match=r"folds back"):
         plan_undistortion(camera)
@@ -379,7 +381,7 @@ class TestInADataset:
     def test_points_appear_where_the_scene_says(
         self, model: str, resolution: float, make_capture: Callable
     ) -> None:
-        """Oracle: a spot drawn by pycolmap's projection is found at K (R x + t), masks alike."""
+        """Oracle: a spot drawn by pycolmap's projection, at K (R x + t), masks alike."""
         camera = _camera(model)
         capture = make_capture(
             model=model, params=camera.params.tolist(), size=_SIZE, views=3, points=1
@@ -404,7 +406,7 @@ class TestInADataset:
             np.testing.assert_allclose(_centroid(mask), [x / z, y / z], atol=0.25)
 
     def test_cut_rims_are_told(self, make_capture: Callable) -> None:
-        """Oracle: the sentence, and a photo whose halves are left and right of the middle still."""
+        """Oracle: the sentence, and a photo with its halves still left and right of the middle."""
         params = _barrel(-0.43).params.tolist()
         capture = make_capture(model="RADIAL", params=params, size=_SIZE, views=2)
         for k, name in enumerate(capture.photos):
@@ -422,7 +424,7 @@ class TestInADataset:
         ).all()
 
     def test_binary_masks_stay_binary(self, make_capture: Callable) -> None:
-        """Oracle: without scaling there is nothing to average."""
+        """Oracle: values of the input, because nothing is averaged without scaling."""
         params = _camera("OPENCV").params.tolist()
         capture = make_capture(model="OPENCV", params=params, size=_SIZE, views=1)
         half = np.zeros((150, 200), np.uint8)
@@ -432,7 +434,7 @@ class TestInADataset:
         assert mask is not None and set(np.unique(mask).tolist()) == {0, 255}
 
     def test_alpha_is_undistorted_with_the_colors(self, make_capture: Callable) -> None:
-        """Oracle: colours hidden under alpha 0 do not show at the rim of what is opaque."""
+        """Oracle: no colours from under alpha 0 at the rim of opaque pixels."""
         params = _camera("OPENCV").params.tolist()
         capture = make_capture(model="OPENCV", params=params, size=_SIZE, views=1)
         photo = np.zeros((150, 200, 4), np.uint8)
@@ -449,7 +451,7 @@ class TestInADataset:
 
 
 def test_huge_photos_are_reduced_first(tmp_path: Path) -> None:
-    """Oracle: the result of the straight way, on a smooth picture."""
+    """Oracle: the result of the direct way, on a smooth picture."""
     camera = ColmapCamera(
         model="SIMPLE_RADIAL",
         width=1200,

@@ -1,4 +1,4 @@
-"""What is up, by cameras and EXIF orientations, wherever it is asked for."""
+"""The up direction by cameras and EXIF orientations, for all its users."""
 
 import base64
 import json
@@ -38,24 +38,24 @@ HELD = {
 
 
 def degrees(a: np.ndarray | None, b: np.ndarray) -> float:
-    """Between unit vectors; each row of `a` for itself, the largest."""
+    """Angle between unit vectors, the largest over the rows of `a`."""
     assert a is not None
     return float(np.degrees(np.arccos(np.clip(a @ b, -1, 1))).max())
 
 
 def cameras_of(folder: Path) -> Cameras:
-    """As a training has them."""
+    """Cameras as in a training."""
     return load_dataset(DataConfig(source=folder)).scene.cameras
 
 
 @pytest.mark.parametrize("held", HELD)
 def test_up_is_as_the_photos_were_held(held: str, tmp_path: Path) -> None:
-    """Oracle: the vertical of the world in which all photos were held level, in the dataset, the
-    plan of the report and blocks."""
+    """Oracle: the vertical of the world in which all photos were level, in the dataset, the plan of
+    the report and blocks."""
     up = held_capture(tmp_path / "walk", HELD[held])
     scene = load_dataset(DataConfig(source=tmp_path / "walk")).scene
     cut = cut_capture(DataConfig(source=tmp_path / "walk"), 2)
-    if set(HELD[held]) == {1}:  # files of ordinary captures stay as they were
+    if set(HELD[held]) == {1}:  # unchanged files of ordinary captures
         assert scene.cameras.up is None and cut.model.up is None
     else:
         assert degrees(scene.cameras.up, up) < 0.1 and degrees(cut.model.up, up) < 0.1
@@ -65,8 +65,8 @@ def test_up_is_as_the_photos_were_held(held: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", ["orbit", "spline"])
 @pytest.mark.parametrize("held", HELD)
 def test_videos_stand_upright(held: str, path: str, tmp_path: Path) -> None:
-    """Oracle: the vertical again; level cameras look down by up to 34 degrees, and a picture that
-    most photos are like is neither stretched nor on its side."""
+    """Oracle: the vertical again, for level cameras that face down by up to 34 degrees, and a
+    picture like most photos, neither stretched nor on its side."""
     up = held_capture(tmp_path, HELD[held])
     shots = find_shots(_asked(tmp_path, path=path), _no_model(), is_video=False)
     tops = -shots.cameras.viewmats[:, 1, :3]
@@ -103,8 +103,7 @@ def test_a_run_and_its_cameras_keep_up(tmp_path: Path) -> None:
 
 
 def test_turned_cameras_see_the_turned_picture() -> None:
-    """Oracle: projections of points, in the picture's numbers of rows and columns as numpy turns
-    them."""
+    """Oracle: projections of points, in rows and columns as numpy turns them."""
     rng = np.random.default_rng(1)
     K = np.array([[50.0, 0, 20.0], [0, 60.0, 15.0], [0, 0, 1]])
     count = 4
@@ -141,7 +140,7 @@ def test_pictures_taken_straight_down_turn_like_the_one_before(tmp_path: Path) -
 
 
 def _down(up: np.ndarray | None) -> np.ndarray:
-    """[3, 3] a rotation, world to camera, that looks down."""
+    """[3, 3] a rotation, world to camera, that faces down."""
     assert up is not None
     x = np.cross(up, [1.0, 0, 0])
     x /= np.linalg.norm(x)
@@ -155,7 +154,7 @@ def _no_model() -> ModelArgument:
 
 
 def _asked(folder: Path, **others: object) -> Namespace:
-    """What a user asks for."""
+    """The options of a user."""
     usual = {"cameras": folder, "source": folder, "resolution": 1.0, "path": "", "test": False}
     usual |= {"view": None, "all": False, "frames": 24, "fps": None, "photos": 0}
     return Namespace(**usual | others)

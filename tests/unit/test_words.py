@@ -11,7 +11,7 @@ from gscore.text_format import count_words, number
 
 PACKAGE = Path(__file__).parents[2] / "gscore"
 _LARGE = re.compile(r" (splats|steps|points|threads|photos|cameras|frames)\b")
-"""What there may be thousands of, or one."""
+"""Nouns that may be counted in thousands, or be one."""
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ def test_other_words_than_an_s() -> None:
 
 
 def test_numbers() -> None:
-    """Oracle: the digits in threes; what is not known has no digits."""
+    """Oracle: the digits in threes; no digits for unknown numbers."""
     assert [number(n) for n in (7, 999, 1000, 1234567, None)] == [
         "7",
         "999",

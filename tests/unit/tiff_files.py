@@ -11,7 +11,7 @@ def tiff(values: np.ndarray, *, photometric: int = 1, stated_bytes: int | None =
     Args:
         values: [H, W] grey or [H, W, 3] numbers, in the byte order of their dtype.
         photometric: 0: zero is white, 1: zero is black, 2: RGB.
-        stated_bytes: What the file says of the strip's size; None: the truth.
+        stated_bytes: Size of the strip stated in the file; None: the true one.
     """
     order = ">" if values.dtype.byteorder == ">" else "<"
     height, width = values.shape[:2]
