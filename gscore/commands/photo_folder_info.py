@@ -8,9 +8,17 @@ from ..config import DataConfig
 from ..datasets.capture import listing
 from ..io.foreign_cameras import unread_cameras
 from ..quoting import as_typed
-from ..sfm.heic import readable, size_of
+from ..sfm.heic import header_of, readable
 from ..sfm.photo_folders import doubt, excluded_folders
-from ..sfm.photos import LEAST, Photo, by_camera, list_photos, photo_folder, read_photos
+from ..sfm.photos import (
+    LEAST,
+    by_camera,
+    list_photos,
+    one_of_each_name,
+    photo_folder,
+    photo_of,
+    read_photos,
+)
 from ..sfm.pycolmap_stages import Work
 from ..sfm.search_attempts import attempts
 from ..sfm.search_request import SearchRequest
@@ -32,7 +40,9 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
     )
     changed, unread = readable(unread)
     for i, name in enumerate(changed, len(photos)):
-        photos.append(Photo(name, f"{i:06}.jpg", *size_of(root / name), ()))
+        with header_of(root / name) as image:
+            photos.append(photo_of(name, i, image))
+    photos = one_of_each_name(photos)
     work = Work(request=request, root=root, photos=photos, masks=None, folder=root)
     first = attempts(request)[0]
     doubtful = doubt(root, names, len(by_camera(photos)))

@@ -54,16 +54,26 @@ def shot_of(name: str, image: Any) -> Shot:
         "L", (2 * _SIDE, 2 * _SIDE)
     )  # decode a JPEG at down to an eighth; loaded ones are unchanged
     upright = image.convert("L").resize((_SIDE, _SIDE), pillow().Resampling.BILINEAR)
-    moment: tuple[str, ...] = ()
+    with contextlib.suppress(Exception):  # damaged EXIF does not make the picture unusable
+        if turn := TURNS.get(image.getexif().get(ORIENTATION, 1)):
+            upright = upright.transpose(pillow().Transpose[turn])
+    return Shot(np.asarray(upright, np.float32).ravel(), moment_of(image), stem_of(name))
+
+
+def moment_of(image: Any) -> tuple[str, ...]:
+    """`Shot.moment` of Pillow's image."""
     with contextlib.suppress(Exception):  # damaged EXIF does not make the picture unusable
         exif = image.getexif()
-        if turn := TURNS.get(exif.get(ORIENTATION, 1)):
-            upright = upright.transpose(pillow().Transpose[turn])
         block = exif.get_ifd(_EXIF_BLOCK)
         if time := block.get(_TIME):
             tags = (time, block.get(_FRACTION), exif.get(_MAKE), exif.get(_MODEL))
-            moment = tuple(str(tag).strip("\0 ") for tag in tags)
-    return Shot(np.asarray(upright, np.float32).ravel(), moment, name.rpartition(".")[0].lower())
+            return tuple(str(tag).strip("\0 ") for tag in tags)
+    return ()
+
+
+def stem_of(name: str) -> str:
+    """`Shot.stem` of a photo."""
+    return name.rpartition(".")[0].lower()
 
 
 def same_shots(shot: Shot, others: Sequence[Shot]) -> np.ndarray:

@@ -41,6 +41,17 @@ def size_of(path: Path) -> tuple[int, int]:
     return _opened(path).size
 
 
+def header_of(path: Path) -> Any:
+    """Pillow's image of a photo, with its size, EXIF and XMP; its pixels are not decoded.
+
+    Raises:
+        FormatError, BackendError: as `write_jpeg`.
+    """
+    _opened(path)
+    with _as_format_error(path):
+        return need("pillow_heif", "Reading HEIC photos").HeifImageFile(path)
+
+
 def jpeg_name(name: str) -> str:
     """Name of the JPEG of a photo; it keeps the old ending, so it is unique."""
     return f"{name}.jpg"

@@ -10,7 +10,7 @@ from typing import Any
 from ..datasets.capture import listing
 from ..datasets.dataset import map_threads
 from ..datasets.folder import without_masks
-from ..datasets.shots import Shot, repeats, shot_of
+from ..datasets.shots import Shot, moment_of, repeats, shot_of, stem_of
 from ..errors import Cancelled, DatasetError, FormatError
 from ..io.images.pillow_images import check_whole, opened_picture
 from ..io.images.raw import RAW_ENDINGS
@@ -47,6 +47,8 @@ class Photo:
     """Sharpness and brightness; None if only the header was read."""
     shot: Shot | None = None
     """Key to detect copies of one exposure; None if only the header was read."""
+    moment: tuple[str, ...] = ()
+    """Time of the exposure and camera from EXIF; empty: not stated."""
     panorama: str = ""
     """Evidence that it is a panorama, from `panorama_of`; empty: none."""
 
@@ -132,7 +134,7 @@ def read_photos(
             raise Cancelled("Reading the photos was stopped.")
         try:
             with opened_picture(root / names[i]) as image:
-                camera, look, shot = _camera(image), None, None
+                look, shot = None, None
                 if image.format == "TIFF" and image.tell():
                     raise FormatError(
                         f"{root / names[i]} starts with a reduced picture, which COLMAP would "
@@ -141,10 +143,7 @@ def read_photos(
                 if whole:
                     check_whole(root / names[i], image)
                     look, shot = measure_quality(image), shot_of(names[i], image)
-                panorama = panorama_of(image, camera[:2], whole=whole)
-                alias = f"{i:06}{Path(names[i]).suffix.lower()}"
-                size = image.width, image.height
-                return Photo(names[i], alias, *size, camera, look, shot, panorama)
+                return photo_of(names[i], i, image, look, shot)
         except (DatasetError, FormatError) as error:
             return str(error)
 
@@ -156,6 +155,30 @@ def read_photos(
         more = f" {count_words(len(broken), 'photo')} cannot be read." if len(broken) > 1 else ""
         raise DatasetError(f"{broken[0]}{more}")
     return photos
+
+
+def photo_of(
+    name: str,
+    index: int,
+    image: Any,
+    look: PhotoQuality | None = None,
+    shot: Shot | None = None,
+) -> Photo:
+    """A photo from Pillow's image, from its header unless `look` and `shot` are given."""
+    camera, alias = _camera(image), f"{index:06}{Path(name).suffix.lower()}"
+    panorama = panorama_of(image, camera[:2], whole=look is not None)
+    size = image.width, image.height
+    return Photo(name, alias, *size, camera, look, shot, moment_of(image), panorama)
+
+
+def one_of_each_name(photos: list[Photo]) -> list[Photo]:
+    """Photos without copies of a larger or earlier one of the same moment and name but for the
+    ending. Of photos read from their headers, `one_of_each` finds only these."""
+    kept: dict[tuple, Photo] = {}
+    for photo in sorted(photos, key=lambda photo: -photo.width * photo.height):
+        kept.setdefault((stem_of(photo.name), photo.moment or photo.name), photo)
+    names = {photo.name for photo in kept.values()}
+    return [photo for photo in photos if photo.name in names]
 
 
 def one_of_each(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[str]]:

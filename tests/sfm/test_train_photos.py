@@ -15,7 +15,7 @@ from gscore.commands import main
 from gscore.inspection.photo_folder import bare_facts
 from gscore.io.colmap.folder import read_model
 
-from .conftest import NEAR
+from .conftest import NEAR, STUDIO
 
 Out = pytest.CaptureFixture[str]
 SHORT = ["--iterations", "4", "--max-splats", "400", "-r", "4", "--json"]
@@ -193,6 +193,34 @@ def test_info_tells_what_photos_need(mine: Path, capsys: Out) -> None:
     assert 0 < facts["sfm_seconds"] < 60
     assert main(["info", str(mine)]) == 0
     assert f"Next: gscore train {mine} -o run" in capsys.readouterr().out
+
+
+def _saved(view: int, path: Path) -> None:
+    """A photo of the studio as a phone saves it, taken in second `view`."""
+    exif = Image.Exif()
+    exif[0x0110] = "Phone 9"
+    exif.get_ifd(0x8769)[0x9003] = f"2026:01:01 10:00:{view:02}"
+    with Image.open(STUDIO / f"images/view_{view:03}.jpg") as photo:
+        if path.suffix == ".HEIC":
+            writer = pytest.importorskip("pillow_heif")
+            writer.from_pillow(photo).save(path, quality=95, exif=exif.tobytes())
+        else:
+            photo.save(path, exif=exif)
+
+
+@pytest.mark.parametrize("ending", ["png", "HEIC"])
+def test_info_counts_a_shot_of_two_files_once(ending: str, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: four exposures, three of them saved twice; a file of the same name with another
+    time is another photo."""
+    for view in (0, 1, 2):
+        _saved(view, tmp_path / f"IMG_{view}.jpg")
+        _saved(view, tmp_path / f"IMG_{view}.{ending}")
+    _saved(3, tmp_path / "IMG_3.jpg")
+    _saved(4, tmp_path / "IMG_3.webp")
+    assert main(["info", str(tmp_path), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["photos"], facts["cameras"], facts["pairs"]) == (5, 1, 10)
+    assert sum(facts["sizes"].values()) == 5
 
 
 def _screens(folder: Path) -> Path:
