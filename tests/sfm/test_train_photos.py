@@ -223,6 +223,25 @@ def test_info_counts_a_shot_of_two_files_once(ending: str, tmp_path: Path, capsy
     assert sum(facts["sizes"].values()) == 5
 
 
+@pytest.mark.parametrize("camera", ["RICOH THETA Z1", "Phone 9"])
+def test_info_names_panoramas(camera: str, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: pictures twice as wide as high of a 360-degree camera, which the search refuses in
+    the same words, and of a phone."""
+    exif = Image.Exif()
+    exif[0x0110] = camera
+    for i in range(4):
+        noise = Image.effect_noise((64, 32), 90)
+        noise.save(tmp_path / f"{i}.jpg", exif=exif)
+    assert main(["info", str(tmp_path), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    if camera == "Phone 9":
+        assert facts["warnings"] == [] and facts["next"]
+        return
+    assert facts["next"] is None and "4 photos show all directions" in facts["warnings"][0]
+    assert main(["sfm", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    assert " ".join(capsys.readouterr().err.split()).endswith(facts["warnings"][0])
+
+
 def _screens(folder: Path) -> Path:
     """Eight pictures of eight sizes, as in a folder of documents."""
     folder.mkdir()
