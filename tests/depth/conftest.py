@@ -1,4 +1,4 @@
-"""Captures of two planes whose inverse depth is known at every pixel, and small ONNX networks."""
+"""Captures of two planes with known inverse depth at every pixel, and small ONNX networks."""
 
 import statistics
 from pathlib import Path
@@ -20,13 +20,13 @@ from gscore.transforms import rotmat_to_quat
 from tests.run_verb import gscore  # noqa: F401
 
 PLANES = ((np.array([0.3, 0.1, -1.0]), -4.0), (np.array([-0.9, 0.2, -1.0]), -5.5))
-"""Normals n and distances d of the planes n.p = d; what is seen is the nearer one."""
+"""Normals n and distances d of the planes n.p = d; the nearer one is visible."""
 GREY_PER_INVERSE_DEPTH = 500.0
 """Photos show the inverse depth as grey values."""
 
 
 class Planes:
-    """A capture on disk, and the truth about it."""
+    """A capture on disk, and its ground truth."""
 
     def __init__(self, folder: Path, *, views=5, width=120, height=80, radial=0.0, reach=(0, 9)):
         self.folder, self.width, self.height = folder, width, height
@@ -67,7 +67,7 @@ class Planes:
         return np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], -1)
 
     def inverse_depth(self, index, rays):
-        """[...] 1 / camera z of what rays [..., 3] with z = 1 meet first."""
+        """[...] 1 / camera z of the first surface hit by rays [..., 3] with z = 1."""
         viewmat = self.viewmats[index]
         rotation, translation = viewmat[:3, :3], viewmat[:3, 3]
         center = -rotation.T @ translation
@@ -82,8 +82,8 @@ class Planes:
         return self.inverse_depth(index, self.rays(np.stack(np.meshgrid(x, y), -1)))
 
     def _write_model(self, reach):
-        """80 points for each view, seen at random pixels of it; those at inverse depths within
-        `reach` alone."""
+        """80 points for each view, at random pixels of it; only those at inverse depths within
+        `reach`."""
         rng = np.random.default_rng(5)
         xyz, self.kept = [], []
         for i in range(len(self.names)):
@@ -140,7 +140,7 @@ class Planes:
 
 
 def _official_by_hand(image, points, width, height):
-    """The rule in plain Python, one point at a time, as the documentation of the format has it."""
+    """The rule in plain Python, one point at a time, by the documentation of the format."""
     rows, columns = len(image), len(image[0])
     ratio = rows / height
     usable = []
@@ -195,7 +195,7 @@ def make_planes(tmp_path):
 
 IMAGENET = (np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225]))
 WEIGHTS = np.array([2.0, 3.0, 5.0])
-"""The networks give 20 + 2 r + 3 g + 5 b of what they are fed, so channels cannot be mixed up."""
+"""The networks return 20 + 2 r + 3 g + 5 b of their input, so that channels cannot be mixed up."""
 
 
 def _constant(name, values, kind=np.float32):
@@ -220,14 +220,14 @@ def _save(path, nodes, entry, output, constants, kind=TensorProto.FLOAT):
 
 
 def _center_kernel(size):
-    """[1, 3, size, size] that gives the weighted colours of the middle tap alone."""
+    """[1, 3, size, size] kernel that returns the weighted colours of the middle tap alone."""
     kernel = np.zeros((1, 3, size, size))
     kernel[0, :, size // 2, size // 2] = WEIGHTS
     return kernel
 
 
 def midas(path, *, size=256, inside=None, entry="0", half=False, metric=False):
-    """Like MiDaS 2.1: convolutions, [1, 3, n, n] to [1, n, n]; `inside`: normalises by itself."""
+    """Like MiDaS 2.1: convolutions, [1, 3, n, n] to [1, n, n]; `inside`: the network normalises."""
     kind = np.float16 if half else np.float32
     constants = [
         _constant("kernel", _center_kernel(3), kind),
@@ -260,7 +260,7 @@ def midas(path, *, size=256, inside=None, entry="0", half=False, metric=False):
 def transformer(path, *, patch, shape, entry="pixel_values"):
     """Like DPT (patch 16) and Depth Anything (patch 14): patches, attention, a small map.
 
-    Gives the mean of 20 + 2 r + 3 g + 5 b over each patch; the attention adds nothing.
+    Returns the mean of 20 + 2 r + 3 g + 5 b over each patch; the attention adds zero.
     """
     kernel = np.broadcast_to(WEIGHTS[:, None, None] / patch**2, (1, 3, patch, patch))
     constants = [
@@ -293,7 +293,7 @@ def channels_last(path, *, size=256):
 
 
 def metric_network(path, *, size=256, photo_scale=GREY_PER_INVERSE_DEPTH):
-    """Gives depth, 1 / inverse depth, from photos whose grey values are inverse depths."""
+    """Returns depth, 1 / inverse depth, from photos with inverse depth as grey values."""
     kernel = np.zeros((1, 3, 1, 1))
     kernel[0, 0] = 255.0 / photo_scale
     constants = [_constant("kernel", kernel)]

@@ -30,7 +30,7 @@ def test_official_rule(seed, official_by_hand):
     shape = round(height * factor), round(width * factor)
     values = (rng.integers(0, 65536, shape) / 65536).astype(np.float32)
     count = int(rng.integers(11, 60))
-    # Some points lie outside the picture or behind the camera.
+    # Some points are outside the picture or behind the camera.
     x, y = rng.uniform(-4, width + 4, count), rng.uniform(-4, height + 4, count)
     inverse = rng.uniform(-0.05, 0.5, count)
     fit = align_official(values, make_observations(x, y, inverse, width, height))
@@ -46,7 +46,7 @@ def test_official_rule(seed, official_by_hand):
     [(10, 0.5, False), (11, 0.5, True), (40, 0.9e-3, False), (40, 1.1e-3, True)],
 )
 def test_official_thresholds(count, spread, accepted):
-    """Oracle: more than 10 points and a range of inverse depth above 1e-3, as the rule states."""
+    """Oracle: more than 10 points and a range of inverse depth above 1e-3, by the rule."""
     rng = np.random.default_rng(0)
     values = rng.random((20, 20)).astype(np.float32)
     inverse = 0.3 + spread * np.linspace(0, 1, count)
@@ -57,7 +57,7 @@ def test_official_thresholds(count, spread, accepted):
 
 
 def test_official_constant_map_is_refused():
-    """Oracle: no deviation, no scale; the reason says so instead of infinity in a file."""
+    """Oracle: no scale without a deviation; a reason instead of infinity in the file."""
     x = np.linspace(1, 19, 30)
     seen = make_observations(x, x, np.linspace(0.1, 0.5, 30), 20, 20)
     fit = align_official(np.full((20, 20), 0.25, np.float32), seen)
@@ -92,14 +92,14 @@ def _scene(seed, *, outliers, noise, count=None, low=0.1):
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("sided", ["anywhere", "nearer", "same"])
 def test_scale_with_40_percent_outliers(seed, sided):
-    """Oracle: the scale the map was made with, within 1 %, and inliers near 60 %."""
+    """Oracle: the scale that the map was made with, within 1 %, and inliers near 60 %."""
     rng, mono, inverse, scale, offset, wrong = _scene(seed, outliers=0.4, noise=0.005)
     span = np.ptp(mono)
     if sided == "anywhere":
         mono[wrong] = rng.uniform(mono.min(), mono.max(), len(wrong))
     elif sided == "nearer":  # all errors on one side, as where a map bleeds over an edge
         mono[wrong] += rng.uniform(0.2, 1.0, len(wrong)) * span
-    else:  # a wrong surface that agrees with itself
+    else:  # a wrong but consistent surface
         mono[wrong] = rng.uniform(0.4, 0.45, len(wrong)) * span + mono.min()
     fit = align_robust(mono, inverse, np.ones(len(mono)))
     assert fit.accepted, fit.reason
@@ -110,7 +110,8 @@ def test_scale_with_40_percent_outliers(seed, sided):
 
 
 def test_the_official_rule_fails_there():
-    """Oracle: the same outliers move the official scale by more than 10 % in most captures."""
+    """Oracle: a change of the official scale by more than 10 % in most captures, by the same
+    outliers."""
     worse = 0
     for seed in SEEDS:
         rng, mono, inverse, scale, _, wrong = _scene(seed, outliers=0.4, noise=0.005)
@@ -124,7 +125,7 @@ def test_the_official_rule_fails_there():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_weights_decide(seed):
-    """Oracle: of two lines with equally many points the one with the trusted points is found."""
+    """Oracle: the line with the trusted points, of two with equally many points."""
     rng = np.random.default_rng(seed)
     mono = rng.uniform(0, 1, 200)
     trusted = rng.permutation(200) < 100
@@ -136,7 +137,7 @@ def test_weights_decide(seed):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_points_on_a_slanted_plane(seed):
-    """Oracle: inverse depth is affine across a plane, so its scale is found all the same."""
+    """Oracle: the scale, because inverse depth is affine across a plane."""
     rng = np.random.default_rng(seed)
     inverse = 0.2 + 0.1 * rng.uniform(0, 1, 120)
     fit = align_robust((inverse - 0.05) / 3.0, inverse, np.ones(120))
@@ -145,7 +146,7 @@ def test_points_on_a_slanted_plane(seed):
 
 
 def test_points_at_one_depth_are_refused():
-    """Oracle: a plane facing the camera has one inverse depth, which any scale explains."""
+    """Oracle: a plane facing the camera, whose one inverse depth fits any scale."""
     rng = np.random.default_rng(1)
     inverse = 0.25 * (1 + 0.002 * rng.normal(size=300))
     fit = align_robust(rng.uniform(0, 1, 300), inverse, np.ones(300))
@@ -162,7 +163,7 @@ def test_few_points_are_refused(count):
 
 
 def test_constant_maps_are_refused():
-    """Oracle: one value says nothing, nor does one value at nearly all points."""
+    """Oracle: a refusal of one value at all points, or at nearly all."""
     inverse = np.linspace(0.1, 0.5, 200)
     mono = np.full(200, 0.3)
     for extra in (0.3, 0.9):
@@ -173,7 +174,7 @@ def test_constant_maps_are_refused():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_depth_instead_of_inverse_depth_is_refused(seed):
-    """Oracle: a map that grows with depth gives a negative scale."""
+    """Oracle: the negative scale of a map that grows with depth."""
     _, mono, inverse, *_ = _scene(seed, outliers=0, noise=0.002)
     fit = align_robust(-mono, inverse, np.ones(len(mono)))
     assert not fit.accepted and "farther" in fit.reason and fit.scale < 0
@@ -181,7 +182,7 @@ def test_depth_instead_of_inverse_depth_is_refused(seed):
 
 @pytest.mark.parametrize("count", [25, 60, 300, 2000])
 def test_unrelated_maps_are_refused(count):
-    """Oracle: a map of noise must not be accepted, however the depths are spread: none in 200."""
+    """Oracle: a refusal of all 200 maps of noise, for any spread of the depths."""
     for seed in range(200):
         rng = np.random.default_rng(seed)
         a, b = [(2, 5), (1, 1), (8, 2), (0.3, 0.6)][seed % 4]
@@ -207,7 +208,7 @@ def test_noise_of_the_map_does_not_flatten_it():
 
 
 def test_shallow_points_under_a_noisy_map_are_refused():
-    """Oracle: noise as large as the spread of the points leaves the scale open."""
+    """Oracle: noise as large as the spread of the points, which leaves the scale open."""
     for seed in range(20):
         rng = np.random.default_rng(seed)
         inverse = rng.uniform(0.39, 0.41, 400)
@@ -230,7 +231,7 @@ def test_expected_error_of_a_fit():
 
 
 def test_unknown_values_are_left_out():
-    """Oracle: the number of points that have a value and lie in front of the camera."""
+    """Oracle: the number of points that have a value and are in front of the camera."""
     inverse = np.linspace(0.1, 0.5, 100)
     mono = inverse / 2
     mono[:10] = np.nan

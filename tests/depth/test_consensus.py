@@ -1,4 +1,4 @@
-"""Fits by what maps say of each other; oracle: two planes with known inverse depth everywhere."""
+"""Fits by the agreement of maps; oracle: two planes with known inverse depth everywhere."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from gscore.trainer.depth import rule as depth_rule
 from gscore.trainer.depth.setup import prepare_depth
 
 NEAR = (0.25, 0.3)
-"""Inverse depths at which structure from motion saw points; the planes are farther and nearer."""
+"""Inverse depths at which SfM has points; the planes also extend farther and nearer."""
 
 
 def load(planes):
@@ -48,8 +48,8 @@ def far_errors(planes, priors) -> list[float]:
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_what_points_leave_open_other_maps_settle(make_planes, monkeypatch, seed):
-    """Oracle: the planes. A map that its points alone cannot place is placed right, also where no
-    point was seen; what its fit says of the points still speaks of its own points."""
+    """Oracle: the planes. A map that its points alone cannot align is aligned correctly, also where
+    it has no points; its fit still counts its own points only."""
     planes = make_planes(reach=NEAR)
     planes.write_maps(waves(seed, 0.03))
     with monkeypatch.context() as alone:
@@ -66,7 +66,7 @@ def test_what_points_leave_open_other_maps_settle(make_planes, monkeypatch, seed
 
 
 def test_held_out_maps_have_no_say(make_planes):
-    """Oracle: the same training maps beside other maps of the held-out view, bit for bit."""
+    """Oracle: the same training maps, bit for bit, with other maps of the held-out view."""
     planes = make_planes()
     planes.write_maps(waves(0, 0.03))
     config = DataConfig(
@@ -82,7 +82,7 @@ def test_held_out_maps_have_no_say(make_planes):
     for i in dataset.train:
         np.testing.assert_array_equal(before.views[i].inverse_depth, after.views[i].inverse_depth)
         np.testing.assert_array_equal(before.views[i].confidence, after.views[i].confidence)
-    # Beside a training that uses it, it would have one.
+    # In a training that uses this view, it would have one.
     everything = replace(config, eval=False)
     shared = load_priors(everything, load_dataset(everything))
     assert any(shared.views[i].fit != after.views[i].fit for i in dataset.train)
@@ -90,7 +90,7 @@ def test_held_out_maps_have_no_say(make_planes):
 
 @pytest.mark.parametrize("mode", ["off", "auto"])
 def test_what_is_not_used_is_not_placed(make_planes, monkeypatch, mode):
-    """Oracle: the function that places maps, which ends the test where it is called."""
+    """Oracle: the function that aligns maps, which fails the test where it is called."""
 
     def called(*_):
         raise AssertionError("maps were placed")
@@ -109,8 +109,8 @@ def test_what_is_not_used_is_not_placed(make_planes, monkeypatch, mode):
 
 
 def test_what_was_settled_is_read_again(make_planes, gscore):
-    """Oracle: the alignment itself. depth_params.json holds scale and offset alone; how far they
-    are to be trusted comes from points and other maps again, and nothing is aligned anew."""
+    """Oracle: the alignment itself. depth_params.json has scale and offset alone; their confidence
+    is computed again from points and other maps, without another alignment."""
     planes = make_planes(reach=NEAR)
     planes.write_maps(waves(0, 0.03))
     _, aligned = load(planes)
@@ -134,7 +134,7 @@ def test_exact_maps_stay_exact(make_planes):
 
 
 def test_a_map_of_noise_is_not_talked_into_a_scale(make_planes):
-    """Oracle: noise has no scale; and it spoils none of the others."""
+    """Oracle: noise, which has no scale and spoils none of the others."""
     planes = make_planes(reach=NEAR)
     planes.write_maps(waves(5, 0.01))
     rng = np.random.default_rng(0)

@@ -43,7 +43,7 @@ def _code(path):
 @pytest.mark.parametrize("name", MAKERS)
 def test_from_photos_to_aligned_depth(planes, networks, gscore, tmp_path, name):
     """Oracle: the planes: photos show inverse depth as grey, the networks are affine in grey or
-    give depth, so scale * value + offset must be the inverse depth of every pixel."""
+    return depth, so scale * value + offset must be the inverse depth of every pixel."""
     model = _network(networks, name, tmp_path)
     options = ("--normalization", "unit") if name == "metric" else ()
     code, out, err = gscore("depth", planes.folder, "--model", model, "--json", *options)
@@ -59,7 +59,7 @@ def test_from_photos_to_aligned_depth(planes, networks, gscore, tmp_path, name):
         entry = params[f"cam/v_{i}"]
         inverse = value / 65536 * entry["scale"] + entry["offset"]
         off = np.abs(inverse / planes.truth(i) - 1)[4:-4, 4:-4]
-        # Photos of 8 bits hold inverse depth to half a percent; patches blur the crease.
+        # Photos of 8 bits store inverse depth to half a percent; patches blur the crease.
         assert np.median(off) < 0.008 and np.quantile(off, 0.95) < 0.04
         assert entry["inliers"] > 0.9
     sheet = np.asarray(Image.open(planes.folder / "depths" / "contact_sheet.png"))
@@ -74,7 +74,7 @@ def test_from_photos_to_aligned_depth(planes, networks, gscore, tmp_path, name):
 
 
 def test_official_rule_from_files_alone(planes, networks, gscore, tmp_path, official_by_hand):
-    """Oracle: the official rule in plain Python on the PNGs and the model as pycolmap reads it."""
+    """Oracle: the official rule in plain Python on the PNGs and the model as read by pycolmap."""
     model = _network(networks, "midas", tmp_path)
     code, _, err = gscore("depth", planes.folder, "--model", model, "--align", "official")
     assert code == 0, err
@@ -95,7 +95,7 @@ def test_official_rule_from_files_alone(planes, networks, gscore, tmp_path, offi
 
 
 def test_it_goes_on_where_it_stopped(planes, networks, gscore, tmp_path):
-    """Oracle: the times of the files: those that were there stay, those that were not are made."""
+    """Oracle: the times of the files: existing ones stay, missing ones are made."""
     model = _network(networks, "midas", tmp_path)
     run = ("depth", planes.folder, "--model", model, "--json", "--quiet")
     assert gscore(*run)[0] == 0
@@ -114,7 +114,8 @@ def test_it_goes_on_where_it_stopped(planes, networks, gscore, tmp_path):
 
 
 def test_maps_of_others_are_not_overwritten(planes, networks, gscore, tmp_path):
-    """Oracle: the files' bytes; another model, another way to feed it, and maps from elsewhere."""
+    """Oracle: the files' bytes; another model, another input scaling, and maps of other
+    programs."""
     planes.write_maps(lambda path, s: np.save(path, s))
     model = _network(networks, "midas", tmp_path)
     there = planes.folder / "depths" / "cam" / "v_0.npy"
@@ -128,7 +129,7 @@ def test_maps_of_others_are_not_overwritten(planes, networks, gscore, tmp_path):
     )
     assert there.read_bytes() == before
     assert gscore("depth", planes.folder, "--model", model, "-d", "mono", "--quiet")[0] == 0
-    # The file beside the model speaks of depths/; this folder keeps its own.
+    # The file next to the model is for depths/; this folder has its own.
     assert (planes.folder / "mono" / "depth_params.json").is_file()
     assert not (planes.folder / "sparse" / "0" / "depth_params.json").exists()
     other = _network(networks, "dpt", tmp_path)
@@ -140,7 +141,7 @@ def test_maps_of_others_are_not_overwritten(planes, networks, gscore, tmp_path):
 
 
 def test_overwriting_maps_of_another_kind(planes, networks, gscore, tmp_path):
-    """Oracle: after --overwrite the predicted PNG is used, also where an NPY lies beside it."""
+    """Oracle: the predicted PNG after --overwrite, also with an NPY next to it."""
     planes.write_maps(lambda path, s: np.save(path, s))
     model = _network(networks, "midas", tmp_path)
     code, out, _ = gscore("depth", planes.folder, "--model", model, "--overwrite", "--json")
@@ -150,10 +151,10 @@ def test_overwriting_maps_of_another_kind(planes, networks, gscore, tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_stopping_leaves_whole_files(make_planes, networks, tmp_path, number):
-    """Oracle: exit code 128 + signal, every PNG readable, no temporary file, and the same command
+    """Oracle: exit code 128 + signal, every PNG readable, no temporary file; the same command
     finishes the rest."""
     planes = make_planes(views=20)
-    model = networks["midas"](tmp_path / "n.onnx", size=1024)  # large, so that it takes seconds
+    model = networks["midas"](tmp_path / "n.onnx", size=1024)  # large enough to take seconds
     command = [sys.executable, "-m", "gscore", "depth", str(planes.folder), "--model", str(model)]
     environment = dict(os.environ, PYTHONPATH=str(Path(__file__).parents[2]))
     process = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
@@ -177,7 +178,7 @@ def test_stopping_leaves_whole_files(make_planes, networks, tmp_path, number):
 
 
 def test_composite_masks_are_left_out_of_the_maps(planes, networks, gscore, tmp_path):
-    """Oracle: 0 exactly where opacity is below one half; what is hidden changes nothing."""
+    """Oracle: 0 exactly where opacity is below one half; hidden pixels change nothing."""
     mask = np.zeros((80, 120), np.uint8)
     mask[10:70, 20:90] = 255
     for name in planes.names:
@@ -194,14 +195,15 @@ def test_composite_masks_are_left_out_of_the_maps(planes, networks, gscore, tmp_
     first = path.read_bytes()
     assert gscore("depth", planes.folder, "--model", model, *options, "--overwrite")[0] == 0
     assert path.read_bytes() == first
-    # Masks that say what not to train on leave the map whole; the trainer heeds them.
+    # Masks that exclude pixels from training leave the map whole; the trainer applies them.
     options = ("--mask-mode", "ignore", "--quiet", "--overwrite")
     assert gscore("depth", planes.folder, "--model", model, *options)[0] == 0
     assert (_code(path) > 0).all()
 
 
 def test_aligning_what_is_there(planes, gscore):
-    """Oracle: metric maps from elsewhere: depth is found out and noted, for gscore to read back."""
+    """Oracle: metric maps of another program: depth is detected and recorded, for gscore to read
+    back."""
     planes.write_maps(lambda path, s: np.save(path, 3 / s))
     code, out, _ = gscore("depth", planes.folder)
     assert code == 0 and "5 of 5 maps of depth aligned by the robust rule" in out
@@ -214,8 +216,8 @@ def test_aligning_what_is_there(planes, gscore):
 
 
 def test_scales_of_others_are_not_overwritten(planes, gscore):
-    """Oracle: the file's bytes: exact scales by hand stay, those that gscore wrote are renewed,
-    and a file that says nothing is replaced with a word."""
+    """Oracle: the file's bytes: exact scales by hand stay, those written by gscore are renewed, and
+    an empty file is replaced with a message."""
     planes.write_maps(lambda path, s: np.save(path, s / 4))
     path = planes.folder / "sparse" / "0" / "depth_params.json"
     entries = {f"cam/v_{i}": {"scale": 4.0, "offset": 0.0} for i in range(5)}
@@ -239,14 +241,15 @@ def test_scales_of_others_are_not_overwritten(planes, gscore):
 
 
 def test_quiet_means_errors_alone(planes, gscore):
-    """Oracle: nothing on either stream, and the file is there."""
+    """Oracle: no output on either stream, and the file."""
     planes.write_maps(lambda path, s: np.save(path, s))
     assert gscore("depth", planes.folder, "--quiet") == (0, "", "")
     assert (planes.folder / "sparse" / "0" / "depth_params.json").is_file()
 
 
 def test_wrong_kind_is_refused_with_the_reason(planes, gscore):
-    """Oracle: depth said to be inverse depth: no view is accepted, the table says why."""
+    """Oracle: depth declared as inverse depth: no view is accepted, with the reason in the
+    table."""
     planes.write_maps(lambda path, s: np.save(path, 3 / s))
     code, out, err = gscore("depth", planes.folder, "--kind", "inverse", "--json")
     result = json.loads(out)
@@ -257,7 +260,7 @@ def test_wrong_kind_is_refused_with_the_reason(planes, gscore):
 
 
 def test_neither_model_nor_maps(planes, gscore, tmp_path):
-    """Oracle: one sentence with where models come from; nothing is written."""
+    """Oracle: one sentence with the source of models; no files."""
     for arguments in ((), ("--model", tmp_path / "none.onnx")):
         code, _, err = gscore("depth", planes.folder, *arguments)
         assert code == 2 and "github.com/isl-org/MiDaS/releases" in err
@@ -269,7 +272,7 @@ def test_neither_model_nor_maps(planes, gscore, tmp_path):
 
 
 def test_a_blind_network(planes, networks, gscore, tmp_path):
-    """Oracle: one value everywhere is an error that names the view, not a map of zeros."""
+    """Oracle: an error that names the view for one value everywhere, instead of a map of zeros."""
     model = networks["midas"](tmp_path / "n.onnx", inside=([1e6] * 3, [1.0] * 3))
     code, _, err = gscore("depth", planes.folder, "--model", model)
     assert code == 2 and "cam/v_0.png one value everywhere" in err
@@ -277,7 +280,7 @@ def test_a_blind_network(planes, networks, gscore, tmp_path):
 
 
 def test_events_tell_what_happens(planes, networks, gscore, tmp_path):
-    """Oracle: the number of views, and the result that --json prints."""
+    """Oracle: the number of views, and the output of --json."""
     model = _network(networks, "midas", tmp_path)
     code, out, _ = gscore("depth", planes.folder, "--model", model, "--events", "jsonl")
     events = [from_line(line) for line in out.splitlines()]
@@ -299,7 +302,7 @@ def test_events_tell_what_happens(planes, networks, gscore, tmp_path):
 
 
 def test_a_line_stops_it_between_views(make_planes, networks, tmp_path):
-    """Oracle: whole maps, no scales, and a last event that says that it was stopped."""
+    """Oracle: whole maps, no scales, and a last event about the stop."""
     planes = make_planes(views=20)
     model = networks["midas"](tmp_path / "n.onnx", size=1024)
     command = [sys.executable, "-m", "gscore", "depth", str(planes.folder), "--model", str(model)]

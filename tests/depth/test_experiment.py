@@ -1,4 +1,4 @@
-"""What experiments/depth measures; oracles: two planes whose shadows are known, counts."""
+"""Measurements of experiments/depth; oracles: two planes with known shadows, counts."""
 
 import json
 import sys
@@ -23,7 +23,7 @@ from gscore.presets import PRESETS
 
 
 def test_seen_is_what_lies_at_its_depth_in_another_frame() -> None:
-    """Oracle: geometry. A wall at z = 4, and before it in column 20 and beyond a board at z = 2."""
+    """Oracle: geometry. A wall at z = 4, and in front of it from column 20 on a board at z = 2."""
     K = np.array([[20.0, 0, 20], [0, 20.0, 10], [0, 0, 1]])
     wall = np.full((20, 40), 0.25)
     with_board = wall.copy()
@@ -64,7 +64,7 @@ def _row(arm: str, seed: int, psnr: float, splats: str = "") -> dict[str, Any]:
 
 
 def test_gains_are_of_the_same_seed() -> None:
-    """Oracle: 2 and 4 dB, 3 in the mean with a deviation of root two; a seed without its pair."""
+    """Oracle: 2 and 4 dB, a mean of 3 with a deviation of root two; a seed without its pair."""
     rows = [_row("none", 0, 20), _row("none", 1, 10), _row("mono", 0, 22), _row("mono", 1, 14)]
     rows += [_row("mono", 2, 18), _row("mono-auto", 0, 20, "none"), _row("masked", 0, 30)]
     text = tables(rows, list(ARMS))
@@ -74,7 +74,7 @@ def test_gains_are_of_the_same_seed() -> None:
     assert found["mono"][3:6] == ["3", "18.00 ± 4.00", "+3.00 ± 1.41"]
     assert found["mono-auto"][5] == "same splats"
     assert found["masked"][5] == ""
-    # One view, so each draw has its 2 and 4 dB; the rule asks for 0.1 at equal time.
+    # One view, so each draw has its 2 and 4 dB; the rule requires 0.1 at equal time.
     assert found["mono"][6] == "+3.00 (+3.00 to +3.00)"
     (judged,) = [cells for cells in lines if cells[:2] == ["6", "mono"]]
     assert judged[2:4] == ["c", "+3.00 (+3.00 to +3.00)"]
@@ -83,7 +83,7 @@ def test_gains_are_of_the_same_seed() -> None:
 
 @pytest.mark.parametrize("table", TABLES)
 def test_trainings_are_the_presets_own(table: str) -> None:
-    """Oracle: the options of the preset, but for the sizes that the table states."""
+    """Oracle: the options of the preset, but for the sizes in the table."""
     plan = TABLES[table]
     preset = plan.get("preset", "preview")
     sizes = {key: plan[key] for key in ("iterations", "max_splats", "sh_degree") if key in plan}
@@ -94,13 +94,13 @@ def test_trainings_are_the_presets_own(table: str) -> None:
     data, train = configs(parser.parse_args(line))
     wanted_data, wanted = PRESETS[preset](Path("capture"))
     limits = {"iterations": "steps_a_photo", "max_splats": "splats_a_photo"}
-    lifted = {limits[key]: 0 for key in sizes if key in limits}  # a number that is given is meant
+    lifted = {limits[key]: 0 for key in sizes if key in limits}  # explicit numbers take precedence
     assert train == replace(wanted, **sizes, **lifted)
     assert data == replace(wanted_data, resolution=plan.get("width", wanted_data.resolution))
 
 
 def test_stereo_looks_at_no_test_view(tmp_path: Path) -> None:
-    """Oracle: the training views that were chosen, and that a part of their pixels is known."""
+    """Oracle: the chosen training views, with known depth in a part of their pixels."""
     names = few_views(studio(), 12, tmp_path / "c")
     _predict(tmp_path / "c", "depths-stereo", ["--method", "stereo"])
     record = read_record(tmp_path / "c" / "depths-stereo")
@@ -118,7 +118,7 @@ def test_known_are_pixels_with_a_depth(tmp_path: Path) -> None:
 
 
 def test_options_of_a_table_can_be_overruled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the table's own entries, and the one that is given."""
+    """Oracle: the table's own entries, and the given one."""
     given = ["x", "--table", "study", "--seeds", "4", "--arms", "none"]
     monkeypatch.setattr(sys, "argv", given)
     args = compare._arguments()
@@ -131,7 +131,8 @@ def test_options_of_a_table_can_be_overruled(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
-    """Oracle: the files there while it is filled, after an error, and when another was sooner."""
+    """Oracle: the files there while it is filled, after an error, and when another process was
+    first."""
     target = tmp_path / "a"
     with pytest.raises(ValueError, match="stop"), _whole(target) as part:
         (part / "x").write_text("1")

@@ -1,4 +1,4 @@
-"""Depth networks by name, from a hub of files on this machine that speaks the hub's protocol."""
+"""Depth networks by name, from a local hub of files that speaks the hub's protocol."""
 
 import hashlib
 import json
@@ -33,14 +33,14 @@ def _graph(patch: int, size: int | str, *, attention: bool) -> bytes:
     Args:
         patch: Kernel and stride of the first convolution, 14 as DINOv2; 1: none.
         size: Sides of its input.
-        attention: Whether there is a Softmax, as in transformers.
+        attention: Adds a Softmax, as in transformers.
     """
     weights = np.full((1, 3, 1, 1), 1 / 3, np.float32)
     made = [numpy_helper.from_array(weights, "w")]
     nodes = [helper.make_node("Conv", ["x", "w"], ["grey"], kernel_shape=[1, 1])]
     last = "grey"
     if attention:
-        # The weight 0 keeps the branch in the graph and its numbers out of the map.
+        # The weight 0 keeps the branch in the graph without an effect on the map.
         kernel = np.zeros((1, 3, patch, patch), np.float32)
         made.append(numpy_helper.from_array(kernel, "patches"))
         nodes = [
@@ -75,7 +75,7 @@ _FILES = {
 
 
 class _Hub:
-    """Files by the addresses of the hub, and what was asked for."""
+    """Files by the addresses of the hub, and the requests."""
 
     def __init__(self) -> None:
         self.files: dict[str, bytes] = {}
@@ -121,7 +121,7 @@ class _Hub:
 
 
 def _use(monkeypatch: pytest.MonkeyPatch, address: str, cache: Path) -> None:
-    """As HF_ENDPOINT and HF_HOME do, which the library reads when it is imported."""
+    """Set the endpoint as HF_ENDPOINT and HF_HOME do, which the library reads on import."""
     from huggingface_hub import constants, file_download
 
     monkeypatch.setattr(constants, "ENDPOINT", address)
@@ -168,12 +168,13 @@ def test_a_name_predicts_after_one_download(
     assert facts["predicted"] == 4 and facts["accepted"] == 4 and facts["kind"] == "inverse"
     asked = len(served.asked)
     assert asked >= 2
-    assert main([*line, "--overwrite"]) == 0  # from the cache, without a word to the hub
+    assert main([*line, "--overwrite"]) == 0  # from the cache, without a request to the hub
     assert len(served.asked) == asked
 
 
 def test_another_file_is_removed(served: _Hub) -> None:
-    """Oracle: the sentence; nothing of it stays in the cache, and a second try asks anew."""
+    """Oracle: the sentence; no part of it stays in the cache, and a second try requests it
+    again."""
     entry = known("midas-v2.1-small")
     assert entry is not None
     (path,) = [path for path in served.files if "midas_v21" in path]
@@ -195,8 +196,8 @@ def test_a_file_that_is_gone_is_told(served: _Hub) -> None:
 
 
 def test_a_hub_out_of_reach_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: one sentence with the cause where nobody listens, and no word of the library's log,
-    which says more with each try."""
+    """Oracle: one sentence with the cause where no server listens, without the library's log, which
+    repeats itself with each try."""
     _use(monkeypatch, "http://127.0.0.1:9", tmp_path)
     log, said = logging.getLogger("huggingface_hub"), logging.handlers.BufferingHandler(1000)
     log.addHandler(said)
@@ -209,7 +210,7 @@ def test_a_hub_out_of_reach_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the command that brings it."""
+    """Oracle: the command that installs it."""
     import sys
 
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
@@ -242,14 +243,14 @@ def test_the_list_tells_what_is_here(served: _Hub, capsys: Out) -> None:
 def test_names_that_are_none_are_refused(
     words: list[str], says: str, tmp_path: Path, capsys: Out
 ) -> None:
-    """Oracle: exit code 2 and the names there are."""
+    """Oracle: exit code 2 and the valid names."""
     Planes(tmp_path, views=3)
     assert main(["depth", str(tmp_path), *words]) == 2
     assert says in " ".join(capsys.readouterr().err.split())
 
 
 def test_the_table_is_whole() -> None:
-    """Oracle: the forms of commits and digests; names that differ."""
+    """Oracle: the forms of commits and digests; different names."""
     assert len({network.name for network in NETWORKS}) == len(NETWORKS)
     for network in NETWORKS:
         assert len(network.revision) == 40 and len(network.sha256) == 64

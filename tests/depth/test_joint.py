@@ -1,4 +1,4 @@
-"""Maps placed together: derivatives against differences of the sum, and errors foretold."""
+"""Maps aligned jointly: derivatives against differences of the sum, and predicted errors."""
 
 import numpy as np
 import pytest
@@ -70,7 +70,7 @@ def test_slope_is_that_of_the_sum(web):
 
 
 def test_from_afar_to_the_truth(web):
-    """Oracle: the planes; each map starts with its ends 30 to 60 % off."""
+    """Oracle: the planes; the ends of each map start 30 to 60 % off."""
     planes, web = web
     truth = true_logs(planes, web)
     wrong = truth + np.array([[0.5, -0.3], [-0.4, 0.3], [0.3, 0.3], [-0.5, 0.2], [0.4, 0.1]])
@@ -79,7 +79,7 @@ def test_from_afar_to_the_truth(web):
 
 
 def test_errors_are_foretold(web):
-    """Oracle: the planes; errors of the ends are within three of the standard errors stated."""
+    """Oracle: the planes; errors of the ends within three of the stated standard errors."""
     planes, web = web
     truth = true_logs(planes, web)
     _, logs = joint.place(web, truth)
@@ -89,8 +89,8 @@ def test_errors_are_foretold(web):
 
 
 def test_an_end_nobody_shows_is_uncertain(web):
-    """Oracle: a map compared with no other, whose points lie at its near end, has a far end that
-    is known worse than with others, and a near end as well."""
+    """Oracle: a map compared with no other, with points at its near end: its far end is less
+    certain than with other maps, and less certain than its near end."""
     planes, web = web
     truth = true_logs(planes, web)
     together = joint.covariances(web, truth)

@@ -1,4 +1,4 @@
-"""Depth maps read from every kind of file, and files that are none."""
+"""Depth maps in every file format, and files that are none."""
 
 import sys
 import unicodedata
@@ -43,7 +43,7 @@ def test_8_bit_png(tmp_path, ramp):
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.uint16, np.int32])
 def test_npy_and_tiff(tmp_path, dtype, ramp):
-    """Oracle: the numbers that were saved; arrays may have sides of 1 besides."""
+    """Oracle: the saved numbers; arrays may also have sides of 1."""
     values = (ramp % 1000).astype(dtype)
     np.save(tmp_path / "a.npy", values)
     np.save(tmp_path / "b.npy", values[None, ..., None])
@@ -69,9 +69,9 @@ def test_npy_and_tiff(tmp_path, dtype, ramp):
 )
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])
 def test_exr_channels(tmp_path, names, dtype, ramp):
-    """Oracle: depth in the channel that Blender and others put it in, other numbers elsewhere."""
+    """Oracle: depth in the channel used by Blender and others, other numbers elsewhere."""
     depth = (ramp / 4096).astype(dtype)
-    depth[0, 0] = 1e10 if dtype == np.float32 else np.inf  # nothing there
+    depth[0, 0] = 1e10 if dtype == np.float32 else np.inf  # no surface
     right = next((n for n in names if "epth" in n), None)
     right = right or ("Z" if "Z" in names else names[0])
     channels = {n: depth if n == right else np.full_like(depth, 7) for n in names}
@@ -82,7 +82,7 @@ def test_exr_channels(tmp_path, names, dtype, ramp):
 
 
 def test_exr_in_equal_colours(tmp_path):
-    """Oracle: depth written to all of R, G and B is one map; three different ones are none."""
+    """Oracle: one map from equal R, G and B; none from three different ones."""
     depth = np.linspace(1, 2, 12, dtype=np.float32).reshape(3, 4)
     _write_exr(tmp_path / "a.exr", dict.fromkeys("RGB", depth))
     assert np.array_equal(read_map(tmp_path / "a.exr"), depth)
@@ -92,7 +92,7 @@ def test_exr_in_equal_colours(tmp_path):
 
 
 def test_exr_without_the_package(tmp_path, monkeypatch):
-    """Oracle: an error that says which package to install and what else to do."""
+    """Oracle: an error with the package to install and the alternatives."""
     (tmp_path / "a.exr").write_bytes(b"v/1\x01")
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     with pytest.raises(BackendError, match=r'pip install "gscore\[depth\]". Or save .* NPY'):
@@ -122,7 +122,7 @@ def test_truncated_files(tmp_path, ramp):
 
 
 def test_pictures_that_are_no_maps(tmp_path, ramp):
-    """Oracle: errors that say what the picture is and what is expected."""
+    """Oracle: errors with the kind of the picture and the expected one."""
     colours = np.dstack([ramp >> 8, ramp >> 9, ramp >> 10]).astype(np.uint8)
     Image.fromarray(colours).save(tmp_path / "a.png")
     with pytest.raises(FormatError, match="coloured picture of depth"):
@@ -141,7 +141,7 @@ def test_pictures_that_are_no_maps(tmp_path, ramp):
 
 
 def test_16_bit_colour_png_is_refused(tmp_path):
-    """Oracle: a PNG of three channels of 16 bits, of which 8 would be lost."""
+    """Oracle: a PNG of three channels of 16 bits, which would lose 8."""
     import struct
     import zlib
 
@@ -175,7 +175,7 @@ def test_to_inverse():
 
 
 def test_sample():
-    """Oracle: an affine map is interpolated exactly; borders repeat; unknown spreads one pixel."""
+    """Oracle: exact interpolation of an affine map; borders repeat; unknown spreads one pixel."""
     rows, columns = np.mgrid[:6, :9].astype(np.float32)
     values = 3 * columns - 2 * rows
     x, y = np.array([0.25, 7.5, -3.0, 20.0]), np.array([4.75, 0.5, 1.0, 9.0])
@@ -188,7 +188,7 @@ def test_sample():
 
 
 def test_finding_maps(tmp_path):
-    """Oracle: the names that official tools and renderers give maps, folders included."""
+    """Oracle: the names that official tools and renderers use for maps, folders included."""
     folder = tmp_path / "depths"
     for name in (
         "a.png",
@@ -221,14 +221,14 @@ def test_finding_maps(tmp_path):
 
 @pytest.mark.filterwarnings("error")
 def test_numbers_beyond_float32_are_unknown(tmp_path):
-    """Oracle: NaN, without a word of numpy."""
+    """Oracle: NaN, without a numpy warning."""
     np.save(tmp_path / "a.npy", np.array([[1e200, -1e200], [2.0, np.inf]]))
     back = read_map(tmp_path / "a.npy")
     assert back[1, 0] == 2 and np.isnan(back).sum() == 3
 
 
 def test_advice_about_a_broken_map_is_not_about_photos(tmp_path):
-    """Oracle: the sentence for a picture of depth that is none."""
+    """Oracle: the sentence for a picture of depth that is no map."""
     (tmp_path / "a.png").write_bytes(b"no picture")
     with pytest.raises(FormatError, match=r"Copy the file again") as told:
         read_map(tmp_path / "a.png")
@@ -237,7 +237,7 @@ def test_advice_about_a_broken_map_is_not_about_photos(tmp_path):
 
 @pytest.mark.parametrize(("file", "view"), [("NFD", "NFC"), ("NFC", "NFD")])
 def test_accented_names_are_compared_in_nfc(tmp_path, file, view):
-    """Oracle: the one file that is there, named as macOS or as Linux writes é."""
+    """Oracle: the one existing file, named as macOS or as Linux writes é."""
     path = tmp_path / (unicodedata.normalize(file, "caf\u00e9") + ".png")
     path.touch()
     assert MapFolder(tmp_path).find(unicodedata.normalize(view, "caf\u00e9") + ".jpg") == path

@@ -1,4 +1,4 @@
-"""Networks told apart and fed right: real ONNX files that compute a known function of a photo."""
+"""Detection and input of networks: real ONNX files that compute a known function of a photo."""
 
 import numpy as np
 import onnx
@@ -53,7 +53,7 @@ CASES = [
 
 @pytest.mark.parametrize(("maker", "options", "family", "normalization", "formula"), CASES)
 def test_families(tmp_path, networks, maker, options, family, normalization, formula):
-    """Oracle: the value that the network's formula gives for one colour, worked out by hand."""
+    """Oracle: the value of the network's formula for one colour, worked out by hand."""
     path = networks[maker](tmp_path / "net.onnx", **options)
     network = Network(path, threads=1)
     assert network.profile.family == family
@@ -66,7 +66,7 @@ def test_families(tmp_path, networks, maker, options, family, normalization, for
 
 @pytest.mark.parametrize("normalization", [n for n in Normalization if n != "auto"])
 def test_normalization_can_be_overridden(tmp_path, networks, normalization):
-    """Oracle: the same by hand, for each way to feed a photo."""
+    """Oracle: the same by hand, for each normalisation."""
     path = networks["midas"](tmp_path / "net.onnx")
     network = Network(path, normalization=normalization, threads=1)
     assert network.predict(_flat()) == pytest.approx(EXPECTED[normalization.value], rel=1e-4)
@@ -75,7 +75,7 @@ def test_normalization_can_be_overridden(tmp_path, networks, normalization):
 @pytest.mark.parametrize("maker", ["midas", "channels_last", "transformer"])
 @pytest.mark.parametrize(("width", "height"), [(90, 60), (60, 90), (700, 500)])
 def test_orientation_and_size(tmp_path, networks, maker, width, height):
-    """Oracle: a brighter right and a redder lower half come back where they are, unmirrored."""
+    """Oracle: a brighter right and a redder lower half, at the same places in the map."""
     options = {"patch": 14, "shape": [1, 3, "h", "w"]} if maker == "transformer" else {}
     network = Network(networks[maker](tmp_path / "net.onnx", **options), threads=1)
     photo = np.full((height, width, 3), 60, np.uint8)
@@ -104,7 +104,7 @@ def test_free_sizes_keep_proportions(tmp_path, networks, photo, expected):
 
 
 def test_sizes_that_cannot_be(tmp_path, networks):
-    """Oracle: errors that say what the network takes."""
+    """Oracle: errors with the sizes that the network accepts."""
     free = networks["transformer"](tmp_path / "free.onnx", patch=14, shape=[1, 3, "h", "w"])
     with pytest.raises(ConfigError, match="multiple of 14"):
         Network(free, size=300)
@@ -113,7 +113,7 @@ def test_sizes_that_cannot_be(tmp_path, networks):
 
 
 def test_kind_from_the_graph(tmp_path, networks):
-    """Oracle: a bounded output, as metric networks have, or `metric` in the name mean depth."""
+    """Oracle: a bounded output, as in metric networks, or `metric` in the name, for depth."""
     network = Network(networks["midas"](tmp_path / "a.onnx", metric=True), threads=1)
     assert network.profile.kind is DepthKind.DEPTH
     named = networks["midas"](tmp_path / "depth_anything_metric_indoor.onnx")
@@ -121,7 +121,7 @@ def test_kind_from_the_graph(tmp_path, networks):
 
 
 def _quantized(path, style):
-    """A patch embedding of 14 px as quantizing tools store it."""
+    """A patch embedding of 14 px as stored by quantizing tools."""
     scale = numpy_helper.from_array(np.array(0.1, np.float32), "scale")
     zero = numpy_helper.from_array(np.array(128, np.uint8), "zero")
     kernel = numpy_helper.from_array(np.full((4, 3, 14, 14), 130, np.uint8), "kernel")
@@ -161,20 +161,20 @@ def _quantized(path, style):
 
 @pytest.mark.parametrize("style", ["dynamic", "dequantized", "static"])
 def test_quantized_networks_are_told_by_their_kernel(tmp_path, style):
-    """Oracle: the 14 px patches of Depth Anything, however the kernel is stored."""
+    """Oracle: the 14 px patches of Depth Anything, for any storage of the kernel."""
     network = Network(_quantized(tmp_path / "net.onnx", style), threads=1)
     assert (network.profile.family, network.profile.multiple) == ("Depth Anything", 14)
 
 
 def test_missing_model(tmp_path):
-    """Oracle: the error names the file and where such models come from."""
+    """Oracle: the error, with the file and the source of such models."""
     with pytest.raises(ConfigError, match=r"no model .*x\.onnx.*MiDaS/releases.*Depth-Anything"):
         Network(tmp_path / "x.onnx")
 
 
 @pytest.mark.parametrize("content", [b"", b"not a model", b"\x08\x08\x12\x04abcd", bytes(5000)])
 def test_files_that_are_no_models(tmp_path, content):
-    """Oracle: a FormatError with the name of the file, for every kind of rubbish."""
+    """Oracle: a FormatError with the name of the file, for every kind of invalid file."""
     path = tmp_path / "net.onnx"
     path.write_bytes(content)
     with pytest.raises(FormatError, match=r"net\.onnx"):
@@ -182,7 +182,7 @@ def test_files_that_are_no_models(tmp_path, content):
 
 
 def test_truncated_model(tmp_path, networks):
-    """Oracle: a FormatError wherever the file is cut."""
+    """Oracle: a FormatError for a cut at any place."""
     path = networks["midas"](tmp_path / "net.onnx")
     whole = path.read_bytes()
     for part in (0.2, 0.5, 0.9, 0.99):
@@ -220,13 +220,13 @@ FLOAT, BYTES = TensorProto.FLOAT, TensorProto.INT32
     ],
 )
 def test_networks_of_another_kind(tmp_path, inputs, output, word):
-    """Oracle: a FormatError that says what was expected, before any photo is read."""
+    """Oracle: a FormatError with the expected kind, before any photo is read."""
     with pytest.raises(FormatError, match=word):
         Network(_other(tmp_path / "net.onnx", inputs, output))
 
 
 def test_a_classifier_in_disguise(tmp_path):
-    """Oracle: an output that is no map is found out when it comes."""
+    """Oracle: an output that is no map, detected when it arrives."""
     path = _other(tmp_path / "net.onnx", [("x", FLOAT, [1, 3, 32, 32])], ([1, "n"], [2, 3]))
     with pytest.raises(GsError, match="one number per pixel"):
         Network(path).predict(_flat())

@@ -1,4 +1,4 @@
-"""depth_params.json written for official tools, and everything that may be wrong with one."""
+"""depth_params.json as official tools read it, and every error in one."""
 
 import json
 
@@ -42,7 +42,7 @@ def test_round_trip_is_exact(tmp_path):
 
 
 def test_files_of_official_tools(tmp_path):
-    """Oracle: the two keys those tools write, and the third that some add."""
+    """Oracle: the two keys of those tools, and the third of some."""
     path = tmp_path / "depth_params.json"
     path.write_text(
         '{"x": {"scale": 2, "offset": 0}, "y": {"scale": 0, "offset": 0, "med_scale": 2}}'
@@ -71,7 +71,7 @@ def test_files_of_official_tools(tmp_path):
     ],
 )
 def test_broken_files(tmp_path, text, word):
-    """Oracle: an error that names the file, the fault and the command that mends it."""
+    """Oracle: an error with the file, the fault and the command that repairs it."""
     path = tmp_path / "depth_params.json"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(FormatError) as caught:
@@ -89,7 +89,7 @@ def test_broken_files(tmp_path, text, word):
     ],
 )
 def test_the_other_layout_is_refused_with_the_reason(tmp_path, content):
-    """Oracle: the error says which layout it is and why it cannot serve."""
+    """Oracle: the error, with the layout and the reason against it."""
     path = tmp_path / "depth_params.json"
     path.write_text(json.dumps(content))
     with pytest.raises(DatasetError, match=r"camera and depth_scale.*expected scale and offset"):
@@ -97,18 +97,18 @@ def test_the_other_layout_is_refused_with_the_reason(tmp_path, content):
 
 
 def test_missing_file(tmp_path):
-    """Oracle: the error names the file and what makes it."""
+    """Oracle: the error, with the file and the command that makes it."""
     with pytest.raises(DatasetError, match=r"There is no .*depth_params\.json.*gscore depth"):
         read_params(tmp_path / "depth_params.json")
 
 
 def test_writing_leaves_the_old_file_alone_on_failure(tmp_path):
-    """Oracle: the bytes before, and no temporary file left."""
+    """Oracle: the previous bytes, and no temporary file."""
     folder = tmp_path / "sparse"
     folder.mkdir()
     path = folder / "depth_params.json"
     path.write_text("old")
-    with pytest.raises(ValueError):  # NaN is no JSON
+    with pytest.raises(ValueError):  # NaN is not valid JSON
         write_params(
             path, {"x": Fit(scale=float("nan"), offset=0.0, accepted=True)}, DepthKind.AUTO
         )
@@ -120,7 +120,7 @@ def test_writing_leaves_the_old_file_alone_on_failure(tmp_path):
 
 
 def test_where_it_lies(tmp_path):
-    """Oracle: sparse/0 for depths, as official tools; a folder of another name keeps its own."""
+    """Oracle: sparse/0 for depths, as in official tools; a folder of another name has its own."""
     depths, other = tmp_path / "depths", tmp_path / "depths_b"
     assert params_path(tmp_path, depths) == tmp_path / "depth_params.json"
     sparse = tmp_path / "sparse"

@@ -1,4 +1,4 @@
-"""Priors at training resolution against two planes whose inverse depth is known everywhere."""
+"""Priors at training resolution against two planes with known inverse depth everywhere."""
 
 import json
 from dataclasses import replace
@@ -60,7 +60,7 @@ KINDS = {
 @pytest.mark.parametrize("resolution", [1, 2])
 @pytest.mark.parametrize("name", KINDS)
 def test_every_kind_gives_the_true_inverse_depth(planes, name, resolution):
-    """Oracle: the planes; what the maps hold is found out, scale and offset are known."""
+    """Oracle: the planes; the kind of the maps is detected, scale and offset are known."""
     save, ending, kind, scale = KINDS[name]
     planes.write_maps(save, ending=ending)
     dataset, priors = _load(planes, resolution=resolution)
@@ -79,7 +79,7 @@ def test_every_kind_gives_the_true_inverse_depth(planes, name, resolution):
 
 @pytest.mark.parametrize("factor", [0.25, 3])
 def test_maps_of_another_size(planes, factor):
-    """Oracle: the planes; a network's small map and a large one show the same places."""
+    """Oracle: the planes; the same places in a network's small map and in a large one."""
     width, height = round(planes.width * factor), round(planes.height * factor)
     for i, name in enumerate(planes.names):
         path = (planes.folder / "depths" / name).with_suffix(".npy")
@@ -109,7 +109,7 @@ def test_distorted_photos(make_planes, resolution):
 
 
 def test_masks_and_unknown_pixels_are_not_trusted(planes):
-    """Oracle: where the mask is 0 and where the map is NaN or 0, and one pixel around."""
+    """Oracle: pixels with a mask of 0 and with NaN or 0 in the map, and one pixel around."""
     planes.write_maps(_npy(lambda s: s))
     hole = planes.folder / "depths" / "cam" / "v_2.npy"
     values = np.load(hole)
@@ -129,7 +129,7 @@ def test_masks_and_unknown_pixels_are_not_trusted(planes):
 
 
 def test_no_maps_and_some_maps(planes):
-    """Oracle: errors and warnings that name what is missing."""
+    """Oracle: errors and warnings that name the missing maps."""
     with pytest.raises(DatasetError, match=r"no folder .*depths.*gscore depth"):
         _load(planes)
     (planes.folder / "depths").mkdir()
@@ -148,7 +148,7 @@ def test_no_maps_and_some_maps(planes):
 
 
 def test_cropped_maps_are_refused(planes):
-    """Oracle: an error that names the first map and both sizes."""
+    """Oracle: an error with the first map and both sizes."""
     planes.write_maps(_npy(lambda s: s[:, 20:]))
     with pytest.raises(DatasetError, match=r"None of the 5.*v_0\.npy.*100 x 80.*120 x 80"):
         _load(planes)
@@ -156,7 +156,7 @@ def test_cropped_maps_are_refused(planes):
 
 @pytest.mark.parametrize("align", ["auto", "none"])
 def test_a_file_that_cannot_be_used_costs_its_view_alone(planes, align):
-    """Oracle: the other views' priors as without it, and the reader's own words."""
+    """Oracle: the other views' priors as without it, and the reader's own message."""
     planes.write_maps(_npy(lambda s: s))
     _, whole = _load(planes, depth_align=align)
     folder = planes.folder / "depths" / "cam"
@@ -177,7 +177,7 @@ def test_a_file_that_cannot_be_used_costs_its_view_alone(planes, align):
 
 
 def test_one_bad_map_among_good_ones(planes):
-    """Oracle: the view with noise for a map is refused with a reason; it is not aligned."""
+    """Oracle: the view with noise for a map, refused with a reason and not aligned."""
     planes.write_maps(_npy(lambda s: s))
     rng = np.random.default_rng(0)
     bad = planes.folder / "depths" / "cam" / "v_3.npy"
@@ -222,7 +222,7 @@ def test_the_file_is_used(planes, align):
 
 
 def test_a_view_that_the_file_does_not_know(planes):
-    """Oracle: it is refused, and the reason names the entry that is missing."""
+    """Oracle: a refusal with a reason that names the missing entry."""
     planes.write_maps(_npy(lambda s: 2 * s))
     path = _write_params(planes)
     content = json.loads(path.read_text())
@@ -234,7 +234,7 @@ def test_a_view_that_the_file_does_not_know(planes):
 
 
 def test_a_file_of_other_maps(planes):
-    """Oracle: official takes it as it is; auto sees that the points contradict it and says so."""
+    """Oracle: `official` uses it unchanged; `auto` reports that the points contradict it."""
     planes.write_maps(_npy(lambda s: 2 * s))
     path = _write_params(planes, scale=0.9)
     _, official = _load(planes, depth_align="official")
@@ -248,8 +248,8 @@ def test_a_file_of_other_maps(planes):
 
 
 def test_files_missing_and_broken(planes):
-    """Oracle: without a file official is an error, as in the official trainer, and auto aligns by
-    itself; a broken file is an error in both."""
+    """Oracle: without a file an error with `official`, as in the official trainer, and a separate
+    alignment with `auto`; an error with both for a broken file."""
     planes.write_maps(_npy(lambda s: 2 * s))
     with pytest.raises(DatasetError, match=r"There is no .*depth_params\.json.*gscore depth"):
         _load(planes, depth_align="official")
@@ -264,7 +264,7 @@ def test_files_missing_and_broken(planes):
 
 
 def test_no_alignment(planes):
-    """Oracle: maps that hold inverse depth or depth in the capture's unit are taken as they are."""
+    """Oracle: maps of inverse depth or depth in the capture's unit, used unchanged."""
     planes.write_maps(_npy(lambda s: 1 / s))
     dataset, priors = _load(planes, depth_align="none")
     assert priors.views[1].inverse_depth == pytest.approx(_truth(planes, dataset, 1), rel=1e-3)
@@ -275,7 +275,7 @@ def test_no_alignment(planes):
 
 @pytest.mark.parametrize("radial", [0.0, -0.1])
 def test_without_a_colmap_model(make_planes, radial):
-    """Oracle: a transforms.json with a point cloud gives the same scale, points projected."""
+    """Oracle: the same scale from a transforms.json with a point cloud, by projected points."""
     planes = make_planes(radial=radial)
     planes.write_maps(_npy(lambda s: 4 * s))
     _, expected = _load(planes)
@@ -307,8 +307,8 @@ def test_without_a_colmap_model(make_planes, radial):
 
 
 def test_pixels_far_from_the_points_are_trusted_less(make_planes):
-    """Oracle: an error as large as what is known halves the trust, and it grows away from the
-    points; no other map is there to say more."""
+    """Oracle: half the confidence for an error as large as the known values, growing away from the
+    points; there is no other map."""
     planes = make_planes(reach=(0.2, 0.27))
     waves = 0.01 * np.sin(np.arange(120) / 8.0)
     compared = 0
@@ -318,7 +318,7 @@ def test_pixels_far_from_the_points_are_trusted_less(make_planes):
         np.save(path, (planes.truth(i) + waves).astype(np.float32))
         view = _load(planes)[1].views[i]
         path.unlink()
-        if not view.aligned:  # a scale that the points hardly show
+        if not view.aligned:  # a scale that the points hardly determine
             continue
         values = (view.inverse_depth - view.fit.offset) / view.fit.scale
         away = np.abs(values - view.fit.center)[4:-4, 4:-4] / view.fit.deviation
@@ -363,8 +363,8 @@ def test_observations_of_a_view(planes):
 
 
 def test_a_model_of_another_world_is_not_asked(planes):
-    """Oracle: cameras that stand elsewhere than the model's: its observations hold 80 points a
-    view, projecting all 400 gives more."""
+    """Oracle: cameras at other places than the model's: its observations have 80 points a view,
+    projecting all 400 gives more."""
     config = DataConfig(source=planes.folder, resolution=1)
     dataset = load_dataset(config)
     assert {len(seen) for seen in observations(config, dataset)} == {80}
@@ -377,7 +377,7 @@ def test_a_model_of_another_world_is_not_asked(planes):
 
 @pytest.mark.parametrize("slant", [0.0, 0.02])
 def test_edges_are_not_trusted_slants_are(slant):
-    """Oracle: inverse depth of a slanted plane has no second difference; a step has one."""
+    """Oracle: zero second difference of a slanted plane's inverse depth; a step has one."""
     from gscore.depth.confidence import confidence
 
     rows, columns = np.mgrid[:60, :80].astype(np.float32)

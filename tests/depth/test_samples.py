@@ -12,7 +12,7 @@ WIDTH, HEIGHT = 485, 250
 
 
 def test_means_over_squares_of_what_is_known():
-    """Oracle: by hand. Squares of two pixels; one is known to a half, one to a quarter."""
+    """Oracle: by hand. Squares of two pixels; a half of one is known, a quarter of another."""
     values = np.zeros((2, 241), np.float32)
     values[:, :2] = [[1, 2], [3, 4]]
     values[:, 2:4] = [[5, np.nan], [np.nan, 7]]
@@ -26,8 +26,8 @@ def test_means_over_squares_of_what_is_known():
 
 @pytest.fixture
 def plane():
-    """A chart of a map that is affine over the photo, with fine noise of 1 % of its range, and
-    what the map states at pixels."""
+    """A chart of a map that is affine over the photo, with fine noise of 1 % of its range, and the
+    map's values at pixels."""
 
     def stated(x, y):
         return 0.4 * x + 0.1 * y + 3
@@ -52,8 +52,8 @@ def plane():
 
 
 def test_sampled_pixels_lie_where_the_map_says(plane):
-    """Oracle: projected by the camera, they lie where the affine map has their tones. An offset of
-    a pixel would be 0.002 of its range."""
+    """Oracle: the camera's projection, to where the affine map has their tones. An offset of a
+    pixel would be 0.002 of its range."""
     found, stated = plane
     local = found.points(np.full(300, 0.5)) @ found.viewmat[:3, :3].T + found.viewmat[:3, 3]
     x, y, _ = (local @ found.K.T / local[:, 2:]).T
@@ -63,7 +63,7 @@ def test_sampled_pixels_lie_where_the_map_says(plane):
 
 
 def test_points_are_looked_up_where_they_are_seen(plane):
-    """Oracle: the affine map at the pixels that the points are projected to."""
+    """Oracle: the affine map at the pixels of the projected points."""
     found, stated = plane
     rng = np.random.default_rng(1)
     x, y = rng.uniform(10, WIDTH - 10, 500), rng.uniform(10, HEIGHT - 10, 500)
@@ -76,5 +76,5 @@ def test_points_are_looked_up_where_they_are_seen(plane):
 
 
 def test_fine_noise_is_no_edge(plane):
-    """Oracle: the plane has none, so pixels are drawn from all of it."""
+    """Oracle: the plane without edges, so pixels are drawn from all of it."""
     assert len(np.unique(plane[0].tones)) > 280

@@ -1,4 +1,5 @@
-"""What depth_params.json alone says of a capture's maps, against the alignment that reads it."""
+"""The report of depth_params.json alone on a capture's maps, against the alignment that reads
+it."""
 
 import json
 import unicodedata
@@ -42,7 +43,7 @@ def test_it_agrees_with_the_alignment(planes, gscore):
 
 @pytest.mark.parametrize("form", ["NFC", "NFD"])
 def test_names_are_compared_in_one_form_of_unicode(form, tmp_path):
-    """Oracle: the entry of a view whose accented letter is written in the other form."""
+    """Oracle: the entry of a view with an accented letter in the other form."""
     other = {"NFC": "NFD", "NFD": "NFC"}[form]
     key = unicodedata.normalize(form, "k\u00fcche/1")
     file = tmp_path / "depth_params.json"
@@ -53,7 +54,7 @@ def test_names_are_compared_in_one_form_of_unicode(form, tmp_path):
 
 
 def test_nothing_known_yet(planes):
-    """Oracle: maps without a file are neither accepted nor refused; none at all is a refusal."""
+    """Oracle: no verdict on maps without a file; a refusal without maps."""
     assert {row["accepted"] for row in _table(planes).values()} == {False}
     planes.write_maps(lambda path, s: np.save(path, s))
     rows = _table(planes)
@@ -63,7 +64,7 @@ def test_nothing_known_yet(planes):
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"cam/v_0": 3}', '{"cam/v_0": {"scale": "x"}}'])
 def test_a_broken_file_is_a_problem_not_an_error(planes, text):
-    """Oracle: the sentence names the file."""
+    """Oracle: the sentence, which names the file."""
     planes.write_maps(lambda path, s: np.save(path, s))
     (planes.folder / "sparse" / "0" / "depth_params.json").write_text(text)
     stated = stated_depth(planes.folder, planes.names)

@@ -1,4 +1,4 @@
-"""Alignment on the bundled capture: COLMAP's own points, exact depth made worse in known ways."""
+"""Alignment on the bundled capture: COLMAP's own points, exact depth distorted in known ways."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def _robust(values, seen):
 
 @pytest.mark.parametrize("index", VIEWS)
 def test_exact_maps(studio, index):
-    """Oracle: the unit the renderer wrote, and the exact depth of every pixel within 1 %."""
+    """Oracle: the unit of the renderer, and the exact depth of every pixel within 1 %."""
     seen, maps = studio
     fit = _robust(maps[index], seen[index])
     assert fit.accepted and fit.inliers > 0.95 and fit.error < 2e-3
@@ -62,12 +62,13 @@ def test_40_percent_outliers(studio, index):
 
 
 def _monocular(exact, seed):
-    """A map as networks give them: blurred, bent by a few per cent, noisy, scaled and shifted."""
+    """A map like those of networks: blurred, distorted by a few per cent, noisy, scaled and
+    shifted."""
     rng = np.random.default_rng(seed)
     height, width = exact.shape
     rows, columns = np.mgrid[:height, :width] / 200.0
     values = exact.astype(np.float64)
-    for axis in (0, 1):  # three box filters are nearly a Gaussian
+    for axis in (0, 1):  # three box filters approximate a Gaussian
         for _ in range(3):
             shifted = [np.roll(values, k, axis) for k in range(-3, 4)]
             values = np.mean(shifted, axis=0)
@@ -79,8 +80,8 @@ def _monocular(exact, seed):
 
 
 def test_like_a_network(studio):
-    """Oracle: the exact depth of all pixels, to which the robust rule comes nearer; and pixels that
-    the fit itself calls sure within 5 % err by half of that."""
+    """Oracle: the exact depth of all pixels, to which the robust rule is closer; half of 5 % as the
+    error of pixels with a stated error within 5 %."""
     seen, maps = studio
     errors = {"official": [], "robust": []}
     wrong = []
