@@ -89,8 +89,8 @@ def test_errors_are_foretold(web):
 
 
 def test_an_end_nobody_shows_is_uncertain(web):
-    """Oracle: a map compared with no other, with points at its near end: its far end is less
-    certain than with other maps, and less certain than its near end."""
+    """Oracle: a map compared with no other, with points at its near end: a larger error of its far
+    end than with other maps; the fit's errors at both ends from the covariance."""
     planes, web = web
     truth = true_logs(planes, web)
     together = joint.covariances(web, truth)

@@ -26,7 +26,7 @@ seen: dict = {"log": []}
 
 
 def story() -> Iterator[object]:
-    """What happens; a yield hands over to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`Teller`)."""
     scene = bpy.context.scene
     clear()
     lab.prepare(scene, SIZE)

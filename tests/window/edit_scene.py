@@ -1,7 +1,8 @@
 """Runs inside a Blender with a window: selects splats in Edit Mode, takes screenshots.
 
 `blender --factory-startup -P tests/window/edit_scene.py -- FOLDER PACKAGES...`; PACKAGES are
-folders with what Blender's Python lacks. Leaves FOLDER/seen.json and pictures of the screen.
+folders with the packages missing in Blender's Python. Writes FOLDER/seen.json and pictures of the
+screen.
 """
 
 import sys
@@ -26,12 +27,12 @@ from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, 
 
 COLOR = (0.1, 0.3, 0.9)
 POINT = 0.002
-"""Radius of the balls, which so are smaller than the vertices that Blender draws."""
+"""Radius of the balls, smaller than the vertices that Blender draws."""
 seen: dict = {"log": []}
 
 
 def screenshot(name: str) -> None:
-    """The screen as a file."""
+    """Save the screen as a file."""
     shoot(FOLDER / f"{name}.png")
 
 
@@ -65,7 +66,7 @@ def part(sign: int) -> list[int]:
 
 
 def drawn_around(ob: bpy.types.Object) -> Iterator[object]:
-    """What Blender's own box and lasso select of the splats, with X-Ray and without.
+    """The splats selected by Blender's own box and lasso, with X-Ray and without.
 
     The box is that of `part(1)`; the lasso goes around its left half, with a corner cut off.
     """
@@ -84,7 +85,7 @@ def drawn_around(ob: bpy.types.Object) -> Iterator[object]:
     for xray in (False, True):
         space().shading.show_xray = xray
         area().tag_redraw()
-        yield 1.0  # Blender selects by what it has drawn
+        yield 1.0  # Blender selects by its drawn pixels
         for name in ("box", "lasso"):
             with bpy.context.temp_override(window=window, area=area(), region=shown):
                 bpy.ops.mesh.select_all(action="DESELECT")
@@ -102,7 +103,7 @@ def drawn_around(ob: bpy.types.Object) -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """What happens; a yield hands over to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`Teller`)."""
     clear()
     look_down()
     wall = lab.add(bpy.context.scene, lab.wall(0.0, COLOR), "wall")
@@ -125,7 +126,7 @@ def story() -> Iterator[object]:
     screenshot("splats_upper")
     bpy.ops.object.mode_set(mode="OBJECT")
     yield from drawn_around(wall)
-    viewport_copies.EDITED_AT_ONCE = 1000  # fewer than the wall has
+    viewport_copies.EDITED_AT_ONCE = 1000  # fewer than in the wall
     choose(wall, upper=True, lower=False)
     yield 1.5
     invert()

@@ -1,7 +1,8 @@
 """Runs inside a Blender with a window: exports splats as a user does, once to the end, once to Esc.
 
 `blender --factory-startup --enable-event-simulate -P tests/window/export_scene.py -- FOLDER
-PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLDER/seen.json.
+PACKAGES...`; PACKAGES are folders with the packages missing in Blender's Python. Writes
+FOLDER/seen.json.
 """
 
 import sys
@@ -35,13 +36,13 @@ def export(name: str) -> set[str]:
 
 
 def under_way() -> bool:
-    """Whether it goes on."""
+    """True while it is running."""
     running = bpy.context.window_manager.windows[0].modal_operators
     return any(one.bl_idname == "GSCORE_OT_export_splats" for one in running)
 
 
 def story() -> Iterator[object]:
-    """Export, and give up another file while it is written."""
+    """Export, and cancel another file while it is written."""
     clear()
     ob = objects.create(lab.blob(3000), "blob")
     bpy.context.view_layer.objects.active = ob

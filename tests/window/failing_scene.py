@@ -31,42 +31,42 @@ seen: dict = {"log": [], "problems": {}, "calls": {}}
 
 
 def shot(name: str) -> None:
-    """The screen as a file, and what the panel says."""
+    """Save the screen as a file; return the text of the panel."""
     shoot(FOLDER / f"{name}.png")
     seen["problems"][name] = draw_handler.problem_of(region())
 
 
 class Failing:
-    """A method that raises a driver's word so many times, and counts."""
+    """A method that raises a driver's error a given number of times, and counts calls."""
 
     def __init__(self, owner: Any, name: str, times: float) -> None:
-        """Put it into the place of the real one."""
+        """Replace the real method."""
         self.owner, self.name, self.times, self.calls = owner, name, times, 0
         self.real = getattr(owner, name)
         setattr(owner, name, lambda *given, **named: self(*given, **named))
 
     def __call__(self, *given: Any, **named: Any) -> Any:
-        """Fail, or do what is to be done."""
+        """Fail, or call the real method."""
         self.calls += 1
         if self.calls <= self.times:
             raise Exception("a driver's word")
         return self.real(*given, **named)
 
     def end(self, name: str) -> None:
-        """The real one again."""
+        """Restore the real method."""
         setattr(self.owner, self.name, self.real)
         seen["calls"][name] = self.calls
 
 
 def turned(view: bpy.types.RegionView3D, angle: float) -> Iterator[object]:
-    """A view from elsewhere, at rest."""
+    """A view from another side, at rest."""
     view.view_rotation = Quaternion((0, 1, 0), angle)
     yield 0.5
     yield at_rest
 
 
 def spoiled(name: str, wall: bpy.types.Object) -> Iterator[object]:
-    """A splat is no number, then as before; nobody moves anything meanwhile."""
+    """Make a splat invalid, then restore it; no other change meanwhile."""
     before = tuple(wall.data.attributes["scale"].data[7].vector)
     for vector, end in (((float("nan"),) * 3, "spoiled"), (before, "mended")):
         wall.data.attributes["scale"].data[7].vector = vector
@@ -76,7 +76,7 @@ def spoiled(name: str, wall: bpy.types.Object) -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """What happens; a yield hands over to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`Teller`)."""
     scene = bpy.context.scene
     clear()
     view = look_down()

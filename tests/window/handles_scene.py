@@ -1,8 +1,8 @@
 """Runs inside a Blender with a window: drags the handles of histograms with a simulated mouse.
 
 `blender --factory-startup --enable-event-simulate -P tests/window/handles_scene.py -- FOLDER
-PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLDER/seen.json and
-pictures of the screen.
+PACKAGES...`; PACKAGES are folders with the packages missing in Blender's Python. Writes
+FOLDER/seen.json and pictures of the screen.
 """
 
 import sys
@@ -25,7 +25,7 @@ from tests.addon import splat_scenes as lab  # noqa: E402
 from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot, space  # noqa: E402
 
 PAUSE = 0.2
-"""Seconds in which Blender has handled an event and drawn what came of it."""
+"""Seconds in which Blender has handled an event and drawn the result."""
 LIMITS = "opacity_min", "size_min", "size_max"
 seen: dict = {"log": []}
 
@@ -54,7 +54,7 @@ def take(kind: str, place: float) -> Iterator[float]:
 
 
 def drag(kind: str, start: float, end: float, *, fine: bool = False) -> Iterator[float]:
-    """From place to place, in some moves."""
+    """From place to place, in several moves."""
     yield from take(kind, start)
     if fine:
         yield from mouse(kind, start, "LEFT_SHIFT", "PRESS", shift=True)
@@ -71,14 +71,14 @@ def limits(ob: bpy.types.Object) -> list[float]:
 
 
 def undo() -> None:
-    """Take the last step back."""
+    """Undo the last step."""
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window, area=area(), region=region()):
         bpy.ops.ed.undo()
 
 
 def together(wall: bpy.types.Object) -> Iterator[object]:
-    """Both handles of the sizes stand at one place, from which they go either way."""
+    """Both handles of the sizes at one place, dragged either way."""
     seen["together"] = []
     for end in (0.8, 0.3):
         wall.gscore.size_min = wall.gscore.size_max = 0.0316
@@ -88,7 +88,7 @@ def together(wall: bpy.types.Object) -> Iterator[object]:
 
 
 def meanwhile(wall: bpy.types.Object) -> Iterator[object]:
-    """Other splats, another mesh, and nothing more are there in the middle of a drag."""
+    """Other splats, another mesh, and an empty scene in the middle of a drag."""
     other = lab.add(bpy.context.scene, lab.wall(-5.0, (0.1, 0.1, 0.1)), "other")
     other.gscore.opacity_min = 0.7
     bpy.context.view_layer.objects.active = wall
@@ -121,7 +121,7 @@ def meanwhile(wall: bpy.types.Object) -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """What happens; a yield hands over to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`Teller`)."""
     clear()
     look_down()
     splats = lab.wall(0.0, (0.8, 0.4, 0.2))
@@ -164,7 +164,7 @@ def story() -> Iterator[object]:
     yield from mouse(OPACITY, 0.9, "LEFTMOUSE", "RELEASE")
     seen["cancelled"] = limits(wall)
     yield from drag(SIZE, 1.0, 0.7)
-    yield from drag(SIZE, 0.2, 0.2)  # a click: the handle that is nearest comes
+    yield from drag(SIZE, 0.2, 0.2)  # a click moves the nearest handle
     yield at_rest
     seen["sizes"] = limits(wall)
     shoot(FOLDER / "sizes.png")

@@ -1,11 +1,11 @@
-"""Functions that wait until a test lets them go."""
+"""Functions that block until a test releases them."""
 
 import threading
 from typing import Any
 
 
 class Held:
-    """A function that waits in its thread until it is let go."""
+    """A function that blocks in its thread until it is released."""
 
     def __init__(self, module: Any, name: str) -> None:
         self.began, self._go_on = threading.Event(), threading.Event()
@@ -18,6 +18,6 @@ class Held:
         return self._function(*args, **options)
 
     def let_go(self) -> None:
-        """Go on, and be as before."""
+        """Release it, and restore the original function."""
         self._go_on.set()
         setattr(self._module, self._name, self._function)

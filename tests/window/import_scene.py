@@ -1,9 +1,9 @@
 """Runs inside a Blender with a window: imports and exports cameras as a user does, to the end and
-to Esc, and does other things meanwhile.
+to Esc, with other actions meanwhile.
 
 `blender --factory-startup --enable-event-simulate -P tests/window/import_scene.py -- FOLDER
-PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. FOLDER has a copy of the studio
-capture. Leaves FOLDER/seen.json and pictures of the screen.
+PACKAGES...`; PACKAGES are folders with the packages missing in Blender's Python. FOLDER has a copy
+of the studio capture. Writes FOLDER/seen.json and pictures of the screen.
 """
 
 import sys
@@ -44,7 +44,7 @@ def invoke(name: str, **settings: Any) -> list[str]:
 
 
 def rests() -> bool:
-    """Whether nothing of the add-on goes on."""
+    """True if no operator or job of the add-on is running."""
     return not any(one.bl_idname.startswith("GSCORE") for one in window().modal_operators)
 
 
@@ -61,22 +61,23 @@ def step(way: str) -> None:
 
 
 def counts() -> dict[str, int]:
-    """How many datablocks there are."""
+    """Number of datablocks by kind."""
     return {kind: len(getattr(bpy.data, kind)) for kind in KINDS}
 
 
 def coming() -> bool:
-    """Whether cameras are on their way."""
+    """True while cameras are being imported."""
     return any("gs_temporary" in one for one in bpy.data.collections)
 
 
 def half() -> bool:
-    """Whether some of them are there."""
+    """True once some of them exist."""
     return coming() and len(bpy.data.cameras) > 10
 
 
 def given_up() -> Iterator[object]:
-    """Esc while the capture is read, and while cameras come; the sidebar is opened meanwhile."""
+    """Esc while the capture is read, and while cameras are created; the sidebar is opened
+    meanwhile."""
     before = counts()
     held = Held(importing, "read")
     seen["begun"] = invoke("import_cameras", directory=str(STUDIO))
@@ -97,14 +98,14 @@ def given_up() -> Iterator[object]:
     seen["scene meanwhile"] = len(bpy.context.scene.objects)
     press("ESC")
     yield rests
-    yield lambda: not coming()  # it goes bit by bit
+    yield lambda: not coming()  # the import runs in steps
     yield 0.3
     seen["after cameras"] = counts() == before
     seen["said"] = list(said)
 
 
 def to_the_end() -> Iterator[object]:
-    """All of it, one undo step."""
+    """The whole import, one undo step."""
     invoke("import_cameras", directory=str(STUDIO))
     yield rests
     root = bpy.context.object
@@ -119,7 +120,7 @@ def to_the_end() -> Iterator[object]:
 
 
 def anew() -> Iterator[object]:
-    """A camera is moved and one removed; Esc leaves that, the end does not."""
+    """A camera is moved and one removed; Esc keeps that, a complete import does not."""
     root = bpy.data.objects["studio"]
     first, second = (ob.name for ob in cameras_of(root)[:2])
     bpy.data.objects[first].location.x = 50
@@ -144,7 +145,7 @@ def anew() -> Iterator[object]:
 
 
 def exported() -> Iterator[object]:
-    """Esc before anything is written; then to the end."""
+    """Esc before any file is written; then to the end."""
     held = Held(export_colmap, "_write")
     seen["export"] = invoke_export("given up")
     yield held.began.is_set
@@ -159,7 +160,7 @@ def exported() -> Iterator[object]:
 
 
 def invoke_export(name: str) -> list[str]:
-    """As after a folder was chosen."""
+    """Export as after a folder was chosen."""
     from addon.cameras.operators import ExportCameras
 
     ExportCameras.invoke = lambda self, context, event: self.execute(context)  # no file browser
@@ -167,7 +168,7 @@ def invoke_export(name: str) -> list[str]:
 
 
 def chosen(file: Path) -> Iterator[object]:
-    """A file in the browser that a button has opened."""
+    """Choose a file in the browser that a button has opened."""
     yield lambda: any(a.type == "FILE_BROWSER" for a in window().screen.areas)
     yield 0.5
     browser = next(a for a in window().screen.areas if a.type == "FILE_BROWSER")
@@ -178,16 +179,16 @@ def chosen(file: Path) -> Iterator[object]:
 
 
 def pressed(name: str, file: Path) -> Iterator[object]:
-    """A button of camera paths, until it is under way."""
+    """Press a button of camera paths; wait until it is running."""
     seen[name] = invoke(name, world="BLENDER")
     yield from chosen(file)
     yield lambda: not rests()
 
 
 def paths() -> Iterator[object]:
-    """A path goes out while one moves along the timeline, and comes in; each with Esc before."""
+    """Export a path while a user moves along the timeline, and import it; each with Esc before."""
     bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
-    camera_path.BUDGET = camera_path_import.BUDGET = 0.0  # a frame, or a curve, a piece
+    camera_path.BUDGET = camera_path_import.BUDGET = 0.0  # a frame, or a curve, per step
     scene, file = bpy.context.scene, FOLDER / "walk.json"
     ob = scene.camera = cameras_of(bpy.data.objects["studio"])[0]
     scene.frame_start, scene.frame_end = 1, 100
@@ -228,7 +229,7 @@ def paths() -> Iterator[object]:
 
 
 def by_menu() -> Iterator[object]:
-    """File > Import asks for a folder, though the panel names one."""
+    """File > Import opens the file browser, although the panel names a folder."""
     bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
     seen["menu"] = invoke("import_cameras", browse=True)
     yield lambda: any(a.type == "FILE_BROWSER" for a in window().screen.areas)
@@ -244,8 +245,8 @@ def by_menu() -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """All of it, one after the other."""
-    importing.BUDGET = 0.0  # a camera a piece, so that there is time to press a key
+    """All parts, one after the other."""
+    importing.BUDGET = 0.0  # one camera per step, so that there is time to press a key
     clear()
     bpy.data.batch_remove([*bpy.data.cameras, *bpy.data.meshes, *bpy.data.lights])
     say = modal_status.StatusBar.say

@@ -1,8 +1,8 @@
-"""Runs inside a Blender with a window: shows splats, takes screenshots, writes down what it saw.
+"""Runs inside a Blender with a window: shows splats, takes screenshots, records the results.
 
 `blender --factory-startup --enable-event-simulate -P tests/window/live_scene.py -- FOLDER
-PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLDER/seen.json and
-pictures of the screen.
+PACKAGES...`; PACKAGES are folders with the packages missing in Blender's Python. Writes
+FOLDER/seen.json and pictures of the screen.
 """
 
 import sys
@@ -44,7 +44,7 @@ seen: dict = {"log": []}
 
 
 def screenshot(name: str) -> None:
-    """The screen as a file, and where the view is in it."""
+    """Save the screen as a file; return the rectangle of the view."""
     shoot(FOLDER / f"{name}.png")
 
 
@@ -63,7 +63,7 @@ def look() -> list[str]:
 
 @contextmanager
 def counted_pictures() -> Iterator[list[Shot]]:
-    """Those of splats that are drawn meanwhile."""
+    """Number of splat pictures drawn meanwhile."""
     drawn, draw = [], Card.draw
 
     def counted(self: Card, *given: Any) -> None:
@@ -76,7 +76,7 @@ def counted_pictures() -> Iterator[list[Shot]]:
 
 
 def moving(view: bpy.types.RegionView3D, name: str) -> Iterator[object]:
-    """A picture of a view that does not come to rest."""
+    """A picture of a view that keeps moving."""
     still, level.STILL = level.STILL, 1e9
     view.view_rotation = Quaternion((0, 0, 1), 0.01)
     yield 1.0
@@ -89,7 +89,7 @@ def moving(view: bpy.types.RegionView3D, name: str) -> Iterator[object]:
 
 
 def lines(scene: bpy.types.Scene, view: bpy.types.RegionView3D) -> Iterator[object]:
-    """An edge before the wall and behind it."""
+    """An edge in front of the wall and behind it."""
     mesh = bpy.data.meshes.new("edge")
     mesh.from_pydata([(-0.2, 0, 0), (0.2, 0, 0)], [(0, 1)], [])
     edge = bpy.data.objects.new("edge", mesh)
@@ -110,10 +110,10 @@ def lines(scene: bpy.types.Scene, view: bpy.types.RegionView3D) -> Iterator[obje
 
 
 def clipped() -> Iterator[object]:
-    """A view that ends around its middle, then before the wall, then not.
+    """A view that clips around its middle, then in front of the wall, then not.
 
-    By the keys of a user: told by a script, Blender draws no view again. Without overlays, of which
-    new depths would come.
+    By the keys of a user, because Blender does not redraw a view for a script. Without overlays,
+    which would cause new depths.
     """
     space().overlay.show_overlays = False
     for key, value, place in (
@@ -141,7 +141,7 @@ def clipped() -> Iterator[object]:
 
 
 def dark(scene: bpy.types.Scene) -> Iterator[object]:
-    """A wall of a few levels of 8 bit before the other, at rest and drawn again and again."""
+    """A wall of a few levels of 8 bit in front of the other, at rest and redrawn repeatedly."""
     wall = lab.add(scene, lab.wall(0.8, tuple(level / 255 for level in DARK)), "dark")
     yield 0.5
     yield at_rest
@@ -176,7 +176,7 @@ def with_gizmo(ob: bpy.types.Object) -> Iterator[object]:
 
 
 def through_camera(scene: bpy.types.Scene) -> Iterator[object]:
-    """The view through a camera whose frame is the whole view, and what F12 writes of it."""
+    """The view through a camera with a frame that fills it, and the picture of F12."""
     shown, view = region(), space().region_3d
     seen["view"] = [shown.x, shown.y, shown.width, shown.height]
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
@@ -186,7 +186,7 @@ def through_camera(scene: bpy.types.Scene) -> Iterator[object]:
     scene.render.resolution_x, scene.render.resolution_y = shown.width, shown.height
     scene.render.resolution_percentage = 100
     view.view_perspective, view.view_camera_offset = "CAMERA", (0, 0)
-    view.view_camera_zoom = 50 * (2 - 2**0.5)  # at which the frame fills the view
+    view.view_camera_zoom = 50 * (2 - 2**0.5)  # the frame fills the view at this zoom
     space().overlay.show_overlays = False
     for transform in ("Standard", "Raw"):
         scene.view_settings.view_transform = transform
@@ -225,7 +225,7 @@ def off_and_on() -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """What happens; a yield hands over to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`Teller`)."""
     scene = bpy.context.scene
     clear()
     view = look_down()
@@ -237,7 +237,7 @@ def story() -> Iterator[object]:
     budget, viewport_copies.COPY_BUDGET = viewport_copies.COPY_BUDGET, 0.0
     viewport_copies.SHARED.clear()
     area().tag_redraw()
-    yield 3.0  # in which nobody touches anything
+    yield 3.0  # without any user action
     found = draw_handler.sources(bpy.context.evaluated_depsgraph_get())
     seen["by_itself"] = viewport_copies.SHARED.copied(found)[1]
     viewport_copies.COPY_BUDGET = budget

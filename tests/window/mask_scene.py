@@ -1,7 +1,7 @@
 """Runs inside a Blender with a window: paints a mask where no image editor is open.
 
 `blender --factory-startup -P tests/window/mask_scene.py -- FOLDER PACKAGES...`; PACKAGES are
-folders with what Blender's Python lacks. Leaves FOLDER/seen.json.
+folders with the packages missing in Blender's Python. Writes FOLDER/seen.json.
 """
 
 import sys
@@ -25,7 +25,7 @@ seen: dict = {"log": []}
 
 
 def editor() -> bpy.types.Area | None:
-    """The image editor, in whichever window."""
+    """The image editor, in any window."""
     windows = bpy.context.window_manager.windows
     areas = (area for window in windows for area in window.screen.areas)
     return next((area for area in areas if area.type == "IMAGE_EDITOR"), None)
@@ -37,7 +37,7 @@ def sidebar() -> bpy.types.Region:
 
 
 def story() -> Iterator[object]:
-    """Import, paint, look at the editor once it has come to rest."""
+    """Import, paint, record the editor once it is at rest."""
     clear()
     bpy.context.scene.gscore.capture_path = str(CAPTURE)
     bpy.ops.gscore.import_cameras(directory=str(CAPTURE), photos=False)

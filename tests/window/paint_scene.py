@@ -1,8 +1,8 @@
 """Runs inside a Blender with a window: paints with simulated mouse and keys, takes screenshots.
 
 `blender --factory-startup --enable-event-simulate -P tests/window/paint_scene.py -- FOLDER
-PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLDER/seen.json and
-pictures of the screen.
+PACKAGES...`; PACKAGES are folders with the packages missing in Blender's Python. Writes
+FOLDER/seen.json and pictures of the screen.
 """
 
 import sys
@@ -26,12 +26,12 @@ from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, 
 
 WALL, BRUSH = (0.8, 0.4, 0.2), (0.05, 0.2, 0.9)
 PAUSE = 0.2
-"""Seconds in which Blender has handled an event and drawn what came of it."""
+"""Seconds in which Blender has handled an event and drawn the result."""
 seen: dict = {"log": []}
 
 
 def move(*way: int, **held: bool) -> Iterator[float]:
-    """The mouse along the view's middle, with whatever is pressed."""
+    """Move the mouse along the view's middle, with the current buttons pressed."""
     for aside in way:
         yield PAUSE
         send("MOUSEMOVE", "NOTHING", aside, **held)
@@ -39,7 +39,7 @@ def move(*way: int, **held: bool) -> Iterator[float]:
 
 
 def drag(*way: int, **held: bool) -> Iterator[float]:
-    """The left mouse button along the view's middle; it is not let go."""
+    """Drag with the left mouse button along the view's middle, without a release."""
     send("MOUSEMOVE", "NOTHING", way[0])
     yield PAUSE
     send("LEFTMOUSE", "PRESS", way[0], **held)
@@ -64,7 +64,7 @@ def press(key: str, **held: bool) -> Iterator[object]:
 
 
 def screenshot(name: str) -> None:
-    """The screen as a file."""
+    """Save the screen as a file."""
     shoot(FOLDER / f"{name}.png")
 
 
@@ -81,14 +81,14 @@ def base() -> np.ndarray:
 
 
 def choose(tool: str) -> None:
-    """Take a tool of the 3D view."""
+    """Activate a tool of the 3D view."""
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window, area=area(), region=region()):
         bpy.ops.wm.tool_set_by_id(name=tool)
 
 
 def by_tool(brush: bpy.types.PropertyGroup) -> Iterator[object]:
-    """A stroke by the tool, and the radius by its keys."""
+    """A stroke by the tool, and its radius set by keys."""
     choose("gscore.paint_tool")
     brush.does, before = "COLOR", base()
     yield from drag(-90, -80)
@@ -110,7 +110,7 @@ def by_tool(brush: bpy.types.PropertyGroup) -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """What happens; a yield hands over to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`Teller`)."""
     clear()
     view = look_down()
     wall = lab.add(bpy.context.scene, lab.wall(0.0, WALL), "wall")

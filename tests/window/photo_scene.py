@@ -1,4 +1,4 @@
-"""Runs inside a Blender with a window: splats behind and before a photo of their camera.
+"""Runs inside a Blender with a window: splats behind and in front of a photo of their camera.
 
 `blender --factory-startup -P tests/window/photo_scene.py -- FOLDER PACKAGES...`, as
 `live_scene.py`.
@@ -27,7 +27,8 @@ seen: dict = {"log": []}
 
 
 def shots(name: str, wall: bpy.types.Object) -> Iterator[object]:
-    """The screen with the photo behind the splats, before them, and half; and the photo alone."""
+    """The screen with the photo behind the splats, in front of them, and half; and the photo
+    alone."""
     slot = bpy.context.scene.camera.data.background_images[0]
     kinds = {"back": ("BACK", 1.0), "front": ("FRONT", 1.0), "half": ("FRONT", 0.5)}
     kinds["alone"] = "FRONT", 1.0
@@ -42,8 +43,8 @@ def shots(name: str, wall: bpy.types.Object) -> Iterator[object]:
 
 
 def without_live(wall: bpy.types.Object) -> Iterator[object]:
-    """The photo behind the splats in the engine's own picture: where nothing is drawn live, and
-    where something is held out, live or not; then from elsewhere."""
+    """The photo behind the splats in the engine's own picture: without live drawing, and with a
+    holdout, live or not; then from another place."""
     scene = bpy.context.scene
     slot = scene.camera.data.background_images[0]
     slot.display_depth, slot.alpha = "BACK", 1.0
@@ -79,7 +80,7 @@ def without_live(wall: bpy.types.Object) -> Iterator[object]:
 
 
 def lost() -> Iterator[object]:
-    """The screen with a photo before the splats whose file is not there."""
+    """The screen with a missing photo in front of the splats."""
     slot = bpy.context.scene.camera.data.background_images[0]
     slot.image = slot.image.copy()
     slot.image.filepath = str(FOLDER / "nowhere.jpg")
@@ -91,7 +92,7 @@ def lost() -> Iterator[object]:
 
 
 def sequence() -> Iterator[object]:
-    """The screen with a sequence of pictures before the splats."""
+    """The screen with a sequence of pictures in front of the splats."""
     slot = bpy.context.scene.camera.data.background_images[0]
     photo = slot.image
     slot.image = photo.copy()
@@ -103,7 +104,7 @@ def sequence() -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """Import a capture, put a wall before one of its cameras, look through that."""
+    """Import a capture, put a wall in front of one of its cameras, view the scene through that."""
     scene = bpy.context.scene
     clear()
     scene.gscore.capture_path = str(CAPTURE)
@@ -111,7 +112,7 @@ def story() -> Iterator[object]:
     yield 0.5
     camera = next(ob for ob in scene.objects if ob.type == "CAMERA")
     scene.camera = camera
-    for ob in scene.objects:  # lines of others would be seen
+    for ob in scene.objects:  # lines of others would be visible
         ob.hide_set(ob is not camera)
     bpy.context.view_layer.update()
     wall = lab.add(scene, lab.wall(0.0, COLOR, half=0.3), "wall")

@@ -1,8 +1,9 @@
-"""Runs inside a Blender with a window: Rendered shading of the engine, of a part of a view, of what
-is edited, and through a camera that blurs.
+"""Runs inside a Blender with a window: Rendered shading of the engine, of a part of a view, of an
+edited mesh, and through a camera that blurs.
 
 `blender --factory-startup -P tests/window/rendered_scene.py -- FOLDER PACKAGES...`; PACKAGES are
-folders with what Blender's Python lacks. Leaves FOLDER/seen.json and pictures of the screen.
+folders with the packages missing in Blender's Python. Writes FOLDER/seen.json and pictures of the
+screen.
 """
 
 import sys
@@ -41,17 +42,17 @@ seen: dict = {"log": [], "region": REGION}
 
 
 def screenshot(name: str) -> None:
-    """The screen as a file."""
+    """Save the screen as a file."""
     shoot(FOLDER / f"{name}.png")
 
 
 def exact() -> bool:
-    """Whether the view shows the engine's finished picture."""
+    """True if the view shows the engine's finished picture."""
     return region().as_pointer() in draw_handler.viewport.EXACT
 
 
 def called(operator: object, **given: object) -> None:
-    """An operator in the view of the window."""
+    """Call an operator in the view of the window."""
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window, area=area(), region=region()):
         operator(**given)
@@ -140,7 +141,7 @@ def edited(wall: bpy.types.Object) -> Iterator[object]:
 
 
 def through_a_lens(scene: bpy.types.Scene) -> Iterator[object]:
-    """What a view says of a camera that blurs, beside one that does not."""
+    """Texts of a view through a camera that blurs, and of one through another."""
     space().overlay.show_text = True
     space().region_3d.view_perspective = "CAMERA"
     for name, blurs in (("sharp", False), ("lens", True)):
@@ -157,7 +158,7 @@ def through_a_lens(scene: bpy.types.Scene) -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """What happens; a yield hands over to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`Teller`)."""
     scene = bpy.context.scene
     clear()
     look_down()

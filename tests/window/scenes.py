@@ -1,4 +1,4 @@
-"""Scripts that run inside a Blender with a window, and what they leave."""
+"""Scripts that run inside a Blender with a window, and their results."""
 
 import json
 import subprocess
@@ -11,7 +11,7 @@ import pytest
 from tools.window import programs
 
 SCREEN = (1000, 700)
-"""Width and height of the screen that is not there, unless a test has another."""
+"""Width and height of the virtual screen, unless a test has another."""
 
 
 def told(
@@ -22,15 +22,15 @@ def told(
     size: tuple[int, int] = SCREEN,
     prepare: Callable[[Path], None] | None = None,
 ) -> tuple[dict, Path, str]:
-    """What a script saw, the folder of its pictures, and what Blender wrote.
+    """Results of a script, the folder of its pictures, and Blender's output.
 
     Args:
-        name: The script `NAME_scene.py` beside this file.
+        name: The script `NAME_scene.py` next to this file.
         tmp_path_factory: Makes the folder.
-        options: Of Blender, besides.
-        longest: Seconds that it may take.
+        options: Additional options of Blender.
+        longest: Timeout, seconds.
         size: Width and height of the screen.
-        prepare: Puts into the folder what the script needs.
+        prepare: Puts the script's input into the folder.
     """
     blender, problem = programs.find(*programs.PICTURES)
     if not blender:
@@ -49,7 +49,7 @@ def told(
 
 
 def pixels(folder: Path, name: str, size: tuple[int, int] = SCREEN) -> np.ndarray:
-    """[H, W, 3] 8 bit of a picture of that width and height, else of the screen."""
+    """[H, W, 3] 8 bit of a picture of the given width and height, else of the screen."""
     command = ["convert", str(folder / f"{name}.png"), "-depth", "8", "rgb:-"]
     raw = subprocess.run(command, capture_output=True, check=True).stdout
     return np.frombuffer(raw, np.uint8).reshape(*size[::-1], 3).astype(int)

@@ -26,7 +26,7 @@ seen: dict = {"log": []}
 
 
 def story() -> Iterator[object]:
-    """What happens; a yield hands over to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`Teller`)."""
     scene, splats = bpy.context.scene, lab.beads(15)
     clear()
     camera = lab.prepare(scene, SIZE)

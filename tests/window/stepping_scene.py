@@ -1,9 +1,9 @@
-"""Runs inside a Blender with a window: presses buttons that go on bit by bit, ends some with Esc,
-and changes the splats of others meanwhile.
+"""Runs inside a Blender with a window: presses buttons of incremental operators, ends some with
+Esc, and changes the splats of others meanwhile.
 
 `blender --factory-startup --enable-event-simulate -P tests/window/stepping_scene.py -- FOLDER
-PACKAGES...`; PACKAGES are folders with what Blender's Python lacks. Leaves FOLDER/seen.json and a
-picture of the screen.
+PACKAGES...`; PACKAGES are folders with the packages missing in Blender's Python. Writes
+FOLDER/seen.json and a picture of the screen.
 """
 
 import sys
@@ -47,7 +47,7 @@ def invoke(name: str, **settings: Any) -> list[str]:
 
 
 def rests() -> bool:
-    """Whether nothing of the add-on goes on."""
+    """True if no operator or job of the add-on is running."""
     running = bpy.context.window_manager.windows[0].modal_operators
     return not any(one.bl_idname.startswith("GSCORE") for one in running)
 
@@ -60,14 +60,14 @@ def escape() -> None:
 
 
 def undo() -> None:
-    """One step back."""
+    """Undo one step."""
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window, area=area()):
         bpy.ops.ed.undo()
 
 
 def push() -> None:
-    """An undo step."""
+    """Push an undo step."""
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window, area=area()):
         bpy.ops.ed.undo_push(message="before")
@@ -109,7 +109,7 @@ def begin() -> None:
 
 
 def as_at_once() -> Iterator[object]:
-    """A button does what a script has at once, as one undo step."""
+    """A button has the same effect as a script's single call, as one undo step."""
     seed()
     operate("select_flood", gap=1.0)
     seen["at once"] = chosen()
@@ -128,7 +128,7 @@ def as_at_once() -> Iterator[object]:
 
 
 def given_up() -> Iterator[object]:
-    """Esc in Edit Mode, while splats are looked for."""
+    """Esc in Edit Mode, during a search for splats."""
     seed()
     mode("EDIT")
     yield 0.5
@@ -144,7 +144,7 @@ def given_up() -> Iterator[object]:
 
 
 def disturbed(name: str, act: Callable[[], object]) -> Iterator[object]:
-    """Something happens while splats are compared."""
+    """Changes of the scene while splats are compared."""
     held = Held(decimate, "likeness")
     invoke("decimate_splats", count=500)
     yield held.began.is_set
@@ -161,7 +161,7 @@ def paint() -> None:
 
 
 def compared() -> Iterator[object]:
-    """A photo, while the picture of the splats is drawn; then given up."""
+    """A photo comparison, while the picture of the splats is drawn; then cancelled."""
     clear()
     scene = bpy.context.scene
     capture = captures.import_capture(scene, ROOT / "examples" / "studio", photos=False)
@@ -208,7 +208,7 @@ def repeated() -> Iterator[object]:
 
 
 def without_workspace() -> Iterator[object]:
-    """The workspace whose status bar tells of an edit is deleted."""
+    """The workspace with the status bar of an edit is deleted."""
     begin()
     window = bpy.context.window_manager.windows[0]
     before = window.workspace
@@ -227,7 +227,7 @@ def without_workspace() -> Iterator[object]:
 
 
 def disabled() -> Iterator[object]:
-    """The add-on is disabled while splats are looked for, and enabled again."""
+    """The add-on is disabled during a search for splats, and enabled again."""
     begin()
     yield 0.5
     held = Held(selection_masks, "flooded")
@@ -247,7 +247,7 @@ def disabled() -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """All of it, one after the other."""
+    """All parts, one after the other."""
     yield from repeated()
     yield from without_workspace()
     begin()

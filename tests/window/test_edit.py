@@ -1,6 +1,6 @@
-"""What is selected in Edit Mode, in the window of a real Blender. Oracles: in the tests.
+"""Selections in Edit Mode, in the window of a real Blender. Oracles: in the tests.
 
-Needs what `test_live.py` needs.
+Needs the programs of `test_live.py`.
 """
 
 from pathlib import Path
@@ -14,20 +14,20 @@ pytestmark = pytest.mark.window
 
 LONGEST = 200
 FEW, MANY = 0.002, 0.05
-"""Shares of the pixels of half a wall: no more than a speck, and no less than its vertices have."""
+"""Shares of the pixels of half a wall: at most a speck, and at least the vertices."""
 
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
-    """What `edit_scene.py` saw, and the folder of its pictures."""
+    """The results of `edit_scene.py`, and the folder of its pictures."""
     found, folder, output = told("edit", tmp_path_factory, longest=LONGEST)
     assert "Traceback" not in output, output
     return found, folder
 
 
 def orange(seen: tuple[dict, Path], name: str, half: str) -> float:
-    """The share of a half's pixels in which red leads green, and green blue, as Blender's color of
-    what is selected has it and neither the wall nor Solid's grey does."""
+    """The share of a half's pixels with red above green above blue, as in Blender's selection
+    colour, but not in the wall's colour or Solid's grey."""
     found, folder = seen
     left, right, bottom, top = found[half]
     red, green, blue = np.moveaxis(
@@ -37,7 +37,7 @@ def orange(seen: tuple[dict, Path], name: str, half: str) -> float:
 
 
 def test_points_tell_what_is_selected(seen):
-    """Oracle: which half was selected, through Blender's own mesh."""
+    """Oracle: the selected half, through Blender's own mesh."""
     assert seen[0]["none"] == 0
     assert orange(seen, "points_none", "upper") < FEW
     assert orange(seen, "points_none", "lower") < FEW
@@ -52,13 +52,13 @@ def test_splats_tell_what_is_selected(seen):
 
 
 EDGE = 4.0
-"""Pixels beside a line that one draws within which a vertex, as it is drawn without X-Ray, lies on
-both sides."""
+"""Distance in pixels from a drawn line within which a vertex, as drawn without X-Ray, is on both
+sides."""
 
 
 @pytest.mark.parametrize("way", ["plain", "xray"])
 def test_a_box_selects_the_splats_within_it(seen, way):
-    """Oracle: where Blender's own projection puts each splat."""
+    """Oracle: the place of each splat by Blender's own projection."""
     flat = np.array(seen[0]["flat"])
     left, right, bottom, top = seen[0]["box"]
     inside = np.min(
@@ -69,7 +69,7 @@ def test_a_box_selects_the_splats_within_it(seen, way):
 
 @pytest.mark.parametrize("way", ["plain", "xray"])
 def test_a_lasso_selects_the_splats_within_it(seen, way):
-    """Oracle: on which side of each edge of the lasso Blender's own projection puts a splat."""
+    """Oracle: the side of each edge of the lasso on which Blender's own projection has a splat."""
     flat, corners = np.array(seen[0]["flat"]), np.array(seen[0]["lasso"], float)
     along = np.roll(corners, -1, axis=0) - corners
     normals = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1)[:, None]
@@ -78,7 +78,7 @@ def test_a_lasso_selects_the_splats_within_it(seen, way):
 
 
 def _selected_are(seen: tuple[dict, Path], name: str, inside: np.ndarray) -> None:
-    """Those well inside are, those well outside are not; of both there are many."""
+    """Check that splats well inside are selected, those well outside are not, and both are many."""
     chosen = np.zeros(len(inside), bool)
     chosen[seen[0]["drawn"][name]] = True
     assert min((inside > EDGE).sum(), (inside < -EDGE).sum()) > 50

@@ -1,4 +1,4 @@
-"""An export in the window of a real Blender; what is needed: `test_live.py`."""
+"""An export in the window of a real Blender; required programs: `test_live.py`."""
 
 import pytest
 
@@ -10,8 +10,8 @@ LONGEST = 120
 
 
 def test_an_export_goes_bit_by_bit_and_can_be_given_up(tmp_path_factory):
-    """Oracle: Blender's list of operators that are under way, the file of the export at once, and
-    after Esc a folder without the other file or a part of it, and no copy of a mesh."""
+    """Oracle: Blender's list of running operators, the file of a single-call export, and after Esc
+    a folder without the other file or a part of it, and no copy of a mesh."""
     seen, folder, _ = told("export", tmp_path_factory, "--enable-event-simulate", longest=LONGEST)
     assert seen["begun"] == ["RUNNING_MODAL"] and seen["under_way"] and seen["same"]
     assert seen["still"] and seen["ended"] and not seen["meshes"]

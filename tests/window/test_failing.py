@@ -1,6 +1,6 @@
 """A graphics card that fails, in the window of a real Blender. Oracles: in the tests.
 
-Needs what `test_live.py` needs.
+Needs the programs of `test_live.py`.
 """
 
 from pathlib import Path
@@ -17,19 +17,19 @@ LONGEST = 300
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path, str]:
-    """What `failing_scene.py` saw, the folder of its pictures, and what Blender wrote."""
+    """The results of `failing_scene.py`, the folder of its pictures, and Blender's output."""
     return told("failing", tmp_path_factory, longest=LONGEST)
 
 
 def around(seen: tuple[dict, Path, str], name: str) -> np.ndarray:
-    """[220, 300, 3] of the middle of the view, where splats and a mesh are."""
+    """[220, 300, 3] of the middle of the view, with splats and a mesh."""
     x, y = seen[0]["middle"]
     return pixels(seen[1], name)[SCREEN[1] - y - 110 :, x - 150 : x + 150][:220]
 
 
 def test_a_card_that_fails_once_is_asked_again(seen):
-    """Oracle: the same pixels as before, but for how Blender rounds its lines; the sentence is
-    there as long as it rests."""
+    """Oracle: the same pixels as before, up to Blender's rounding of its lines; the sentence stays
+    while the card pauses."""
     problems = seen[0]["problems"]
     assert "the add-on tries again" in problems["failed_once"]
     assert not problems["again"]
@@ -39,7 +39,7 @@ def test_a_card_that_fails_once_is_asked_again(seen):
 
 @pytest.mark.parametrize("name", ["by_engine", "by_engine_turned", "refused"])
 def test_pictures_of_the_engine_take_over(seen, name):
-    """Oracle: those of the card: splats before and behind a mesh, from two sides."""
+    """Oracle: those of the card: splats in front of and behind a mesh, from two sides."""
     said = seen[0]["problems"][name]
     assert "a driver's word" in said and "pictures of the render engine" in said
     if name != "refused":  # by then the wall has another colour
@@ -58,7 +58,7 @@ def test_changes_are_seen_in_the_pictures_of_the_engine(seen):
 
 @pytest.mark.parametrize(("name", "before"), [("live", "live"), ("by_engine", "by_engine_painted")])
 def test_what_cannot_be_drawn_is_said_until_it_can(seen, name, before):
-    """Oracle: the sentence names the object; then the pixels of before."""
+    """Oracle: the sentence, which names the object; then the previous pixels."""
     problems = seen[0]["problems"]
     assert "wall has 1 splats whose scale is not finite" in problems[f"{name}_spoiled"]
     assert "wall" not in problems[f"{name}_mended"]
@@ -67,13 +67,13 @@ def test_what_cannot_be_drawn_is_said_until_it_can(seen, name, before):
 
 
 def test_what_is_refused_is_not_asked_for_again(seen):
-    """Oracle: how often the card was asked: once, or with three pauses."""
+    """Oracle: the number of calls to the card: one, or one with three pauses."""
     calls = seen[0]["calls"]
     assert calls["refused"] == 1 and calls["for_good"] == 3
 
 
 def test_the_view_says_so_itself(seen):
-    """Oracle: letters of a colour that nothing else has there, in the lower left."""
+    """Oracle: letters of a colour that occurs nowhere else there, in the lower left."""
     x, y = seen[0]["corner"]
     part = np.s_[SCREEN[1] - y - 50 : SCREEN[1] - y, x : x + 300]
     amber = [np.ptp(pixels(seen[1], name)[part], axis=2) > 100 for name in ("refused", "said")]
@@ -81,14 +81,14 @@ def test_the_view_says_so_itself(seen):
 
 
 def test_points_where_nothing_else_is_drawn(seen):
-    """Oracle: the sentence, how often was asked, and that the picture is another."""
+    """Oracle: the sentence, the number of calls, and a different picture."""
     assert "shown as points" in seen[0]["problems"]["points"]
     assert seen[0]["calls"]["no_pictures"] == 1
     assert (np.abs(around(seen, "points") - around(seen, "refused")) > 20).mean() > 0.1
 
 
 def test_the_console_is_told_once(seen):
-    """Oracle: one traceback for a row of failures, one for what is refused, one for points."""
+    """Oracle: one traceback for a row of failures, one for a refusal, one for points."""
     output = seen[2]
     assert output.count("Traceback") == 3, output
     assert output.count("Splats cannot be drawn live.") == 2, output

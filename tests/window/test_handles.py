@@ -1,5 +1,5 @@
 """Handles of histograms, dragged in the window of a real Blender by a simulated mouse. Oracles: in
-the tests; what is needed: `test_live.py`."""
+the tests; required programs: `test_live.py`."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ PIXEL = 0.006
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
-    """What `handles_scene.py` saw, and the folder of its pictures."""
+    """The results of `handles_scene.py`, and the folder of its pictures."""
     found, folder, output = told(
         "handles", tmp_path_factory, "--enable-event-simulate", longest=120
     )
@@ -33,12 +33,12 @@ def test_opacity_goes_with_the_mouse(seen):
 
 
 def test_each_drag_is_an_undo_step(seen):
-    """Oracle: the limit of before."""
+    """Oracle: the previous limit."""
     assert seen[0]["undone"] == seen[0]["dragged"]
 
 
 def test_escape_gives_a_drag_up(seen):
-    """Oracle: the limit while it is dragged, and that of before."""
+    """Oracle: the limit during the drag, and the previous one."""
     found = seen[0]
     assert found["while"][0] == pytest.approx(0.9, abs=PIXEL)
     assert found["cancelled"] == found["undone"]
@@ -65,8 +65,8 @@ def test_handles_that_stand_together_go_either_way(seen):
 
 
 def test_a_drag_is_of_the_splats_that_it_was_begun_on(seen):
-    """Oracle: the limits by hand; other splats that become active keep theirs, Esc gives the first
-    theirs back, also where the histograms went meanwhile, or the splats."""
+    """Oracle: the limits by hand; other splats that become active keep theirs, Esc restores those
+    of the first, also where the histograms were removed meanwhile, or the splats."""
     found = seen[0]
     assert found["two"] == [pytest.approx(0.3, abs=PIXEL), pytest.approx(0.7)]
     assert found["two_after"] == [0.0, pytest.approx(0.7)]
@@ -75,7 +75,7 @@ def test_a_drag_is_of_the_splats_that_it_was_begun_on(seen):
 
 
 def bars(seen: tuple[dict, Path], name: str, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """[W] bool each: which columns of a histogram have blue, and which grey, near the axis."""
+    """[W] bool each: columns of a histogram with blue, and with grey, near the axis."""
     found, folder = seen
     left, bottom, width, _ = map(int, found["boxes"][kind])
     row = pixels(folder, name)[SCREEN[1] - bottom - 4, left : left + width]
@@ -85,8 +85,8 @@ def bars(seen: tuple[dict, Path], name: str, kind: str) -> tuple[np.ndarray, np.
 
 
 def test_what_is_hidden_is_grey(seen):
-    """Oracle: opacities are even, so that there are bars all along: blue above the handle, grey
-    below; the same picture as without when they are switched off."""
+    """Oracle: even opacities, so that there are bars everywhere: blue above the handle, grey below;
+    the same picture as without when they are switched off."""
     blue, grey = bars(seen, "on", OPACITY)
     assert blue.mean() > 0.9 and grey.mean() < 0.05
     blue, grey = bars(seen, "dragged", OPACITY)

@@ -1,6 +1,7 @@
-"""Cameras that come and go bit by bit, in a Blender with a window; what is needed: `test_live.py`.
+"""Incremental import and export of cameras, in a Blender with a window; required programs:
+`test_live.py`.
 
-Oracle: Blender's counts of data, its list of operators under way, files, and its undo.
+Oracle: Blender's counts of data, its list of running operators, files, and its undo.
 """
 
 import shutil
@@ -19,7 +20,7 @@ MODEL = ["cameras.bin", "images.bin", "points3D.bin"]
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
-    """What `import_scene.py` saw, and its folder."""
+    """The results of `import_scene.py`, and its folder."""
 
     def prepare(folder: Path) -> None:
         shutil.copytree(STUDIO, folder / "studio")
@@ -36,8 +37,8 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
 
 
 def test_esc_leaves_nothing(seen):
-    """Whether the capture is read or cameras come; the window answers meanwhile, and says what is
-    under way."""
+    """While the capture is read and while cameras are created; the window responds meanwhile, and
+    shows the running operator."""
     found, folder = seen
     assert found["begun"] == ["RUNNING_MODAL"] and found["alive"]
     assert found["after reading"] and found["after cameras"] and found["scene meanwhile"] == 0
@@ -52,7 +53,7 @@ def test_an_import_is_one_undo_step(seen):
 
 
 def test_an_import_anew(seen):
-    """Esc leaves what was done by hand; the end does not, and undo brings it back."""
+    """Esc keeps manual changes; a complete import does not, and undo restores them."""
     found, _ = seen
     assert (found["moved after Esc"], found["count after Esc"]) == (50, 59)
     assert found["moved anew"] != 50 and found["count anew"] == 60
@@ -66,7 +67,7 @@ def test_an_export_is_written_or_not(seen):
 
 
 def test_a_path_goes_out_and_comes_in(seen):
-    """Esc leaves no file and no camera; the timeline is where the user moves it."""
+    """Esc leaves no file and no camera; the timeline stays where the user moves it."""
     found, _ = seen
     assert found["export_camera_path"] == found["import_camera_path"] == ["RUNNING_MODAL"]
     assert found["path given up"] == [False, 7]
@@ -76,7 +77,7 @@ def test_a_path_goes_out_and_comes_in(seen):
 
 
 def test_the_menu_asks_for_a_folder(seen):
-    """The one of the panel to begin with; chosen again, it is no second set of cameras."""
+    """The folder of the panel is the default; chosen again, it is no second set of cameras."""
     found, folder = seen
     assert found["menu"] == ["RUNNING_MODAL"]
     assert Path(found["folder"]) == folder / "studio" and found["by menu"] == 60

@@ -1,7 +1,7 @@
-"""Splats in the window of a real Blender, on a screen that is not there. Oracles: in the tests.
+"""Splats in the window of a real Blender, on a virtual screen. Oracles: in the tests.
 
 Needs a Blender of 4.2 or later, Xvfb and ImageMagick: `make test-window`. GSCORE_BLENDER names the
-program; without it `blender` is taken.
+program; the default is `blender`.
 """
 
 from pathlib import Path
@@ -20,7 +20,7 @@ COLOR = (204, 102, 51)
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
-    """What `live_scene.py` saw, and the folder of its pictures."""
+    """The results of `live_scene.py`, and the folder of its pictures."""
     found, folder, output = told(
         "live", tmp_path_factory, "--enable-event-simulate", longest=LONGEST
     )
@@ -42,15 +42,15 @@ def test_colours_of_splats_reach_the_screen(seen):
 
 
 def test_what_is_stretched_is_named_instead_of_shown(seen):
-    """Oracle: the sentence, and the grey of the empty view in the place of the wall's colour."""
+    """Oracle: the sentence, and the grey of the empty view in place of the wall's colour."""
     assert "wall cannot be rendered" in seen[0]["uneven"] and "unevenly" in seen[0]["uneven"]
     for aside in (0, 80):
         assert np.ptp(middle(seen, "uneven", aside)) < 10
 
 
 def test_dark_colours_reach_the_screen(seen):
-    """Oracle: a wall of few levels of 8 bit, to one of them: what lies over a view's picture is
-    kept so that 1 to 5 would become 0 or 6."""
+    """Oracle: a wall of few levels of 8 bit, to one of them: overlays of a view's picture are
+    stored so that 1 to 5 would become 0 or 6."""
     assert np.abs(middle(seen, "dark") - (5, 4, 3)).max() <= 1
 
 
@@ -60,7 +60,7 @@ def test_splats_come_without_being_touched(seen):
 
 
 def test_meshes_before_and_behind_splats(seen):
-    """Oracle: the wall's colour where the mesh is behind it, Solid's grey where it is before."""
+    """Oracle: the wall's colour with the mesh behind it, Solid's grey with it in front."""
     assert np.ptp(middle(seen, "plate_before")) < 10
     assert np.abs(middle(seen, "plate_before", aside=80) - COLOR).max() <= 2
     assert np.abs(middle(seen, "plate_behind") - COLOR).max() <= 2
@@ -76,7 +76,7 @@ def test_meshes_before_and_behind_splats_on_the_move(seen):
 
 @pytest.mark.parametrize("moving", ["", "_moving"])
 def test_lines_before_and_behind_splats(seen, moving):
-    """Oracle: the wall's colour where the edge is behind it; a theme's black where it is before, or
+    """Oracle: the wall's colour with the edge behind it; a theme's black with it in front, or
     behind and *In Front*."""
     found, folder = seen
     x, y = found["middle"]
@@ -90,7 +90,7 @@ def test_lines_before_and_behind_splats(seen, moving):
 
 def test_clipped_splats_are_gone(seen):
     """Oracle: the wall's colour within the clipping border, the background outside and beyond the
-    end; the wall again where nothing clips."""
+    end; the wall again without clipping."""
     nothing = middle(seen, "wall", aside=250)
     assert np.ptp(nothing) < 10
     assert np.abs(middle(seen, "clipped") - COLOR).max() <= 2
@@ -100,13 +100,14 @@ def test_clipped_splats_are_gone(seen):
 
 
 def test_a_picture_is_kept_beside_a_mesh(seen):
-    """Oracle: how often the card was asked for one; again where the mesh has moved."""
+    """Oracle: the number of pictures requested from the card; one more after the mesh has moved."""
     found = seen[0]["with_mesh"]
     assert found["again"] == 0 < found["moved"]
 
 
 def test_which_objects_are_shown(seen):
-    """Oracle: what a user has hidden, shown otherwise, or left out of the local view."""
+    """Oracle: the objects that a user has hidden, displayed otherwise, or left out of the local
+    view."""
     found = seen[0]
     assert found["both"] == ["blob", "wall"]
     assert found["hidden"] == found["as_points"] == ["wall"]
@@ -114,8 +115,8 @@ def test_which_objects_are_shown(seen):
 
 
 def test_a_picture_is_kept_until_the_view_changes(seen):
-    """Oracle: how often the card was asked for one; there and back the screen is the same, but for
-    how Blender rounds what it smooths."""
+    """Oracle: the number of pictures requested from the card; the same screen after a turn and
+    back, up to Blender's rounding of smoothed lines."""
     found, folder = seen
     assert found["pictures"]["again"] == 0 < found["pictures"]["turned"]
     apart = np.abs(pixels(folder, "both") - pixels(folder, "both_again"))
@@ -123,8 +124,8 @@ def test_a_picture_is_kept_until_the_view_changes(seen):
 
 
 def test_the_exact_picture_takes_over(seen):
-    """Oracle: the picture of the graphics card, to two levels of 8 bit where splats are dense;
-    the background is the world's and not Solid's."""
+    """Oracle: the picture of the graphics card, to two levels of 8 bit where splats are dense; the
+    background is the world's and not Solid's."""
     _, folder = seen
     live, exact = (pixels(folder, name) for name in ("both", "exact"))
     x, y = seen[0]["middle"]
@@ -135,8 +136,8 @@ def test_the_exact_picture_takes_over(seen):
 
 @pytest.mark.parametrize("transform", ["Standard", "Raw"])
 def test_a_still_camera_view_is_the_render(seen, transform):
-    """Oracle: the PNG that F12 wrote, pixel by pixel, but for the view's edge, on which Blender has
-    its corners and the arrows of regions that are closed."""
+    """Oracle: the PNG of F12, pixel by pixel, except at the view's edge, where Blender draws its
+    corners and the arrows of closed regions."""
     found, folder = seen
     left, bottom, width, height = found["view"]
     rows = slice(SCREEN[1] - bottom - height, SCREEN[1] - bottom)
@@ -161,8 +162,8 @@ def test_gizmos_lie_over_splats(seen, shading):
 
 
 def test_the_addon_can_be_disabled_and_enabled_in_a_window(seen):
-    """Oracle: nothing in the place of the splats, then the same picture as before; the display of
-    the wall, and what is drawn once it is shown otherwise."""
+    """Oracle: no splats, then the same picture as before; the display of the wall, and the picture
+    once it is displayed otherwise."""
     found, folder = seen
     before, off, again = (pixels(folder, name) for name in ("before_off", "off", "on_again"))
     x, y = found["middle"]

@@ -1,4 +1,4 @@
-"""A mask painted in the window of a real Blender; what is needed: `test_live.py`."""
+"""A mask painted in the window of a real Blender; required programs: `test_live.py`."""
 
 import pytest
 
@@ -10,7 +10,7 @@ LONGEST, SCREEN = 120, (1400, 900)
 
 
 def test_an_editor_opens_with_the_whole_photo(tmp_path_factory):
-    """Oracle: Blender's own editor: its mode, the tab where the mask is saved, and a photo that
+    """Oracle: Blender's own editor: its mode, the tab in which the mask is saved, and a photo that
     neither the sidebar nor a shelf of brushes covers."""
     seen, _, _ = told("mask", tmp_path_factory, longest=LONGEST, size=SCREEN)
     assert seen["painting"] == ["FINISHED"]

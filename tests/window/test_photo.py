@@ -1,6 +1,6 @@
 """A camera's photo and live splats, in the window of a real Blender. Oracles: in the tests.
 
-Needs what `test_live.py` needs.
+Needs the programs of `test_live.py`.
 """
 
 from pathlib import Path
@@ -19,14 +19,14 @@ COLOR = (204, 102, 51)
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
-    """What `photo_scene.py` saw, and the folder of its pictures."""
+    """The results of `photo_scene.py`, and the folder of its pictures."""
     found, folder, output = told("photo", tmp_path_factory, longest=LONGEST)
     assert "Traceback" not in output, output
     return found, folder
 
 
 def around(seen: tuple[dict, Path], name: str, half: int = 25) -> np.ndarray:
-    """[2 half, 2 half, 3] of the middle of the view, where the wall is."""
+    """[2 half, 2 half, 3] of the middle of the view, with the wall."""
     x, y = seen[0]["middle"]
     y = SCREEN[1] - y
     return pixels(seen[1], name)[y - half : y + half, x - half : x + half]
@@ -34,8 +34,8 @@ def around(seen: tuple[dict, Path], name: str, half: int = 25) -> np.ndarray:
 
 @pytest.mark.parametrize("shading", ["solid", "rendered"])
 def test_splats_lie_over_a_photo_behind_them(seen, shading):
-    """Oracle: the wall's colour; the photo where there is none. In Rendered shading too, whose own
-    picture Blender would lay the photo over."""
+    """Oracle: the wall's colour; the photo where there is none. In Rendered shading too, although
+    Blender would draw the photo over the engine's own picture."""
     assert np.abs(around(seen, f"{shading}_back") - COLOR).max() <= 2
     wide, alone = (around(seen, f"{shading}_{n}", half=180) for n in ("back", "alone"))
     assert np.std(alone) > 20
@@ -44,7 +44,7 @@ def test_splats_lie_over_a_photo_behind_them(seen, shading):
 
 
 def test_the_engines_picture_lies_over_a_photo_behind_it(seen):
-    """Oracle: the wall's colour, the photo beside it, and between them the edge of the wall as it
+    """Oracle: the wall's colour, the photo next to it, and between them the edge of the wall as it
     is drawn live."""
     assert np.abs(around(seen, "still_back") - COLOR).max() <= 2
     still, live, alone = (
@@ -57,7 +57,7 @@ def test_the_engines_picture_lies_over_a_photo_behind_it(seen):
 
 @pytest.mark.parametrize("name", ["held_still", "held_live"])
 def test_a_hole_shows_the_photo_behind_it(seen, name):
-    """Oracle: the photo in the middle of the hole; the wall's colour around it, the photo beside
+    """Oracle: the photo in the middle of the hole; the wall's colour around it, the photo next to
     that."""
     held, alone = (around(seen, one, half=180) for one in (name, "rendered_alone"))
     middle, beside = np.s_[170:190, 170:190], np.s_[140:220, :40]

@@ -17,12 +17,12 @@ COLOR = np.array([204, 102, 51])
 """Of the wall, 8 bit."""
 TINTED = 0.35 * COLOR + 0.65 * 255 * np.array([1.0, 0.5, 0.05])
 ASIDE = 107
-"""Pixels from the middle to what is hidden or selected."""
+"""Pixels from the middle to the hidden or selected part."""
 
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
-    """What `rendered_scene.py` saw, and the folder of its pictures."""
+    """The results of `rendered_scene.py`, and the folder of its pictures."""
     found, folder, output = told("rendered", tmp_path_factory, longest=LONGEST)
     assert "Traceback" not in output, output
     return found, folder
@@ -35,7 +35,7 @@ def around(seen: tuple[dict, Path], name: str, right: int = 0, up: int = 0) -> n
 
 
 def is_wall(color: np.ndarray) -> bool:
-    """Whether a color is the wall's, to two levels of 8 bit."""
+    """True if a color is the wall's, to two levels of 8 bit."""
     return np.abs(color - COLOR).max() <= 2
 
 
@@ -44,8 +44,8 @@ PARTS = ["region", "region_moving", "region_material", "region_of_camera"]
 
 @pytest.mark.parametrize("name", PARTS)
 def test_a_region_alone_is_drawn(seen: tuple[dict, Path], name: str) -> None:
-    """Oracle: the wall's color up to the edges of the region that was asked for, of which one pixel
-    may be Blender's line; the grey of the empty view beyond. By the operator of Ctrl-B."""
+    """Oracle: the wall's color up to the edges of the requested region, one pixel of which may be
+    Blender's line; the grey of the empty view beyond. By the operator of Ctrl-B."""
     assert seen[0]["moving"] and seen[0]["scenes_own"]
     left, right, bottom, top = seen[0]["region"]
     x, y = (left + right) // 2, (bottom + top) // 2
@@ -66,15 +66,16 @@ def test_a_region_alone_is_drawn(seen: tuple[dict, Path], name: str) -> None:
 
 @pytest.mark.parametrize("name", ["region_solid", "everything"])
 def test_elsewhere_everything_is_drawn(seen: tuple[dict, Path], name: str) -> None:
-    """Oracle: the wall's color beside the region: Solid shading has none, and it was taken away."""
+    """Oracle: no wall's color next to the region: Solid shading has none, and the region was
+    removed."""
     left, right, bottom, top = seen[0]["region"]
     for place in ((left - 8, top), (right + 8, bottom)):
         assert is_wall(around(seen, name, *place))
 
 
 def test_what_is_edited_shows_as_in_solid_shading(seen: tuple[dict, Path]) -> None:
-    """Oracle: black where the wall is hidden, the tint where it is selected, if overlays are shown;
-    the wall in Object Mode."""
+    """Oracle: black where the wall is hidden, the tint where it is selected, with overlays; the
+    wall in Object Mode."""
     assert around(seen, "edited", -ASIDE).max() < 5
     assert np.abs(around(seen, "edited", ASIDE) - TINTED).max() <= 3
     assert around(seen, "edited_without_overlays", -ASIDE).max() < 5
@@ -85,7 +86,7 @@ def test_what_is_edited_shows_as_in_solid_shading(seen: tuple[dict, Path]) -> No
 
 
 def lines(seen: tuple[dict, Path], name: str) -> int:
-    """How many lines of text stand in the upper left of the view."""
+    """Number of text lines in the upper left of the view."""
     left, bottom, _, height = seen[0]["view"]
     top = SCREEN[1] - bottom - height
     part = pixels(seen[1], name)[top : top + 120, left : left + 200]

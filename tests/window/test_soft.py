@@ -1,6 +1,6 @@
 """Soft Splats by EEVEE, in the window of a real Blender. Oracle: `gscore.render`.
 
-Needs what `test_live.py` needs.
+Needs the programs of `test_live.py`.
 """
 
 import numpy as np
@@ -11,12 +11,12 @@ from tests.window.scenes import pixels, told
 pytestmark = pytest.mark.window
 
 OPAQUE = 0.99
-"""Opacity at which gscore ends; EEVEE does not."""
+"""Opacity at which gscore stops; EEVEE does not."""
 
 
 def test_eevee_shows_the_color_from_here(tmp_path_factory):
-    """Oracle: the colors of degree 3 of nine opaque balls at their middles, seen from aside, to
-    what the page on Blender says in the mean, and single ones as in Cycles."""
+    """Oracle: the colors of degree 3 of nine opaque balls at their middles, viewed from the side,
+    to the mean error on the Blender page, and single ones as in Cycles."""
     found, folder, output = told("soft", tmp_path_factory, longest=400)
     assert "Traceback" not in output, output
     x, y = np.transpose(found["places"])

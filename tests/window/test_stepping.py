@@ -1,4 +1,5 @@
-"""Buttons that go on bit by bit, in a Blender with a window; what is needed: `test_live.py`."""
+"""Buttons of incremental operators, in a Blender with a window; required programs:
+`test_live.py`."""
 
 from pathlib import Path
 
@@ -14,7 +15,7 @@ COUNT = 3000
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
-    """What `stepping_scene.py` saw, and the folder of its picture."""
+    """The results of `stepping_scene.py`, and the folder of its picture."""
     found, folder, output = told(
         "stepping", tmp_path_factory, "--enable-event-simulate", longest=LONGEST
     )
@@ -32,7 +33,7 @@ def test_a_button_does_what_a_script_has_at_once(seen):
 
 
 def test_esc_leaves_all_as_it_was(seen):
-    """Oracle: the selection and the mode of before, counts, and no mesh of ours."""
+    """Oracle: the previous selection and mode, counts, and no mesh of ours."""
     found, _ = seen
     assert found["meanwhile"] == "OBJECT"
     assert found["mode after Esc"] == "EDIT" and found["after Esc"] == [3]
@@ -41,31 +42,32 @@ def test_esc_leaves_all_as_it_was(seen):
 
 @pytest.mark.parametrize("name", ["painted", "undone meanwhile"])
 def test_what_changes_meanwhile_is_not_lost(seen, name):
-    """Oracle: the count of splats, of which the same button deletes most where nothing happens."""
+    """Oracle: the count of splats, most of which the same button deletes in an undisturbed
+    scene."""
     found, _ = seen
     assert found[name] == COUNT and found["nothing"] == 500
 
 
 def test_repeat_last_has_it_at_once(seen):
-    """Oracle: counts right after it, and that Blender goes on: it ends itself where an operator
-    that is repeated waits for events."""
+    """Oracle: counts right after it, and a Blender that keeps running: it exits where a repeated
+    operator waits for events."""
     assert seen[0]["repeated"] == [True, 700]
 
 
 def test_a_workspace_may_go(seen):
-    """Oracle: the count that was asked for."""
+    """Oracle: the requested count."""
     assert seen[0]["without workspace"] == 500
 
 
 def test_the_add_on_may_be_disabled(seen):
-    """Oracle: mode, meshes and selection as if it had been given up."""
+    """Oracle: mode, meshes and selection as after a cancel."""
     found, _ = seen
     assert found["disabled"] == ["EDIT", True] and found["chosen when disabled"] == [3]
 
 
 def test_a_comparison_goes_on_beside_and_can_be_given_up(seen):
-    """Oracle: what the camera has and which images there are after Esc; then a picture of three
-    photos' width in a window of its own, which Blender would not ask to save."""
+    """Oracle: the camera's data and the images after Esc; then a picture of three photos' width in
+    a separate window, which Blender would not offer to save."""
     found, _ = seen
     assert found["compare"] == ["RUNNING_MODAL"]
     assert found["given up"][0] is False

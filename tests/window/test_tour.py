@@ -23,12 +23,12 @@ def _prepare(folder: Path) -> None:
 
 @pytest.fixture(scope="module")
 def tour(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path, str]:
-    """What was seen on the way, the folder of its pictures, and what Blender wrote."""
+    """The results of the tour, the folder of its pictures, and Blender's output."""
     return told("tour", tmp_path_factory, longest=900, size=SIZE, prepare=_prepare)
 
 
 def test_nothing_went_wrong(tour):
-    """Oracle: every part was gone through, and the console has no error of anybody's."""
+    """Oracle: every part was completed, and the console has no errors."""
     seen, folder, output = tour
     assert len(seen["parts"]) == 8
     for word in ("Traceback", "Error", "rror:"):
@@ -37,7 +37,7 @@ def test_nothing_went_wrong(tour):
 
 
 def test_splats_come_while_they_are_trained(tour):
-    """Oracle: the object was there before the end of the training; photos have a camera each."""
+    """Oracle: an object before the end of the training; a camera for each photo."""
     seen, _, _ = tour
     assert seen["came_while_training"]
     assert seen["cameras"] == len(list((STUDIO / "images").iterdir()))
@@ -45,25 +45,25 @@ def test_splats_come_while_they_are_trained(tour):
 
 
 def test_edits_are_undone_and_redone(tour):
-    """Oracle: how many splats there were before and after the deletion."""
+    """Oracle: the numbers of splats before and after the deletion."""
     before, after, back, again = tour[0]["deleted"]
     assert before == back > after == again
 
 
 def test_what_is_written_is_what_shows(tour):
-    """Oracle: the crop box leaves some; half of these is half."""
+    """Oracle: some splats in the crop box; half of these after thinning."""
     seen, _, _ = tour
     assert 0 < seen["cropped"] < seen["trained"]
     assert seen["decimated"] == seen["cropped"] // 2
 
 
 def test_errors_are_shown_and_compared(tour):
-    """Oracle: one map beside the splats, one window more."""
+    """Oracle: one map next to the splats, one window more."""
     assert (tour[0]["maps"], tour[0]["windows"]) == (1, 2)
 
 
 def test_a_region_leaves_the_rest_alone(tour):
-    """Oracle: most places are those from before, bit for bit."""
+    """Oracle: most places unchanged, bit for bit."""
     assert 0.5 < tour[0]["still"] < 1.0
 
 

@@ -1,9 +1,9 @@
-"""Runs inside a Blender with a window: what an artist does with a capture, from photos to a file.
+"""Runs inside a Blender with a window: an artist's work on a capture, from photos to a file.
 
 `blender --factory-startup -P tests/window/tour_scene.py -- FOLDER PACKAGES...`; PACKAGES are
-folders with what Blender's Python lacks. FOLDER/first and FOLDER/second are captures, FOLDER/venv
-is named by a file `python`: the Python that trains. Leaves FOLDER/seen.json and pictures of the
-screen, one after each station.
+folders with the packages missing in Blender's Python. FOLDER/first and FOLDER/second are captures,
+FOLDER/venv is named by a file `python`: the Python that trains. Writes FOLDER/seen.json and
+pictures of the screen, one after each station.
 """
 
 import sys
@@ -87,7 +87,7 @@ def choose(ob: bpy.types.Object) -> None:
 
 
 def count_of(ob: bpy.types.Object) -> int:
-    """How many splats an object has; in Edit Mode its mesh does not know."""
+    """The number of splats of an object; in Edit Mode its mesh does not have it."""
     mesh = ob.data
     return len(bmesh.from_edit_mesh(mesh).verts if mesh.is_editmode else mesh.vertices)
 
@@ -101,7 +101,7 @@ def rows(ob: bpy.types.Object, name: str = "position") -> np.ndarray:
 
 
 def over(job_of: object, *of: object) -> object:
-    """Whether a job has ended and what it left is in the scene."""
+    """True if a job has ended and its result is in the scene."""
 
     def ended() -> bool:
         job = job_of(*of)
@@ -111,13 +111,13 @@ def over(job_of: object, *of: object) -> object:
 
 
 def trained() -> bool:
-    """Whether the scene's training has ended, and its splats are there."""
+    """True if the scene's training has ended, and its splats are there."""
     job = training_of(bpy.context.scene)
     return job is not None and job.state.ended and not any(f.waits() for f in poll_timer.POLLERS)
 
 
 def to_train(capture: Path) -> None:
-    """Choose a capture and how little effort is spent on it."""
+    """Choose a capture and the small effort spent on it."""
     settings = scene_settings()
     settings.capture_path = str(capture)
     settings.preset = "preview"
@@ -126,11 +126,11 @@ def to_train(capture: Path) -> None:
 
 
 def begin() -> Iterator[object]:
-    """Cameras, and splats that come while they are trained."""
+    """Cameras, and splats that arrive during the training."""
     python = (FOLDER / "python").read_text().strip()
     preferences = bpy.context.preferences.addons["addon"].preferences
     preferences.python_path = python
-    preferences.live_seconds = 2.0  # by default it is about as long as this training takes
+    preferences.live_seconds = 2.0  # the default is about as long as this training
     space().show_region_ui = True
     yield 1.0
     next(r for r in area().regions if r.type == "UI").active_panel_category = "Train Splats"
@@ -152,7 +152,7 @@ def begin() -> Iterator[object]:
 
 
 def look() -> Iterator[object]:
-    """Every shading, turned, hidden and back."""
+    """Every shading, turned, hidden and shown again."""
     view = space().region_3d
     for shading in ("SOLID", "MATERIAL", "RENDERED"):
         space().shading.type = shading
@@ -177,7 +177,7 @@ def turned(angle: float) -> object:
 
 
 def edit() -> Iterator[object]:
-    """Select, grade, delete; take it back and do it again; crop, thin out, write."""
+    """Select, grade, delete; undo and redo; crop, thin out, write."""
     choose(result())
     count = count_of(result())
     press("select_by_opacity", low=0.9, high=1.0)
@@ -237,7 +237,7 @@ def judge() -> Iterator[object]:
 
 
 def steer() -> Iterator[object]:
-    """The splats in the crop box again; all others stand still."""
+    """Train the splats in the crop box again; all others are frozen."""
     choose(result())
     before = rows(result()).copy()
     bpy.context.scene.gscore_steer.region_steps = 100
@@ -250,7 +250,7 @@ def steer() -> Iterator[object]:
 
 
 def render() -> Iterator[object]:
-    """F12 by the engine, and beside a mesh of EEVEE or Cycles."""
+    """F12 by the engine, and next to a mesh of EEVEE or Cycles."""
     scene = bpy.context.scene
     scene.render.resolution_percentage = 50
     press("use_camera", index=0, look_through=True)
@@ -306,7 +306,7 @@ def reopen() -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """What happens; a yield hands over to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`Teller`)."""
     for part in (begin, look, edit, judge, steer, render, second, reopen):
         yield from part()
         seen.setdefault("parts", []).append(part.__name__)
