@@ -168,6 +168,8 @@ def tour() -> Iterator[object]:
     yield 4.0
     shoot(FOLDER / "tour-04.png")
     yield from toggled(TRAIN)
+    photo_camera = next(ob for ob in bpy.data.objects if "gs_viewmat" in ob)
+    space().region_3d.view_matrix = photo_camera.matrix_world.inverted()  # inside the room
     press("gscore.train")
     shown, number = 0, 0
     while not trained():
