@@ -75,7 +75,7 @@ WRITES = {
     "addon/region_training/masks.py": "the capture's folder of masks",
     "addon/region_training/start.py": "a new folder beside the output",
     "addon/render/compositor.py": "no file, an object",
-    "addon/sequence/guides.py": "the output folder",
+    "addon/sequence/guide_meshes.py": "the output folder",
     "addon/splats/conversion.py": "Blender's temporary folder; the user's choice",
     "addon/splats/exporting.py": "the user's choice",
     "addon/trainer_python/install_lock.py": "Blender's folder of it",
