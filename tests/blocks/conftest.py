@@ -1,4 +1,4 @@
-"""A street of houses walked along: what blocks are for."""
+"""A street of houses, walked along: the use case of blocks."""
 
 from pathlib import Path
 
@@ -10,12 +10,12 @@ from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, Colma
 from gscore.io.images.read_image import write_png
 
 LENGTH = 40.0
-"""Of the street, along +x; houses stand at z = 5, and down is +y."""
+"""Of the street, along +x; the houses are at z = 5, and down is +y."""
 PHOTOS = 24
 
 
 def street() -> ColmapModel:
-    """Cameras that look at the houses, and points on these with tracks."""
+    """Cameras that face the houses, and points on these with tracks."""
     rng = np.random.default_rng(3)
     xyz = np.column_stack(
         [rng.uniform(0, LENGTH, 2000), rng.uniform(-2, 2, 2000), rng.uniform(5, 6, 2000)]

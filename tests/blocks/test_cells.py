@@ -1,4 +1,4 @@
-"""The world cut into cells; oracle: counts, and what a street along x must give."""
+"""The world cut into cells; oracle: counts, and the expected cells of a street along x."""
 
 import numpy as np
 import pytest
@@ -6,12 +6,12 @@ import pytest
 from gscore.blocks.block_cells import make_cells
 
 LEVEL = np.eye(4)[None].repeat(5, axis=0)
-"""Cameras whose down is +y."""
+"""Cameras with +y down."""
 
 
 @pytest.mark.parametrize("count", [2, 3, 5, 8])
 def test_cells_fill_the_world_and_share_the_work(count: int) -> None:
-    """Oracle: each point, far ones too, lies in one cell; weights are even within 5 %."""
+    """Oracle: one cell for each point, far ones too; weights even within 5 %."""
     rng = np.random.default_rng(count)
     points = rng.normal(size=(20_000, 3)) * [30, 1, 10]
     weights = rng.integers(2, 9, 20_000)
@@ -31,7 +31,7 @@ def test_cells_stand_upright_and_cut_the_longer_side() -> None:
 
 
 def test_cameras_turned_at_will_say_nothing_of_what_is_up() -> None:
-    """Oracle: the plane that the points lie in, where the cameras' upward directions cancel."""
+    """Oracle: the plane of the points, where the cameras' upward directions cancel."""
     turned = np.stack([np.diag([1.0, sign, sign, 1]) for sign in (1, -1)])
     points = np.random.default_rng(1).uniform([0, 0, 0], [0.1, 40, 9], (5000, 3))
     axes = make_cells(points, np.ones(5000), turned, 2).axes

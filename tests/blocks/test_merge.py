@@ -1,4 +1,4 @@
-"""Blocks put together; oracle: the splats of one model, cut apart and put together again."""
+"""Merged blocks; oracle: the splats of one model, cut apart and merged again."""
 
 import json
 from dataclasses import replace
@@ -37,7 +37,7 @@ def some_splats(count: int, rest: int = 3) -> Splats:
 
 
 def test_what_every_block_holds_comes_out_once(records: list[BlockRecord]) -> None:
-    """Oracle: all blocks hold the same model, so the merged one is that model, in another order."""
+    """Oracle: the one model of all blocks, in another order."""
     model = some_splats(3000)
     blocks = [
         TrainedBlock(path=Path(str(record.index)), record=record, splats=model)
@@ -52,8 +52,8 @@ def test_what_every_block_holds_comes_out_once(records: list[BlockRecord]) -> No
 
 
 def test_each_block_gives_its_own_cell_alone(records: list[BlockRecord]) -> None:
-    """Oracle: the mark of the block on its splats, by the bounds of its record; degrees of SH that
-    differ come out as the highest."""
+    """Oracle: the mark of the block on its splats, by the bounds of its record; the highest of
+    different SH degrees."""
     blocks = []
     for record in records:
         splats = some_splats(500, rest=3 if record.index else 8)
@@ -69,7 +69,7 @@ def test_each_block_gives_its_own_cell_alone(records: list[BlockRecord]) -> None
 
 
 def test_only_all_blocks_of_one_split_can_be_merged(records: list[BlockRecord]) -> None:
-    """Oracle: sentences that name the runs and the blocks."""
+    """Oracle: sentences with the runs and the blocks."""
     runs = [(Path(f"run{record.index}"), record) for record in records]
     check_complete(runs[::-1])
     with pytest.raises(ConfigError, match=r"2 of 4 blocks are missing: 1, 3\."):
@@ -97,8 +97,8 @@ def test_only_all_blocks_of_one_split_can_be_merged(records: list[BlockRecord]) 
 def test_cells_that_do_not_fill_the_world_once_are_refused(
     odd: str, changed: dict, tmp_path: Path
 ) -> None:
-    """Oracle: two halves of the world are read back; with one number changed, a splat would lie in
-    two cells or in none."""
+    """Oracle: two halves of the world, read back; with one number changed, a splat would be in two
+    cells or in none."""
     content = {
         "kind": "gscore block 1",
         "split": "a",
@@ -118,7 +118,7 @@ def test_cells_that_do_not_fill_the_world_once_are_refused(
 
 @pytest.mark.parametrize("count", [2, 3, 7, 64])
 def test_cells_that_were_cut_are_read_back(capture: Path, count: int, tmp_path: Path) -> None:
-    """Oracle: equality with what was cut; any number of cells, far from the origin too."""
+    """Oracle: the original cells; any number of them, far from the origin too."""
     rng = np.random.default_rng(count)
     xyz = rng.normal(size=(5000, 3)) * [100, 1, 30] + [5e5, 0, 5e6]
     viewmats = np.tile(np.eye(4), (4, 1, 1))

@@ -25,8 +25,8 @@ def split(capture: Path, out: Path, count: int = 4, **options: object) -> Path:
 
 
 def test_a_block_has_what_its_photos_show(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the street: photos whose quarter it is, and none from the other end; all points that
-    they observed, with these observations; the bytes of photos and masks."""
+    """Oracle: the street: photos of its quarter, and none from the other end; all points that they
+    observed, with these observations; the bytes of photos and masks."""
     out = split(capture, tmp_path / "blocks")
     whole = read_model(capture)
     images = {image.name: image for image in whole.images}
@@ -59,7 +59,7 @@ def test_blocks_open_in_colmap(capture: Path, tmp_path: Path) -> None:
 
 
 def test_a_block_holds_out_what_the_whole_does(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the split of the whole by name; without --eval all photos of a block train."""
+    """Oracle: the split of the whole by name; all photos of a block train without --eval."""
     whole = load_dataset(DataConfig(source=capture, eval=True))
     held_out = {whole.names[i] for i in whole.test}
     out = split(capture, tmp_path / "blocks")
@@ -73,8 +73,8 @@ def test_a_block_holds_out_what_the_whole_does(capture: Path, tmp_path: Path) ->
 
 
 def test_without_tracks_frusta_decide(tmp_path: Path) -> None:
-    """Oracle: nothing is hidden in the street, so photos are chosen as by its tracks, but for one
-    at an end: there are no tracks whose lengths count when the street is cut."""
+    """Oracle: the photos chosen by tracks, because there are no occlusions in the street, but for
+    one at an end: without tracks their lengths do not weight the cut."""
     model = street()
     none = {"xys": np.zeros((0, 2)), "point3D_ids": np.zeros(0, np.int64)}
     bare = replace(model, images=[replace(image, **none) for image in model.images])
@@ -89,7 +89,7 @@ def test_without_tracks_frusta_decide(tmp_path: Path) -> None:
 
 
 def test_photos_with_other_endings_are_found(tmp_path: Path) -> None:
-    """Oracle: a block of a capture whose photos were saved anew as BMP loads without a warning."""
+    """Oracle: a block of a capture with photos saved again as BMP, loaded without a warning."""
     folder = write_street(tmp_path / "street", street())
     for path in sorted((folder / "images").rglob("*.png")):
         path.rename(path.with_suffix(".JPEG"))
@@ -101,7 +101,7 @@ def test_photos_with_other_endings_are_found(tmp_path: Path) -> None:
 def test_a_file_system_without_links(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: copies have the photos' bytes."""
+    """Oracle: the photos' bytes in the copies."""
 
     def refuse(*_: object) -> None:
         raise OSError("no links")
@@ -125,7 +125,7 @@ def test_a_file_system_without_links(
     ],
 )
 def test_what_cannot_be_cut(capture: Path, tmp_path: Path, options: dict, words: str) -> None:
-    """Oracle: a sentence, and nothing written."""
+    """Oracle: a sentence, and no files."""
     with pytest.raises((ConfigError, DatasetError), match=words):
         split(capture, tmp_path / "blocks", **options)
     assert not list(tmp_path.iterdir())
@@ -167,7 +167,7 @@ def test_a_full_folder_stays_and_a_failure_leaves_nothing(
     ["", "[]", "{}", '{"kind": "gscore block 1"}', '{"kind": "other"}', "null", "1" * 5000],
 )
 def test_a_damaged_record_is_told(capture: Path, tmp_path: Path, text: str) -> None:
-    """Oracle: the whole record is read; any other text is refused with the file's name."""
+    """Oracle: the whole record, read; any other text is refused with the file's name."""
     out = split(capture, tmp_path / "blocks", 2)
     record = read_block(out / "block_1")
     assert record is not None and (record.index, record.count) == (1, 2)
