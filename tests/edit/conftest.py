@@ -1,4 +1,4 @@
-"""Random splats and cameras that look at them."""
+"""Random splats and cameras that face them."""
 
 from collections.abc import Callable
 
@@ -13,7 +13,7 @@ SIZE = 40
 
 @pytest.fixture
 def make_splats() -> Callable[..., Splats]:
-    """`count` splats around the origin with so many SH coefficients."""
+    """`count` splats around the origin with the given number of SH coefficients."""
 
     def make(count: int, rest: int = 3, *, seed: int = 0, spread: float = 1.0) -> Splats:
         rng = np.random.default_rng(seed)
@@ -35,7 +35,7 @@ def make_splats() -> Callable[..., Splats]:
 
 @pytest.fixture
 def cameras() -> Cameras:
-    """Three that look at the origin along the axes, from 6 away."""
+    """Three cameras that face the origin along the axes, 6 away."""
     viewmats = np.tile(np.eye(4), (3, 1, 1))
     for i in range(3):
         viewmats[i, :3, :3] = np.roll(np.eye(3), i, axis=1)

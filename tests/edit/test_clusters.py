@@ -1,4 +1,4 @@
-"""Clusters against scenes whose clusters are known, and components against scipy's."""
+"""Clusters against scenes with known clusters, and components against scipy's."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -32,7 +32,7 @@ def small(means: np.ndarray, size: float = 1e-3) -> Splats:
 
 @pytest.fixture
 def clumps() -> np.ndarray:
-    """A dense ball of 3,000, a string of 40 beside it, two lone places far away."""
+    """A dense ball of 3,000, a string of 40 next to it, two single splats far away."""
     rng = np.random.default_rng(1)
     ball = rng.normal(0, 1, (3000, 3))
     ball *= np.cbrt(rng.uniform(0, 1, (3000, 1))) / np.linalg.norm(ball, axis=1, keepdims=True)
@@ -41,14 +41,14 @@ def clumps() -> np.ndarray:
 
 
 def test_what_lies_apart_is_a_cluster(clumps: np.ndarray) -> None:
-    """Oracle: how the scene was made."""
+    """Oracle: the construction of the scene."""
     sizes = cluster_sizes(small(clumps), 0.25)
     assert sizes.tolist() == [3000] * 3000 + [40] * 40 + [1, 1]
 
 
 def test_a_large_splat_joins_what_it_reaches(clumps: np.ndarray) -> None:
-    """Oracle: the same scene, in which one splat of the string is made a needle that points at the
-    ball; turned away from it, it joins nothing."""
+    """Oracle: the same scene with one splat of the string as a needle that points at the ball;
+    turned away, it joins no cluster."""
     splats = small(clumps)
     scales = splats.scales.copy()
     scales[3000, 0] = np.log(0.35)
@@ -60,8 +60,8 @@ def test_a_large_splat_joins_what_it_reaches(clumps: np.ndarray) -> None:
 
 
 def test_a_background_far_away_hangs_together() -> None:
-    """Oracle: a shell of 2,000 at 40 times the size of the scene, whose splats touch, is one
-    cluster but for a few; the same with small splats falls apart."""
+    """Oracle: a shell of 2,000 touching splats at 40 times the size of the scene, one cluster but
+    for a few; separate clusters for small splats."""
     rng = np.random.default_rng(2)
     directions = rng.normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -74,7 +74,7 @@ def test_a_background_far_away_hangs_together() -> None:
 
 def test_a_wall_of_few_large_splats_is_no_floater(clumps: np.ndarray) -> None:
     """Oracle: the scene with six flat round splats of radius 3, turned at random in their plane,
-    that overlap in a wall beside the ball."""
+    that overlap in a wall next to the ball."""
     rng = np.random.default_rng(5)
     wall = np.stack([np.full(6, -2.5), np.repeat([-1.5, 1.5], 3), np.tile([-2.0, 0, 2], 2)], axis=1)
     splats = small(np.concatenate([clumps, wall]))
@@ -88,7 +88,7 @@ def test_a_wall_of_few_large_splats_is_no_floater(clumps: np.ndarray) -> None:
 
 
 def test_what_holds_the_scene_belongs_to_it(clumps: np.ndarray) -> None:
-    """Oracle: the scene within a sky of one splat whose middle is far away; a smaller sky does not
+    """Oracle: the scene within a sky of one splat with its middle far away; a smaller sky does not
     reach it."""
     splats = small(np.concatenate([clumps, [[0, 0, 50.0]]]))
     scales = splats.scales.copy()
@@ -133,7 +133,7 @@ def test_few_splats(count: int) -> None:
 
 @pytest.mark.parametrize("gap", [0.05, 0.35, 0.45])
 def test_what_is_reached_without_a_gap(gap: float) -> None:
-    """Oracle: scipy's components of the graph of cells that touch, built in the open."""
+    """Oracle: scipy's components of the graph of touching cells, built explicitly."""
     rng = np.random.default_rng(3)
     means = rng.uniform(-5, 5, (3000, 3)).astype(np.float32)
     seeds = np.arange(3000) < 2

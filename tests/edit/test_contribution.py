@@ -1,4 +1,4 @@
-"""What splats add to pictures, against pictures in which one is white and all others are black."""
+"""Contributions of splats, against pictures of one white splat among black ones."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +13,7 @@ from gscore.splats import Splats
 
 
 def slowly(splats: Splats, cameras: Cameras, **options: bool) -> np.ndarray:
-    """Each splat in turn white among black ones: what is seen of it is its weight."""
+    """Weights by rendering each splat in white among black ones."""
     out = np.zeros((len(splats), len(cameras)))
     for row in range(len(splats)):
         colors = np.zeros((len(splats), 1, 3))
@@ -40,7 +40,7 @@ def test_equals_what_is_seen(make_splats: Callable[..., Splats], cameras: Camera
 
 
 def test_views_are_told(make_splats: Callable[..., Splats], cameras: Cameras) -> None:
-    """Oracle: the number of cameras; what no camera sees adds nothing."""
+    """Oracle: the number of cameras; splats outside all views contribute zero."""
     splats = make_splats(10)
     hidden = replace(splats, means=splats.means + np.float32(1000))
     told: list[int] = []

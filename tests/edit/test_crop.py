@@ -32,8 +32,8 @@ def test_sphere(points: np.ndarray) -> None:
 
 
 def test_frustum(points: np.ndarray) -> None:
-    """Oracle: projection with a division by z, for a turned camera with its middle off centre; what
-    lies behind it is not seen."""
+    """Oracle: projection with a division by z, for a turned camera with an off-centre principal
+    point; splats behind it are outside."""
     K = np.array([[40.0, 0, 12], [0, 50.0, 30], [0, 0, 1]])
     viewmat = np.eye(4)
     viewmat[:3, :3] = Rotation.from_euler("xyz", [0.3, -0.5, 1.0]).as_matrix()

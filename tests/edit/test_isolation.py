@@ -1,4 +1,4 @@
-"""How alone splats are, against all distances."""
+"""Isolation of splats, against all distances."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_equals_all_distances() -> None:
 
 def test_only_what_floats_stands_out() -> None:
     """Oracle: a dense and a sparse ball, a hundred times apart in scale, and one splat between; no
-    splat of a ball is as far from the others as four times what is usual there."""
+    splat of a ball is as far from the others as four times the usual distance there."""
     rng = np.random.default_rng(1)
     dense, sparse = rng.uniform(-1, 1, (2, 1000, 3))
     means = np.concatenate([dense, 100 * sparse + 300, [[20.0, 0, 0]]]).astype(np.float32)
@@ -44,7 +44,7 @@ def test_too_few_to_tell(count: int) -> None:
 
 
 def test_copies_in_one_place() -> None:
-    """Oracle: splats on top of each other are not alone, what lies beside them is."""
+    """Oracle: splats on top of each other, which are not isolated; a splat next to them is."""
     means = np.zeros((20, 3), np.float32)
     means[-1] = 1
     found = isolation_of(means)

@@ -1,4 +1,4 @@
-"""Requests and their steps: what each removes, in which order, and what is refused."""
+"""Requests and their steps: what each removes, their order, and refusals."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,7 +24,7 @@ def views(cameras: Cameras) -> EditViews:
 
 
 def test_steps_come_in_their_order(make_splats: Make, views: EditViews) -> None:
-    """Oracle: the order that the help of `gscore convert` states; counts add up."""
+    """Oracle: the order in the help of `gscore convert`; counts that add up."""
     parts = [make_splats(200, 8), make_splats(150, 3, seed=1)]
     request = EditRequest(
         box=(-2, -2, -2, 2, 2, 2),
@@ -56,7 +56,7 @@ def test_steps_come_in_their_order(make_splats: Make, views: EditViews) -> None:
 def test_crop_is_what_lies_in_all_shapes(
     outside: bool, make_splats: Make, views: EditViews
 ) -> None:
-    """Oracle: comparisons by hand; a camera along z sees what lies in its pyramid."""
+    """Oracle: comparisons by hand; the view of a camera along z is its pyramid."""
     splats = make_splats(500)
     request = EditRequest(
         box=(-1, -1, -1, 3, 3, 3), sphere=(0, 0, 0, 1.5), frustum=(0,), outside=outside
@@ -71,8 +71,8 @@ def test_crop_is_what_lies_in_all_shapes(
 
 
 def test_count_keeps_what_adds_most(make_splats: Make, views: EditViews) -> None:
-    """Oracle: the ranks of contributions of what was there when they were asked for, whatever
-    was removed since; without cameras opacity and area, which is said."""
+    """Oracle: the ranks of contributions at the time of the request, for any later removal; without
+    cameras opacity and area, with a message."""
     splats = make_splats(300)
     added = contributions(splats, views.cameras)
     request = EditRequest(min_contribution=0.5, max_isolation=1.5, count=50)
@@ -95,7 +95,7 @@ def test_count_keeps_what_adds_most(make_splats: Make, views: EditViews) -> None
 def test_size_is_met_from_below(
     coding: Callable[[int], float], make_splats: Make, views: EditViews
 ) -> None:
-    """Oracle: the size of what is left: within the limit and not far below it."""
+    """Oracle: the size of the result: within the limit and not far below it."""
     splats = make_splats(3000)
 
     def bytes_of(some: Splats) -> int:
@@ -111,8 +111,8 @@ def test_size_is_met_from_below(
 def test_what_is_seen_well_stays_wherever_it_lies(
     make_splats: Make, views: EditViews, monkeypatch: pytest.MonkeyPatch, seen_share: float | None
 ) -> None:
-    """Oracle: two splats far from the others and from each other, of which one adds a hundredth of
-    the smallest picture to a view, and the other a pixel less."""
+    """Oracle: two splats far from the others and from each other: one adds a hundredth of the
+    smallest picture to a view, the other a pixel less."""
     splats = make_splats(300, 0)
     splats.means[:2] = [[100, 0, 0], [0, 100, 0]]
     pixels = int((views.cameras.widths * views.cameras.heights).min())
@@ -175,7 +175,7 @@ def test_requests_that_cannot_be(given: dict[str, Any], words: str) -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_numbers_at_the_ends_of_float32(make_splats: Make, views: EditViews) -> None:
-    """Oracle: no warning of numpy, and what is sound stays."""
+    """Oracle: no numpy warning, and valid splats that stay."""
     splats = make_splats(200)
     means, scales, opacities = splats.means.copy(), splats.scales.copy(), splats.opacities.copy()
     means[:3] = 3e38, -3e38, 1e-38

@@ -65,7 +65,7 @@ def test_importance_is_opacity_times_largest_side(make_splats: Make) -> None:
 
 
 def test_limits_belong_to_what_stays() -> None:
-    """Oracle: by hand; 0 is no upper limit."""
+    """Oracle: by hand; 0 means no upper limit."""
     opacities = np.array([0.1, 0.7, 0.9], np.float32)
     assert at_least_opaque(opacities, 0.7).tolist() == [False, True, True]
     scales = np.array([[0.1, 0.02, 0.01], [0.2, 0.3, 0.1], [1, 2, 0.5]], np.float32)
