@@ -1,4 +1,4 @@
-"""A viewer as docs/view.md describes it, written from that page: for tests alone."""
+"""A viewer as described in docs/view.md, written from that page, for tests alone."""
 
 import json
 import math
@@ -9,14 +9,14 @@ import numpy as np
 
 
 def free_port() -> int:
-    """A port that nobody listens at."""
+    """A port without a listener."""
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         return one.getsockname()[1]
 
 
 def wish(viewmat: np.ndarray, K: np.ndarray, width: int, height: int, **more: Any) -> dict:
-    """What the viewer sends for a camera with OpenCV axes and a centred principal point."""
+    """The frame request for a camera with OpenCV axes and a centred principal point."""
     opengl = np.diag([1.0, -1, -1, 1]) @ viewmat
     clip = np.eye(4)  # any server may ignore it
     fov = {
@@ -34,7 +34,7 @@ def wish(viewmat: np.ndarray, K: np.ndarray, width: int, height: int, **more: An
         **fov,
         "z_near": 0.01,
         "z_far": 100.0,
-        # Column after column.
+        # In column-major order.
         "view_matrix": opengl.T.ravel().tolist(),
         "view_projection_matrix": clip.T.ravel().tolist(),
     } | more

@@ -1,4 +1,5 @@
-"""The server by itself, with pictures of one colour; oracle: the protocol, and what survives."""
+"""The server alone, with pictures of one colour; oracle: the protocol, and the surviving
+connections."""
 
 import errno
 import json
@@ -20,7 +21,7 @@ POSE = np.array([[0.0, 0, 1, 4], [1, 0, 0, 5], [0, 1, 0, 6], [0, 0, 0, 1]])
 
 
 class Training:
-    """Steps that do nothing, between which those who watch are answered."""
+    """Empty steps, between which viewers are served."""
 
     def __init__(self, *, pause: float = 0.002) -> None:
         self.port = free_port()
@@ -58,7 +59,7 @@ def training(monkeypatch):
 
 
 def test_a_viewer_gets_what_it_asks_for(training):
-    """Oracle: the camera that the client made its request of."""
+    """Oracle: the camera of the client's request."""
     with Client(training.port) as client:
         picture, text = client.look(wish(POSE, K, 40, 30, scaling_modifier=0.5))
         assert picture.shape == (30, 40, 3) and (picture == (7, 8, 9)).all()
@@ -71,8 +72,8 @@ def test_a_viewer_gets_what_it_asks_for(training):
 
 
 def test_points_land_where_the_viewer_expects_them():
-    """Oracle: the product of both matrices, which viewers send too, used as the 3DGS trainer does:
-    points as rows, the second coordinate turned over, then from -1 to 1 over the picture."""
+    """Oracle: the product of both matrices, which viewers send too, used as in the 3DGS trainer:
+    points as rows, the second coordinate flipped, then from -1 to 1 over the picture."""
     fov_x, fov_y, near, far = 2 * np.arctan(0.4), 2 * np.arctan(0.25), 0.01, 100.0
     clip = np.zeros((4, 4))
     clip[0, 0], clip[1, 1] = 1 / np.tan(fov_x / 2), 1 / np.tan(fov_y / 2)
@@ -99,7 +100,7 @@ def test_points_land_where_the_viewer_expects_them():
 
 @pytest.mark.parametrize("error", [MemoryError, BackendError])
 def test_a_picture_that_cannot_be_drawn_is_black(training, monkeypatch, caplog, error):
-    """Oracle: black pixels and a warning; what comes after is drawn as before."""
+    """Oracle: black pixels and a warning; later pictures are drawn as before."""
 
     def fail(_):
         raise error("too little memory")
@@ -113,7 +114,7 @@ def test_a_picture_that_cannot_be_drawn_is_black(training, monkeypatch, caplog, 
 
 
 def test_several_viewers_at_once_and_after_each_other(training):
-    """Oracle: each gets pictures of its own size, again and again."""
+    """Oracle: pictures of each viewer's own size, repeatedly."""
     with Client(training.port) as one, Client(training.port) as two:
         for _ in range(5):
             a, b = wish(POSE, K, 8, 6), wish(POSE, K, 10, 4)
@@ -128,7 +129,7 @@ def test_several_viewers_at_once_and_after_each_other(training):
 
 
 def test_one_more_than_there_may_be_is_let_go(training):
-    """Oracle: the number; a place that gets free is given again."""
+    """Oracle: the number; a freed place is given again."""
     clients = [Client(training.port) for _ in range(server.MOST_VIEWERS)]
     for client in clients:
         client.look(wish(POSE, K, 4, 4))
@@ -172,7 +173,7 @@ SKEWED = [2 * value for value in GOOD["view_matrix"]]
     ],
 )
 def test_what_no_camera_shows_is_refused(changes):
-    """Oracle: ValueError, and nothing else; the request without the change is good."""
+    """Oracle: ValueError, and no other error; the request without the change is valid."""
     assert viewer_protocol.parse(json.dumps(GOOD).encode()).width == 40
     with pytest.raises(ValueError, match=r"\S"):
         viewer_protocol.parse(json.dumps(GOOD | changes).encode())
@@ -192,7 +193,7 @@ def test_what_no_camera_shows_is_refused(changes):
     ],
 )
 def test_garbage_is_let_go(training, raw):
-    """Oracle: the connection ends; another viewer is answered as before."""
+    """Oracle: a closed connection; another viewer is served as before."""
     with Client(training.port) as bad, Client(training.port) as good:
         bad.socket.sendall(raw)
         assert bad.is_dropped()
@@ -200,7 +201,7 @@ def test_garbage_is_let_go(training, raw):
 
 
 def test_random_bytes_end_no_thread(training):
-    """Oracle: 300 random messages, half of them good ones with changed bytes; then a good one."""
+    """Oracle: 300 random messages, half of them valid ones with changed bytes; then a valid one."""
     chance = random.Random(5)
     text = json.dumps(GOOD).encode()
     for _ in range(300):
@@ -217,7 +218,7 @@ def test_random_bytes_end_no_thread(training):
 
 @pytest.mark.parametrize("slowly", [False, True])
 def test_half_a_message_is_waited_for_only_so_long(training, slowly):
-    """Oracle: the patience, for all of a message, however many pieces it comes in."""
+    """Oracle: the timeout, for all of a message, in any number of pieces."""
     text = json.dumps(GOOD).encode()
     raw = len(text).to_bytes(4, "little") + text
     began = time.monotonic()
@@ -234,7 +235,8 @@ def test_half_a_message_is_waited_for_only_so_long(training, slowly):
 
 
 def test_a_slow_reader_holds_nobody_up(training):
-    """Oracle: it asks for large pictures and reads none; others are answered, and it is let go."""
+    """Oracle: a client that requests large pictures and reads none; others are served, and it is
+    dropped."""
     large = wish(POSE, K, 3000, 2500)
     with Client(training.port) as slow, Client(training.port) as good:
         slow.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -244,15 +246,16 @@ def test_a_slow_reader_holds_nobody_up(training):
             assert good.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
         assert time.monotonic() - began < 5
         time.sleep(1.0)
-        # What the system still held for it is dropped: through so small a window it takes minutes.
+        # The data that the system still buffered for it are dropped: through so small a window they
+        # take minutes.
         with pytest.raises(ConnectionError):
             slow.receive(large)
         assert time.monotonic() - began < 5
 
 
 def test_silent_viewers_give_their_places(training):
-    """Oracle: places that are full, all held by connections that never ask but for one that does;
-    who comes is let go at first, and gets the place of a silent one after the patience."""
+    """Oracle: full places, all of connections that send no request but one; a new client is refused
+    at first, and gets the place of a silent one after the timeout."""
     busy = Client(training.port)
     silent = [Client(training.port) for _ in range(server.MOST_VIEWERS - 1)]
     busy.look(wish(POSE, K, 4, 4))
@@ -271,7 +274,8 @@ def test_silent_viewers_give_their_places(training):
 
 
 def test_viewers_are_asked_whether_they_are_there(training):
-    """Oracle: the option of the connection, without which one that was cut stays for ever."""
+    """Oracle: the keep-alive option of the connection, without which a broken one stays for
+    ever."""
     with Client(training.port) as client:
         client.look(wish(POSE, K, 4, 4))
         (connection,) = training.server._connections
@@ -279,7 +283,7 @@ def test_viewers_are_asked_whether_they_are_there(training):
 
 
 def test_who_is_gone_keeps_no_training_from_ending(monkeypatch):
-    """Oracle: the time for which a request counts, for a viewer that wanted to look on."""
+    """Oracle: the time for which a request counts, for a viewer that had another pending."""
     monkeypatch.setattr(viewer_clients, "HOLD", 0.2)
     crowd = viewer_clients.ViewerClients(after_the_end=True)
     one = crowd.enter(1)
@@ -288,7 +292,7 @@ def test_who_is_gone_keeps_no_training_from_ending(monkeypatch):
     thread = threading.Thread(target=one.ask, args=(request,))
     thread.start()
     time.sleep(0.3)
-    assert crowd.stay and crowd.longest_idle(0.1) is None  # it waits for its answer
+    assert crowd.stay and crowd.longest_idle(0.1) is None  # waits for its answer
     crowd.answer(lambda request: bytes(48))
     thread.join()
     assert not crowd.stay and crowd.longest_idle(0.1) is one
@@ -298,7 +302,7 @@ def test_who_is_gone_keeps_no_training_from_ending(monkeypatch):
 @pytest.mark.parametrize("broken", ["accept", "thread"])
 def test_a_lasting_fault_is_waited_out(training, monkeypatch, caplog, broken):
     """Oracle: the number of tries while files or threads have run out, one warning, and a viewer
-    that is answered afterwards."""
+    that is served afterwards."""
     tries = []
 
     def fail(*_, **__):
@@ -339,8 +343,8 @@ def reset(connection: socket.socket) -> None:
 
 
 def test_a_viewer_is_answered_after_a_flood_of_resets():
-    """Oracle: TCP's own state: with nobody accepting yet, 300 connections are established, which
-    needs a place in the queue for each. All are reset, then a viewer gets its picture."""
+    """Oracle: TCP's own state: 300 connections established before any accept, which needs a place
+    in the queue for each. All are reset, then a viewer gets its picture."""
     training = Training()
     flood = [
         socket.create_connection(("127.0.0.1", training.port), timeout=0.5) for _ in range(300)
@@ -353,8 +357,8 @@ def test_a_viewer_is_answered_after_a_flood_of_resets():
 
 @pytest.mark.parametrize("where", ["accept", "option"])
 def test_a_fault_of_one_connection_delays_no_other(training, monkeypatch, caplog, where):
-    """Oracle: the waits of the accepting thread, of which there are none, for faults that systems
-    report of a connection that was reset: ECONNABORTED of Linux, EINVAL of macOS."""
+    """Oracle: the waits of the accepting thread, none for faults that systems report of a reset
+    connection: ECONNABORTED of Linux, EINVAL of macOS."""
     waits, faults, real = [], [], time.sleep
 
     def fail(*_):
@@ -407,7 +411,7 @@ def test_viewers_that_vanish_leave_no_threads(training):
 
 
 def test_a_viewer_that_falls_silent_holds_nothing(training, monkeypatch):
-    """Oracle: the time for which a request holds; one that trains holds nothing."""
+    """Oracle: the time for which a request counts; a training viewer pauses nothing."""
     monkeypatch.setattr(viewer_clients, "HOLD", 0.5)
     with Client(training.port) as client:
         client.look({"resolution_x": 0, "resolution_y": 0, "train": 0})
@@ -420,7 +424,7 @@ def test_a_viewer_that_falls_silent_holds_nothing(training, monkeypatch):
 
 
 def test_who_asks_when_it_is_over_does_not_wait():
-    """Oracle: None, at once."""
+    """Oracle: None, immediately."""
     crowd = viewer_clients.ViewerClients()
     one = crowd.enter(1)
     assert one is not None and crowd.enter(1) is None
@@ -430,7 +434,7 @@ def test_who_asks_when_it_is_over_does_not_wait():
 
 
 def test_drawing_takes_half_of_the_time_at_most():
-    """Oracle: a slow picture and a client that never rests; the steps that are done meanwhile."""
+    """Oracle: a slow picture and a client that never pauses; the steps done meanwhile."""
     port = free_port()
     with server.Server(LiveOptions(port=port)) as one, Client(port) as client:
         over = threading.Event()
@@ -466,7 +470,7 @@ def test_drawing_takes_half_of_the_time_at_most():
 
 
 def test_ports_that_are_taken_are_told():
-    """Oracle: a second server at the port of the first; one after it may have it again."""
+    """Oracle: a second server at the port of the first; a later one may use it again."""
     port = free_port()
     with server.Server(LiveOptions(port=port)), pytest.raises(ConfigError, match=r"choose another"):
         server.Server(LiveOptions(port=port))
@@ -476,7 +480,7 @@ def test_ports_that_are_taken_are_told():
 
 @pytest.mark.parametrize("ip", ["example.org", "", "1.2.3", "203.0.113.7", "\ud800"])
 def test_addresses_that_cannot_be_are_told(ip):
-    """Oracle: one sentence; no name is looked up. The fourth is nobody's (RFC 5737)."""
+    """Oracle: one sentence; no name is resolved. The fourth is unassigned (RFC 5737)."""
     with pytest.raises(ConfigError, match=r"ip must be|cannot connect to"):
         server.Server(LiveOptions(port=free_port(), ip=ip))
 

@@ -1,4 +1,4 @@
-"""Trainings that are watched; oracle: the same training without, and `render` of what it left."""
+"""Trainings with a viewer; oracle: the same training without, and `render` of its result."""
 
 import json
 import threading
@@ -33,7 +33,7 @@ def camera(folder, index=0):
 
 @contextmanager
 def looking(port, make_request):
-    """A client in a thread of its own that looks as often as it can; gives what it saw."""
+    """A client in its own thread that requests pictures continuously; returns those received."""
     seen, over = [], threading.Event()
 
     def look():
@@ -56,7 +56,7 @@ def looking(port, make_request):
 
 @pytest.mark.parametrize("strategy", [Strategy.DEFAULT, Strategy.MCMC])
 def test_watching_changes_no_bit(capture, tmp_path, strategy):  # noqa: F811
-    """Oracle: the files of a training that nobody watched; sizes of pictures vary meanwhile."""
+    """Oracle: the files of a training without a viewer; sizes of pictures vary meanwhile."""
     config, data = replace(CONFIG, strategy=strategy), DataConfig(source=capture)
     train(config, data, tmp_path / "alone")
     K, viewmat, width, height = camera(tmp_path / "alone")
@@ -76,7 +76,7 @@ def test_watching_changes_no_bit(capture, tmp_path, strategy):  # noqa: F811
 
 
 def test_a_viewer_can_hold_and_look_on(capture, tmp_path):  # noqa: F811
-    """Oracle: the step at which it waits stays the same; the last picture is that of the PLY."""
+    """Oracle: the same step while it waits; the last picture is that of the PLY."""
     data, out = DataConfig(source=capture), tmp_path / "out"
     events, pictures, port = [], {}, free_port()
 
@@ -123,7 +123,7 @@ def test_a_viewer_can_hold_and_look_on(capture, tmp_path):  # noqa: F811
 
 
 def test_a_held_training_can_be_stopped(capture, tmp_path):  # noqa: F811
-    """Oracle: it ends though a viewer holds it, with a checkpoint."""
+    """Oracle: its end with a checkpoint, though a viewer pauses it."""
     port, control = free_port(), Control()
     with Server(LiveOptions(port=port)) as server, Client(port) as client:
         client.send({"resolution_x": 0, "resolution_y": 0, "train": 0})
@@ -136,7 +136,7 @@ def test_a_held_training_can_be_stopped(capture, tmp_path):  # noqa: F811
 
 
 def test_a_port_in_use_is_told_before_the_work(capture, tmp_path, gscore):  # noqa: F811
-    """Oracle: one sentence, exit code 2, no folder; nothing is opened with --disable-viewer."""
+    """Oracle: one sentence, exit code 2, no folder; no port is opened with --disable-viewer."""
     port, out = free_port(), tmp_path / "out"
     line = ("train", capture, "-o", out, "--iterations", "3", "--port", port, "--quiet", "--json")
     with Server(LiveOptions(port=port)):
@@ -151,7 +151,7 @@ def test_a_port_in_use_is_told_before_the_work(capture, tmp_path, gscore):  # no
 
 
 def test_who_can_watch_from_elsewhere_is_told(capture, tmp_path, gscore):  # noqa: F811
-    """Oracle: a warning for all addresses, none for the own computer's."""
+    """Oracle: a warning for all addresses, none for the local computer's."""
     line = ("train", capture, "--iterations", "2", "--port", free_port(), "--events", "jsonl")
     _, text, _ = gscore(*line, "-o", tmp_path / "a", "--ip", "0.0.0.0")
     assert "Any computer that reaches 0.0.0.0" in text
@@ -160,7 +160,7 @@ def test_who_can_watch_from_elsewhere_is_told(capture, tmp_path, gscore):  # noq
 
 
 def test_the_port_is_no_part_of_a_run(capture, tmp_path, gscore):  # noqa: F811
-    """Oracle: config.json, which others may have written, opens nothing."""
+    """Oracle: a config.json, possibly of another user, that opens no port."""
     out = tmp_path / "out"
     gscore("train", capture, "-o", out, "--iterations", "2", "--port", free_port(), "--quiet")
     assert "port" not in json.loads((out / "config.json").read_text())["train"]
