@@ -35,7 +35,8 @@ def wall(count: int = COUNT, seed: int = 5, degree_rest: int = 3) -> Splats:
 
 
 def camera(away: float, width: int = 96, height: int = 64) -> tuple[np.ndarray, np.ndarray]:
-    """K and viewmat of a camera so far before the wall that looks at a place off its middle."""
+    """K and viewmat of a camera at this distance in front of the wall that faces a place off its
+    middle."""
     viewmat = np.eye(4)
     viewmat[:3, 3] = 0.4, -0.3, away
     return np.array([[90.0, 0, width / 2], [0, 90.0, height / 2], [0, 0, 1]]), viewmat

@@ -1,4 +1,4 @@
-"""Files of levels of detail, built and read. Oracle: the PLY that they are made of."""
+"""Files of levels of detail, built and read. Oracle: the PLY that they are made from."""
 
 import itertools
 import re
@@ -30,7 +30,7 @@ def in_order(rows: np.ndarray) -> np.ndarray:
 
 
 def test_the_finest_level_is_the_model(ply: Path, lod: Path) -> None:
-    """Oracle: the rows of the PLY, to the bit, each once; boxes that hold them."""
+    """Oracle: the rows of the PLY, to the bit, each once; boxes that contain them."""
     with open_lod_file(lod) as file:
         chunks = list(file.chunks(0))
         level = file.index.levels[0]
@@ -44,7 +44,7 @@ def test_the_finest_level_is_the_model(ply: Path, lod: Path) -> None:
 
 
 def test_levels_have_a_quarter_each(lod: Path) -> None:
-    """Oracle: numbers of chunks and splats; errors grow, and pictures say by how much."""
+    """Oracle: numbers of chunks and splats; errors that grow, measured in pictures."""
     with open_lod_file(lod) as file:
         levels = file.index.levels
     assert [len(level.counts) for level in levels] == [16, 4, 1]
@@ -68,7 +68,7 @@ def test_chunks_are_compact_and_even() -> None:
 
 
 def test_the_same_bytes_again(ply: Path, lod: Path, tmp_path: Path, monkeypatch) -> None:
-    """Oracle: the bytes of a second build, whose parts of the PLY are of another size."""
+    """Oracle: the bytes of a second build, with parts of the PLY of another size."""
     from gscore.lod import build
     from gscore.lod.measure import measured_levels
 
@@ -122,7 +122,7 @@ def test_a_stopped_build_leaves_nothing(ply: Path, tmp_path: Path) -> None:
 
 
 def test_a_model_that_changes_meanwhile(ply: Path, tmp_path: Path) -> None:
-    """Oracle: a sentence where the second look finds fewer splats, and no file."""
+    """Oracle: a sentence where the second pass finds fewer splats, and no file."""
     path = tmp_path / "a.ply"
     write_splats(path, wall(300))
 
@@ -137,7 +137,7 @@ def test_a_model_that_changes_meanwhile(ply: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("share", [0, 0.001, 0.5, 0.999])
 def test_truncated(lod: Path, tmp_path: Path, share: float) -> None:
-    """Oracle: a sentence that names the file, whatever is missing at its end."""
+    """Oracle: a sentence that names the file, for any truncation."""
     path = tmp_path / "cut.lod"
     content = lod.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
@@ -153,7 +153,7 @@ def test_missing(tmp_path: Path) -> None:
 
 
 def test_a_damaged_chunk_is_named(lod: Path, tmp_path: Path) -> None:
-    """Oracle: one bit turned; chunks beside it are read."""
+    """Oracle: one flipped bit; neighbouring chunks are read."""
     content = bytearray(lod.read_bytes())
     with open_lod_file(lod) as file:
         begin = int(file.index.offsets(1)[2])
@@ -182,7 +182,7 @@ def test_a_damaged_chunk_is_named(lod: Path, tmp_path: Path) -> None:
     ],
 )
 def test_a_damaged_index(lod: Path, tmp_path: Path, old: bytes, new: bytes) -> None:
-    """Oracle: a sentence that names the file; the index is as long as before where that can be."""
+    """Oracle: a sentence that names the file; the index keeps its length where possible."""
     content = lod.read_bytes()
     begin = int(content[:HEADER_BYTES].split()[6])
     text, found = re.subn(old, new, content[begin:], count=1)
@@ -194,7 +194,7 @@ def test_a_damaged_index(lod: Path, tmp_path: Path, old: bytes, new: bytes) -> N
 
 
 def test_bytes_turned_at_random(lod: Path, tmp_path: Path) -> None:
-    """Oracle: what is read is either whole or refused by a sentence, wherever a byte differs."""
+    """Oracle: whole chunks or a sentence, for a difference in any byte."""
     content = lod.read_bytes()
     begin = int(content[:HEADER_BYTES].split()[6])
     rng = np.random.default_rng(4)
@@ -227,7 +227,7 @@ def test_giants_do_not_hide_the_errors_of_others(
 
 
 def test_errors_of_zero_are_not_believed(lod: Path) -> None:
-    """Oracle: what is chosen by the true errors: finest chunks close up, the coarsest far away."""
+    """Oracle: the choice by the true errors: finest chunks close up, the coarsest far away."""
     with open_lod_file(lod) as file:
         index = file.index
     levels = tuple(replace(one, errors=np.zeros(len(one.errors))) for one in index.levels)

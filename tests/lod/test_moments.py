@@ -1,4 +1,5 @@
-"""Several splats as one. Oracle: integrals on a grid, and moments written out in float64."""
+"""Several splats merged into one. Oracle: integrals on a grid, and moments written out in
+float64."""
 
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ def test_a_pair_keeps_its_moments() -> None:
 
 
 def test_merging_in_two_steps_is_merging_in_one() -> None:
-    """Oracle: moments do not depend on the order, where no opacity is cut."""
+    """Oracle: moments, which do not depend on the order unless opacity is clamped."""
     four = some(4, seed=4, opacities=np.full(4, -4.0))
     at_once = merged_by(four, np.zeros(4), np.zeros(4, np.int64), 1).splats
     halves = merged_by(four, np.zeros(4), np.array([0, 0, 1, 1]), 2)
@@ -69,8 +70,8 @@ def test_coverage_is_the_mean_shadow() -> None:
 
 
 def test_opacity_keeps_the_coverage() -> None:
-    """Oracle: of splats far apart the sum of coverages stays; of equal ones in one place the
-    opacity is that of all behind each other."""
+    """Oracle: the sum of coverages for splats far apart; the opacity of all behind each other for
+    equal ones in one place."""
     far = some(2, means=np.array([[0, 0, 0], [9.0, 0, 0]]), opacities=np.array([0.3, -1]))
     one = merged_by(far, np.zeros(2), np.zeros(2, np.int64), 1).splats
     assert projected_area(one)[0] == pytest.approx(projected_area(far).sum(), rel=1e-5)
@@ -83,7 +84,7 @@ def test_opacity_keeps_the_coverage() -> None:
 
 
 def test_the_error_is_how_far_splats_were_moved() -> None:
-    """Oracle: two equal points 2 apart were moved by 1 each; one that was off before adds."""
+    """Oracle: two equal points 2 apart, moved by 1 each; an earlier error adds."""
     points = some(
         2,
         means=np.array([[-1.0, 0, 0], [1, 0, 0]]),
@@ -107,7 +108,7 @@ def test_groups_are_neighbours() -> None:
 
 @pytest.mark.parametrize("wanted", [1, 2, 7, 59, 60])
 def test_as_many_groups_as_wanted(wanted: int) -> None:
-    """Oracle: the number, also where all splats lie in one place and cost the same."""
+    """Oracle: the number, also where all splats are in one place and cost the same."""
     rng = np.random.default_rng(1)
     for means in (rng.normal(size=(60, 3)), np.zeros((60, 3))):
         group = groups_of(means, np.ones(60), np.ones(60), np.zeros((60, 3)), wanted)
@@ -115,7 +116,7 @@ def test_as_many_groups_as_wanted(wanted: int) -> None:
 
 
 def test_extremes_stay_finite() -> None:
-    """Oracle: all numbers of what comes out, of sizes and opacities at the ends of float32."""
+    """Oracle: finite results, for sizes and opacities at the ends of float32."""
     rng = np.random.default_rng(2)
     splats = some(
         40,
@@ -131,7 +132,7 @@ def test_extremes_stay_finite() -> None:
 
 
 def test_a_wall_keeps_its_coverage() -> None:
-    """Oracle: the coverage before, a little of which overlaps."""
+    """Oracle: the previous coverage, a little of which overlaps."""
     splats = wall(2000)
     colors = splats.sh0[:, 0].astype(float)
     sizes = np.exp(splats.scales[:, 0].astype(float))

@@ -32,8 +32,8 @@ def turned(viewmat: np.ndarray, degrees: float) -> np.ndarray:
 def test_the_finest_everywhere_is_the_whole_model(
     ply: Path, lod: Path, away: float, degrees: float
 ) -> None:
-    """Oracle: the render of the PLY, within 1/255, from near, among the splats and looking away;
-    what is left out reaches no pixel."""
+    """Oracle: the render of the PLY, within 1/255, from near, among the splats and facing away;
+    omitted chunks reach no pixel."""
     K, viewmat = camera(away)
     viewmat = turned(viewmat, degrees)
     whole = render(read_ply(ply), K, viewmat, *SIZE, near=0.02)
@@ -46,8 +46,8 @@ def test_the_finest_everywhere_is_the_whole_model(
 
 
 def test_chunks_out_of_sight_are_not_read(lod: Path) -> None:
-    """Oracle: a camera close before the wall needs few of its 16 chunks; one that looks away, none
-    but those around it."""
+    """Oracle: a camera close to the wall needs few of its 16 chunks; one that faces away, none but
+    those around it."""
     K, viewmat = camera(0.5)
     with LodModel(lod) as model:
         model.render(K, viewmat, *SIZE, lod_px=0)
@@ -58,7 +58,7 @@ def test_chunks_out_of_sight_are_not_read(lod: Path) -> None:
 
 
 def test_far_cameras_take_coarse_levels(lod: Path) -> None:
-    """Oracle: fewer splats the farther the camera; near ones get the finest, whatever else."""
+    """Oracle: fewer splats the farther the camera; the finest level for near ones."""
     drawn = []
     with LodModel(lod) as model:
         for away in (0.5, 8, 30, 120, 2000):
@@ -72,7 +72,7 @@ def test_far_cameras_take_coarse_levels(lod: Path) -> None:
 
 
 def test_every_place_is_drawn_once(lod: Path) -> None:
-    """Oracle: the chunks of the finest level under those that are chosen; all are in sight."""
+    """Oracle: the chunks of the finest level under the chosen ones; all are in sight."""
     with LodModel(lod) as model:
         for pixels in (0.1, 0.3, 1.0, 3.0):
             K, viewmat = camera(14.0)
@@ -95,7 +95,7 @@ def test_pictures_get_better_with_the_level(ply: Path, lod: Path) -> None:
 
 
 def test_no_more_splats_than_asked_for(lod: Path) -> None:
-    """Oracle: the number; the error that this takes is told; the coarsest chunk is always drawn."""
+    """Oracle: the number; the resulting error is reported; the coarsest chunk is always drawn."""
     K, viewmat = camera(9.0)
     with LodModel(lod) as model:
         for most in (COUNT, 2000, 400, 375, 1):
@@ -106,7 +106,8 @@ def test_no_more_splats_than_asked_for(lod: Path) -> None:
 
 
 def test_a_path_shows_what_single_pictures_show(lod: Path) -> None:
-    """Oracle: each picture by a model that has drawn nothing before; chunks come, stay and go."""
+    """Oracle: each picture by a model without earlier pictures; chunks are loaded, kept and
+    dropped."""
     with LodModel(lod) as walking:
         for away in (20, 3, 1, 0.4, 1, 6, 40, 2):
             K, viewmat = camera(away)
@@ -118,7 +119,7 @@ def test_a_path_shows_what_single_pictures_show(lod: Path) -> None:
 
 
 def test_chunks_that_stay_are_not_read_again(lod: Path, monkeypatch) -> None:
-    """Oracle: how often the file is asked for a chunk."""
+    """Oracle: the number of chunk reads from the file."""
     with LodModel(lod) as model:
         asked = []
         chunk = type(model.file).chunk
