@@ -28,7 +28,7 @@ def wave_pair():
 
 @pytest.fixture
 def fake_dataset():
-    """A dataset of given photos and masks with what `evaluate` needs of one."""
+    """A dataset of given photos and masks with the attributes that `evaluate` needs."""
 
     def make(photos, masks=None, mask_mode="none"):
         masks = masks or [None] * len(photos)

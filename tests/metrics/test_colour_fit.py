@@ -1,4 +1,4 @@
-"""Colour-corrected PSNR; oracles: numpy's least squares a channel and half, and exact cases."""
+"""Colour-corrected PSNR; oracles: numpy's least squares per channel and half, and exact cases."""
 
 import math
 
@@ -44,7 +44,7 @@ def test_equals_least_squares_of_numpy(wave_pair, width):
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_gain_and_offset_of_the_picture_do_not_count(wave_pair, dtype):
-    """Oracle: the same picture before and after another gain and offset a channel, unclipped."""
+    """Oracle: the same picture before and after another gain and offset per channel, unclipped."""
     image, target = wave_pair(40, 53)
     changed = image * [0.7, 0.4, 0.9] + [0.2, 0.05, 0.0]
     assert changed.min() >= 0 and changed.max() <= 1
@@ -65,7 +65,7 @@ def test_what_differs_by_gain_and_offset_alone_is_infinite(wave_pair):
 
 
 def test_the_corrected_picture_is_clamped_like_the_others():
-    """Oracle: by hand. The fit asks for 1.2 and -0.2 where the photo is white and black."""
+    """Oracle: by hand. The fit gives 1.2 and -0.2 where the photo is white and black."""
     target = np.zeros((1, 4, 3))
     target[0, :, :] = np.array([0.4, 0.6, 1.0, 0.0])[:, None]
     image = np.zeros_like(target)
@@ -77,7 +77,7 @@ def test_the_corrected_picture_is_clamped_like_the_others():
 
 
 def test_pixels_outside_the_mask_are_nothing(wave_pair):
-    """Oracle: the picture cut to the mask, which is off the middle, whatever stands outside."""
+    """Oracle: the picture cut to the mask, which is off the middle, for any content outside."""
     image, target = wave_pair(40, 60)
     mask = np.zeros((40, 60), np.uint8)
     mask[5:30, 41:] = 255
@@ -108,8 +108,8 @@ def test_a_fit_never_loses_on_its_own_pixels():
 
 
 def test_a_flat_half_does_not_spoil_the_other(wave_pair):
-    """Oracle: a sky of noise below one 8-bit level beside a scene that is right; the sky's own fit
-    would multiply the scene's contrast by hundreds or by nothing."""
+    """Oracle: a sky of noise below one 8-bit level next to a correct scene; the sky's own fit would
+    multiply the scene's contrast by hundreds or by zero."""
     _, target = wave_pair(40, 60)
     rng = np.random.default_rng(2)
     target[:, :30] = 0.8
@@ -120,7 +120,7 @@ def test_a_flat_half_does_not_spoil_the_other(wave_pair):
 
 
 def test_what_has_no_halves_says_so(fake_dataset):
-    """Oracle: null with a reason; a mean without the view that a mask hides whole."""
+    """Oracle: null with a reason; a mean without the view that a mask hides entirely."""
     rng = np.random.default_rng(0)
     image, target = rng.uniform(0, 1, (2, 9, 12, 3))
     narrow = np.zeros((9, 12), np.uint8)

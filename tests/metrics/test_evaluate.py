@@ -15,7 +15,7 @@ from gscore.text_format import quality_words
 
 
 class FakeLpips:
-    """Stands in for a network: the mean absolute difference."""
+    """Replacement for a network: the mean absolute difference."""
 
     key, net = "lpips_fake", "fake"
 
@@ -119,14 +119,14 @@ def test_a_broken_render_names_the_view(fake_dataset):
 
 
 def test_no_views_give_nulls(fake_dataset):
-    """Oracle: every metric is null and says why."""
+    """Oracle: null for every metric, with a reason."""
     mean = evaluate(lambda i: None, fake_dataset([]), []).mean
     assert mean["psnr"] is None and mean["psnr_reason"] == "no view to score"
     assert mean["fps"] is None
 
 
 def test_identical_pictures_become_null_not_infinity(fake_dataset, tmp_path):
-    """Oracle: strict JSON has no infinity."""
+    """Oracle: strict JSON, which has no infinity."""
     pictures = photos(1)
     result = evaluate(lambda i: pictures[i] / 255.0, fake_dataset(pictures), [0])
     assert result.mean["psnr"] is None and "view_0.png" in result.mean["psnr_reason"]
@@ -134,7 +134,7 @@ def test_identical_pictures_become_null_not_infinity(fake_dataset, tmp_path):
 
 
 def test_metrics_json(metrics_dict, tmp_path):
-    """Oracle: the keys programs read, and a file replaced as a whole."""
+    """Oracle: the keys that programs read, and a file replaced as a whole."""
     metrics, _ = metrics_dict()
     path = tmp_path / "metrics.json"
     path.write_text("old")

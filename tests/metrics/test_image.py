@@ -144,7 +144,7 @@ def test_ms_ssim_equals_window_by_window(wave_pair, size):
 
 
 def test_ms_ssim_of_an_inverted_picture_is_zero_not_complex():
-    """Oracle: negative correlation has a negative mean, which counts as 0."""
+    """Oracle: the negative mean of a negative correlation, which counts as 0."""
     a = np.random.default_rng(3).random((164, 170, 3))
     assert ms_ssim(a, 1 - a) == 0.0
 
@@ -153,7 +153,7 @@ def test_other_programs_agree(wave_pair):
     """Oracle: scikit-image 0.26.0 (SSIM), pytorch-msssim 1.0.0, torchmetrics 1.9.0 (PSNR)."""
     a, b = wave_pair(192, 224)
     assert ssim(a, b, padding="valid") == pytest.approx(0.7803804919944625, abs=1e-12)
-    # pytorch-msssim holds its window in float32.
+    # pytorch-msssim stores its window in float32.
     assert ms_ssim(a, b) == pytest.approx(0.949907687050, abs=1e-6)
     assert psnr(a, b) == pytest.approx(24.1710, abs=5e-5)
 
@@ -246,14 +246,14 @@ def test_what_does_not_fit_is_null_with_a_reason(random_pair):
     ],
 )
 def test_bad_pictures_are_refused(random_pair, bad, says):
-    """Oracle: the error names what was wrong."""
+    """Oracle: the error, with the fault."""
     for metric in (psnr, psnr_u8, ssim, image_metrics):
         with pytest.raises(ShapeError, match=says):
             metric(bad, random_pair[1])
 
 
 def test_sizes_and_masks_that_cannot_work_are_refused(random_pair):
-    """Oracle: the error names what was needed."""
+    """Oracle: the error, with the requirement."""
     with pytest.raises(ShapeError, match="at least 161 x 161 pixels, got 53 x 40"):
         ms_ssim(*random_pair)
     with pytest.raises(ShapeError, match="at least 11 x 11"):
@@ -263,7 +263,7 @@ def test_sizes_and_masks_that_cannot_work_are_refused(random_pair):
 
 
 def test_every_metric_is_declared(wave_pair):
-    """Oracle: what `image_metrics` gives; one that is not declared no table would show."""
+    """Oracle: the keys of `image_metrics`; tables would omit an undeclared one."""
     pair = wave_pair(180, 200)
     mask = np.full((180, 200), 255, np.uint8)
     mask[:20] = 0

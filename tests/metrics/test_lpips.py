@@ -1,4 +1,4 @@
-"""LPIPS against values published for the network, and what happens without it."""
+"""LPIPS against published values of the network, and its absence."""
 
 import os
 import sys
@@ -32,7 +32,7 @@ class TestNetwork:
     pytestmark = needs_network
 
     def test_documented_example_of_torchmetrics(self, squeeze):
-        """Oracle: torchmetrics prints 0.1005 for this pair of uniform noise batches."""
+        """Oracle: 0.1005 for this pair of uniform noise batches, as printed by torchmetrics."""
         torch.manual_seed(42)
         first = (torch.rand(10, 3, 100, 100) * 2) - 1
         second = (torch.rand(10, 3, 100, 100) * 2) - 1
@@ -41,7 +41,7 @@ class TestNetwork:
         assert np.mean([squeeze(x, y) for x, y in pairs]) == pytest.approx(0.1005, abs=5e-5)
 
     def test_identical_is_zero_and_worse_is_larger(self, squeeze):
-        """Oracle: noise and blur of growing strength must not come nearer."""
+        """Oracle: noise and blur of growing strength, at growing distances."""
         photo = Image.open(sorted((Path(DATA) / "data" / "plush" / "images").glob("*"))[0])
         photo = photo.resize((400, 300))
         clean = np.asarray(photo) / 255.0
@@ -65,7 +65,7 @@ class TestNetwork:
         assert squeeze(np.zeros((32, 32, 3)), np.ones((32, 32, 3))) > 0.01
 
     def test_found_through_the_environment(self, monkeypatch):
-        """Oracle: the documented order of places."""
+        """Oracle: the documented search order."""
         pytest.importorskip("onnxruntime")
         monkeypatch.delenv("GSCORE_LPIPS", raising=False)
         found, reason = find_lpips()

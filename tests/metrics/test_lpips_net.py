@@ -1,7 +1,7 @@
-"""LPIPS by the package of its authors: our numbers are the package's; what is said without it.
+"""LPIPS by the package of its authors: equal numbers, and the messages without it.
 
-torchvision's weights cannot be had where tests run: weights are drawn at random into a file of
-torchvision's layout, but for squeeze, whose real ones lie in GSCORE_DATA.
+torchvision's weights are not available where tests run: random weights are written to a file of
+torchvision's layout, except for squeeze, whose real ones are in GSCORE_DATA.
 """
 
 import os
@@ -37,7 +37,7 @@ def package():
 
 
 def _load_torchvision() -> None:
-    """Where its operators are of another build, each is declared, so that its models load."""
+    """Load torchvision; declare each operator of another build, so that its models load."""
     for _ in range(30):
         try:
             import_module("torchvision")
@@ -108,7 +108,7 @@ def test_real_weights_agree_with_the_file(
 
 
 def test_missing_weights_are_told(package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the sentence names the file, its size and what to do; nothing is fetched."""
+    """Oracle: the sentence, with the file, its size and a remedy; no download."""
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     with pytest.raises(ConfigError, match=r"alexnet-owt.*233 MB.*--lpips-download"):
         find_lpips(Path("alex"))
@@ -126,7 +126,7 @@ def test_a_damaged_file_is_told(package, tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the command that brings it."""
+    """Oracle: the command that installs it."""
     monkeypatch.setitem(sys.modules, "lpips", None)
     with pytest.raises(BackendError, match=r"pip install .gscore\[lpips-torch\]"):
         LpipsNet("alex")
@@ -135,14 +135,14 @@ def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_command_refuses_in_words(
     package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: exit code 2 before anything is read."""
+    """Oracle: exit code 2 before any file is read."""
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     assert main(["eval", str(tmp_path), "--lpips", "vgg", "--quiet"]) == 2
     assert "vgg16-397923af.pth" in capsys.readouterr().err
 
 
 def test_torch_looks_where_we_look(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Oracle: torch's own function, for each of the variables that it heeds."""
+    """Oracle: torch's own function, for each of its environment variables."""
     for names in ({}, {"XDG_CACHE_HOME": "x"}, {"TORCH_HOME": "t", "XDG_CACHE_HOME": "x"}):
         for name in ("TORCH_HOME", "XDG_CACHE_HOME"):
             monkeypatch.delenv(name, raising=False)

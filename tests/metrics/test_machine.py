@@ -31,7 +31,7 @@ def test_peak_memory_sees_an_allocation_and_not_the_parent():
 
 
 def test_memory_is_plausible():
-    """Oracle: what is available is part of what there is."""
+    """Oracle: the total memory, which is at least the available part."""
     total, available = m.total_memory_bytes(), m.available_memory_bytes()
     assert total is not None and total > 2**28
     if available is not None:
@@ -70,7 +70,7 @@ def test_groups_around_the_process_count(tmp_path):
 
 
 def test_groups_of_the_first_version_count(tmp_path):
-    """Oracle: by hand; near 2^63 means no limit, and other controllers have none of memory."""
+    """Oracle: by hand; near 2^63 means no limit, and other controllers have no memory limits."""
     listing, root = tmp_path / "cgroup", tmp_path / "fs"
     listing.write_text("4:memory:/docker/abc\n3:cpuset:/x\n1:name=systemd:/\n")
     names = {"memory__limit_in_bytes": 9_000, "memory__usage_in_bytes": 8_000}

@@ -1,4 +1,4 @@
-"""Errors told for each splat, against splats that are white one after the other, in float64."""
+"""Errors per splat, against float64 pictures of one white splat after the other."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def some(count: int) -> Splats:
 
 @pytest.fixture
 def cameras() -> Cameras:
-    """Two that look at the origin, from 6 away."""
+    """Two cameras that face the origin, 6 away."""
     viewmats = np.tile(np.eye(4), (2, 1, 1))
     viewmats[1, :3, :3] = np.roll(np.eye(3), 1, axis=1)
     viewmats[:, 2, 3] = 6
@@ -45,7 +45,7 @@ def cameras() -> Cameras:
 
 
 def weights_of(splats: Splats, row: int, cameras: Cameras, index: int) -> np.ndarray:
-    """[H, W] float64: with how much weight a splat is in each pixel: it is white, others black."""
+    """[H, W] float64: the weight of a splat in each pixel, rendered in white among black ones."""
     colors = np.zeros((len(splats), 1, 3))
     colors[row] = 1
     lone = replace(splats, sh0=rgb_to_sh0(colors).astype(np.float32))
@@ -55,7 +55,7 @@ def weights_of(splats: Splats, row: int, cameras: Cameras, index: int) -> np.nda
 
 
 def test_mean_errors_of_the_pixels_of_each_splat(cameras: Cameras) -> None:
-    """Oracle: weighted means, splat by splat; pixels without weight, or half of it, count so."""
+    """Oracle: weighted means, splat by splat, with pixels of zero or half weight."""
     splats, rng = some(40), np.random.default_rng(3)
     found = SplatErrors(splats)
     sums = np.zeros((len(splats), 2))
@@ -77,7 +77,7 @@ def test_mean_errors_of_the_pixels_of_each_splat(cameras: Cameras) -> None:
 
 
 def test_nothing_seen_has_no_error(cameras: Cameras) -> None:
-    """Oracle: splats that are far away from all cameras."""
+    """Oracle: splats far away from all cameras."""
     splats = some(5)
     found = SplatErrors(replace(splats, means=splats.means + np.float32(1000)))
     size = int(cameras.widths[0]), int(cameras.heights[0])
@@ -87,7 +87,7 @@ def test_nothing_seen_has_no_error(cameras: Cameras) -> None:
 
 
 def test_the_map_has_their_colors() -> None:
-    """Oracle: the colour map of error pictures; all else of the splats stays."""
+    """Oracle: the colour map of error pictures; all other values of the splats are unchanged."""
     splats = some(4)
     errors = np.float32([0.0, 0.1, 0.4, np.nan])
     found = error_map(splats, errors, bright=0.2)

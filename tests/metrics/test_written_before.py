@@ -15,11 +15,11 @@ FOLDER = Path(__file__).parent / "written_before"
 STORED: dict[str, Any] = json.loads((FOLDER / "metrics.json").read_text())
 MEANS = list(STORED)[: list(STORED).index("splats")]
 MACHINE = {"isa", "threads"}
-"""What the rasterizer ran with; the rest is the machine's."""
+"""The environment of the rasterizer; the rest depends on the machine."""
 
 
 def _metrics(monkeypatch: pytest.MonkeyPatch) -> Metrics:
-    """What the file was made from."""
+    """The source of the file."""
     rest = {key: value for key, value in STORED["machine"].items() if key not in MACHINE}
     monkeypatch.setattr(summary, "machine", lambda: rest)
     monkeypatch.setattr(summary, "__version__", STORED["gscore"])
@@ -40,14 +40,14 @@ def test_the_content_is_what_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_file_written_before_is_read_whole() -> None:
-    """Oracle: the file; nothing of it is left out, and a page is made of it."""
+    """Oracle: the whole file, and a page made from it."""
     assert metrics_problem(FOLDER) == "" and read_metrics(FOLDER) == STORED
     page = report_html(Report(title="x", metrics=read_metrics(FOLDER)))
     assert "24.50" in page and "10 steps" in page
 
 
 def test_what_is_not_finite_is_null(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: strict JSON, which has no NaN; numbers beside it stay."""
+    """Oracle: strict JSON, which has no NaN; other numbers stay."""
     rows = [{"step": 1, "loss": float("inf"), "psnr": float("nan"), "phase": "training"}]
     metrics = Metrics(**{**vars(_metrics(monkeypatch)), "course": Course(history=rows)})
     (row,) = metrics.content()["history"]
