@@ -1,4 +1,4 @@
-"""One video for most tests: a walk with shaken, held and still stretches."""
+"""One video for most tests: a walk with shaken, frozen and still stretches."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +11,12 @@ from . import films
 
 @dataclass(frozen=True)
 class Film:
-    """A video and what was done to each of its frames."""
+    """A video and the effects on each of its frames."""
 
     path: Path
     kinds: list[str]
     places: np.ndarray
-    """[n] float64, true way of the camera in shares of the picture's width."""
+    """[n] float64, true path of the camera in shares of the picture's width."""
     pictures: list[np.ndarray]
 
 

@@ -1,4 +1,4 @@
-"""Small videos: a camera that goes past a textured wall, with blur and held frames where asked."""
+"""Small videos: a camera that passes a textured wall, with optional blur and repeated frames."""
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
@@ -12,8 +12,8 @@ WIDTH, HEIGHT = 480, 272
 
 
 def wall(width: int = 2600, height: int = 400, seed: int = 0) -> np.ndarray:
-    """[height, width, 3] uint8: noise of several sizes, so that blur of any length is seen; fine
-    one is grey, as video stores colours at half the resolution."""
+    """[height, width, 3] uint8: noise of several sizes, so that blur of any length is detectable;
+    fine noise is grey, because video stores colours at half the resolution."""
     rng = np.random.default_rng(seed)
     total = np.zeros((height, width, 3), np.float32)
     for size in (1, 2, 4, 8, 16, 32):
@@ -25,7 +25,7 @@ def wall(width: int = 2600, height: int = 400, seed: int = 0) -> np.ndarray:
 
 
 def seen(texture: np.ndarray, x: float, *, blur: int = 1) -> np.ndarray:
-    """[HEIGHT, WIDTH, 3] uint8 from place x on, the mean over `blur` pixels of the way."""
+    """[HEIGHT, WIDTH, 3] uint8 from place x on, the mean over `blur` pixels of the path."""
     total = np.zeros((HEIGHT, WIDTH, 3), np.float32)
     for step in range(blur):
         begin = round(x) + step

@@ -1,4 +1,4 @@
-"""Which frames of a video are chosen: the true way of its camera, and what was done to frames."""
+"""Frames chosen from a video: the true path of its camera, and the effects on frames."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def looked(film: Film) -> Survey:
 
 
 def test_the_way_is_the_cameras(film: Film, looked: Survey) -> None:
-    """Oracle: the places the pictures were cut out at."""
+    """Oracle: the places that the pictures were cut out at."""
     true = film.places - film.places[0]
     assert np.abs(looked.travel - true).max() < 0.05  # of 3.3 picture widths
     assert looked.travel[-1] == pytest.approx(true[-1], rel=0.02)
@@ -28,7 +28,7 @@ def test_the_way_is_the_cameras(film: Film, looked: Survey) -> None:
 
 
 def test_trembling_does_not_add_up(film: Film, looked: Survey) -> None:
-    """Oracle: a camera that trembles by two pixels for a second stays within a few of them."""
+    """Oracle: a camera that trembles by two pixels for a second, with a path of a few of them."""
     still = [i for i, kind in enumerate(film.kinds) if kind == "still"]
     assert looked.travel[still[-1]] - looked.travel[still[0]] < 6 / films.WIDTH
 
@@ -43,7 +43,7 @@ def test_held_frames_are_known(film: Film, looked: Survey) -> None:
 
 @pytest.mark.parametrize("count", [12, 40, 0])
 def test_frames_are_sharp_and_evenly_spread(film: Film, looked: Survey, count: int) -> None:
-    """Oracle: no shaken or held frame; steps of the true way that are near their median."""
+    """Oracle: no shaken or repeated frame; steps of the true path near their median."""
     choice = choose(looked, count)
     kinds = [film.kinds[i] for i in choice.frames]
     assert "shaken" not in kinds and "held" not in kinds
@@ -80,7 +80,7 @@ def test_the_sharpest_of_a_piece_is_taken() -> None:
 
 
 def test_a_turn_too_fast_to_follow_counts_as_far() -> None:
-    """Oracle: pictures of different places have no displacement, yet the camera has moved."""
+    """Oracle: pictures of different places, without a displacement although the camera moves."""
     travel = Travel(256, 192)
     rng = np.random.default_rng(0)
     ways = [travel.add(rng.integers(0, 256, (192, 256), dtype=np.uint8)) for _ in range(5)]
@@ -88,7 +88,7 @@ def test_a_turn_too_fast_to_follow_counts_as_far() -> None:
 
 
 def test_a_blank_wall_stands_still() -> None:
-    """Oracle: pictures without texture, equal but for noise, show no motion."""
+    """Oracle: pictures without texture, equal but for noise, without motion."""
     travel = Travel(256, 192)
     rng = np.random.default_rng(0)
     flat = np.full((192, 256), 128)
@@ -99,7 +99,7 @@ def test_a_blank_wall_stands_still() -> None:
 
 
 def test_looking_ends_when_asked(film: Film) -> None:
-    """Oracle: the count of frames at which it was asked."""
+    """Oracle: the number of frames at the stop request."""
     seen: list[int] = []
     with opened_video(film.path) as video, pytest.raises(Cancelled):
         survey(video, on_frame=seen.append, cancelled=lambda: len(seen) == 7)
@@ -107,7 +107,7 @@ def test_looking_ends_when_asked(film: Film) -> None:
 
 
 def test_around_a_subject_pictures_change_and_hardly_move() -> None:
-    """Oracle: the angle of a cylinder with a pattern before black, whose outline stands still."""
+    """Oracle: the angle of a cylinder with a pattern on black, with a still outline."""
     rng = np.random.default_rng(0)
     pattern = np.kron(rng.integers(0, 255, (40, 180)), np.ones((4, 4)))
     x = (np.arange(320) - 159.5) / 60
@@ -124,7 +124,7 @@ def test_around_a_subject_pictures_change_and_hardly_move() -> None:
 
 
 def test_a_shake_takes_no_frames_from_the_rest() -> None:
-    """Oracle: a camera that goes evenly, but for ten blurred frames in which it flies about."""
+    """Oracle: an evenly moving camera with ten blurred frames of fast motion."""
     steps, detail = np.full(200, 0.01), np.full(200, 100.0)
     steps[0], steps[90:100], detail[90:100] = 0, 2.0, 1
     looked = Survey(

@@ -1,4 +1,4 @@
-"""Frames of a video as files: what they hold, the folder they come in, and running again."""
+"""Frames of a video as files: their content, their folder, and second runs."""
 
 import json
 from dataclasses import replace
@@ -32,7 +32,7 @@ def _psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 @pytest.mark.parametrize("kind", ["jpg", "png"])
 def test_files_hold_the_frames_their_names_say(film: Film, tmp_path: Path, kind: str) -> None:
-    """Oracle: the pictures the video was made of; JPEG costs less than the video did."""
+    """Oracle: the pictures the video was made of; a smaller loss by JPEG than by the video."""
     done = extract_frames(
         ExtractRequest(video=film.path, output=tmp_path / "out", frames=20, format=kind)
     )
@@ -42,7 +42,7 @@ def test_files_hold_the_frames_their_names_say(film: Film, tmp_path: Path, kind:
         index = int(name[6:12])
         true = film.pictures[index].astype(int)
         right = _psnr(pixels, true)
-        assert right > 22  # what the video itself costs at its noise
+        assert right > 22  # loss of the video itself at its noise
         for other in (index - 1, index + 1):
             assert right > _psnr(pixels, film.pictures[other].astype(int)) + 3
     record = json.loads((tmp_path / "out" / "frames.json").read_text())
@@ -71,7 +71,7 @@ def test_the_same_video_gives_the_same_bytes(film: Film, tmp_path: Path) -> None
 
 
 def test_a_second_run_finds_its_frames(film: Film, tmp_path: Path) -> None:
-    """Oracle: the times of the files; other options are refused, a lost file is noticed."""
+    """Oracle: the times of the files; other options are refused, a missing file is detected."""
     out = tmp_path / "out"
     first = extract_frames(ExtractRequest(video=film.path, output=out, frames=10))
     stamps = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
@@ -92,8 +92,8 @@ def test_a_second_run_finds_its_frames(film: Film, tmp_path: Path) -> None:
 def test_frames_are_replaced_where_that_is_asked_for(
     film: Film, tmp_path: Path, capsys: Out
 ) -> None:
-    """Oracle: the folder afterwards: the new frames alone; with a file of somebody else's beside
-    the old ones, all as it was."""
+    """Oracle: the folder afterwards: the new frames alone; unchanged with a user's file next to the
+    old ones."""
     out = tmp_path / "out"
     line = ["frames", str(film.path), "-o", str(out), "--quiet"]
     assert main([*line, "--frames", "10"]) == 0
@@ -113,8 +113,8 @@ def test_frames_are_replaced_where_that_is_asked_for(
 
 
 def test_one_process_at_a_time_writes_into_a_folder(film: Film, tmp_path: Path) -> None:
-    """Oracle: the sentence of the second, begun while the first looks and while it writes, and the
-    frames of the first alone; a third finds them."""
+    """Oracle: the sentence of the second, begun while the first analyses and while it writes, and
+    the frames of the first alone; a third finds them."""
     request = ExtractRequest(video=film.path, output=tmp_path / "new/out", frames=10)
     refused: set[str] = set()
 
@@ -134,7 +134,7 @@ def test_one_process_at_a_time_writes_into_a_folder(film: Film, tmp_path: Path) 
 def test_frames_of_another_process_that_has_ended_meanwhile_are_found(
     film: Film, tmp_path: Path
 ) -> None:
-    """Oracle: the names and times of the files that it wrote."""
+    """Oracle: the names and times of the files of that process."""
     request = ExtractRequest(video=film.path, output=tmp_path / "out", frames=10)
     waiting = FrameFolder(request)
     extract_frames(request)
@@ -154,7 +154,7 @@ def test_a_hidden_folder_of_somebody_else_stays(film: Film, tmp_path: Path, name
 
 
 def test_what_a_killed_run_left_is_replaced(film: Film, tmp_path: Path) -> None:
-    """Oracle: the folder afterwards: a lock that nobody has and half of the frames are gone."""
+    """Oracle: the folder afterwards, without a stale lock and half of the frames."""
     left = tmp_path / ".out.frames"
     (left / "frames").mkdir(parents=True)
     (left / "lock").write_text('{"pid": 1}')
@@ -172,7 +172,7 @@ def test_what_a_killed_run_left_is_replaced(film: Film, tmp_path: Path) -> None:
 def test_a_record_that_lacks_something_is_no_record(
     film: Film, taken: Path, key: str, value: object
 ) -> None:
-    """Oracle: the frames are not taken for complete; the sentence says how to replace them."""
+    """Oracle: frames treated as incomplete; a sentence on how to replace them."""
     path = taken / "frames.json"
     before = path.read_text()
     record = json.loads(before)
@@ -271,7 +271,7 @@ def test_events_tell_how_far_it_is(film: Film, tmp_path: Path) -> None:
 
 
 def test_what_is_called_a_video(tmp_path: Path) -> None:
-    """Oracle: names of files; a folder of that name is none."""
+    """Oracle: names of files; a folder of that name is no video."""
     (tmp_path / "a.MOV").write_bytes(b"")
     (tmp_path / "b.mp4").mkdir()
     (tmp_path / "c.jpg").write_bytes(b"")

@@ -1,4 +1,4 @@
-"""Videos as cameras and programs make them, and files that are none."""
+"""Videos of cameras and programs, and files that are no videos."""
 
 import wave
 from collections.abc import Callable
@@ -32,8 +32,8 @@ _TURNED = {
     "all zero": ((0, 0, 0, 0), lambda p: p),
     "one line": ((1, 1, 0, 0), lambda p: p),
 }
-"""a b c d of the matrix of a track (ISO 14496-12, 6.2.2): the pixel at x, y comes to a x + c y,
-b x + d y; and the same done to a picture. The last two show nothing, so they are left out."""
+"""a b c d of the matrix of a track (ISO 14496-12, 6.2.2): the pixel at x, y comes to a x + c y, b x
++ d y; and the same for a picture. The last two are degenerate, so they are left out."""
 _UPRIGHT = b"".join(n.to_bytes(4, "big") for n in (0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000))
 
 
@@ -59,8 +59,8 @@ def _first(frames: Frames) -> tuple[int, np.ndarray]:
 def test_turned_and_mirrored_video_is_shown_as_stated(
     walk: list[np.ndarray], tmp_path: Path, name: str
 ) -> None:
-    """Oracle: the matrix of ISO 14496-12, written into the file by hand; `info` states the size
-    that the frames have."""
+    """Oracle: the matrix of ISO 14496-12, written into the file by hand; the size of the frames in
+    `info`."""
     path = films.write(tmp_path / "phone.mp4", walk)
     (a, b, c, d), turn = _TURNED[name]
     values = (a << 16, b << 16, 0, c << 16, d << 16, 0, 0, 0, 1 << 30)
@@ -78,14 +78,14 @@ def test_turned_and_mirrored_video_is_shown_as_stated(
 
 
 def _joined(folder: Path, first: list[np.ndarray], second: list[np.ndarray]) -> Path:
-    """Two transport streams one after the other, as recorders and `cat` leave them."""
+    """Two transport streams one after the other, as in files of recorders and `cat`."""
     parts = [films.write(folder / f"{i}.ts", film) for i, film in enumerate((first, second))]
     (folder / "joined.ts").write_bytes(b"".join(part.read_bytes() for part in parts))
     return folder / "joined.ts"
 
 
 def test_the_time_goes_on_where_videos_were_joined(tmp_path: Path) -> None:
-    """Oracle: 45 frames and 45 more at 30 a second, whatever the times that begin anew say."""
+    """Oracle: 45 frames and 45 more at 30 a second, for any restart of the time stamps."""
     walk = films.walk(90)
     done = _frames(_joined(tmp_path, walk[:45], walk[45:]), tmp_path, count=9)
     assert done.total == 90
@@ -95,7 +95,7 @@ def test_the_time_goes_on_where_videos_were_joined(tmp_path: Path) -> None:
 def test_videos_of_two_sizes_in_one_are_refused(
     walk: list[np.ndarray], tmp_path: Path, capsys: Out
 ) -> None:
-    """Oracle: both sizes that were written, in one sentence; no frames."""
+    """Oracle: both written sizes in one sentence; no frames."""
     large = [np.repeat(np.repeat(picture, 2, 0), 2, 1) for picture in walk]
     path = _joined(tmp_path, walk, large)
     assert main(["frames", str(path), "-o", str(tmp_path / "out"), "--quiet"]) == 2
@@ -108,8 +108,8 @@ def test_videos_of_two_sizes_in_one_are_refused(
 def test_times_that_hide_all_frames_but_one_are_named(
     box: bytes, walk: list[np.ndarray], tmp_path: Path, capsys: Out
 ) -> None:
-    """Oracle: 45 frames are in the file; the time base of its track or of its edit list is changed,
-    so that the edit list ends after the first."""
+    """Oracle: 45 frames in the file; the time base of its track or of its edit list is changed, so
+    that the edit list ends after the first."""
     path = films.write(tmp_path / "odd.mp4", walk)
     data = bytearray(path.read_bytes())
     at = data.index(box) + 16  # ISO 14496-12, 8.2.2 and 8.4.2: version 0, timescale
@@ -124,7 +124,7 @@ def test_times_that_hide_all_frames_but_one_are_named(
 def test_flipped_bits_of_packet_headers_are_damage(
     seed: int, walk: list[np.ndarray], tmp_path: Path
 ) -> None:
-    """Oracle: at most the 45 frames that went in, or the sentence that none is left: PyAV ends such
+    """Oracle: at most the 45 original frames, or the sentence that none is left: PyAV ends such
     transport streams, in which damage makes new streams, with an IndexError."""
     data = bytearray(_with_sound(tmp_path / "hurt.ts", walk).read_bytes())
     rng = np.random.default_rng(seed)
@@ -159,7 +159,7 @@ def _with_sound(path: Path, walk: list[np.ndarray]) -> Path:
 
 
 def test_times_are_those_of_a_variable_rate(walk: list[np.ndarray], tmp_path: Path) -> None:
-    """Oracle: the times that the frames were written with."""
+    """Oracle: the written times of the frames."""
     gaps = np.random.default_rng(0).integers(10, 120, len(walk)) / 1000
     times = np.cumsum(gaps) - gaps[0]
     path = films.write(tmp_path / "vfr.mp4", walk, times=times.tolist())
@@ -168,7 +168,8 @@ def test_times_are_those_of_a_variable_rate(walk: list[np.ndarray], tmp_path: Pa
 
 
 def test_pixels_become_square(walk: list[np.ndarray], tmp_path: Path) -> None:
-    """Oracle: 4:3 pixels make 480 columns 640, 3:4 pixels 272 lines 363; none is lost."""
+    """Oracle: 640 columns from 480 of 4:3 pixels, 363 lines from 272 of 3:4 pixels; none is
+    lost."""
     wide = films.write(tmp_path / "wide.mp4", walk, aspect=Fraction(4, 3))
     done = _frames(wide, tmp_path / "a")
     assert (done.width, done.height) == (640, 272)
@@ -178,7 +179,7 @@ def test_pixels_become_square(walk: list[np.ndarray], tmp_path: Path) -> None:
 
 
 def test_fields_of_two_moments_are_parted(tmp_path: Path) -> None:
-    """Oracle: the picture of one moment; lines of two moments form combs, which are gone."""
+    """Oracle: the picture of one moment; no combs from lines of two moments."""
     moments = films.walk(90, step=5.0)
     woven = []
     for first, second in zip(moments[::2], moments[1::2], strict=True):
@@ -201,7 +202,7 @@ def test_fields_of_two_moments_are_parted(tmp_path: Path) -> None:
 
 
 def test_ten_bits_are_rounded(walk: list[np.ndarray], tmp_path: Path) -> None:
-    """Oracle: the pictures that went in."""
+    """Oracle: the original pictures."""
     path = films.write(tmp_path / "ten.mp4", walk, codec="libx265", pix_fmt="yuv420p10le")
     index, pixels = _first(_frames(path, tmp_path))
     assert np.abs(pixels - walk[index]).mean() < 12
@@ -209,7 +210,7 @@ def test_ten_bits_are_rounded(walk: list[np.ndarray], tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("kind", "white"), [("HDR (PQ)", 0.5807), ("HDR (HLG)", 0.75)])
 def test_paper_is_white_in_hdr(kind: str, white: float) -> None:
-    """Oracle: BT.2408: these signals are a white sheet; greys stay grey and in their order."""
+    """Oracle: BT.2408: these signals are a white sheet; greys stay grey and in order."""
     signal = np.linspace(0, 1, 257)
     signal[200] = white
     signal.sort()
@@ -334,7 +335,7 @@ def test_what_is_no_video_is_refused_in_words(
     tmp_path: Path,
     capsys: Out,
 ) -> None:
-    """Oracle: exit code 2, one sentence that says what, and nothing written."""
+    """Oracle: exit code 2, one sentence with the reason, and no files."""
     make(tmp_path / name, walk)
     assert main(["frames", str(tmp_path / name), "-o", str(tmp_path / "out"), "--quiet"]) == 2
     said = " ".join(capsys.readouterr().err.split())
@@ -343,7 +344,7 @@ def test_what_is_no_video_is_refused_in_words(
 
 
 def test_a_video_cut_short_is_used_as_far_as_it_goes(tmp_path: Path) -> None:
-    """Oracle: a file whose index stands at its beginning, cut in the middle of its pictures."""
+    """Oracle: a file with its index at the beginning, cut in the middle of its pictures."""
     path = films.write(
         tmp_path / "cut.mp4", films.walk(120), options={"crf": "12", "g": "10"},
         muxer={"movflags": "+faststart"},
@@ -355,7 +356,7 @@ def test_a_video_cut_short_is_used_as_far_as_it_goes(tmp_path: Path) -> None:
 
 
 def test_damaged_frames_are_left_out(tmp_path: Path) -> None:
-    """Oracle: the pictures that went in: none that was chosen shows the damage."""
+    """Oracle: the original pictures: no chosen one shows the damage."""
     walk = films.walk(120)
     path = films.write(tmp_path / "hurt.mp4", walk, options={"crf": "12", "g": "10"})
     data = bytearray(path.read_bytes())
