@@ -1,4 +1,4 @@
-"""Captures on disk whose depth is known, with points of structure from motion."""
+"""Captures on disk with known depth and SfM points."""
 
 from pathlib import Path
 
@@ -23,9 +23,9 @@ ANGLES = (-24, -16, -8, 0, 8, 16, 24)
 def write_capture(
     folder: Path, scene: Scene, viewmats: list[np.ndarray], *, points: int = 60, radial: float = 0.0
 ) -> None:
-    """Photos and a COLMAP model in which each view sees `points` of its own and its neighbours.
+    """Photos and a COLMAP model in which each view observes `points` of its own and its neighbours.
 
-    `radial`: of a camera that bends; photos are then only named so, not bent.
+    `radial`: declare a camera with lens distortion; the photos stay undistorted.
     """
     known, owners = [], []
     for i, viewmat in enumerate(viewmats):
@@ -68,7 +68,7 @@ def write_capture(
 
 @pytest.fixture(scope="session")
 def arc(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Seven photos on an arc. Not to be written to."""
+    """Seven photos on an arc. Do not write to it."""
     folder = tmp_path_factory.mktemp("arc")
     scene = Scene(160, 120)
     write_capture(folder, scene, [scene.viewmat(angle) for angle in ANGLES])

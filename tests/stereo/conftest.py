@@ -1,3 +1,3 @@
-"""A capture whose depth is known."""
+"""A capture with known depth."""
 
 from .captures import arc  # noqa: F401

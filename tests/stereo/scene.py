@@ -1,4 +1,4 @@
-"""Photos of textured planes and balls whose depth is known at every pixel."""
+"""Photos of textured planes and balls with known depth at every pixel."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from gscore.raster.stereo_depth import StereoView
 
 @dataclass(frozen=True)
 class Scene:
-    """A wall at z = 6, slanted by `slant`, a ball before it, seen by cameras on an arc."""
+    """A wall at z = 6, slanted by `slant`, and a ball in front of it, with cameras on an arc."""
 
     width: int = 96
     height: int = 72
@@ -24,7 +24,7 @@ class Scene:
         return np.array([[f, 0, self.width / 2], [0, f, self.height / 2], [0, 0, 1.0]])
 
     def viewmat(self, angle: float, height: float = 0.0) -> np.ndarray:
-        """A camera that looks at (0, 0, 5) from 5 away, `angle` degrees to the side."""
+        """A camera that faces (0, 0, 5) from 5 away, `angle` degrees to the side."""
         a = np.radians(angle)
         center = np.array([5 * np.sin(a), height, 5 - 5 * np.cos(a)])
         forward = np.array([0, 0, 5.0]) - center
@@ -46,7 +46,7 @@ class Scene:
         return StereoView(np.rint(grey).astype(np.uint8), self.K, viewmat), middle
 
     def points(self, viewmat: np.ndarray, count: int, seed: int) -> np.ndarray:
-        """[count, 3] places on surfaces that a camera sees."""
+        """[count, 3] visible places on surfaces."""
         rng = np.random.default_rng(seed)
         inverse = self._traced(viewmat, 1)[1]
         v = rng.integers(4, self.height - 4, count)

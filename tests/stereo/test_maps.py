@@ -1,4 +1,4 @@
-"""Depth of captures from their photos; oracles: traced scenes, and what cannot show any depth."""
+"""Depth of captures from their photos; oracles: traced scenes, and scenes without usable depth."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def found_in(folder: Path, **options: object) -> StereoMaps:
 
 
 def errors(found: StereoMaps, scene: Scene, angles: tuple[float, ...] = ANGLES) -> np.ndarray:
-    """Relative errors of all inverse depths that are known."""
+    """Relative errors of all known inverse depths."""
     parts = []
     for index, one in found.maps.items():
         _, truth = scene.shot(scene.viewmat(angles[index]))
@@ -37,7 +37,7 @@ def errors(found: StereoMaps, scene: Scene, angles: tuple[float, ...] = ANGLES) 
 
 
 def test_confirmed_depth_is_right(arc: Path) -> None:
-    """Oracle: the traced depth; most of the photos is textured and seen by others."""
+    """Oracle: the traced depth; most of the photos is textured and visible in others."""
     found = found_in(arc)
     assert len(found.maps) == len(ANGLES)
     off = errors(found, Scene(160, 120))
@@ -65,7 +65,7 @@ def test_points_lie_on_the_surfaces(arc: Path) -> None:
 
 
 def test_no_more_points_than_asked(arc: Path) -> None:
-    """Oracle: the number asked for."""
+    """Oracle: the requested number."""
     found = found_in(arc)
     for most in (0, 1, 7, 200):
         assert len(dense_points(found, most=most)) <= most
@@ -100,7 +100,7 @@ def test_threads_change_no_bit(arc: Path) -> None:
 
 
 def test_bare_walls_are_left_out(tmp_path: Path) -> None:
-    """Oracle: the wall has one colour, so only the ball before it can have depth."""
+    """Oracle: a wall of one colour, so that only the ball in front of it can have depth."""
     scene = Scene(160, 120, flat=True)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES])
     cloud = dense_points(found_in(tmp_path), most=2000)
@@ -111,8 +111,8 @@ def test_bare_walls_are_left_out(tmp_path: Path) -> None:
 
 
 def test_masked_pixels_have_no_depth(tmp_path: Path) -> None:
-    """Oracle: the masks, and the same places of the views beside them; what is known is a share of
-    what they leave, of a view without depth too."""
+    """Oracle: the masks, and the same places of the neighbouring views; the known share is one of
+    the unmasked pixels, of a view without depth too."""
     scene = Scene(160, 120)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES])
     mask = np.full((scene.height, scene.width), 255, np.uint8)
@@ -129,9 +129,9 @@ def test_masked_pixels_have_no_depth(tmp_path: Path) -> None:
 
 
 def test_what_is_known_counts_all_views(tmp_path: Path) -> None:
-    """Oracle: the known pixels of the views that have some, of the pixels of all."""
+    """Oracle: the known pixels of all views over the pixels of all."""
     scene = Scene(160, 120)
-    away = scene.viewmat(ANGLES[0]) @ np.diag([-1.0, 1, -1, 1])  # looks the other way
+    away = scene.viewmat(ANGLES[0]) @ np.diag([-1.0, 1, -1, 1])  # faces the other way
     write_capture(tmp_path, scene, [*(scene.viewmat(angle) for angle in ANGLES), away])
     found = found_in(tmp_path)
     assert len(found.maps) == len(ANGLES)
@@ -141,7 +141,8 @@ def test_what_is_known_counts_all_views(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("points", [0, 60])
 def test_captures_without_points_have_depth_too(points: int, tmp_path: Path) -> None:
-    """Oracle: the traced depth; without points the range comes from where the axes meet."""
+    """Oracle: the traced depth; without points the range comes from the intersection of the
+    axes."""
     scene = Scene(160, 120)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES], points=points)
     off = errors(found_in(tmp_path), scene)
@@ -150,7 +151,7 @@ def test_captures_without_points_have_depth_too(points: int, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_two_photos_are_too_few(count: int, tmp_path: Path) -> None:
-    """Oracle: depth must be confirmed by two others."""
+    """Oracle: no depth, because two other photos must confirm it."""
     scene = Scene(80, 60)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES[:count]])
     found = found_in(tmp_path)
@@ -167,7 +168,7 @@ def turned(angle: float) -> np.ndarray:
 
 @pytest.mark.parametrize("turn", [0.0, 5.0])
 def test_cameras_in_one_place_have_no_depth(turn: float, tmp_path: Path) -> None:
-    """Oracle: rays from one place meet nowhere else; identical cameras are such, too."""
+    """Oracle: rays from one place, which meet nowhere else; identical cameras too."""
     scene = Scene(120, 90)
     write_capture(tmp_path, scene, [turned(turn * i) for i in range(4)])
     found = found_in(tmp_path)
@@ -175,7 +176,7 @@ def test_cameras_in_one_place_have_no_depth(turn: float, tmp_path: Path) -> None
 
 
 def test_photos_of_one_colour_have_no_depth(tmp_path: Path) -> None:
-    """Oracle: there is nothing to compare."""
+    """Oracle: no depth, because there is no texture to compare."""
     scene = Scene(80, 60)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES])
     for index in range(len(ANGLES)):
@@ -186,7 +187,7 @@ def test_photos_of_one_colour_have_no_depth(tmp_path: Path) -> None:
 
 
 def test_a_photo_far_brighter_still_matches(tmp_path: Path) -> None:
-    """Oracle: the traced depth; correlation knows neither gain nor offset."""
+    """Oracle: the traced depth; correlation is invariant to gain and offset."""
     scene = Scene(160, 120)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES])
     view, _ = scene.shot(scene.viewmat(ANGLES[3]))
@@ -216,7 +217,7 @@ def test_points_that_are_not_finite_have_no_say(tmp_path: Path) -> None:
 def test_without_points_the_range_ends_behind_a_subject_alone(
     subject: bool, tmp_path: Path
 ) -> None:
-    """Oracle: the axes meet 5 units away; what stands behind may be as far as it likes."""
+    """Oracle: axes that meet 5 units away; no limit on the background behind."""
     from gscore.depth.observations import SeenPoints
     from gscore.stereo.plan import plan_views
 

@@ -1,4 +1,4 @@
-"""`gscore depth --method stereo`; oracle: traced scenes, as a training reads the maps back."""
+"""`gscore depth --method stereo`; oracle: traced scenes, with the maps as a training reads them."""
 
 import json
 from pathlib import Path
@@ -20,13 +20,13 @@ SCENE = Scene(160, 120)
 
 @pytest.fixture
 def own(tmp_path: Path) -> Path:
-    """A capture of seven photos to write to."""
+    """A writable capture of seven photos."""
     write_capture(tmp_path, SCENE, [SCENE.viewmat(angle) for angle in ANGLES])
     return tmp_path
 
 
 def priors_of(folder: Path, **options: object) -> Priors:
-    """What a training makes of the maps."""
+    """The priors of a training from the maps."""
     data = DataConfig(source=folder, depths="depths", **options)  # pyright: ignore
     return load_priors(data, load_dataset(data))
 
@@ -50,8 +50,8 @@ def test_maps_come_back_at_the_scale_of_the_capture(
 
 
 def test_confidence_is_what_stereo_found(own: Path) -> None:
-    """Oracle: pixels that are unknown or unsure count less than sure ones, and edges of what is
-    known are no edges of surfaces."""
+    """Oracle: lower confidence of unknown and unsure pixels than of sure ones; no surface edges at
+    the border of known depth."""
     assert main(["depth", str(own), "--method", "stereo", "--quiet"]) == 0
     known = [p for p in priors_of(own).views if p is not None]
     counted = np.mean([(p.confidence > 0).mean() for p in known])
@@ -84,8 +84,8 @@ def test_held_out_photos_get_no_maps_and_no_say(
 
 
 def test_maps_that_saw_held_out_photos_are_told_of(own: Path) -> None:
-    """Oracle: maps of all views, then of those that a training does not hold out; nothing of the
-    former may stay."""
+    """Oracle: maps of all views, then of those that a training does not hold out, without any of
+    the former."""
     assert main(["depth", str(own), "--method", "stereo", "--quiet"]) == 0
     split = {"eval": True, "test_every": 3}
     (sentence,) = priors_of(own, **split).warnings
@@ -97,7 +97,7 @@ def test_maps_that_saw_held_out_photos_are_told_of(own: Path) -> None:
 
 
 def test_maps_of_bent_photos_are_bent(tmp_path: Path) -> None:
-    """Oracle: undistorting the map again gives what stereo found."""
+    """Oracle: the stereo result, after undistorting the map again."""
     from gscore.stereo import stereo_maps
 
     write_capture(tmp_path, SCENE, [SCENE.viewmat(angle) for angle in ANGLES], radial=-0.08)
@@ -115,7 +115,7 @@ def test_maps_of_bent_photos_are_bent(tmp_path: Path) -> None:
 
 
 def test_maps_of_others_stay(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: the bytes of a map that was there; exit code 2 and what to do."""
+    """Oracle: the bytes of an existing map; exit code 2 and a remedy."""
     other = own / "depths" / "v00.png"
     write_png(other, np.full((120, 160), 9, np.uint16))
     before = other.read_bytes()
@@ -138,7 +138,7 @@ def test_maps_of_others_stay(own: Path, capsys: pytest.CaptureFixture[str]) -> N
 def test_options_of_other_methods_are_refused(
     line: str, words: str, arc: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Oracle: exit code 2 and the sentence; nothing is written."""
+    """Oracle: exit code 2 and the sentence; no files."""
     assert main(["depth", str(arc), *line.split()]) == 2
     assert words in " ".join(capsys.readouterr().err.split())
     assert not (arc / "depths").exists()
