@@ -1,4 +1,4 @@
-"""What a training, `gscore info` and the panel say of one capture; oracle: each other."""
+"""Reports of a training, `gscore info` and the panel on one capture; oracle: each other."""
 
 import json
 from collections import Counter
@@ -130,7 +130,7 @@ CAPTURES: dict[str, ODD] = {
 
 @pytest.fixture(params=list(CAPTURES))
 def folder(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A capture of twenty small photos, odd in one way."""
+    """A capture of twenty small photos with one irregularity."""
     rng = np.random.default_rng(0)
     made = tmp_path / "c"
     write_capture(made, rng, cameras=PINHOLE, images=20)
@@ -176,7 +176,6 @@ def test_all_say_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_what_is_odd_is_told(folder: Path, request: pytest.FixtureRequest) -> None:
-    """Oracle: the name of the capture: those that are sound, or turned by EXIF, have nothing to
-    tell."""
+    """Oracle: the name of the capture: sound ones, and ones turned by EXIF, have no messages."""
     sound = request.node.callspec.params["folder"] in ("sound", "masks", "on its side")
     assert (inspect(DataConfig(source=folder)).problems == ()) == sound
