@@ -1,4 +1,4 @@
-"""Every case can fail: damage to what it watches is found. Oracle: the damage."""
+"""A failure of every case: damage to its subject is detected. Oracle: the damage."""
 
 import dataclasses
 
@@ -10,7 +10,7 @@ from gscore.stress import capture, native, run_cases, select
 
 
 def pixel(drawn):
-    """One pixel of every picture, in the middle, is a little off."""
+    """One pixel of every picture, in the middle, is slightly wrong."""
     pictures = {}
     for name, picture in drawn.pictures.items():
         pictures[name] = picture.copy()
@@ -19,7 +19,7 @@ def pixel(drawn):
 
 
 def light_left(drawn):
-    """Alpha is taken from the light that is left."""
+    """Alpha is taken from the transmittance."""
     one = np.float32(1)
     rounded = one - (one - drawn.pictures["alpha"])
     return dataclasses.replace(drawn, pictures={**drawn.pictures, "alpha": rounded})
@@ -53,7 +53,7 @@ def not_finite(drawn):
 
 
 def ghost(drawn):
-    """Something is drawn where nothing should be."""
+    """A splat is drawn where nothing should be."""
     return dataclasses.replace(drawn, pictures={k: p + 1 for k, p in drawn.pictures.items()})
 
 
@@ -79,7 +79,7 @@ DRAWN = {
     "S35": pixel,
     "S36": pixel,
 }
-"""What to do to everything that is drawn."""
+"""Damage to every rendering."""
 NOW_AND_THEN = {"S10": pixel, "S12": last_bit, "S18": last_bit, "S19": slope, "S20": slope}
 NOW_AND_THEN |= {"S15": pixel, "S29": pixel, "S31": last_bit, "S33": pixel}
 """The same to every other call, where calls are compared with each other."""

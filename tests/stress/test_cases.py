@@ -1,4 +1,4 @@
-"""The cases of `gscore stress`: each measures something, and stays within its tolerances."""
+"""The cases of `gscore stress`: each has measurements within its tolerances."""
 
 import json
 

@@ -26,7 +26,7 @@ KINDS = ("default", "mcmc", "everything")
 
 
 def config_of(kind: str, steps: int, threads: int = 1) -> TrainConfig:
-    """A training in which everything happens that does in a long one."""
+    """A short training with all events of a long one."""
     config = TrainConfig(
         iterations=steps,
         threads=threads,
@@ -71,7 +71,7 @@ def trainer_of(kind: str, config: TrainConfig, photos: Any, masked: Any) -> Trai
 
 
 def bits(trainer: Trainer) -> tuple[dict[str, bytes], dict[str, Any]]:
-    """All tensors and all else that the next step depends on."""
+    """All tensors and all other state of the next step."""
     tensors = {k: t.contiguous().numpy().tobytes() for k, t in trainer.tensors().items()}
     return tensors, trainer.state()
 
