@@ -7,7 +7,7 @@ _TEXTS = (b"nan", b"-1", b"1e999", b"9" * 400, b"[", b"{", b'"', b"../", b"\0", 
 
 
 def damaged(good: bytes, rng: random.Random) -> bytes:
-    """Some changes one after the other, most of them where sizes stand."""
+    """Several changes one after the other, most of them at sizes."""
     raw = bytearray(good)
     for _ in range(rng.randint(1, 4)):
         if not raw:

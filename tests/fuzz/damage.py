@@ -1,4 +1,4 @@
-"""Damaged copies of a file, as hypothesis strategies: bits, cuts, repeats, lying numbers, JSON."""
+"""Damaged copies of a file, as hypothesis strategies: bits, cuts, repeats, false numbers, JSON."""
 
 import copy
 import json
@@ -63,7 +63,7 @@ def damaged(draw: st.DrawFn, good: bytes) -> bytes:
         if not raw:
             break
         at = draw(st.integers(0, len(raw) - 1))
-        # The beginning holds the sizes.
+        # The beginning has the sizes.
         at = draw(st.sampled_from([at, at % 64, at % 16]))
         kind = draw(
             st.sampled_from(["bit", "byte", "number", "text", "cut", "repeat", "drop", "noise"])

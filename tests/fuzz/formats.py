@@ -1,4 +1,4 @@
-"""Every format that gscore reads: a valid file of each, its reader, and what a good result is."""
+"""Every readable format: a valid file of each, its reader, and a check of good results."""
 
 import gzip
 import json
@@ -53,7 +53,7 @@ class Format:
 
     name: str
     file: str
-    """Where it lies in a folder; what is damaged."""
+    """Its path in a folder; the target of the damage."""
     write: Callable[[Path], Any]
     """Makes a valid folder."""
     read: Callable[[Path], Any]
@@ -261,7 +261,7 @@ def _write_config(root: Path) -> None:
 
 
 def _read_config(root: Path) -> None:
-    assert read_run(root) is not None  # never raises: it looks at what others left
+    assert read_run(root) is not None  # never raises: it reads the results of others
     load_config(root / "config.json")
 
 
@@ -333,7 +333,7 @@ def _read_depth(name: str) -> Callable[[Path], Any]:
 
 
 def _write_program(write: Callable[[Path, program_files.Rig], Any]) -> Callable[[Path], None]:
-    """Three photos and the file in which another program states their cameras."""
+    """Three photos and the camera file of another program."""
 
     def make(root: Path) -> None:
         turns, names = np.stack([np.eye(3)] * 3), tuple(f"{i}.png" for i in range(3))
@@ -389,7 +389,7 @@ def _write_checkpoint(root: Path) -> None:
 
 
 def _read_checkpoint(root: Path) -> None:
-    """As `train` goes on with one, for one step."""
+    """As a resume of `train` does, for one step."""
     found = checkpoint.load(root / "a.safetensors")
     checkpoint.check_compatible(found, _TRAIN, _PHOTOS)
     with checkpoint.checkpoint_errors(found.path):
@@ -466,7 +466,8 @@ def _glb_json(key: str, name: str) -> Format:
 
 
 def _write_inflated_spz(root: Path) -> None:
-    """What lies within gzip, which is read too: damage to the packed bytes stops at gzip."""
+    """The content of the gzip stream, which is read too: damage to the packed bytes stops at
+    gzip."""
     _write_model("b.spz")(root)
     (root / "a.spz").write_bytes(gzip.decompress((root / "b.spz").read_bytes()))
 
@@ -480,7 +481,7 @@ def _json_of_glb(raw: bytes) -> bytes:
 
 
 def _put_json_into_glb(raw: bytes, text: bytes) -> bytes:
-    """With lengths that fit, so that readers come as far as what the JSON says."""
+    """With matching lengths, so that readers reach the content of the JSON."""
     magic, version, size, old, kind = _GLB.unpack_from(raw)
     text += b" " * (-len(text) % 4)
     head = _GLB.pack(magic, version, size - old + len(text), len(text), kind)

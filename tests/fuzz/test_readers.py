@@ -24,12 +24,12 @@ SECONDS = float(os.environ.get("FUZZ_SECONDS", "0"))
 CASES = Path(__file__).parent / "cases"
 FOUND = Path(__file__).parents[2] / "build" / "fuzz" / "found"
 MOST_SECONDS, MOST_BYTES, MOST_PICTURE_BYTES = 5.0, 400e6, 1.6e9
-"""CPU time and growth of memory that no file of a few kilobytes may take. Pictures may hold 179
+"""Limits of CPU time and memory growth for a file of a few kilobytes. Pictures may have 179
 megapixels, Pillow's limit, of one colour; decoding takes four bytes each and a copy."""
 
 
 def peak_bytes(*, restart: bool) -> float:
-    """Largest memory of this process since it was last asked to restart; 0 where unknown."""
+    """Peak memory of this process since the last reset; 0 where unknown."""
     try:
         if restart:
             Path("/proc/self/clear_refs").write_text("5")
@@ -55,7 +55,7 @@ def check(kind: Format, root: Path, raw: bytes) -> None:
 
 @pytest.mark.parametrize("kind", FORMATS, ids=lambda kind: kind.name)
 def test_damaged_files(kind: Format) -> None:
-    """Oracle: see the module."""
+    """Oracle: the module's."""
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         kind.write(root)
@@ -106,6 +106,6 @@ def test_what_was_found(path: Path, tmp_path: Path) -> None:
 
 
 def test_cases_are_named_by_their_content() -> None:
-    """Oracle: SHA-1; so that none is there twice."""
+    """Oracle: SHA-1, so that no case is there twice."""
     for path in _cases():
         assert path.name == hashlib.sha1(path.read_bytes()).hexdigest()[:12]

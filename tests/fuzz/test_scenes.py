@@ -72,7 +72,7 @@ def scene(rng: np.random.Generator) -> tuple[list[torch.Tensor], bool]:
 def camera(rng: np.random.Generator) -> tuple[torch.Tensor, torch.Tensor, int, int]:
     width, height = (int(v) for v in rng.integers(1, 70, 2))
     viewmat = np.eye(4, dtype=np.float32)
-    if rng.random() < 0.5:  # anyhow, or about the axis that splats lie along
+    if rng.random() < 0.5:  # anywhere, or about the axis along which splats are placed
         turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         if rng.random() < 0.7:
             angle = rng.uniform(0, 6.3)

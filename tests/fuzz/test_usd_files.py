@@ -1,5 +1,5 @@
 """Damaged USD files, read by forks of one process; oracle: one of our errors or a good result, or
-an end by a signal that gscore has a sentence for."""
+an end by a signal with a sentence in gscore."""
 
 import os
 import subprocess
@@ -39,7 +39,7 @@ def _run(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_damaged_usd() -> None:
-    """Oracle: see the module."""
+    """Oracle: the module's."""
     done = _run("-m", "tools.break.usd_files", "150")
     assert done.returncode == 0, done.stdout + done.stderr
     assert [line.split(":")[0] for line in done.stdout.splitlines()] == ["usda", "usdc", "usdz"]
