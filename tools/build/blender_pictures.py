@@ -32,8 +32,10 @@ LONGEST = 900
 WHOLE = tuple(f"tour-{number:02}" for number in range(1, 11))
 ANIMATION = "growing"
 """Frames of the training, as an animated WebP for the README."""
-RATE, LAST = 6, 2.0
-"""Frames per second of the video and the animation; seconds of its last frame."""
+RATE = 6
+"""Frames per second of the video."""
+PAUSE, LAST = 0.4, 2.5
+"""Seconds of each frame of the animation, and of the last one."""
 MONTAGES = {
     "region": {"region": "1060x960+0+0"},
     "handles": {"handles": "1060x780+0+400"},
@@ -81,7 +83,7 @@ def animate(shots: list[Path]) -> None:
     screens = (Image.open(shot, formats=["PNG"]).convert("RGB") for shot in shots)
     frames = [screen.crop(VIEW).resize(SMALL) for screen in screens]
     target = PAGES / f"{ANIMATION}.webp"
-    pauses = [1000 // RATE] * (len(frames) - 1) + [round(1000 * LAST)]
+    pauses = [round(1000 * PAUSE)] * (len(frames) - 1) + [round(1000 * LAST)]
     frames[0].save(
         target, save_all=True, append_images=frames[1:], duration=pauses, loop=0, quality=70
     )
