@@ -159,4 +159,5 @@ def _from_json(value: Any, kind: Any, where: str) -> Any:
     if kind in (int, bool, str) and type(value) is kind:
         return value
     name = "list of numbers" if options else getattr(kind, "__name__", str(kind)).lower()
-    raise ConfigError(f"{where} must be a {name}, got {quoted(value)}.")
+    article = "an" if kind is int else "a"
+    raise ConfigError(f"{where} must be {article} {name}, got {quoted(value)}.")

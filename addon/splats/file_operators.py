@@ -83,7 +83,7 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
         default=splat_files.FROM_FILE,
     )
     under_capture: BoolProperty(
-        name="Under the Capture",
+        name="Parent to Capture",
         description="Parent the splats to the capture of the active object, or to the capture they "
         "were trained on, so that they match its photos; the up axis is then the capture's",
         default=True,

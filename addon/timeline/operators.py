@@ -81,7 +81,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
         name="Up", description="Axis of the files that points up", items=AXIS_ITEMS, default="-Y"
     )
     under_capture: BoolProperty(
-        name="Under the Active Capture",
+        name="Parent to Capture",
         description="Parent the splats to the capture of the active object, to align them with its "
         "cameras. The up axis is then the capture's",
         default=True,

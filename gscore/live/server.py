@@ -72,7 +72,7 @@ class Server:
             listening = socket.socket(family, socket.SOCK_STREAM)
         except (OSError, UnicodeError) as error:
             raise ConfigError(
-                f"ip must be an address of numbers, such as 127.0.0.1 or 0.0.0.0, got {ip!r:.60}."
+                f"ip must be a numeric address, such as 127.0.0.1 or 0.0.0.0, got {ip!r:.60}."
             ) from error
         try:
             # A port that a training has just left can be taken again; one in use cannot. Windows
