@@ -74,7 +74,7 @@ class IncrementalOperator(BaseOperator):
             own.give_up()  # else its timer would keep running
             raise
         if not done:
-            own.status.tell(own.runner.sentence)
+            own.status.show(own.runner.sentence)
             return {"PASS_THROUGH"}
         own.end()
         return self._finished(own.runner)

@@ -17,7 +17,7 @@ class StatusBar:
         """Initialise without a text."""
         self._uid = workspace.session_uid
 
-    def say(self, text: str | None) -> None:
+    def show(self, text: str | None) -> None:
         """Show a text; None: Blender's default."""
         for workspace in bpy.data.workspaces:
             if workspace.session_uid == self._uid:
@@ -39,14 +39,14 @@ class ModalStatus:
         self._timer = context.window_manager.event_timer_add(INTERVAL, window=context.window)
         self._sentence, self._when = "", 0.0
 
-    def tell(self, sentence: str) -> None:
+    def show(self, sentence: str) -> None:
         """Show a sentence in the status bar, at a readable rate."""
         now = time.monotonic()
         if sentence != self._sentence and now - self._when > REDRAW:
             self._sentence, self._when = sentence, now
-            self._status.say(f"{sentence}   |   {self._hint}")
+            self._status.show(f"{sentence}   |   {self._hint}")
 
     def end(self) -> None:
         """Remove timer and text."""
         bpy.context.window_manager.event_timer_remove(self._timer)
-        self._status.say(None)
+        self._status.show(None)

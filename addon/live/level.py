@@ -46,7 +46,7 @@ class Level:
     _shown: bytes = b""
     _moved: float = float("-inf")
 
-    def look(self, now: float, shown: bytes, total: int) -> Detail:
+    def detail(self, now: float, shown: bytes, total: int) -> Detail:
         """Choose the detail of a redraw.
 
         Args:
@@ -72,7 +72,7 @@ class Level:
         return not self._known or (self.moving and self._turn % _EVERY == 0)
 
     def took(self, seconds: float) -> None:
-        """Adapt to the time that the card needed for the last result of `look`."""
+        """Adapt to the time that the card needed for the last result of `detail`."""
         aim = BUDGET / max(seconds, 1e-6)
         self._known = True
         if not self.moving:

@@ -234,7 +234,7 @@ class View:
         # Dragging a filter or a crop needs quick redraws just as moving the view does.
         filters = b"".join(p.part[1] for p in placed)
         key = b"".join(m.tobytes() for m in (camera.K, *viewmats)) + filters
-        detail = self.level.look(time.monotonic(), key, total)
+        detail = self.level.detail(time.monotonic(), key, total)
         eye = order.Eye(viewmats=viewmats, orthographic=camera.orthographic)
         request = DrawRequest(placed=tuple(placed), eye=eye, count=detail.count, tinted=tinted)
         self._take_in(card, UPLOAD + spare)

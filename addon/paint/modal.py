@@ -29,14 +29,14 @@ class Running:
 
     def update_status(self, context: bpy.types.Context) -> None:
         """Update the status bar."""
-        self._status.say(self.session.sentence(context.window_manager.gscore_paint))
+        self._status.show(self.session.sentence(context.window_manager.gscore_paint))
 
     def end(self) -> None:
         """End the session and clean up; no effect without one."""
         session, self.session = self.session, None
         if session is not None:
             session.close()
-            self._status.say(None)
+            self._status.show(None)
 
 
 RUNNING = Running()

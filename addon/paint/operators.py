@@ -70,11 +70,11 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
         name="Inverted", description="Paint the opposite opacity, or deselect", default=False
     )
 
-    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """Paint."""
         if not self.stroke:
             raise ValueError("The stroke has no points: add one or more.")
-        ob = held.there()
+        ob = guard.there()
         view = self._view(context) if self.way == _CAMERA else None
         count = yield from paint_target.paint(
             ob,

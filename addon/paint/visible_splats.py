@@ -159,7 +159,7 @@ def copy_visible(
         objects.moved(attributes.NO_SPLATS, matrix, ob.name)  # raises for an uneven scale
     names = {attributes.BASE, attributes.POSITION}
     if limits.leave_out_anything:
-        names.update(filters.LOOKED_AT)
+        names.update(filters.ATTRIBUTES)
     if drawn:
         names.update((attributes.SCALE, attributes.ROTATION))
     name, antialias = ob.name, bool(ob.get(objects.ANTIALIAS, False))

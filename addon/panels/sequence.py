@@ -56,7 +56,7 @@ def draw_frames(
         text = problem or "Searching for frames..."
         sentence(layout, context, text, icon="ERROR" if problem else "TIME")
         return
-    count, size = LIBRARY.held
+    count, size = LIBRARY.loaded
     pairs = [
         ("Frames", f"{len(series.files):,}: {_range(series)}"),
         ("Now", _now(context, ob)),

@@ -15,7 +15,7 @@ class Cancelled(Exception):  # noqa: N818 - nothing went wrong
 class BackgroundTask:
     """One call of a function in a thread; the owner polls the attributes.
 
-    The function gets this object: it calls `tell` and `check`, and must not touch bpy.
+    The function gets this object: it calls `report` and `check`, and must not touch bpy.
     """
 
     def __init__(self, function: Callable[["BackgroundTask"], Any]) -> None:
@@ -42,7 +42,7 @@ class BackgroundTask:
         """The latest of `lines`."""
         return self.lines[-1] if self.lines else ""
 
-    def tell(self, line: str) -> None:
+    def report(self, line: str) -> None:
         """Report progress; called by the function."""
         self.lines.append(line)
 

@@ -84,7 +84,7 @@ class Comparing:
         )
         self._snapshot = Snapshot(depsgraph)
 
-    def judged(self) -> Pieces[Comparison]:
+    def compared(self) -> Pieces[Comparison]:
         """Render from the camera and compare with its photo.
 
         The picture has the photo's size times the scene's resolution percentage, whatever the

@@ -62,7 +62,7 @@ def _around(ob: bpy.types.Object) -> list[View]:
     return found
 
 
-def likeness(
+def similarity(
     before: Splats,
     after: Splats,
     views: list[View],
@@ -91,26 +91,26 @@ class DecimateSplats(Editing, bpy.types.Operator):
 
     count: IntProperty(name="Splats", description="Number to keep", default=100_000, min=1)
 
-    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """Delete the others."""
-        ob, count = held.there(), self.count
+        ob, count = guard.there(), self.count
         total = len(ob.data.vertices)
         if total <= count:
             return f"{ob.name} has {total:,} splats; none were deleted."
-        held.check_points_alone()
+        guard.check_points_alone()
         views, antialias = views_of(ob), bool(ob.get(objects.ANTIALIAS))
         table = yield from ChunkedRead(ob).table()
 
         def compare(check: Check) -> tuple[np.ndarray, float]:
-            splats = _splats(table, held.name)
+            splats = _splats(table, guard.name)
             check()
             keep = most_important(importance_of(splats), count)
             after = splats.subset(keep)
-            same = likeness(splats, after, views, antialias=antialias, check=check)
+            same = similarity(splats, after, views, antialias=antialias, check=check)
             return np.flatnonzero(keep), same
 
         rows, same = yield from run_in_thread(compare, f"Comparing {len(views)} pictures")
-        yield from separate_join.kept(held, table, rows)
+        yield from separate_join.kept(guard, table, rows)
         left = total - count
         return f"Deleted {left:,} splats; PSNR to before {same:.1f} dB, mean of {len(views)} views."
 

@@ -126,7 +126,7 @@ def compared(context: bpy.types.Context, camera: bpy.types.Object) -> Pieces[str
     with splats_in_view():
         begun = comparing.Comparing(context.scene, camera, context.evaluated_depsgraph_get())
     name = camera.name
-    found = yield from begun.judged()
+    found = yield from begun.compared()
     shown = show_soon(context, found.images["Comparison"])
     where = "" if shown else f"; open the image {found.images['Comparison'].name} to see it"
     kind, psnr = "PSNR", found.psnr

@@ -119,7 +119,7 @@ class Film:
 
         distant = beyond(view.model, camera)
         passes = unfold(camera, self.options.window, side)
-        if not (self.transparent or view.model.shares or view.held):
+        if not (self.transparent or view.model.shares or view.holdouts):
             passes["Combined"][..., 3] = 1  # black outside of a fisheye's circle
         return passes
 

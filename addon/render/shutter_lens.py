@@ -36,14 +36,14 @@ class View:
 
     model: Model
     camera: RenderCamera | Panorama
-    held: tuple[HoldoutMesh, ...] = ()
+    holdouts: tuple[HoldoutMesh, ...] = ()
     """Meshes that hide the splats behind them."""
 
     @cached_property
     def hidden(self) -> Hidden | None:
-        """The parts that `held` hides; None for panoramas, whose patches have their own."""
+        """The parts that `holdouts` hide; None for panoramas, whose patches have their own."""
         flat = isinstance(self.camera, RenderCamera)
-        return hidden(self.held, self.camera) if self.held and flat else None
+        return hidden(self.holdouts, self.camera) if self.holdouts and flat else None
 
     def same(self, other: "View") -> bool:
         """Whether the other view gives the same picture."""
@@ -52,7 +52,7 @@ class View:
             and self.model.owners == other.model.owners
             and np.array_equal(self.model.matrix, other.model.matrix)
             and self.camera.same(other.camera)
-            and same_meshes(self.held, other.held)
+            and same_meshes(self.holdouts, other.holdouts)
         )
 
 
@@ -147,7 +147,7 @@ class Stage:
         placed = self._placed()
         if not placed:
             return None
-        return View(model=self._cache.model(placed), camera=camera, held=self._holdouts())
+        return View(model=self._cache.model(placed), camera=camera, holdouts=self._holdouts())
 
     def _placed(self) -> list[Placed]:
         """The visible objects at the current time; objects without motion blur as at the first
@@ -193,7 +193,7 @@ class Stage:
         return lens
 
     def _empty(self) -> View:
-        return View(model=_nothing(), camera=self._lens()[0], held=self._holdouts())
+        return View(model=_nothing(), camera=self._lens()[0], holdouts=self._holdouts())
 
     def _pinhole(self) -> RenderCamera | Panorama:
         width, height = self._size

@@ -116,7 +116,7 @@ class Request:
             over_view=self.over_view,
         )
         visible = marked(model, self.placed, self.tinted)
-        view = View(model=visible, camera=camera, held=self.held)
+        view = View(model=visible, camera=camera, holdouts=self.held)
         return film.shoot(view, stop, cancel)["Combined"]
 
 

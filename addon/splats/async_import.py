@@ -38,7 +38,7 @@ class _Read:
     antialiased: bool
     origin: np.ndarray | None
     comments: tuple[str, ...]
-    looked: str
+    note: str
 
 
 class AsyncImport:
@@ -50,7 +50,7 @@ class AsyncImport:
         wanted: Sequence[Wanted],
         *,
         find: Callable[[Wanted], Wanted] = lambda wanted: wanted,
-        look: Callable[[Columns], str] = lambda columns: "",
+        note: Callable[[Columns], str] = lambda columns: "",
     ) -> None:
         """Start reading.
 
@@ -58,11 +58,11 @@ class AsyncImport:
             context: Its scene and collection receive the objects.
             wanted: At least one file.
             find: Resolves the file, if it must be searched for; runs in the thread.
-            look: Summarises the attributes of each file, for `looked`; runs in the thread.
+            note: Summarises the attributes of each file, for `notes`; runs in the thread.
         """
         self.warnings: list[str] = []
         """Warnings for the user."""
-        self._wanted, self._find, self._look = tuple(wanted), find, look
+        self._wanted, self._find, self._note = tuple(wanted), find, note
         self._scene = context.scene.session_uid
         self._collection = getattr(context.collection, "session_uid", 0)
         self._chores = display.builders()
@@ -70,9 +70,9 @@ class AsyncImport:
         self._task = BackgroundTask(self._read)
 
     @property
-    def looked(self) -> list[str]:
+    def notes(self) -> list[str]:
         """Results of `look`, one per file; empty before all are read."""
-        return [filling.loaded.looked for filling in self._fillings or ()]
+        return [filling.loaded.note for filling in self._fillings or ()]
 
     @property
     def sentence(self) -> str:
@@ -122,7 +122,7 @@ class AsyncImport:
         made = []
         with collected_warnings() as warnings:
             for request in self._wanted:
-                task.tell(request.path.name)
+                task.report(request.path.name)
                 wanted = self._find(request)
                 try:
                     file = splat_files.read(wanted, task.check)
@@ -143,7 +143,7 @@ class AsyncImport:
                         antialiased=file.antialiased,
                         origin=file.origin,
                         comments=tuple(file.comments),
-                        looked=self._look(columns),
+                        note=self._note(columns),
                     )
                 )
         return made, list(warnings)

@@ -76,7 +76,7 @@ def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
     return 0 if points is None else len(points.points)
 
 
-def apply_filters(held: EditGuard) -> Pieces[int]:
+def apply_filters(guard: EditGuard) -> Pieces[int]:
     """Delete splats that the filters hide, and reset the filters.
 
     Returns:
@@ -86,17 +86,17 @@ def apply_filters(held: EditGuard) -> Pieces[int]:
         ValueError: attributes are missing, no splats would be left, or as `EditGuard.to_change`;
             nothing is changed then.
     """
-    ob = held.there()
-    held.check_points_alone()
+    ob = guard.there()
+    guard.check_points_alone()
     limits = filters.filters_of(ob)
     table = yield from ChunkedRead(ob).table()
-    keep = yield from run_in_thread(partial(_passing, table, limits), f"Filtering {held.name}")
+    keep = yield from run_in_thread(partial(_passing, table, limits), f"Filtering {guard.name}")
     if len(keep) and not keep.any():
-        raise ValueError(f"{held.name}: the filters hide every splat; relax them before applying.")
+        raise ValueError(f"{guard.name}: the filters hide every splat; relax them before applying.")
     if keep.all():
-        ob = held.to_change()
+        ob = guard.to_change()
     else:
-        ob = yield from separate_join.kept(held, table, np.flatnonzero(keep))
+        ob = yield from separate_join.kept(guard, table, np.flatnonzero(keep))
     splat_settings.reset_filters(ob)
     return int((~keep).sum())
 
@@ -136,7 +136,7 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
     return box
 
 
-def apply_transform(held: EditGuard) -> Pieces[None]:
+def apply_transform(guard: EditGuard) -> Pieces[None]:
     """Apply the object's own location, rotation and scale to its splats, exactly.
 
     Blender's own Apply transforms only the positions, not the ellipsoids and colours.
@@ -145,20 +145,20 @@ def apply_transform(held: EditGuard) -> Pieces[None]:
         ValueError: the scale is uneven, other objects share the splats, the object was moved
             meanwhile, or as `EditGuard.to_change`; nothing is changed then.
     """
-    ob = held.there()
+    ob = guard.there()
     _check_unshared(ob)
-    held.check_movable()
+    guard.check_movable()
     matrix = local_matrix(ob)
-    objects.moved(attributes.NO_SPLATS, matrix, held.name)  # raises unless it is a similarity
+    objects.moved(attributes.NO_SPLATS, matrix, guard.name)  # raises unless it is a similarity
     lags, numbers = lag.of(ob.data), lag.parts(ob.data)
     table = yield from ChunkedRead(ob).table(whole=False)
     changed = yield from run_in_thread(
-        partial(moved, table, matrix, held.name), f"Transforming splats of {held.name}"
+        partial(moved, table, matrix, guard.name), f"Transforming splats of {guard.name}"
     )
     [mesh] = yield from filled(
-        [ChunkedWrite(points_of(changed), held.copied_mesh)], partial(_check_applicable, held)
+        [ChunkedWrite(points_of(changed), guard.copied_mesh)], partial(_check_applicable, guard)
     )
-    ob = held.there()
+    ob = guard.there()
     lag.forget(mesh)
     attributes.leave_points_unselected(mesh)
     swap(ob, mesh)
@@ -169,9 +169,9 @@ def apply_transform(held: EditGuard) -> Pieces[None]:
     ob.matrix_basis = Matrix.Identity(4)
 
 
-def _check_applicable(held: EditGuard) -> None:
-    _check_unshared(held.to_change())
-    held.check_unmoved()
+def _check_applicable(guard: EditGuard) -> None:
+    _check_unshared(guard.to_change())
+    guard.check_unmoved()
 
 
 def _check_unshared(ob: bpy.types.Object) -> None:

@@ -11,7 +11,7 @@ from .. import attributes
 from ..interface.blocks import with_uid
 from . import copy_metadata, objects
 
-_HELD: "WeakSet[EditGuard]" = WeakSet()
+_GUARDS: "WeakSet[EditGuard]" = WeakSet()
 
 
 class EditGuard:
@@ -31,7 +31,7 @@ class EditGuard:
         """True if the splats were or may have been changed."""
         self._uid, self._count = ob.session_uid, len(ob.data.vertices)
         self._mode, self._stood = bpy.context.mode, _stands(ob)
-        _HELD.add(self)
+        _GUARDS.add(self)
 
     def there(self) -> bpy.types.Object:
         """The object.
@@ -100,7 +100,7 @@ class EditGuard:
 
     def close(self) -> None:
         """Stop watching."""
-        _HELD.discard(self)
+        _GUARDS.discard(self)
 
     def _check_mode(self) -> None:
         if bpy.context.mode != self._mode:  # undo steps of a mode store only its own object
@@ -115,35 +115,35 @@ def _stands(ob: bpy.types.Object) -> tuple[Matrix, Matrix]:
     return ob.matrix_world.copy(), ob.matrix_parent_inverse @ ob.matrix_basis
 
 
-def all_to_change(helds: "Sequence[EditGuard]") -> list[bpy.types.Object]:
+def all_to_change(guards: "Sequence[EditGuard]") -> list[bpy.types.Object]:
     """`EditGuard.to_change` of objects that are changed together, and may share their splats."""
-    obs = [held.there() for held in helds]
-    for held, ob in zip(helds, obs, strict=True):
+    obs = [guard.there() for guard in guards]
+    for guard, ob in zip(guards, obs, strict=True):
         objects.check_writable(ob)
-        held._check_mode()
-    meshes = {held.mesh_uid for held in helds}
-    for other in _HELD:
-        other.is_changed |= other not in helds and other.mesh_uid in meshes
+        guard._check_mode()
+    meshes = {guard.mesh_uid for guard in guards}
+    for other in _GUARDS:
+        other.is_changed |= other not in guards and other.mesh_uid in meshes
     return obs
 
 
 @persistent
 def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    if not _HELD:
+    if not _GUARDS:
         return
     changed = {
         update.id.original.session_uid
         for update in depsgraph.updates
         if update.is_updated_geometry and isinstance(update.id, bpy.types.Mesh)
     }
-    for held in _HELD:
-        held.is_changed |= held.mesh_uid in changed
+    for guard in _GUARDS:
+        guard.is_changed |= guard.mesh_uid in changed
 
 
 @persistent
 def _undone(*_: object) -> None:
-    for held in _HELD:
-        held.is_changed = True
+    for guard in _GUARDS:
+        guard.is_changed = True
 
 
 HANDLERS = {"depsgraph_update_post": _changed, "undo_post": _undone, "redo_post": _undone}

@@ -36,19 +36,19 @@ class Editing(IncrementalOperator, OnSplats):
         uid, edited = ob.session_uid, ob.mode == "EDIT"
         if edited:
             bpy.ops.object.mode_set(mode="OBJECT")
-        held = None
+        guard = None
         try:
             objects.check_writable(ob)
             context.view_layer.update()  # else the guard would detect earlier changes
-            held = EditGuard(ob)
-            return (yield from self.edit(context, held))
+            guard = EditGuard(ob)
+            return (yield from self.edit(context, guard))
         finally:
-            if held is not None:
-                held.close()
+            if guard is not None:
+                guard.close()
             if edited:
                 _edit_again(context, uid)
 
-    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """The edit in steps; raises ValueError if it is not possible."""
         raise NotImplementedError
 
@@ -90,9 +90,9 @@ class GradeSplats(Editing, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """Grade."""
-        ob = held.there()
+        ob = guard.there()
         selected, whole = attributes.selected(ob.data), len(ob.data.vertices)
         if self.options.is_invoke and not self.properties.is_property_set("only_selected"):
             self.only_selected = bool(selected.any())
@@ -112,7 +112,7 @@ class GradeSplats(Editing, bpy.types.Operator):
             return len(graded)
 
         count = yield from run_in_thread(change, self.bl_label)
-        mesh = held.to_change().data
+        mesh = guard.to_change().data
         kind = mesh.attributes[attributes.BASE].data_type
         attributes.fill(mesh, attributes.BASE, kind, base.ravel())
         mesh.update()
@@ -125,9 +125,9 @@ class SeparateSplats(Editing, bpy.types.Operator):
     bl_idname = "gscore.separate_splats"
     bl_label = "Separate Splats"
 
-    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """Separate."""
-        made = yield from separate_join.separated(held, attributes.selected(held.there().data))
+        made = yield from separate_join.separated(guard, attributes.selected(guard.there().data))
         return f"Moved {len(made.data.vertices):,} splats to {made.name}."
 
 
@@ -150,16 +150,16 @@ class JoinSplats(Editing, bpy.types.Operator):
         children = [child for other in others for child in other.children]
         return (*super().changes(context), *others, *children)
 
-    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """Join."""
-        ob, others = held.there(), _others(context)
+        ob, others = guard.there(), _others(context)
         separate_join.check_joinable(ob, others)  # before the selection changes
         make_active(context, ob)  # now, because 4.2 crashes after selected objects are removed
-        helds = [EditGuard(other) for other in others]
+        guards = [EditGuard(other) for other in others]
         try:
-            ob = yield from separate_join.joined(held, helds)
+            ob = yield from separate_join.joined(guard, guards)
         finally:
-            for other in helds:
+            for other in guards:
                 other.close()
                 left = other.found()
                 if left is not None and left.name in context.view_layer.objects:
@@ -179,10 +179,10 @@ class ApplyFilters(Editing, bpy.types.Operator):
         ob = objects.meant(context)
         return ob.data, ob
 
-    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """Delete."""
-        count = yield from edit.apply_filters(held)
-        return f"Deleted {count:,} splats, {len(held.found().data.vertices):,} left."
+        count = yield from edit.apply_filters(guard)
+        return f"Deleted {count:,} splats, {len(guard.found().data.vertices):,} left."
 
 
 class ApplySplatTransform(Editing, bpy.types.Operator):
@@ -197,9 +197,9 @@ class ApplySplatTransform(Editing, bpy.types.Operator):
         ob = objects.meant(context)
         return ob.data, ob
 
-    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """Apply."""
-        yield from edit.apply_transform(held)
+        yield from edit.apply_transform(guard)
         return ""
 
 

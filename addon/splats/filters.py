@@ -10,7 +10,7 @@ from ..core import at_least_opaque, in_unit_shape, of_size
 
 SPHERE = "SPHERE"
 BOX = "BOX"
-LOOKED_AT = (attributes.BASE, attributes.POSITION, attributes.SCALE)
+ATTRIBUTES = (attributes.BASE, attributes.POSITION, attributes.SCALE)
 """Attributes that the filters read."""
 
 
@@ -61,7 +61,7 @@ def passing(columns: dict[str, np.ndarray], limits: Filters) -> np.ndarray:
     """[N] bool, True for splats that pass.
 
     Args:
-        columns: Copies of the attributes `LOOKED_AT`, as `attributes.column`.
+        columns: Copies of the attributes `ATTRIBUTES`, as `attributes.column`.
         limits: As `mask`.
     """
     base = columns[attributes.BASE]
@@ -102,7 +102,7 @@ def visible_mask(ob: Any, data: Any = None) -> np.ndarray:
     """
     data = ob.data if data is None else data
     # Blender drops `position` from a mesh without vertices.
-    names = LOOKED_AT if attributes.point_count(data) else (attributes.BASE,)
+    names = ATTRIBUTES if attributes.point_count(data) else (attributes.BASE,)
     return passing({name: attributes.column(data, name) for name in names}, filters_of(ob))
 
 

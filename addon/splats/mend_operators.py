@@ -36,15 +36,15 @@ class MendSplats(IncrementalOperator, bpy.types.Operator):
         obs = {ob.data: ob for ob in reversed(mending.behind(context))}.values()
         names = ", ".join(ob.name for ob in obs)
         context.view_layer.update()  # else the guards would detect earlier changes
-        helds = []
+        guards = []
         try:
             for ob in obs:
                 objects.catch_up(ob)
-                helds.append(EditGuard(ob))
-            stretched = yield from mending.mended(helds)
+                guards.append(EditGuard(ob))
+            stretched = yield from mending.mended(guards)
         finally:
-            for held in helds:
-                held.close()
+            for guard in guards:
+                guard.close()
         if stretched:
             names = ", ".join(ob.name for ob in stretched)
             return f"Restored the uneven scale of {names}. Make Scale Even makes it uniform."

@@ -52,14 +52,14 @@ def behind(context: bpy.types.Context) -> list[bpy.types.Object]:
 class Mend:
     """Correction of one object: prepared in steps, then applied in one change."""
 
-    def __init__(self, held: EditGuard) -> None:
+    def __init__(self, guard: EditGuard) -> None:
         """Determine the changes.
 
         Raises:
             ValueError: the lags cannot be corrected.
         """
-        ob = held.there()
-        self._held, self._lags, self._numbers = held, lag.of(ob.data), lag.parts(ob.data)
+        ob = guard.there()
+        self._guard, self._lags, self._numbers = guard, lag.of(ob.data), lag.parts(ob.data)
         self._there = np.flatnonzero(np.bincount(self._numbers, minlength=1))
         self._odd = [int(k) for k in self._there if not is_similarity(self._lags[k])]
         for k in self._odd:
@@ -71,9 +71,9 @@ class Mend:
         self._own = self._odd[0] if every else None
         self._apart = [k for k in self._odd if k != self._own]
         if self._apart:
-            held.check_points_alone()
+            guard.check_points_alone()
         else:
-            held.check_movable()
+            guard.check_movable()
 
     def filling(self) -> "Pieces[list[ChunkedWrite[Points]]]":
         """Compute its meshes: its own, then those of parts that become new objects.
@@ -81,17 +81,17 @@ class Mend:
         Raises:
             ValueError: attributes are missing or not finite.
         """
-        table = yield from ChunkedRead(self._held.there()).table(whole=bool(self._apart))
+        table = yield from ChunkedRead(self._guard.there()).table(whole=bool(self._apart))
         own, *others = yield from run_in_thread(
-            partial(self._mended, table), f"Transforming splats of {self._held.name}"
+            partial(self._mended, table), f"Transforming splats of {self._guard.name}"
         )
-        make = self._held.emptied_mesh if self._apart else self._held.copied_mesh
-        emptied = self._held.emptied_mesh
+        make = self._guard.emptied_mesh if self._apart else self._guard.copied_mesh
+        emptied = self._guard.emptied_mesh
         return [ChunkedWrite(own, make), *(ChunkedWrite(other, emptied) for other in others)]
 
     def _mended(self, table: list[Column], check: Check) -> list[Points]:
         for name, values in point_attributes.of_splats(table).items():
-            attributes.check_finite(values, name, self._held.name)
+            attributes.check_finite(values, name, self._guard.name)
         check()
         numbers, changed = self._numbers, []
         if len(self._odd) < len(self._there):
@@ -115,7 +115,7 @@ class Mend:
 
     def finish(self, meshes: list[bpy.types.Mesh]) -> list[bpy.types.Object]:
         """Assign the filled meshes of `filling`; returns the objects with a restored scale."""
-        ob, (own, *others) = self._held.there(), meshes
+        ob, (own, *others) = self._guard.there(), meshes
         for mesh in meshes:
             lag.forget(mesh)
         swap(ob, own)
@@ -130,7 +130,7 @@ class Mend:
         return taken
 
 
-def mended(helds: list[EditGuard]) -> Pieces[list[bpy.types.Object]]:
+def mended(guards: list[EditGuard]) -> Pieces[list[bpy.types.Object]]:
     """Rotate and scale shapes and colors of objects to match their current positions.
 
     Stretched parts get their earlier positions back, and their object the matrix; a joined part
@@ -143,12 +143,12 @@ def mended(helds: list[EditGuard]) -> Pieces[list[bpy.types.Object]]:
         ValueError: a mesh cannot be written, or the lags cannot be corrected; nothing is changed
             then.
     """
-    mends = [Mend(held) for held in helds]
+    mends = [Mend(guard) for guard in guards]
     fillings = []
     for mend in mends:
         fillings.append((yield from mend.filling()))
     meshes = yield from filled(
-        [one for some in fillings for one in some], partial(all_to_change, helds)
+        [one for some in fillings for one in some], partial(all_to_change, guards)
     )
     taken, left = [], iter(meshes)
     for mend, some in zip(mends, fillings, strict=True):

@@ -39,9 +39,9 @@ class _Choosing(Editing):
         """Mode of `selection_masks.combined`."""
         return selection_masks.SET
 
-    def edit(self, context: bpy.types.Context, held: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """Select."""
-        ob = held.there()
+        ob = guard.there()
         check_shown(ob)  # before the selection changes
         before = attributes.selected(ob.data)
         find, how = self.find(ob, before), self.how
@@ -49,7 +49,7 @@ class _Choosing(Editing):
         chosen = yield from run_in_thread(
             lambda check: selection_masks.combined(before, find(columns), how), self.bl_label
         )
-        ob = held.to_change()
+        ob = guard.to_change()
         check_shown(ob)
         attributes.select(ob.data, chosen)
         ob.data.update()
@@ -77,7 +77,7 @@ class SelectSplats(_Choosing, bpy.types.Operator):
 
     bl_idname = "gscore.select_splats"
     bl_label = "Select Splats"
-    reads = filters.LOOKED_AT
+    reads = filters.ATTRIBUTES
 
     which: EnumProperty(
         name="Which",

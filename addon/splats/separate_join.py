@@ -18,12 +18,12 @@ from .rotation import moved
 from .write_chunked import ChunkedWrite, filled, swap
 
 
-def separated(held: EditGuard, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
+def separated(guard: EditGuard, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
     """Move splats with all attributes into a new object with the same transform, display and
     filters; deselects all.
 
     Args:
-        held: A splat object.
+        guard: A splat object.
         chosen: [N] bool.
 
     Raises:
@@ -31,15 +31,15 @@ def separated(held: EditGuard, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
     """
     if chosen.all() or not chosen.any():
         many = "all" if len(chosen) and chosen.all() else "none"
-        raise ValueError(f"{held.name}: select some splats to separate; {many} of them are.")
-    held.check_points_alone()
-    table = yield from ChunkedRead(held.there()).table()
+        raise ValueError(f"{guard.name}: select some splats to separate; {many} of them are.")
+    guard.check_points_alone()
+    table = yield from ChunkedRead(guard.there()).table()
     split = yield from run_in_thread(
-        partial(_split, table, chosen), f"Separating splats of {held.name}"
+        partial(_split, table, chosen), f"Separating splats of {guard.name}"
     )
-    fillings = [ChunkedWrite(one, held.emptied_mesh) for one in split]
-    own, other = yield from filled(fillings, held.to_change)
-    ob = held.there()
+    fillings = [ChunkedWrite(one, guard.emptied_mesh) for one in split]
+    own, other = yield from filled(fillings, guard.to_change)
+    ob = guard.there()
     swap(ob, own)
     return split_off(ob, other)
 
@@ -73,11 +73,11 @@ def split_off(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
     return other
 
 
-def kept(held: EditGuard, table: list[Column], rows: np.ndarray) -> Pieces[bpy.types.Object]:
+def kept(guard: EditGuard, table: list[Column], rows: np.ndarray) -> Pieces[bpy.types.Object]:
     """Delete all splats of an object except some, whose attributes stay bit-identical.
 
     Args:
-        held: The object.
+        guard: The object.
         table: Table of its mesh, from `ChunkedRead.table`; emptied.
         rows: [K], indices of the splats to keep.
 
@@ -85,8 +85,8 @@ def kept(held: EditGuard, table: list[Column], rows: np.ndarray) -> Pieces[bpy.t
         ValueError: as `EditGuard.to_change`; nothing is changed then.
     """
     points = yield from run_in_thread(partial(_picked, table, rows), "Deleting splats")
-    [mesh] = yield from filled([ChunkedWrite(points, held.emptied_mesh)], held.to_change)
-    ob = held.there()
+    [mesh] = yield from filled([ChunkedWrite(points, guard.emptied_mesh)], guard.to_change)
+    ob = guard.there()
     swap(ob, mesh)
     return ob
 
@@ -115,7 +115,7 @@ def check_joinable(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None
         )
 
 
-def joined(held: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object]:
+def joined(guard: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object]:
     """Join the splats of other objects into one, as displayed; the others are removed.
 
     Lower SH degrees are padded with 0, as are other attributes that an object lacks. Vertex groups
@@ -127,9 +127,9 @@ def joined(held: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object]
         ValueError: as `check_joinable` or `EditGuard.to_change`, a matrix is no similarity, or an
             object was moved meanwhile; nothing is changed then.
     """
-    ob, obs = held.there(), [other.there() for other in others]
+    ob, obs = guard.there(), [other.there() for other in others]
     check_joinable(ob, obs)
-    for one in (held, *others):
+    for one in (guard, *others):
         one.check_points_alone()
     world = compat.matrix_to_numpy(ob.matrix_world)
     if not abs(np.linalg.det(world[:3, :3])) > 1e-30:
@@ -139,21 +139,21 @@ def joined(held: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object]
     for one, matrix in zip(obs, matrices, strict=True):
         objects.moved(attributes.NO_SPLATS, matrix, one.name)  # raises unless it is a similarity
     tables = []
-    for one in (held, *others):
+    for one in (guard, *others):
         tables.append((yield from ChunkedRead(one.there()).table()))
     names = [other.name for other in others]
     points = yield from run_in_thread(
-        partial(_together, tables, matrices, names), f"Joining splats with {held.name}"
+        partial(_together, tables, matrices, names), f"Joining splats with {guard.name}"
     )
 
     def check() -> None:
-        for one in (held, *others):
+        for one in (guard, *others):
             one.check_unmoved()
-        all_to_change([held, *others])
+        all_to_change([guard, *others])
 
-    [mesh] = yield from filled([ChunkedWrite(points, held.emptied_mesh)], check)
+    [mesh] = yield from filled([ChunkedWrite(points, guard.emptied_mesh)], check)
     lag.forget(mesh)
-    ob, *gone = (one.there() for one in (held, *others))
+    ob, *gone = (one.there() for one in (guard, *others))
     swap(ob, mesh)  # also for other users of the old mesh
     for one in gone:
         _take_children(ob, one)

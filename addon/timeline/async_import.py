@@ -35,7 +35,7 @@ class SequenceComing:
         self._folder, self._called, self._start = folder, called, start
         self._series: Series | None = None
         wanted = splat_files.want(folder, parent=parent, up=up)
-        self._arrival = AsyncImport(context, [wanted], find=self._first, look=mesh.mark_of)
+        self._arrival = AsyncImport(context, [wanted], find=self._first, note=mesh.mark_of)
 
     @property
     def warnings(self) -> list[str]:
@@ -60,7 +60,7 @@ class SequenceComing:
             ValueError: there are no frames, or the first cannot be imported; nothing of it is left.
         """
         made = self._arrival.step()
-        for ob, mark in zip(made or (), self._arrival.looked, strict=False):
+        for ob, mark in zip(made or (), self._arrival.notes, strict=False):
             ob.name = ob.data.name = self._folder.name
             mesh.note(ob.data, self.series.files[0], mark)
             let_play(ob, self._folder, called=self._called, start=self._start)

@@ -39,7 +39,7 @@ class Moment:
         if self.hidden:
             return NOTHING
         LIBRARY.most = preferences.get().sequence_memory * _MB
-        LIBRARY.want(self.owner, self.files)
+        LIBRARY.request(self.owner, self.files)
         found = LIBRARY.frame(self.files[0])[0] if self.files else None
         if found is None:
             poll_timer.ensure()  # redraws views when the frame is loaded
@@ -73,7 +73,7 @@ class Moment:
         found, problem = None, self.problem
         if self.files:
             found, problem = LIBRARY.frame(self.files[0], wait=True)
-            LIBRARY.want(self.owner, self.files)  # read the next ones while this one is drawn
+            LIBRARY.request(self.owner, self.files)  # read the next ones while this one is drawn
         if found is None:
             raise ValueError(f"{self.name}: {problem}")
         return found

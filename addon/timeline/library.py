@@ -143,7 +143,7 @@ class Library:
             return self._under_way is not None or bool(self._asked) or self._next() is not None
 
     @property
-    def held(self) -> tuple[int, int]:
+    def loaded(self) -> tuple[int, int]:
         """Number of frames in memory, and their bytes."""
         with self._changed:
             return len(self._frames), sum(frame.bytes for frame in self._frames.values())
@@ -187,7 +187,7 @@ class Library:
             return None, problem
         return self._load(file)
 
-    def want(self, owner: Hashable, files: Sequence[FrameFile]) -> None:
+    def request(self, owner: Hashable, files: Sequence[FrameFile]) -> None:
         """Request files in this order, as far as memory permits, instead of the owner's earlier
         request.
 

@@ -95,7 +95,7 @@ def find(task: BackgroundTask, *, chosen: str = "", private: Path | None = None)
         return check(chosen_python(chosen), task)
     verdicts = []
     for python in candidates(private=private):
-        task.tell(f"Checking {python}")
+        task.report(f"Checking {python}")
         verdict = check(python, task)
         if verdict.good:
             return verdict

@@ -73,7 +73,7 @@ def make(
             _make(target, wheel, task, base=base, cpu=cpu)
     except GsError as error:
         raise SetupError(str(error)) from error
-    task.tell("Done")
+    task.report("Done")
     return python_in(target)
 
 
@@ -84,9 +84,9 @@ def _make(target: Path, wheel: Path, task: BackgroundTask, *, base: Path | None,
         _make_venv(partial, base or usable_base(), task)
         python = python_in(partial)
         for step in steps(python, wheel, cpu=cpu):
-            task.tell(step.words)
+            task.report(step.words)
             _run(step.arguments, task, step.variables)
-        task.tell("Checking")
+        task.report("Checking")
         verdict = check(python, task)
         if not verdict.good:
             raise SetupError(f"The new environment does not work: {verdict.sentence}")
@@ -201,7 +201,7 @@ def _pip(python: Path, *more: str) -> list[str]:
 
 
 def _make_venv(folder: Path, base: Path, task: BackgroundTask) -> None:
-    task.tell(f"Making an environment with {base}")
+    task.report(f"Making an environment with {base}")
     try:
         _run([base, "-m", "venv", folder], task)
     except SetupError as error:
@@ -241,7 +241,7 @@ def _run(
             for line in process.lines(0.05):
                 printed.append(line)
                 if shown := _readable(line):
-                    task.tell(shown)
+                    task.report(shown)
             time.sleep(0.05)
     finally:
         process.kill(wait=5.0)

@@ -249,8 +249,8 @@ def story() -> Iterator[object]:
     importing.BUDGET = 0.0  # one camera per step, so that there is time to press a key
     clear()
     bpy.data.batch_remove([*bpy.data.cameras, *bpy.data.meshes, *bpy.data.lights])
-    say = modal_status.StatusBar.say
-    modal_status.StatusBar.say = lambda self, text: (said.append(text or ""), say(self, text))[1]
+    say = modal_status.StatusBar.show
+    modal_status.StatusBar.show = lambda self, text: (said.append(text or ""), say(self, text))[1]
     with bpy.context.temp_override(window=window(), area=area()):
         bpy.ops.ed.undo_push(message="start")
     yield 0.5

@@ -145,7 +145,7 @@ def given_up() -> Iterator[object]:
 
 def disturbed(name: str, act: Callable[[], object]) -> Iterator[object]:
     """Changes of the scene while splats are compared."""
-    held = Held(decimate, "likeness")
+    held = Held(decimate, "similarity")
     invoke("decimate_splats", count=500)
     yield held.began.is_set
     act()
@@ -215,7 +215,7 @@ def without_workspace() -> Iterator[object]:
     with bpy.context.temp_override(window=window, area=area()):
         bpy.ops.workspace.duplicate()
     yield 0.5
-    held = Held(decimate, "likeness")
+    held = Held(decimate, "similarity")
     invoke("decimate_splats", count=500)
     yield held.began.is_set
     added, window.workspace = window.workspace, before

@@ -159,7 +159,7 @@ def test_photos_are_compared_with_splats_and_never_with_errors(
     bpy.ops.gscore.measure_errors(wait=True)
     shown = bpy.context.object
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    seen = run_blocking(compare.Comparing(bpy.context.scene, camera, depsgraph).judged())
+    seen = run_blocking(compare.Comparing(bpy.context.scene, camera, depsgraph).compared())
     assert abs(seen.psnr - before) > 1e-3  # the map is another picture
     bpy.ops.gscore.compare_photo(camera=camera.name)
     assert camera[PSNR] == pytest.approx(before, abs=1e-6)

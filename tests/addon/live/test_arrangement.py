@@ -201,14 +201,14 @@ def test_all_are_drawn_at_rest_and_less_on_the_move():
     """Oracle: the test's clock, and a card of known speed."""
     level, now, total = Level(), 100.0, 10**6
     whole = Detail(count=total, factor=1)
-    assert level.look(now, b"a", total) == whole  # opened: nothing moves
+    assert level.detail(now, b"a", total) == whole  # opened: nothing moves
     assert level.measures
     level.took(card_seconds(whole))
-    assert not level.measures and level.look(now, b"a", total) == whole
+    assert not level.measures and level.detail(now, b"a", total) == whole
     measured = 0
     for step in range(60):
         now += 0.02
-        detail = level.look(now, b"%d" % step, total)
+        detail = level.detail(now, b"%d" % step, total)
         assert level.moving
         if level.measures:
             measured += 1
@@ -216,10 +216,10 @@ def test_all_are_drawn_at_rest_and_less_on_the_move():
     assert measured <= 8  # each is a wait
     assert detail.factor > 1 and FEWEST <= detail.count < total
     assert 0.5 * BUDGET < card_seconds(detail) < 1.2 * BUDGET
-    assert level.look(now + 0.1, b"59", total) == level.look(now, b"59", total)
+    assert level.detail(now + 0.1, b"59", total) == level.detail(now, b"59", total)
     assert level.rests_at == pytest.approx(now + STILL)
-    assert level.look(now + STILL, b"59", total) == whole and not level.moving
-    assert level.look(now + 9, b"x", 5).count == 5
+    assert level.detail(now + STILL, b"59", total) == whole and not level.moving
+    assert level.detail(now + 9, b"x", 5).count == 5
 
 
 def test_a_quick_card_draws_all_and_a_slow_one_a_little():
@@ -229,7 +229,7 @@ def test_a_quick_card_draws_all_and_a_slow_one_a_little():
         level, now = Level(), 0.0
         for step in range(100):
             now += 0.02
-            detail = level.look(now, b"%d" % step, 40_000)
+            detail = level.detail(now, b"%d" % step, 40_000)
             if level.measures:
                 level.took(seconds)
         assert detail == want

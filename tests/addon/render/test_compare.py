@@ -45,7 +45,7 @@ def studio(scene):
 
 def compared(scene, camera, depsgraph) -> compare.Comparison:
     """Compare in one call, as in scripts."""
-    return run_blocking(compare.Comparing(scene, camera, depsgraph).judged())
+    return run_blocking(compare.Comparing(scene, camera, depsgraph).compared())
 
 
 def pixels(image: bpy.types.Image) -> np.ndarray:

@@ -28,7 +28,7 @@ def test_the_error_is_stated(scene: bpy.types.Scene) -> None:
     after = objects.read(ob)
     kept = np.sort(np.argsort(-importance_of(before), kind="stable")[:200])
     np.testing.assert_array_equal(after.means, before.means[kept])
-    same = decimate.likeness(before, after, views, antialias=False)
+    same = decimate.similarity(before, after, views, antialias=False)
     want = [psnr(*(np.clip(render(s, *v).rgb, 0, 1) for s in (before, after))) for v in views]
     assert same == pytest.approx(np.mean(want), abs=1e-6) and 10 < same < 45
 

@@ -99,16 +99,18 @@ def test_the_viewport_shows_the_same(scene, tmp_path):
     view = View(
         model=lab.model_of(depsgraph),
         camera=stage.view().camera,
-        held=shared.of(depsgraph),
+        holdouts=shared.of(depsgraph),
     )
     film = Film(options=picture.Options(), transparent=True, to_scene=np.eye(3))
     got = film.shoot(view, lambda: False)["Combined"][::-1]
     np.testing.assert_allclose(got, wanted, atol=3e-5)
-    assert holdout_meshes.same_meshes(view.held, shared.of(depsgraph))  # nothing is copied again
+    assert holdout_meshes.same_meshes(
+        view.holdouts, shared.of(depsgraph)
+    )  # nothing is copied again
     ob.location.x += 0.1
     bpy.context.view_layer.update()
     assert not holdout_meshes.same_meshes(
-        view.held, shared.of(bpy.context.evaluated_depsgraph_get())
+        view.holdouts, shared.of(bpy.context.evaluated_depsgraph_get())
     )
 
 
@@ -234,7 +236,7 @@ def test_a_slanted_plane_has_its_depth_everywhere(scene):
     lab.add(scene, lab.blob())
     view = Stage(bpy.context.evaluated_depsgraph_get(), camera, SIZE, final_cache, print).view()
     assert len(holdout_meshes.HoldoutMeshes().of(depsgraph)) == 1
-    found = mesh_holdout.hidden(view.held, view.camera)
+    found = mesh_holdout.hidden(view.holdouts, view.camera)
     assert (found.share == 1).all()
     y = (35 - (np.arange(SIZE[1]) + 0.5)) / view.camera.K[1, 1]
     # A point (x, y t, 4 - t) is on the plane where z = y tan(0.9).

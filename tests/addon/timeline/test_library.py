@@ -72,11 +72,11 @@ def _until(condition: Callable[[], bool]) -> None:
 
 def test_frames_are_read_in_the_order_they_are_needed(frames, disk) -> None:
     """Oracle: the request; four fit, and the current one comes first."""
-    frames.want("ob", FILES[3:])
+    frames.request("ob", FILES[3:])
     assert frames.frame(FILES[3]) == (None, "") or disk.read
     _until(lambda: not frames.busy)
     assert disk.read == [3, 4, 5, 6]
-    assert frames.held == (4, 4 * SIZE)
+    assert frames.loaded == (4, 4 * SIZE)
     found, problem = frames.frame(FILES[4])
     assert found is not None and found.file == FILES[4] and not problem and frames.fresh
 
@@ -84,9 +84,9 @@ def test_frames_are_read_in_the_order_they_are_needed(frames, disk) -> None:
 def test_what_is_over_makes_room(frames, disk) -> None:
     """Oracle: the memory limit at each step; nothing is read twice during playback."""
     for first in range(6):
-        frames.want("ob", FILES[first:])
+        frames.request("ob", FILES[first:])
         _until(lambda: not frames.busy)
-        assert frames.held[0] <= 4
+        assert frames.loaded[0] <= 4
     assert disk.read == list(range(9))
 
 
@@ -94,7 +94,7 @@ def test_what_shows_has_room_in_any_case(frames, disk) -> None:
     """Oracle: five objects with five current frames, and memory for one."""
     frames.most = SIZE
     for n in range(5):
-        frames.want(n, FILES[n:])
+        frames.request(n, FILES[n:])
     _until(lambda: not frames.busy)
     assert sorted(disk.read) == [0, 1, 2, 3, 4]
     assert all(frames.frame(FILES[n])[0] is not None for n in range(5))
@@ -102,8 +102,8 @@ def test_what_shows_has_room_in_any_case(frames, disk) -> None:
 
 def test_objects_share_frames(frames, disk) -> None:
     """Oracle: the list of reads."""
-    frames.want("a", FILES[:2])
-    frames.want("b", FILES[:2])
+    frames.request("a", FILES[:2])
+    frames.request("b", FILES[:2])
     _until(lambda: not frames.busy)
     assert disk.read == [0, 1]
     assert frames.frame(FILES[0])[0] is frames.frame(FILES[0], wait=True)[0]
@@ -112,7 +112,7 @@ def test_objects_share_frames(frames, disk) -> None:
 def test_asking_does_not_wait_for_the_disk(frames, disk) -> None:
     """Oracle: the answers while the disk is blocked."""
     disk.may.clear()
-    frames.want("ob", FILES[:1])
+    frames.request("ob", FILES[:1])
     assert frames.frame(FILES[0]) == (None, "") and frames.busy
     assert frames.series((Path("/frames"), "")) == (None, "")
     disk.may.set()
@@ -123,7 +123,7 @@ def test_asking_does_not_wait_for_the_disk(frames, disk) -> None:
 def test_waiting_takes_what_is_under_way(frames, disk) -> None:
     """Oracle: the file is read once, and the answer is the frame."""
     disk.may.clear()
-    frames.want("ob", FILES[:1])
+    frames.request("ob", FILES[:1])
     _until(lambda: frames._under_way is not None)
     threading.Timer(0.05, disk.may.set).start()
     assert frames.frame(FILES[0], wait=True)[0] is not None
@@ -134,7 +134,7 @@ def test_a_damaged_file_is_told_and_others_go_on(frames, disk) -> None:
     """Oracle: the error; it is not read again until Rescan Frames."""
     disk.broken = {1}
     for _ in range(3):
-        frames.want("ob", FILES[:3])
+        frames.request("ob", FILES[:3])
         _until(lambda: not frames.busy)
     assert disk.read == [0, 1, 2]
     assert frames.frame(FILES[1]) == (None, "/frames/1.ply is damaged.")
@@ -149,15 +149,15 @@ def test_nothing_runs_after_the_end(frames, disk) -> None:
     kept."""
     others = set(threading.enumerate())
     disk.may.clear()
-    frames.want("ob", FILES)
+    frames.request("ob", FILES)
     _until(lambda: frames._under_way is not None)
     mine = [t for t in threading.enumerate() if t.name == "gscore-frames" and t not in others]
     assert mine
     frames.close()
     disk.may.set()
     _until(lambda: not any(thread.is_alive() for thread in mine))
-    assert frames.held == (0, 0) and disk.read == [0]
-    frames.want("ob", FILES[5:6])  # another file is loaded
+    assert frames.loaded == (0, 0) and disk.read == [0]
+    frames.request("ob", FILES[5:6])  # another file is loaded
     _until(lambda: not frames.busy)
     assert disk.read == [0, 5]
 

@@ -277,9 +277,9 @@ def test_a_linked_file_plays_but_keeps_its_mesh(scene, playing, tmp_path) -> Non
 def test_nothing_is_left_of_a_closed_file(scene, playing) -> None:
     """Oracle: the memory of the session, and Blender's meshes."""
     shown()
-    assert LIBRARY.held[0] > 0
+    assert LIBRARY.loaded[0] > 0
     bpy.ops.wm.read_homefile(use_empty=True)
-    assert LIBRARY.held == (0, 0) and not len(bpy.data.meshes)
+    assert LIBRARY.loaded == (0, 0) and not len(bpy.data.meshes)
     until(lambda: not poll_timer.poll())
 
 
