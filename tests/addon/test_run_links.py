@@ -313,7 +313,7 @@ def test_captures_are_listed_and_chosen(two: SimpleNamespace) -> None:
     assert "[menu: (plush) (studio)]" in drawn(CapturePanel)
     assert bpy.ops.gscore.choose_capture(path=str(two.plush)) == {"FINISHED"}
     assert scene.gscore.result == first and panel_root(scene) is None
-    assert "is named" in error_of(bpy.ops.gscore.choose_capture)
+    assert "is given" in error_of(bpy.ops.gscore.choose_capture)
 
 
 def test_captures_of_one_name_are_told_apart(two: SimpleNamespace) -> None:

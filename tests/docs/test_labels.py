@@ -10,7 +10,9 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGES = sorted((ROOT / "docs" / "blender").glob("*.md"))
 HEADS = ("| button | does |", "| setting | does |", "| display | shows | for |")
-PICTURED = re.compile(r"^(arrows?|film strip|magnifying glass|folder field|cross|sequence icon|eye, .*)$")
+PICTURED = re.compile(
+    r"^(arrows?|film strip|magnifying glass|folder field|cross|sequence icon|eye, .*)$"
+)
 """Buttons that have an icon and no label."""
 
 

@@ -158,7 +158,7 @@ def test_it_rests_while_the_splats_engine_renders(mixed, tmp_path):
     among = lab.render_exr(tmp_path, "among")
     mixed.render.engine = "GSCORE_SPLATS"
     np.testing.assert_allclose(lab.render_exr(tmp_path, "resting"), want, atol=1e-4)
-    assert "rests" in drawn(RenderPanel)
+    assert "meshes is off" in drawn(RenderPanel)
     mixed.render.engine = "CYCLES"
     np.testing.assert_allclose(lab.render_exr(tmp_path, "again"), among, atol=1e-3)
 
@@ -478,7 +478,7 @@ def test_it_is_set_up_from_the_engine_of_splats(mixed, tmp_path):
     mixed.render.engine = "GSCORE_SPLATS"
     bpy.context.view_layer.update()
     assert not mixed.render.film_transparent
-    assert "Compositing with meshes rests" in drawn(RenderPanel)
+    assert "Compositing with meshes is off" in drawn(RenderPanel)
     np.testing.assert_array_equal(lab.render_exr(tmp_path, "rests"), alone)
     assert bpy.ops.gscore.set_up_compositing() == {"FINISHED"}
     assert mixed.render.engine == "CYCLES" and mixed.render.film_transparent

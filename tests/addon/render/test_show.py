@@ -75,4 +75,4 @@ def test_without_splats_it_is_a_sentence(scene: bpy.types.Scene) -> None:
     assert "import a splat" in lab.error_of(bpy.ops.gscore.show_splats)
     ob = lab.add(scene, lab.blob(0))
     bpy.context.view_layer.objects.active = ob
-    assert "shows no splats" in lab.error_of(bpy.ops.gscore.show_splats)
+    assert "has no splats to show" in lab.error_of(bpy.ops.gscore.show_splats)
