@@ -401,7 +401,7 @@ def _read_checkpoint(root: Path) -> None:
         trainer.restore(found.trainer, found.tensors)
         session.restore(found.session)
     trainer.step()
-    session._watch()
+    session._start_watchdog()
     session._checkpoint(keep=1)
 
 

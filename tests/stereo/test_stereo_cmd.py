@@ -132,7 +132,7 @@ def test_maps_of_others_stay(own: Path, capsys: pytest.CaptureFixture[str]) -> N
         ("--method stereo --model x.onnx", "--model exclude each other"),
         ("--method stereo --check", "--check exclude each other"),
         ("--method stereo --align official", "official exclude each other"),
-        ("--method network", "takes a network"),
+        ("--method network", "needs a network"),
     ],
 )
 def test_options_of_other_methods_are_refused(
