@@ -138,22 +138,22 @@ void bad_arguments_are_named() {
     const std::vector<float> map(kPixels, 1.0f);
     std::vector<uint8_t> agree(kPixels), contradict(kPixels);
     std::vector<float> mean(kPixels);
-    const auto judges_not = [&](const char *word, auto change) {
+    const auto refuses_check = [&](const char *word, auto change) {
         gs_stereo_witness witness = {kWidth, kHeight, map.data(), sideways(1), sideways(-1)};
         gs_stereo_check_args args = {kWidth, kHeight, map.data(), 1, &witness, 1, 0.01f, 0.05f, 1};
         change(args, witness);
         CHECK(gs_stereo_check(&args, agree.data(), contradict.data(), mean.data()) == GS_BAD_ARGUMENT);
         CHECK(std::strstr(gs_last_error(), word));
     };
-    judges_not("reference", [](auto &a, auto &) { a.height = 0; });
-    judges_not("null", [](auto &a, auto &) { a.inverse_depth = nullptr; });
-    judges_not("null", [](auto &, auto &w) { w.inverse_depth = nullptr; });
-    judges_not("a witness", [](auto &, auto &w) { w.height = 1; });
-    judges_not("finite", [&](auto &, auto &w) { w.back.rotation[8] = nan; });
-    judges_not("witnesses", [](auto &a, auto &) { a.witness_count = 256; });
-    judges_not("witnesses", [](auto &a, auto &) { a.witness_count = -1; });
-    judges_not("negative", [&](auto &a, auto &) { a.relative = nan; });
-    judges_not("threads", [](auto &a, auto &) { a.threads = GS_THREADS_MAX + 1; });
+    refuses_check("reference", [](auto &a, auto &) { a.height = 0; });
+    refuses_check("null", [](auto &a, auto &) { a.inverse_depth = nullptr; });
+    refuses_check("null", [](auto &, auto &w) { w.inverse_depth = nullptr; });
+    refuses_check("a witness", [](auto &, auto &w) { w.height = 1; });
+    refuses_check("finite", [&](auto &, auto &w) { w.back.rotation[8] = nan; });
+    refuses_check("witness_count", [](auto &a, auto &) { a.witness_count = 256; });
+    refuses_check("witness_count", [](auto &a, auto &) { a.witness_count = -1; });
+    refuses_check("negative", [&](auto &a, auto &) { a.relative = nan; });
+    refuses_check("threads", [](auto &a, auto &) { a.threads = GS_THREADS_MAX + 1; });
 }
 
 } // namespace
