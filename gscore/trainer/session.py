@@ -196,6 +196,9 @@ class Session:
         self._evals = [e for e in self._evals if e["step"] != step] + [entry]
         return entry
 
+    def _decisions(self) -> list[Decision]:
+        return self._prepared.decisions(self._earlier)
+
     def _started(self) -> None:
         photos, cameras = self._trainer.photos, self._trainer.photos.scene.cameras
         viewer = [Decision("viewer", self._viewers.why)] if self._viewers.why else []
@@ -215,7 +218,7 @@ class Session:
                 models=len(self._trainer.members),
                 left_s=self._meter.progress().eta_s,
                 mask_mode=self._prepared.mask_mode,
-                decisions=[*self._prepared.decisions(self._earlier), *viewer],
+                decisions=[*self._decisions(), *viewer],
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
         )
@@ -348,7 +351,7 @@ class Session:
             "steering": self._steering.state(),
             "watchdog": self._watchdog.state(),
             "stereo": self._prepared.stereo.added > 0,
-            "decided": {one.topic: one.text for one in self._prepared.decisions(self._earlier)},
+            "decided": {one.topic: one.text for one in self._decisions()},
             "asked": self._prepared.asked,
         }
         self._trainer.collect()
@@ -410,7 +413,7 @@ class Session:
             warnings=self._warnings,
             depth=self._depth_report() if evaluation else None,
             photo_parameters=photo_parameters,
-            decided=[one.text for one in self._prepared.decisions(self._earlier)],
+            decided=[one.text for one in self._decisions()],
             asked=self._prepared.asked,
             reason=reason,
         )

@@ -71,8 +71,8 @@ def read_metashape(path: Path) -> PosedPhotos:
         )
         if slaves:
             warnings.append(
-                f"{path} states no pose of {count_words(slaves, 'slave camera')}, which stand at a "
-                "fixed place beside their masters. To use them, export the cameras in COLMAP's "
+                f"{path} states no pose of {count_words(slaves, 'slave camera')}, which are "
+                "fixed to their masters. To use them, export the cameras in COLMAP's "
                 "format too, and give the folder with that model and the photos."
             )
     components = Counter(camera.get("component_id", "") for camera in used)
