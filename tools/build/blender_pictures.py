@@ -37,12 +37,12 @@ RATE = 6
 PAUSE, LAST = 0.4, 2.5
 """Seconds of each frame of the animation, and of the last one."""
 MONTAGES = {
-    "region": {"region": "1060x960+0+0"},
-    "handles": {"handles": "1060x780+0+400"},
+    "region": {"region": "1060x1010+0+0"},
+    "handles": {"handles": "1060x960+0+220"},
     "soft": {"part_soft": "240x420+410+350", "part_ellipsoids": "240x420+410+350"},
     "behind": {"part_photo": "620x700+230+230"},
-    "frames": {"part_sequence": "345x264+715+775"},
-    "torn": {"part_torn": "310x282+715+188"},
+    "frames": {"part_sequence": "290x300+770+832"},
+    "torn": {"part_torn": "290x250+770+222"},
     "environment": {"part_question": "560x332+38+341"},
 }
 """Crops of screenshots that form each picture, side by side."""
@@ -56,13 +56,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         first, second = Path(place, "first"), Path(place, "second")
         first.mkdir()
+        shutil.copytree(ROOT / "examples" / "studio", second / "studio")
         photos = sorted((ROOT / "examples" / "studio" / "images").iterdir())
         pixels = (np.asarray(Image.open(photo, formats=["JPEG"])) for photo in photos)
         write_video(first / "walk.mp4", pixels, fps=RATE)
-        (first / "python").write_text(sys.executable)
+        for folder in (first, second):
+            (folder / "python").write_text(sys.executable)
         take(blender, first, SCREENS[0])
-        kept = shutil.ignore_patterns("profile", "packages", "*.png", "seen.json")
-        shutil.copytree(first, second, ignore=kept)
         take(blender, second, SCREENS[1])
         shots = {file.stem: file for file in Path(place).glob("*/*.png")}
         for name in sys.argv[1:] or (*WHOLE, *MONTAGES, ANIMATION):

@@ -1,10 +1,10 @@
 """Picture scene, inside a Blender with a window: draws the sidebar's panels for docs/.
 
 `blender --factory-startup --enable-event-simulate -P tools/window/pictures_scene.py -- FOLDER
-PACKAGES...`; PACKAGES are folders with packages that Blender's Python lacks. FOLDER/walk.mp4 is a
-video, and FOLDER/python contains the path of the Python that trains. Without FOLDER/figure.blend,
-the script takes the pictures of the tour from a video to a render, else the other pictures of its
-splats. Writes FOLDER/seen.json, figure.blend and screenshots, from which
+PACKAGES...`; PACKAGES are folders with packages that Blender's Python lacks. FOLDER/python contains
+the path of the Python that trains. With a video FOLDER/walk.mp4, the script takes the pictures of
+the tour from it to a render, else the other pictures, of the capture FOLDER/studio. Writes
+FOLDER/seen.json and screenshots, from which
 `tools/build/blender_pictures.py` makes the pictures of pages.
 """
 
@@ -23,14 +23,14 @@ from mathutils import Matrix, Quaternion, Vector  # noqa: E402
 
 from addon.panels import CLASSES  # noqa: E402
 
-IS_TRAINED = (FOLDER / "figure.blend").exists()
-OPEN = {"progress"}, {"result", "filters", "region", "sequence"}
-"""Open panels in the tour, and in the pictures of its result."""
+IS_TOUR = (FOLDER / "walk.mp4").exists()
+OPEN = {"progress"} if IS_TOUR else {"result", "filters", "region", "sequence"}
+"""Open panels."""
 for panel in CLASSES:
     name = getattr(panel, "bl_idname", "").removeprefix("GSCORE_PT_")
-    if name in OPEN[IS_TRAINED]:
+    if name in OPEN:
         panel.bl_options = set()
-    elif name in {"capture", "cameras", "train", "result", "render"}:
+    elif name in {"capture", "cameras", "train", "progress", "result", "render"}:
         panel.bl_options = {"DEFAULT_CLOSED"}
 
 addon_utils.enable("addon", default_set=True, persistent=True)
@@ -96,11 +96,19 @@ def open_sidebar() -> Iterator[object]:
         yield 0.2
 
 
+def empty_file() -> Iterator[object]:
+    """A saved file without objects, with the add-on's tab open."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "figure.blend"))
+    for ob in list(bpy.data.objects):
+        bpy.data.objects.remove(ob)
+    yield from open_sidebar()
+
+
 def look_at_figure() -> None:
     """Set the view to the front and slightly above, with the figure filling its height."""
     view = space().region_3d
     view.view_perspective = "PERSP"
-    view.view_distance = 3.5 if IS_TRAINED else 4.5
+    view.view_distance = 3.5
     view.view_location = (0, 0, 0.8)
     view.view_rotation = Quaternion((0.79, 0.59, 0.06, 0.12)).normalized()
 
@@ -145,10 +153,7 @@ def tour() -> Iterator[object]:
     """Take the ten pictures from a video to a render, and frames of the training."""
     scene, settings = bpy.context.scene, bpy.context.scene.gscore
     bpy.context.preferences.addons["addon"].preferences.live_seconds = 1.0
-    bpy.ops.wm.save_as_mainfile(filepath=str(FOLDER / "figure.blend"))
-    for ob in list(bpy.data.objects):
-        bpy.data.objects.remove(ob)
-    yield from open_sidebar()
+    yield from empty_file()
     yield from toggled(CAPTURE)
     press("gscore.choose_video", filepath=str(FOLDER / "walk.mp4"))
     yield 4.0
@@ -183,7 +188,6 @@ def tour() -> Iterator[object]:
     yield at_rest
     yield 1.0
     shoot(FOLDER / "tour-06.png")
-    bpy.ops.wm.save_mainfile()
     yield from finished(settings.result)
 
 
@@ -329,9 +333,17 @@ def question() -> Iterator[object]:
 
 def result() -> Iterator[object]:
     """Pictures of work with the splats of a training."""
+    settings = bpy.context.scene.gscore
+    yield from empty_file()
+    settings.capture_path, settings.output_path = "//studio", "//studio_splats"
+    settings.preset = "preview"
+    press("gscore.import_cameras", directory=str(FOLDER / "studio"))
+    yield 3.0
+    press("gscore.train")
+    yield trained
+    bpy.ops.wm.save_mainfile()
     bpy.ops.wm.open_mainfile(filepath=str(FOLDER / "figure.blend"), load_ui=False)
     yield 2.0
-    yield from open_sidebar()
     ob = bpy.context.scene.gscore.result
     choose(ob)
     for other in bpy.context.scene.objects:
@@ -349,4 +361,4 @@ def result() -> Iterator[object]:
     yield from question()
 
 
-Teller(result() if IS_TRAINED else tour(), leaving(FOLDER, seen))
+Teller(tour() if IS_TOUR else result(), leaving(FOLDER, seen))
