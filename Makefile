@@ -146,15 +146,17 @@ faults: $(LIBRARY)  ## kills, full disks, damaged files, done to real trainings
 	$(BIN)/python tools/break/faults.py --kills $(KILLS)
 	$(BIN)/python tools/break/ranks.py
 
-lint: $(DEVELOPED)  ## ruff, pyright, and checks of the workflows
+lint: $(DEVELOPED)  ## ruff, pyright, clang-format, and checks of the workflows
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'csrc/*.h' 'csrc/*.cpp')
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	$(BIN)/zizmor --offline --quiet --min-severity medium .github/workflows
 
-format: $(DEVELOPED)  ## ruff's formatter and safe fixes, and text wrapped at 120 columns
+format: $(DEVELOPED)  ## clang-format, ruff's formatter and safe fixes, and text wrapped at 120 columns
 	$(BIN)/python tools/build/wrap_text.py $$(git ls-files '*.md')
+	$(BIN)/clang-format -i $$(git ls-files 'csrc/*.h' 'csrc/*.cpp')
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 

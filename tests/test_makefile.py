@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
+LINTERS = ("ruff", "pyright", "clang-format", "check-jsonschema", "zizmor")
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 
 
@@ -57,7 +58,7 @@ def test_developers_get_their_tools_too(
     """Oracle: the commands; linting builds nothing, and looks at the workflows too."""
     commands = plan(target)
     if target == "lint":
-        assert all(name in commands for name in ("ruff", "pyright", "check-jsonschema", "zizmor"))
+        assert all(name in commands for name in LINTERS)
     assert "--group dev" in commands
     assert ("GS_TESTS=ON" in commands) is tests and ("--build " in commands) is tests
 

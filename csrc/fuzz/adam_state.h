@@ -21,8 +21,16 @@ struct AdamState {
             v = noise(-1, 1);
     }
     gs_adam_tensor view(int mode, float lr, int64_t step) {
-        return {param.data(), grad.data(), moment1.data(), moment2.data(), int32_t(width), mode, lr, step,
-                mode == GS_ADAM_ALL ? nullptr : seen.data(), mode == GS_ADAM_ALL ? nullptr : lag.data(),
+        return {param.data(),
+                grad.data(),
+                moment1.data(),
+                moment2.data(),
+                int32_t(width),
+                mode,
+                lr,
+                step,
+                mode == GS_ADAM_ALL ? nullptr : seen.data(),
+                mode == GS_ADAM_ALL ? nullptr : lag.data(),
                 mode == GS_ADAM_ALL ? nullptr : drift.data()};
     }
 };

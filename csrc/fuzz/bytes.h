@@ -43,10 +43,11 @@ class Bytes {
     // A number from a table of hostile ones, with random bits, or around zero.
     float hostile() {
         using L = std::numeric_limits<float>;
-        static const float table[] = {0.0f,     -0.0f,     1.0f,    -1.0f,   L::quiet_NaN(), L::infinity(), -L::infinity(),
-                                      L::max(), -L::max(), L::min(), L::denorm_min(), 1e-40f, 1e-20f,       1e-8f,
-                                      1e8f,     -1e8f,     1e20f,   -1e20f,  16.0f,          1.0f / 255,    0.01f,
-                                      88.0f,    -88.0f,    104.0f,  -104.0f, 40.0f,          -40.0f,        1e30f};
+        static const float table[] = {0.0f,           -0.0f,      1.0f,      -1.0f,    L::quiet_NaN(),  L::infinity(),
+                                      -L::infinity(), L::max(),   -L::max(), L::min(), L::denorm_min(), 1e-40f,
+                                      1e-20f,         1e-8f,      1e8f,      -1e8f,    1e20f,           -1e20f,
+                                      16.0f,          1.0f / 255, 0.01f,     88.0f,    -88.0f,          104.0f,
+                                      -104.0f,        40.0f,      -40.0f,    1e30f};
         const uint8_t kind = byte();
         if (kind < 128)
             return table[kind % (sizeof table / sizeof table[0])];

@@ -1,6 +1,5 @@
 // gs_add_pull, gs_exp2, gs_pack_rows and gs_unpack_rows on any bits: nothing is written beyond the arrays, and results
-// are
-// as the header states.
+// are as the header states.
 #include "scene.h"
 
 using fuzz::Bytes;

@@ -30,7 +30,8 @@ bool same_row(const AdamState &a, const AdamState &b, size_t row) {
     const auto same = [&](const std::vector<float> &x, const std::vector<float> &y) {
         return std::memcmp(&x[row * a.width], &y[row * a.width], a.width * sizeof(float)) == 0;
     };
-    return same(a.param, b.param) && same(a.moment1, b.moment1) && same(a.moment2, b.moment2) && a.lag[row] == b.lag[row];
+    return same(a.param, b.param) && same(a.moment1, b.moment1) && same(a.moment2, b.moment2) &&
+           a.lag[row] == b.lag[row];
 }
 
 // Whether the camera is rigid and its numbers leave enough float32 precision for pixels: the bounds of splats on screen
@@ -108,6 +109,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     const gs_adam_tensor tensor = untouched.view(mode, kRate, step);
     REQUIRE(gs_adam_catch_up(&tensor, &splats, &scene.camera, scene.options.eps2d, values.data(), 3) == GS_OK);
     REQUIRE(values.guards_hold() && values.all_written() && equal(untouched, before));
-    REQUIRE(seen.param.empty() || std::memcmp(values.data(), seen.param.data(), seen.param.size() * sizeof(float)) == 0);
+    REQUIRE(seen.param.empty() ||
+            std::memcmp(values.data(), seen.param.data(), seen.param.size() * sizeof(float)) == 0);
     return 0;
 }

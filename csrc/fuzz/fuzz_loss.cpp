@@ -25,8 +25,8 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     }
     for (uint8_t &m : mask)
         m = flags & 4 ? uint8_t(noise(0, 256)) : flags & 8 ? 0 : 255;
-    gs_loss_args args = {width,      height, image.data(), target.data(), mask.data(), flags >> 4 & 3,
-                         {0, 0.5, 1}, 0.2f,   1 + (flags >> 6)};
+    gs_loss_args args = {width,          height,      image.data(), target.data(),   mask.data(),
+                         flags >> 4 & 3, {0, 0.5, 1}, 0.2f,         1 + (flags >> 6)};
     float gain[3] = {noise(0.5f, 2), 1, noise(0.5f, 2)};
     args.gain = exposure & 1 ? gain : nullptr;
     float largest = 1;

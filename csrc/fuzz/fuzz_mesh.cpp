@@ -1,6 +1,5 @@
 // Depth of meshes of any corners and triangles: every pixel and nothing beyond is written, depths are within those of
-// the
-// corners, and invalid meshes are refused.
+// the corners, and invalid meshes are refused.
 #include "scene.h"
 
 #include <algorithm>

@@ -18,7 +18,8 @@ struct Drawn {
 
     Drawn(gs_raster *raster, const Scene &s, size_t pixels)
         : rgb(3 * pixels), alpha(pixels), inverse_depth(pixels), depth(pixels), median(pixels), radii(s.size(), -1) {
-        const gs_image image = {rgb.data(), alpha.data(), inverse_depth.data(), depth.data(), median.data(), radii.data()};
+        const gs_image image = {rgb.data(),   alpha.data(),  inverse_depth.data(),
+                                depth.data(), median.data(), radii.data()};
         const gs_splats splats = s.view();
         status = gs_raster_forward(raster, &splats, &s.camera, &s.options, &image);
         REQUIRE(gs_raster_stats(raster, &stats) == GS_OK);

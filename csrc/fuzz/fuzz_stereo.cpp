@@ -89,7 +89,8 @@ void sweep(Bytes &in, Noise &noise) {
     for (int k = 1 + plenty % 4; k > 0; --k) {
         const int32_t w = 2 + in.byte() % 60, h = 2 + in.byte() % 60;
         others.push_back(flags & 2 ? reference : photo(size_t(w) * size_t(h), noise, flags & 4));
-        sources.push_back({flags & 2 ? width : w, flags & 2 ? height : h, others.back().data(), moved(noise(-9, 9), noise)});
+        sources.push_back(
+            {flags & 2 ? width : w, flags & 2 ? height : h, others.back().data(), moved(noise(-9, 9), noise)});
     }
     gs_stereo_sweep_args args = {};
     args.width = width, args.height = height, args.grey = reference.data();

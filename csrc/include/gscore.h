@@ -4,19 +4,16 @@
  *  - All arrays are C-contiguous, float32 unless stated otherwise, and owned by the caller. Output arrays are written
  *    completely. N is the number of splats, H and W the image size in pixels.
  *  - Pixel centres are at +0.5. Cameras use OpenCV axes (+x right, +y down, +z forward); `viewmat` maps world to
- *    camera,
- *    row-major, for column vectors.
+ *    camera, row-major, for column vectors.
  *  - Functions return a gs_status unless declared otherwise. On any status but GS_OK, gs_last_error() on the same
- *    thread
- *    returns the message, and outputs are unspecified.
+ *    thread returns the message, and outputs are unspecified.
  *  - One thread at a time may use a gs_raster; different threads may use different ones. A forked process may use those
  *    that no thread of its parent was using at the fork.
  *  - No input value crashes the library: splats with NaN, infinities or a colour above 1e9 are culled.
  *  - Results are bit-identical for any number of threads.
  *
  * The mathematics is that of Kerbl et al. 2023 (3D Gaussian Splatting) and Zwicker et al. 2001 (EWA splatting), with
- * the
- * constants below.
+ * the constants below.
  */
 #ifndef GSCORE_H
 #define GSCORE_H
@@ -82,9 +79,9 @@ typedef struct gs_splats {
 
 /* Pinhole or orthographic camera. */
 typedef struct gs_camera {
-    float viewmat[16];    /* [4, 4] world to camera */
-    float fx, fy, cx, cy; /* px; fx and fy are px per world unit if `orthographic` */
-    int32_t width, height; /* 1 to 65536 each */
+    float viewmat[16];           /* [4, 4] world to camera */
+    float fx, fy, cx, cy;        /* px; fx and fy are px per world unit if `orthographic` */
+    int32_t width, height;       /* 1 to 65536 each */
     float near_plane, far_plane; /* splats with near < z <= far are drawn; world units */
     int32_t orthographic; /* 1: parallel rays, x = fx X + cx, view direction +z for colours; forward calls only */
 } gs_camera;
@@ -108,12 +105,12 @@ enum {
 
 /* Render options. */
 typedef struct gs_options {
-    float eps2d;          /* added to the diagonal of the 2D covariance, px^2; usually 0.3 */
-    int32_t antialias;    /* 1: opacities are multiplied by max(sqrt(det0 / det), GS_COMPENSATION_MIN) */
-    float background[3];  /* RGB */
-    uint32_t outputs;     /* bits GS_OUT_* and GS_COUNT_USEFUL */
-    uint32_t disable;     /* bits GS_NO_* */
-    int32_t threads;      /* up to GS_THREADS_MAX; 0: gs_default_threads() */
+    float eps2d;                    /* added to the diagonal of the 2D covariance, px^2; usually 0.3 */
+    int32_t antialias;              /* 1: opacities are multiplied by max(sqrt(det0 / det), GS_COMPENSATION_MIN) */
+    float background[3];            /* RGB */
+    uint32_t outputs;               /* bits GS_OUT_* and GS_COUNT_USEFUL */
+    uint32_t disable;               /* bits GS_NO_* */
+    int32_t threads;                /* up to GS_THREADS_MAX; 0: gs_default_threads() */
     const volatile int32_t *cancel; /* may be null; polled between tiles */
     const uint8_t *tiles; /* [ceil(H / GS_TILE), ceil(W / GS_TILE)]; no splat is drawn in tiles that are 0; null: all */
     const float *far_depths; /* [H, W]; at a pixel only splats with z <= this are drawn, in front of an opaque object;
@@ -155,8 +152,8 @@ typedef struct gs_splat_grads {
 
 /* Statistics of the last forward and backward call of a gs_raster. A pair is one splat evaluated at one pixel. */
 typedef struct gs_stats {
-    int64_t visible;        /* splats in the image */
-    int64_t entries;        /* (list tile, splat) entries */
+    int64_t visible; /* splats in the image */
+    int64_t entries; /* (list tile, splat) entries */
     int64_t forward_pairs;
     int64_t useful_pairs; /* forward pairs that changed their pixel; 0 unless GS_COUNT_USEFUL was set */
     int64_t backward_pairs;
@@ -196,8 +193,7 @@ GS_API gs_status gs_raster_backward(gs_raster *raster, const gs_splats *splats, 
                                     const gs_splat_grads *grads, const volatile int32_t *cancel);
 GS_API gs_status gs_raster_stats(const gs_raster *raster, gs_stats *out);
 /* Screen-space values of the last forward call, for tests and tools; rows of culled splats are zero. Any array may be
- * null. means2d [N, 2] px, depths [N] z, conics [N, 3] (xx, xy, yy), colors [N, 3], opacities [N] after compensation.
- * */
+ * null. means2d [N, 2] px, depths [N] z, conics [N, 3] (xx, xy, yy), colors [N, 3], opacities [N] compensated. */
 GS_API gs_status gs_raster_projected(const gs_raster *raster, float *means2d, float *depths, float *conics,
                                      float *colors, float *opacities);
 /* The exponential used for alphas, for tests and tools: y[i] = 2^x[i] for `count` floats in [-126, 127]. */
@@ -213,8 +209,7 @@ enum {
 /* loss = (1 - ssim_weight) * mean|x - y| + ssim_weight * (1 - mean SSIM(x, y)), with x the image, y the target.
  * SSIM (Wang et al. 2004): Gaussian window of 11 px, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, per channel.
  * With a gain, x is gain times image: the neutral picture with the photo's exposure. Where the photo is white (255) and
- * x
- * is brighter, x counts as white and receives no gradient. */
+ * x is brighter, x counts as white and receives no gradient. */
 typedef struct gs_loss_args {
     int32_t width, height;
     const float *image;    /* [H, W, 3] */
@@ -233,8 +228,7 @@ typedef struct gs_loss_result {
 } gs_loss_result;
 
 /* Compute the loss and, unless v_image is null, its gradient [H, W, 3] with respect to the image. Uses the buffers of
- * the
- * gs_raster; its forward state stays valid. */
+ * the gs_raster; its forward state stays valid. */
 GS_API gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_result *result, float *v_image);
 
 /* Accumulate the screen-space gradients of a view, the criterion of densification: where radii [N] is above 0, add the
@@ -246,17 +240,16 @@ GS_API gs_status gs_add_pull(int64_t count, const float *v_means2d, const int32_
 #define GS_ROW_TABLES_MAX 64
 #define GS_ROW_WIDTH_MAX 4096
 typedef struct gs_row_table {
-    float *data;     /* [N, width] */
-    int32_t width;   /* floats per row, 1 to GS_ROW_WIDTH_MAX */
-    int32_t adds;    /* 1: gs_unpack_rows adds to the rows; 0: it replaces them */
-    float divisor;   /* gs_pack_rows divides the rows in the table by this before it copies them; not 0 */
+    float *data;   /* [N, width] */
+    int32_t width; /* floats per row, 1 to GS_ROW_WIDTH_MAX */
+    int32_t adds;  /* 1: gs_unpack_rows adds to the rows; 0: it replaces them */
+    float divisor; /* gs_pack_rows divides the rows in the table by this before it copies them; not 0 */
 } gs_row_table;
 
 /* `packed` is [count, 1 + sum of all widths], 4 bytes each. Each row starts with an int32, the index of the row in the
  * tables, 0 to N - 1, without duplicates, followed by the bits of that row in all tables. gs_pack_rows packs the rows
  * with the indices `places` [count]. gs_unpack_rows writes packed rows into the tables, and sets marks[row], of [N], to
- * 1
- * for each; `marks` may be null. Rows out of range are skipped, and the error names the first of them. */
+ * 1 for each; `marks` may be null. Rows out of range are skipped, and the error names the first of them. */
 GS_API gs_status gs_pack_rows(const gs_row_table *tables, int32_t table_count, int64_t rows, const int64_t *places,
                               float *packed, int64_t count, int32_t threads);
 GS_API gs_status gs_unpack_rows(const gs_row_table *tables, int32_t table_count, int64_t rows, const float *packed,
@@ -271,51 +264,50 @@ GS_API gs_status gs_unpack_rows(const gs_row_table *tables, int32_t table_count,
 
 /* Modes of a tensor in gs_adam_step. */
 enum {
-    GS_ADAM_ALL = 0,  /* every row steps with its gradient, which may be zero */
-    GS_ADAM_SEEN = 1, /* rows marked in `seen` step; their gradients, marks and lags become zero. The others skip the
-    step:
-                         they keep their values until a later call, or gs_adam_catch_up, applies the pending steps with
-                         zero gradients (exact except for eps and rounding) */
-    GS_ADAM_WAIT = 2  /* no row steps; gradients accumulate for a later call */
+    /* Every row steps with its gradient, which may be zero. */
+    GS_ADAM_ALL = 0,
+    /* Rows marked in `seen` step; their gradients, marks and lags become zero. The others skip the step: they keep
+     * their values until a later call, or gs_adam_catch_up, applies the pending steps with zero gradients (exact except
+     * for eps and rounding). */
+    GS_ADAM_SEEN = 1,
+    /* No row steps; gradients accumulate for a later call. */
+    GS_ADAM_WAIT = 2
 };
 
 typedef struct gs_adam_tensor {
-    float *param;    /* [N, width] */
-    float *grad;     /* [N, width]; see `mode` */
-    float *moment1;  /* [N, width], initially zero */
-    float *moment2;  /* [N, width], initially zero */
-    int32_t width;   /* floats per row, at least 1 */
-    int32_t mode;    /* GS_ADAM_* */
-    float lr;        /* learning rate */
-    int64_t step;    /* number of this step, from 1: counts the calls with GS_ADAM_ALL or GS_ADAM_SEEN */
-    uint8_t *seen;   /* [N], initially zero; 1: received a gradient since its last step. Null with GS_ADAM_ALL, as are
-    the
-                        next two */
-    uint8_t *lag;    /* [N], initially zero; number of pending steps */
-    double *drift;   /* [GS_ADAM_LAGS], initially zero; factor of the update after k pending steps */
-    int32_t photos;  /* number of photos in the gradients: the betas are raised to this power; 0 counts as 1; more than
-    1
-                        only with GS_ADAM_ALL. `step` then counts photos, including the last one of this step */
+    float *param;   /* [N, width] */
+    float *grad;    /* [N, width]; see `mode` */
+    float *moment1; /* [N, width], initially zero */
+    float *moment2; /* [N, width], initially zero */
+    int32_t width;  /* floats per row, at least 1 */
+    int32_t mode;   /* GS_ADAM_* */
+    float lr;       /* learning rate */
+    int64_t step;   /* number of this step, from 1: counts the calls with GS_ADAM_ALL or GS_ADAM_SEEN */
+    /* Null with GS_ADAM_ALL: */
+    uint8_t *seen; /* [N], initially zero; 1: received a gradient since its last step */
+    uint8_t *lag;  /* [N], initially zero; number of pending steps */
+    double *drift; /* [GS_ADAM_LAGS], initially zero; factor of the update after k pending steps */
+    /* Number of photos in the gradients: the betas are raised to this power; 0 counts as 1; more than 1 only with
+     * GS_ADAM_ALL. `step` then counts photos, including the last one of this step. */
+    int32_t photos;
 } gs_adam_tensor;
 
 typedef struct gs_adam {
-    int64_t count;                 /* N */
-    int32_t tensor_count;          /* at least 1 */
+    int64_t count;        /* N */
+    int32_t tensor_count; /* at least 1 */
     const gs_adam_tensor *tensors;
-    const int32_t *radii;          /* [N] of gs_image: rows above 0 are marked in `seen`; null: all rows */
-    int32_t threads;               /* 0: gs_default_threads() */
+    const int32_t *radii; /* [N] of gs_image: rows above 0 are marked in `seen`; null: all rows */
+    int32_t threads;      /* 0: gs_default_threads() */
 } gs_adam;
 
 /* Do one step. A row with a gradient that is not finite in any GS_ADAM_ALL tensor steps with zero gradients in all
  * tensors; in a tensor of another mode, only in that tensor. `bad_rows` (may be null) receives the number of these
- * rows.
- * Gradients are clamped to a magnitude of 1e18. */
+ * rows. Gradients are clamped to a magnitude of 1e18. */
 GS_API gs_status gs_adam_step(const gs_adam *adam, int64_t *bad_rows);
 /* Apply the pending steps of a GS_ADAM_SEEN tensor: of all rows, or, if `camera` is not null, at least of those that
  * gs_raster_forward with this camera and eps2d draws, provided that it is rigid and its numbers are below 1e5. `step`
- * and
- * `drift` are those after the last step. `splats` gives N, means and scales; its shN is not read. If `out` is not null,
- * it receives the values [N, width], and nothing else changes. */
+ * and `drift` are those after the last step. `splats` gives N, means and scales; its shN is not read. If `out` is not
+ * null, it receives the values [N, width], and nothing else changes. */
 GS_API gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats, const gs_camera *camera,
                                   float eps2d, float *out, int32_t threads);
 
@@ -342,21 +334,20 @@ typedef struct gs_stereo_source {
 
 typedef struct gs_stereo_sweep_args {
     int32_t width, height;
-    const uint8_t *grey; /* [H, W], the reference */
+    const uint8_t *grey;  /* [H, W], the reference */
     int32_t source_count; /* 1 to GS_STEREO_SOURCES_MAX */
     const gs_stereo_source *sources;
     float farthest, nearest; /* inverse depths of the first and the last plane, 0 <= farthest < nearest */
-    int32_t planes; /* GS_STEREO_PLANES_MIN to GS_STEREO_PLANES_MAX, evenly spaced in inverse depth */
-    int32_t radius; /* windows are 2 radius + 1 px wide and high, 1 to GS_STEREO_RADIUS_MAX */
-    int32_t best;   /* 1 or 2: a plane's score is the mean over this number of best sources */
-    float noise;    /* standard deviation of the noise of grey values, above 0; lowers the scores of flat windows */
+    int32_t planes;          /* GS_STEREO_PLANES_MIN to GS_STEREO_PLANES_MAX, evenly spaced in inverse depth */
+    int32_t radius;          /* windows are 2 radius + 1 px wide and high, 1 to GS_STEREO_RADIUS_MAX */
+    int32_t best;            /* 1 or 2: a plane's score is the mean over this number of best sources */
+    float noise; /* standard deviation of the noise of grey values, above 0; lowers the scores of flat windows */
     int32_t threads;
     const volatile int32_t *cancel; /* may be null; polled between bands of rows */
 } gs_stereo_sweep_args;
 
 /* Results of the sweep at each pixel of the reference. Where the score has no peak inside the range, and within
- * `radius`
- * of the photo's sides, inverse_depth is 0 and score and rival are -1. */
+ * `radius` of the photo's sides, inverse_depth is 0 and score and rival are -1. */
 typedef struct gs_stereo_found {
     float *inverse_depth; /* [H, W], 1/world unit; interpolated between planes by a parabola */
     float *score;         /* [H, W] zero-mean normalised cross-correlation at the highest peak, up to 1 */
@@ -380,16 +371,15 @@ typedef struct gs_stereo_check_args {
     const float *inverse_depth; /* [H, W] of the reference; 0: unknown */
     int32_t witness_count;      /* 0 to 255 */
     const gs_stereo_witness *witnesses;
-    float pixels;   /* a neighbour view agrees if its depth projects back to within `pixels` of the reference's pixel,
-    */
-    float relative; /* and to within this relative difference of its inverse depth */
-    float passed;   /* it contradicts if its surface is farther than the projected point by this relative distance */
+    /* A neighbour view agrees if its depth projects back to within `pixels` of the reference's pixel, and to within
+     * `relative` of its inverse depth. It contradicts if its surface is farther than the projected point by the
+     * relative distance `passed`. */
+    float pixels, relative, passed;
     int32_t threads;
 } gs_stereo_check_args;
 
 /* Count the neighbour views that agree with each pixel of the reference and those that contradict it, and compute the
- * mean
- * inverse depth of the reference and the agreeing views. Pixels of unknown depth get 0. */
+ * mean inverse depth of the reference and the agreeing views. Pixels of unknown depth get 0. */
 GS_API gs_status gs_stereo_check(const gs_stereo_check_args *args, uint8_t *agree, uint8_t *contradict,
                                  float *inverse_depth);
 

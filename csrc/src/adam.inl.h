@@ -3,10 +3,9 @@
 // A row without gradient for k steps after step t moves, at its j-th step, by
 //   lr sqrt(1 - beta2^(t+j)) / (1 - beta1^(t+j)) (beta1 / sqrt(beta2))^j m / (sqrt(v) + eps),
 // with m and v of step t: the sum over j is m / (sqrt(v) + eps) times a factor common to all rows of a tensor,
-// tabulated
-// by k. Only eps, which should shrink with the bias correction and grow with j, is approximated.
-// eps is 1e-15, far below the roots of second moments: 1 / (sqrt(v) + eps) is computed as 1 / sqrt(v + eps^2), which
-// differs only for gradients that small, and needs neither a division nor a root.
+// tabulated by k. Only eps, which should shrink with the bias correction and grow with j, is approximated. eps is
+// 1e-15, far below the roots of second moments: 1 / (sqrt(v) + eps) is computed as 1 / sqrt(v + eps^2), which differs
+// only for gradients that small, and needs neither a division nor a root.
 #pragma once
 
 #include "adam.h"

@@ -3,9 +3,9 @@
 #include "cpu_dispatch.h"
 #include "match.h"
 #include "mesh_depth.h"
-#include "row_packing.h"
 #include "pull.h"
 #include "raster.h"
+#include "row_packing.h"
 #include "stereo.h"
 #include "thread_count.h"
 
@@ -71,7 +71,8 @@ gs_status check_camera(const gs_camera &c) {
         if (!std::isfinite(v))
             return fail(GS_BAD_ARGUMENT, "camera.viewmat has a value that is not finite");
     if (!(c.fx > 0 && c.fy > 0 && std::isfinite(c.fx) && std::isfinite(c.fy)))
-        return fail(GS_BAD_ARGUMENT, "focal lengths must be positive, got fx = %g, fy = %g", double(c.fx), double(c.fy));
+        return fail(GS_BAD_ARGUMENT, "focal lengths must be positive, got fx = %g, fy = %g", double(c.fx),
+                    double(c.fy));
     if (!std::isfinite(c.cx) || !std::isfinite(c.cy))
         return fail(GS_BAD_ARGUMENT, "the principal point must be finite, got cx = %g, cy = %g", double(c.cx),
                     double(c.cy));
@@ -108,8 +109,8 @@ int32_t gs_default_threads(void) {
 
 gs_status gs_set_isa(const char *name) {
     if (!gs::use_kernels(name))
-        return fail(GS_UNSUPPORTED, "instruction set %.40s is not available here; there are: %s", name ? name : "(null)",
-                    gs::available_kernels());
+        return fail(GS_UNSUPPORTED, "instruction set %.40s is not available here; there are: %s",
+                    name ? name : "(null)", gs::available_kernels());
     return GS_OK;
 }
 
@@ -141,8 +142,9 @@ gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs
     return guarded("gs_raster_forward", [&] {
         const gs_status s = raster->forward(*splats, *camera, *options, *image);
         if (s == GS_TOO_MANY)
-            return fail(s, "the splats cover too many tiles: more than 2147483647 entries; use a smaller image or fewer "
-                           "screen-filling splats");
+            return fail(s,
+                        "the splats cover too many tiles: more than 2147483647 entries; use a smaller image or fewer "
+                        "screen-filling splats");
         if (s == GS_CANCELLED)
             return fail(s, "cancelled");
         return s;
@@ -165,7 +167,8 @@ gs_status gs_raster_backward(gs_raster *raster, const gs_splats *splats, const g
         if (s == GS_UNSUPPORTED)
             return fail(s, "gs_raster_backward: the last forward call was orthographic, which has no gradients");
         if (s == GS_BAD_ARGUMENT)
-            return fail(s, "gs_raster_backward: there is no forward call of this raster with the same number of splats");
+            return fail(s,
+                        "gs_raster_backward: there is no forward call of this raster with the same number of splats");
         return s;
     });
 }
@@ -195,7 +198,8 @@ gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_res
     if (!raster || !args || !result || !args->image || !args->target)
         return fail(GS_BAD_ARGUMENT, "gs_image_loss: an argument is null");
     if (args->width < 1 || args->width > 65536 || args->height < 1 || args->height > 65536)
-        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px per side, got %d x %d", args->width, args->height);
+        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px per side, got %d x %d", args->width,
+                    args->height);
     if (args->mask_mode < GS_MASK_NONE || args->mask_mode > GS_MASK_IGNORE ||
         (args->mask_mode != GS_MASK_NONE && !args->mask))
         return fail(GS_BAD_ARGUMENT, "mask_mode must be 0, 1 or 2, with a mask unless 0; got %d", args->mask_mode);
@@ -225,8 +229,8 @@ gs_status check_tensor(const gs_adam_tensor &t, int64_t count) {
     if (t.mode != GS_ADAM_ALL && (!t.drift || (count > 0 && (!t.seen || !t.lag))))
         return fail(GS_BAD_ARGUMENT, "tensor.seen, lag and drift are needed unless the mode is GS_ADAM_ALL");
     if (t.photos < 0 || (t.photos > 1 && t.mode != GS_ADAM_ALL))
-        return fail(GS_BAD_ARGUMENT, "tensor.photos must be at least 0, and at most 1 unless the mode is GS_ADAM_ALL, got %d",
-                    t.photos);
+        return fail(GS_BAD_ARGUMENT,
+                    "tensor.photos must be at least 0, and at most 1 unless the mode is GS_ADAM_ALL, got %d", t.photos);
     return GS_OK;
 }
 
@@ -298,9 +302,11 @@ namespace {
 gs_status check_packing(const gs_row_table *tables, int32_t table_count, int64_t rows, const float *packed,
                         int64_t count, int32_t threads) {
     if (!tables || table_count < 1 || table_count > GS_ROW_TABLES_MAX)
-        return fail(GS_BAD_ARGUMENT, "there must be 1 to %d tables, got %d", GS_ROW_TABLES_MAX, tables ? table_count : 0);
+        return fail(GS_BAD_ARGUMENT, "there must be 1 to %d tables, got %d", GS_ROW_TABLES_MAX,
+                    tables ? table_count : 0);
     if (rows < 0 || rows > INT32_MAX || count < 0 || count > rows)
-        return fail(GS_BAD_ARGUMENT, "%lld rows cannot be packed from tables of %lld", (long long)count, (long long)rows);
+        return fail(GS_BAD_ARGUMENT, "%lld rows cannot be packed from tables of %lld", (long long)count,
+                    (long long)rows);
     if (const gs_status s = check_threads(threads))
         return s;
     if (count == 0)
@@ -348,7 +354,8 @@ namespace {
 
 gs_status check_side(const char *what, int32_t width, int32_t height) {
     if (width < 2 || width > GS_STEREO_SIDE_MAX || height < 2 || height > GS_STEREO_SIDE_MAX)
-        return fail(GS_BAD_ARGUMENT, "%s must be 2 to %d px per side, got %d x %d", what, GS_STEREO_SIDE_MAX, width, height);
+        return fail(GS_BAD_ARGUMENT, "%s must be 2 to %d px per side, got %d x %d", what, GS_STEREO_SIDE_MAX, width,
+                    height);
     return GS_OK;
 }
 
@@ -447,7 +454,8 @@ namespace {
 
 gs_status check_mesh(const gs_mesh &mesh) {
     if (mesh.corner_count < 0 || mesh.corner_count > INT32_MAX || mesh.triangle_count < 0)
-        return fail(GS_BAD_ARGUMENT, "a mesh must have 0 to 2147483647 corners and 0 or more triangles, got %lld and %lld",
+        return fail(GS_BAD_ARGUMENT,
+                    "a mesh must have 0 to 2147483647 corners and 0 or more triangles, got %lld and %lld",
                     (long long)mesh.corner_count, (long long)mesh.triangle_count);
     if ((mesh.corner_count > 0 && !mesh.corners) || (mesh.triangle_count > 0 && !mesh.triangles))
         return fail(GS_BAD_ARGUMENT, "the corners or triangles of a mesh are null");

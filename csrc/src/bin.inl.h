@@ -1,9 +1,7 @@
 // Tile binning kernel: the tiles, and the rows inside them, that a projected splat reaches.
 // The region alpha >= 1/255 is an ellipse. Its intersection with a slab of pixel columns is convex, so its rows form
-// one
-// interval with closed-form ends; the intervals of all strips of a tile give tiles and blocks. Splats within two
-// columns
-// of tiles are processed one per lane, wider ones one strip per lane.
+// one interval with closed-form ends; the intervals of all strips of a tile give tiles and blocks. Splats within two
+// columns of tiles are processed one per lane, wider ones one strip per lane.
 #pragma once
 
 #include "simd.h"
@@ -37,8 +35,7 @@ static inline IVec clamp_int(Vec x, Vec low, Vec high) {
 static inline IVec floor_by_truncation(Vec x) { return __builtin_convertvector(x + 1.0f, IVec) - 1; }
 
 // Bit mask of a strip's blocks in the rows first..last of a tile; `first` is at most kTileHeight, `last` at least -1,
-// and
-// a lane may be empty.
+// and a lane may be empty.
 static inline IVec blocks_of_rows(Vec first, Vec last) {
     const IVec f = __builtin_convertvector(first, IVec) >> 2;
     const IVec l = __builtin_convertvector(last, IVec) >> 2;
@@ -129,8 +126,8 @@ template <bool kPlain> static bool bin_wide(const BinArgs &a, const Projected &p
         const Slab slab = slab_at((iota() + float(s0)) * float(kBlock) + (0.5f - p.mean_x), set1(ex), set1(sx));
         Vec first, last;
         if (!(a.disable & GS_NO_EXACT_CULL)) {
-            rows_of_slab(slab, set1(ex), set1(x_top), set1(p.slope), set1(p.half_chord), set1(p.mean_y), set1(sy), first,
-                         last);
+            rows_of_slab(slab, set1(ex), set1(x_top), set1(p.slope), set1(p.half_chord), set1(p.mean_y), set1(sy),
+                         first, last);
             last = min(max(last, set1(-1.0f)), set1(float(box_last)));
             first = min(max(first, set1(float(box_first))), set1(float(a.height)));
             last = __builtin_convertvector(floor_by_truncation(last), Vec);
@@ -269,8 +266,7 @@ template <bool kPlain> static bool bin_chunk(const BinArgs &a, int64_t chunk, In
                 for (int c0 = 0; c0 < kNarrowColumns; c0 += kColumnsAtOnce)
                     for (int r = 0; r < narrow.rows[l]; ++r)
                         for (int c = c0; c < c0 + kColumnsAtOnce; ++c)
-                            to_list.add(uint32_t(narrow.tile[l] + r * tiles_x + c),
-                                        narrow.blocks[r][c][l]);
+                            to_list.add(uint32_t(narrow.tile[l] + r * tiles_x + c), narrow.blocks[r][c][l]);
                 to_list.finish(out);
             }
             a.spans[first + l] = {uint32_t(size_before), uint32_t(out->size - size_before)};

@@ -73,8 +73,7 @@ template <int kCapacity> struct Batch {
 };
 
 // Coordinates u and v of pixels, and log2 of the unclamped alpha of splat `s`. Together with `exp2_above` the only
-// place
-// that decides which splat contributes to which pixel.
+// place that decides which splat contributes to which pixel.
 struct Reach {
     Vec u, v, log2_alpha;
 };
@@ -216,9 +215,7 @@ static inline Area area_of(const BlendArgs &a, uint32_t tile) {
 }
 
 // The first channel of a splat after its colours.
-static inline int third_channel(uint32_t outputs) {
-    return outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ;
-}
+static inline int third_channel(uint32_t outputs) { return outputs & GS_OUT_INVERSE_DEPTH ? kChannelInvZ : kChannelZ; }
 
 // A tile's pixels during blending.
 template <int kChannelCount, bool kWithMedian> struct Canvas {
@@ -232,7 +229,7 @@ template <int kChannelCount, bool kWithMedian> struct Canvas {
     uint32_t done[kTileBlocks]; // bit mask of the complete pixels of each block, whose transmittance is zero
 };
 
-    // State of complete pixels for the backward pass.
+// State of complete pixels for the backward pass.
 struct Ends {
     float *trans;
     int32_t *stop;
@@ -331,8 +328,7 @@ GS_INLINE void end_before(float z, const float *far, Vec *next) {
 }
 
 // Blends all splats of the batch that reach a block, and removes it from `live` when it is complete; returns the number
-// of
-// splats until then. `far` has the far depths of the tile's pixels; null: none.
+// of splats until then. `far` has the far depths of the tile's pixels; null: none.
 template <class C>
 GS_INLINE int blend_block(C &canvas, Ends ends, const ForwardBatch &batch, int block, uint32_t outputs, int third,
                           const float *far, uint32_t &live, int64_t &useful) {
@@ -522,8 +518,7 @@ GS_INLINE void read_gradients(Ground &ground, ColorGradients<kChannels> &color, 
 }
 
 // Initialises `behind` with the background, and determines the stop of each block, 0 without image gradient; returns
-// the
-// last of the stops.
+// the last of the stops.
 template <int kChannels>
 GS_INLINE int32_t find_stops(Ground &ground, const ColorGradients<kChannels> &color, const int32_t *stop,
                              const BlendBackwardArgs &args) {

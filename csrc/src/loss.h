@@ -19,9 +19,8 @@ constexpr int kLossMaps = 4, kLossDerivatives = 3;
 constexpr int kLossSums = 6;
 
 // The tiles of a picture, one thread per tile. Sums are per tile, so the grid is part of the numeric definition. An
-// even
-// number of bands balances two threads; strips are wide, because the margins of a tile are computed twice, but the rows
-// in use must fit into the L2 cache.
+// even number of bands balances two threads; strips are wide, because the margins of a tile are computed twice, but the
+// rows in use must fit into the L2 cache.
 struct LossGrid {
     int bands, strips; // tiles from top to bottom, and from left to right
     int rows, columns; // of a tile, px

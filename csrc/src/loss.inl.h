@@ -1,14 +1,11 @@
 // Loss kernel: fused L1 + SSIM of one tile and its gradient (Wang et al. 2004; zero padding as in 3DGS).
 // Gaussian windows are separable: maps are stored in ring buffers of rows and filtered vertically, five rows at a time,
 // which reads each row three times instead of eleven, then horizontally. The gradient filters the derivatives again,
-// five
-// rows later, in its own ring buffers, so only the gradient itself has the size of the image.
-// Rows are interleaved RGB, so a tap along them is three floats wide.
-// SSIM is computed from d = x - y: with D = E[d] and V = Var(d),
+// five rows later, in its own ring buffers, so only the gradient itself has the size of the image. Rows are interleaved
+// RGB, so a tap along them is three floats wide. SSIM is computed from d = x - y: with D = E[d] and V = Var(d),
 //   SSIM = (1 - D^2 / (mx^2 + my^2 + C1)) (1 - V / (sx^2 + sy^2 + C2)),
 // the usual formula rearranged. The usual variances would cancel in bright flat regions; here the small quantities D
-// and
-// V are computed from small numbers. Values are also shifted by -0.5, which does not change variances.
+// and V are computed from small numbers. Values are also shifted by -0.5, which does not change variances.
 #pragma once
 
 #include "loss.h"
@@ -20,7 +17,7 @@ constexpr float kShift = 0.5f;
 constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;
 
 // Weights of the centre and of the taps 1..5 px away: exp(-d^2 / (2 * 1.5^2)), normalised to sum 1 over 11 taps.
-constexpr float kTap[kReach + 1] = {0.26601172486179436f,  0.21300553771125370f, 0.10936068950970002f,
+constexpr float kTap[kReach + 1] = {0.26601172486179436f,  0.21300553771125370f,  0.10936068950970002f,
                                     0.036000773310661005f, 0.007598758135239183f, 0.0010283801057925797f};
 
 // Ring buffer of rows, as many as the windows cover.
@@ -338,7 +335,7 @@ class LossTile {
     size_t stride_;
     // Inputs of the loss, two margins before the tile, and derivatives, one margin before it.
     LossRing x_, y_, derivatives_[kLossDerivatives];
-    float *down_; // a group of rows of each map, filtered vertically
+    float *down_;              // a group of rows of each map, filtered vertically
     float *gain_ = nullptr;    // per float of a row; null: no gain
     float *by_gain_ = nullptr; // sums over rows of the gradient in its logarithm
     double l1_ = 0, ssim_ = 0, mse_ = 0;

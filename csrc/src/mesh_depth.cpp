@@ -2,8 +2,7 @@
 //
 // With the corners p0, p1, p2 as (u z, v z, z) and the ray r = (u, v, 1) of a pixel, z r = sum of l_i p_i gives
 // l_i / z = r . (p_j x p_k) / D with D = p0 . (p1 x p2). The ray hits the triangle in front of the camera if all three
-// are
-// >= 0, and as the l_i add up to 1, their sum is 1 / z.
+// are >= 0, and as the l_i add up to 1, their sum is 1 / z.
 #include "mesh_depth.h"
 
 #include <algorithm>

@@ -20,8 +20,7 @@ namespace gs {
 namespace {
 
 // Subnormals slow the blend loops down a hundredfold and are negligible there. The state of the host process, for
-// example
-// Blender, is restored.
+// example Blender, is restored.
 class FlushSubnormals {
   public:
 #if defined(__x86_64__) || defined(_M_X64)

@@ -20,23 +20,23 @@ static inline Vec dot3(Vec ax, Vec ay, Vec az, Vec bx, Vec by, Vec bz) { return 
 // State of one splat per lane, for the forward and backward pass.
 struct Lanes {
     Vec mean[3], quat[4], quat_length, scale[3], opacity;
-    Vec see_through;      // 1 - opacity, without cancellation near 1; set if raw
+    Vec see_through; // 1 - opacity, without cancellation near 1; set if raw
     Vec cam[3], inverse_z;
     Vec ratio[2];         // x / z, y / z; like the next two not set for parallel rays
     Vec ratio_clamped[2]; // clamped for the Jacobian
     Mask unclamped[2];
-    Vec jac_diagonal[2];  // J = [d0 0 o0; 0 d1 o1]
+    Vec jac_diagonal[2]; // J = [d0 0 o0; 0 d1 o1]
     Vec jac_offset[2];
-    Vec rot[3][3];        // R
-    Vec world_rot[3][3];  // W R
-    Vec proj[2][3];       // J W R
-    Vec m[2][3];          // J W R S
-    Vec minor[3];         // of columns 12, 20, 01
+    Vec rot[3][3];       // R
+    Vec world_rot[3][3]; // W R
+    Vec proj[2][3];      // J W R
+    Vec m[2][3];         // J W R S
+    Vec minor[3];        // of columns 12, 20, 01
     Vec cov_xx, cov_xy, cov_yy, det0, det;
-    Vec compensation;     // opacity factor
-    Mask compensated;     // where it is above its floor
+    Vec compensation; // opacity factor
+    Mask compensated; // where it is above its floor
     Vec mean2d[2];
-    Vec sigma_opacity;    // after compensation
+    Vec sigma_opacity; // after compensation
 };
 
 // Limits of x / z and y / z in J, to which they are clamped, because the linearisation degenerates far off screen.
@@ -115,8 +115,8 @@ GS_INLINE Mask rotate(const float *w, Lanes &s) {
     s.rot[2][2] = 1.0f - 2.0f * fma(qx, qx, qy * qy);
     for (int i = 0; i < 3; ++i)
         for (int k = 0; k < 3; ++k)
-            s.world_rot[i][k] = dot3(set1(w[4 * i]), set1(w[4 * i + 1]), set1(w[4 * i + 2]), s.rot[0][k],
-                                     s.rot[1][k], s.rot[2][k]);
+            s.world_rot[i][k] =
+                dot3(set1(w[4 * i]), set1(w[4 * i + 1]), set1(w[4 * i + 2]), s.rot[0][k], s.rot[1][k], s.rot[2][k]);
     return ok;
 }
 
@@ -190,9 +190,8 @@ static inline void direction(const gs_camera &camera, const Lanes &s, Row3 &d, V
     const float *w = camera.viewmat;
     Vec v[3];
     for (int j = 0; j < 3; ++j)
-        v[j] = camera.orthographic
-                   ? set1(w[8 + j])
-                   : dot3(set1(w[j]), set1(w[4 + j]), set1(w[8 + j]), s.cam[0], s.cam[1], s.cam[2]);
+        v[j] = camera.orthographic ? set1(w[8 + j])
+                                   : dot3(set1(w[j]), set1(w[4 + j]), set1(w[8 + j]), s.cam[0], s.cam[1], s.cam[2]);
     length = sqrt(dot3(v[0], v[1], v[2], v[0], v[1], v[2]));
     d = {v[0] / length, v[1] / length, v[2] / length};
 }
@@ -371,7 +370,8 @@ struct Blended {
 };
 
 // Loads `lanes` slots from `first` on; further lanes repeat the first splat, with sums of zero.
-GS_INLINE void read_blended(const ProjectBackwardArgs &a, const Moments *moments, int64_t first, int lanes, Blended &b) {
+GS_INLINE void read_blended(const ProjectBackwardArgs &a, const Moments *moments, int64_t first, int lanes,
+                            Blended &b) {
     std::memset(b.sums, 0, sizeof b.sums);
     std::memset(b.color, 0, sizeof b.color);
     std::memset(b.conic, 0, sizeof b.conic);
@@ -512,8 +512,8 @@ GS_INLINE void lanes_backward(const ProjectBackwardArgs &a, const Lanes &s, cons
     screen_backward(s, *a.forward.camera, v_jac_diagonal, v_jac_offset, v_mean2d, b.sum(kInvZ), b.sum(kZ), v_cam);
     color_backward(a, s, b, lanes, v_from_center);
     for (int j = 0; j < 3; ++j)
-        v_mean[j] = dot3(set1(view[j]), set1(view[4 + j]), set1(view[8 + j]), v_cam[0], v_cam[1], v_cam[2]) +
-                    v_from_center[j];
+        v_mean[j] =
+            dot3(set1(view[j]), set1(view[4 + j]), set1(view[8 + j]), v_cam[0], v_cam[1], v_cam[2]) + v_from_center[j];
     scatter<3>(grads.means, b.id, lanes, v_mean);
     if (grads.means2d)
         scatter<2>(grads.means2d, b.id, lanes, v_mean2d);

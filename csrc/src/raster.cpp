@@ -92,8 +92,7 @@ gs_status gs_raster::bin(const BinArgs &args, uint32_t tiles, int threads) {
     }
 
     // Ranges of chunks are counted independently, then scattered to their tiles with one cursor per (range, tile), so
-    // the
-    // order of entries does not depend on the number of ranges.
+    // the order of entries does not depend on the number of ranges.
     const int ranges = int(std::clamp<int64_t>(chunks / 2, 1, std::min(64, 2 * threads)));
     uint32_t *const cursor = tile_cursor_.ensure(size_t(ranges) * tiles);
     const Span *const spans = spans_.get();
@@ -221,7 +220,7 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
     const int tiles_x = ceil_div(camera.width, kTileWidth);
     const int tiles_y = ceil_div(camera.height, kTileHeight);
     const uint32_t tiles = uint32_t(tiles_x) * uint32_t(tiles_y);
-    const BinArgs bins = {projected_.get(), visible_.get(), spans_.get(),    camera.width,  camera.height,
+    const BinArgs bins = {projected_.get(), visible_.get(),  spans_.get(),   camera.width, camera.height,
                           tiles_x,          options.disable, options.cancel, options.tiles};
     if (const gs_status s = bin(bins, tiles, options_.threads))
         return s;
@@ -356,9 +355,9 @@ gs_status gs_raster::projected(float *means2d, float *depths, float *conics, flo
 
 int64_t gs_raster::workspace_bytes() const {
     size_t bytes = projected_.bytes() + depth_keys_.bytes() + visible_.bytes() + spans_.bytes() +
-                   list_of_chunk_.bytes() + moment_begin_.bytes() + tile_cursor_.bytes() +
-                   tile_begin_.bytes() + entries_.bytes() + moments_.bytes() + final_transmittance_.bytes() +
-                   stop_index_.bytes() + viewmat_partial_.bytes() + loss_scratch_.bytes() + loss_partial_.bytes();
+                   list_of_chunk_.bytes() + moment_begin_.bytes() + tile_cursor_.bytes() + tile_begin_.bytes() +
+                   entries_.bytes() + moments_.bytes() + final_transmittance_.bytes() + stop_index_.bytes() +
+                   viewmat_partial_.bytes() + loss_scratch_.bytes() + loss_partial_.bytes();
     for (const auto &list : instances_)
         bytes += list->capacity * sizeof(Instance);
     for (const TileSort &sort : sorts_)

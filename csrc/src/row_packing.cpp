@@ -16,10 +16,8 @@ constexpr int64_t kRows = 2048;
 constexpr int64_t kAhead = 8; // rows to prefetch: their addresses in the tables are random
 
 // Calls work(j) for j below width, specialised for the common widths of a training's tables: a loop of unknown length,
-// or
-// a call of memcpy, has more overhead than work for three numbers.
-template <class Work>
-inline void each_number(int64_t width, Work work) {
+// or a call of memcpy, has more overhead than work for three numbers.
+template <class Work> inline void each_number(int64_t width, Work work) {
     switch (width) {
     case 1:
         work(0);
@@ -37,8 +35,7 @@ inline void each_number(int64_t width, Work work) {
 }
 
 // Calls work(i, row) in parallel for all i below `count` whose row, row_of(i), is in range of `rows`; returns the first
-// i
-// whose row is not, or -1.
+// i whose row is not, or -1.
 template <class RowOf, class Work>
 int64_t each_row(const gs_row_table *tables, int table_count, int64_t rows, int64_t count, int threads, RowOf row_of,
                  Work work) {

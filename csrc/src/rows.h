@@ -38,7 +38,8 @@ static inline void load_columns(const float *const row[kLanes], size_t at, Vec o
     transpose_blocks(out);
 #elif defined(GS_ISA_AVX2)
     for (int r = 0; r < 4; ++r)
-        out[r] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(row[r] + at)), _mm_loadu_ps(row[r + 4] + at), 1);
+        out[r] =
+            _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(row[r] + at)), _mm_loadu_ps(row[r + 4] + at), 1);
     transpose_blocks(out);
 #else
     alignas(64) float columns[4][kLanes];

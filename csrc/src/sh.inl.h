@@ -19,7 +19,7 @@ constexpr float kSh2[5] = {1.0925484305920792f, -1.0925484305920792f, 0.31539156
 constexpr float kSh3[7] = {-0.5900435899266435f, 2.890611442640554f, -0.4570457994644658f, 0.3731763325901154f,
                            -0.4570457994644658f, 1.445305721320277f, -0.5900435899266435f};
 
-constexpr float kSh4[9] = {2.5033429417967046f, -1.7701307697799304f, 0.9461746957575601f,
+constexpr float kSh4[9] = {2.5033429417967046f,  -1.7701307697799304f, 0.9461746957575601f,
                            -0.6690465435572892f, 0.10578554691520431f, -0.6690465435572892f,
                            0.47308734787878004f, -1.7701307697799304f, 0.6258357354491761f};
 
@@ -144,8 +144,8 @@ static inline void sh_colors_of(const gs_splats &in, const uint32_t *id, uint32_
                 color[c] += coefficients[3 * k + c] * b[k + 1];
     }
     for (int c = 0; c < 3; ++c)
-        color[c] = select(gt(color[c], Vec{}), color[c],
-                          select(ge(color[c], set1(-3e38f)), Vec{}, set1(__builtin_nanf(""))));
+        color[c] =
+            select(gt(color[c], Vec{}), color[c], select(ge(color[c], set1(-3e38f)), Vec{}, set1(__builtin_nanf(""))));
 }
 
 // Degree 4 is separate and not inlined, so that the usual lower degrees do not pay for its registers.
@@ -174,8 +174,8 @@ static inline void fetch_coefficients(const gs_splats &in, const gs_splat_grads 
 
 // Writes gradients of the coefficients of the first `lanes` lanes and returns dL/d(x, y, z) of the unit direction.
 template <int kMost>
-static inline void sh_backward_of(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes, Vec x,
-                                  Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
+static inline void sh_backward_of(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes,
+                                  Vec x, Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
     constexpr int kMax = sh_count(kMost);
     Vec b[kMax] = {}, s[kMax] = {};
     sh_basis<kMost>(in.sh_degree, x, y, z, b);

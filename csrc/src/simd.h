@@ -238,8 +238,8 @@ constexpr float kExp2Poly[] = {0.00958538242f, 0.0559066273f, 0.24024038f, 0.693
 #elif GS_EXP_DEGREE == 5
 constexpr float kExp2Poly[] = {0.0013276472f, 0.009675541f, 0.05550713f, 0.2402212f, 0.69314694f, 1.0f};
 #elif GS_EXP_DEGREE == 6
-constexpr float kExp2Poly[] = {0.000152723049f, 0.00134104793f, 0.00961877499f, 0.0555029362f,
-                               0.240226448f,    0.693147242f,   1.0f};
+constexpr float kExp2Poly[] = {
+    0.000152723049f, 0.00134104793f, 0.00961877499f, 0.0555029362f, 0.240226448f, 0.693147242f, 1.0f};
 #else
 #error "GS_EXP_DEGREE must be 3 to 6"
 #endif

@@ -22,8 +22,8 @@ std::vector<uint32_t> quads_of(const gs_stereo_source &source) {
         const uint8_t *const upper = source.grey + y * width, *const lower = upper + (y + 1 < height ? width : 0);
         for (int64_t x = 0; x < width; ++x) {
             const int64_t right = std::min(x + 1, width - 1);
-            quads[size_t(y * width + x)] = uint32_t(upper[x]) | uint32_t(upper[right]) << 8 |
-                                           uint32_t(lower[x]) << 16 | uint32_t(lower[right]) << 24;
+            quads[size_t(y * width + x)] = uint32_t(upper[x]) | uint32_t(upper[right]) << 8 | uint32_t(lower[x]) << 16 |
+                                           uint32_t(lower[right]) << 24;
         }
     }
     return quads;

@@ -2,8 +2,8 @@
 //
 // A window of the reference is compared with the warped source by zero-mean normalised cross-correlation. The three
 // window sums are computed from column sums, which add one row and subtract another per row, and restart in each band,
-// so
-// that rounding does not accumulate. Grey values are relative to the middle of their range, which keeps the sums small.
+// so that rounding does not accumulate. Grey values are relative to the middle of their range, which keeps the sums
+// small.
 #pragma once
 
 #include "simd.h"
@@ -99,8 +99,7 @@ class StereoSweep {
 
   private:
     // Maps of the band's pixels: mean of the window and factor of its covariances; the two best scores of the plane;
-    // the
-    // scores of the two previous planes; the highest peak, its plane and neighbours; the second best peak.
+    // the scores of the two previous planes; the highest peak, its plane and neighbours; the second best peak.
     enum Map { kMean, kScale, kFirst, kSecond, kBefore, kLast, kBest, kIndex, kLeft, kRight, kSecondBest };
     static_assert(kSecondBest + 1 == StereoBand::kMaps);
 
@@ -193,8 +192,7 @@ class StereoSweep {
             store(penalty + x, sample.penalty);
             store(sums + x, load(sums + x) + (now - old));
             store(squares + x, load(squares + x) + (now * now - old * old));
-            store(products + x,
-                  load(products + x) + (now * load(entering_row + x) - old * load(leaving_row + x)));
+            store(products + x, load(products + x) + (now * load(entering_row + x) - old * load(leaving_row + x)));
         }
     }
 
@@ -250,8 +248,8 @@ class StereoSweep {
             const Vec bend = max(2.0f * best - left - right, set1(1e-12f));
             const Vec offset = min(max(quotient(0.5f * (right - left), bend), set1(-0.5f)), set1(0.5f));
             const Vec column = iota() + float(x);
-            const Mask in_row = both(ge(column, set1(float(layout_.radius))),
-                                     gt(set1(float(in_.width - layout_.radius)), column));
+            const Mask in_row =
+                both(ge(column, set1(float(layout_.radius))), gt(set1(float(in_.width - layout_.radius)), column));
             // The first and last plane are no peaks: beyond them the score may be higher.
             const Mask within = both(gt(at, Vec{}), gt(set1(float(in_.planes - 1)), at));
             const Mask known = both(both(in_row, within), gt(set1(in_rows ? 1.0f : 0.0f), Vec{}));

@@ -38,8 +38,7 @@ int number(const char *text) {
 }
 
 // Read once, because a host may change its environment while another thread reads it; without a lock, which a fork at
-// the
-// wrong moment would leave locked.
+// the wrong moment would leave locked.
 std::atomic<int> found{0};
 
 } // namespace

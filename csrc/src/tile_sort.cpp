@@ -1,8 +1,7 @@
 // Tile sort: radix sort of a tile's list by depth.
 // A tile's list usually fits into the L1 and L2 caches, whereas a global sort, and accesses in that order, are limited
-// by
-// memory latency. Sixteen bits of depth, relative to the depth range of the tile, distinguish almost all of its splats;
-// neighbours with equal bits are sorted by insertion afterwards.
+// by memory latency. Sixteen bits of depth, relative to the depth range of the tile, distinguish almost all of its
+// splats; neighbours with equal bits are sorted by insertion afterwards.
 #include "tile_sort.h"
 
 #include <algorithm>

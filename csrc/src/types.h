@@ -88,10 +88,10 @@ struct ProjectArgs {
     const gs_splats *splats;
     const gs_camera *camera;
     const gs_options *options;
-    Projected *projected;    // [chunks * kChunk], visible ones packed at the start of each chunk
-    uint32_t *depth_keys;    // same layout: bits of z
-    int32_t *radii;          // [N] or null
-    int32_t *visible;        // [chunks]
+    Projected *projected; // [chunks * kChunk], visible ones packed at the start of each chunk
+    uint32_t *depth_keys; // same layout: bits of z
+    int32_t *radii;       // [N] or null
+    int32_t *visible;     // [chunks]
 };
 
 struct BinArgs {
@@ -99,7 +99,7 @@ struct BinArgs {
     const int32_t *visible; // [chunks]
     Span *spans;            // [slots]
     int32_t width, height, tiles_x;
-    uint32_t disable; // bits of gs_options.disable
+    uint32_t disable;               // bits of gs_options.disable
     const volatile int32_t *cancel; // may be null
     const uint8_t *tiles;           // gs_options.tiles
 };
@@ -145,9 +145,9 @@ struct LossArgs {
 // A tensor under Adam with the constants of its step.
 struct AdamTensor {
     gs_adam_tensor t;
-    float beta1, beta2, gain1, gain2; // gain = 1 - beta
-    float eps2; // eps^2 (1 - beta2^t): added to second moments without bias correction
-    float rate; // lr sqrt(1 - beta2^t) / (1 - beta1^t)
+    float beta1, beta2, gain1, gain2;     // gain = 1 - beta
+    float eps2;                           // eps^2 (1 - beta2^t): added to second moments without bias correction
+    float rate;                           // lr sqrt(1 - beta2^t) / (1 - beta1^t)
     const float *drift, *decay1, *decay2; // [GS_ADAM_LAGS] by number of pending steps
 };
 
@@ -180,8 +180,7 @@ struct StereoArgs {
 };
 
 // Nearest descriptors of the other photo. The closeness is twice the dot product minus the other's squared length,
-// which
-// decreases with the squared distance.
+// which decreases with the squared distance.
 struct Nearest {
     int32_t *closeness, *second; // [padded], at least kNoCloseness
     int32_t *row;                // [padded]

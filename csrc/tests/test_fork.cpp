@@ -44,8 +44,8 @@ struct Picture {
         args.threads = threads;
         gs_loss_result result;
         gs_raster *raster = nullptr;
-        const bool good = gs_raster_create(&raster) == GS_OK &&
-                          gs_image_loss(raster, &args, &result, gradient.data()) == GS_OK;
+        const bool good =
+            gs_raster_create(&raster) == GS_OK && gs_image_loss(raster, &args, &result, gradient.data()) == GS_OK;
         gs_raster_destroy(raster);
         return good;
     }

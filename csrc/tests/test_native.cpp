@@ -119,7 +119,8 @@ Result run(const Model &m, const gs_camera &camera, const gs_options &options) {
         }
         const gs_splat_grads out = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7], 0};
         const int32_t stop = 1;
-        CHECK(gs_raster_backward(raster, &splats, &in, &out, &stop) == (camera.orthographic ? GS_UNSUPPORTED : GS_CANCELLED));
+        CHECK(gs_raster_backward(raster, &splats, &in, &out, &stop) ==
+              (camera.orthographic ? GS_UNSUPPORTED : GS_CANCELLED));
         r.backward = gs_raster_backward(raster, &splats, &in, &out, nullptr);
         CHECK(gs_raster_stats(raster, &r.stats) == GS_OK);
         for (const float x : r.image)
@@ -192,7 +193,8 @@ void skips_do_not_change_a_bit() {
         CHECK(mean_alpha(fast, c) > 0.1);
         CHECK(fast.stats.useful_pairs > c.width * c.height);
         const uint32_t all = GS_NO_EXACT_CULL | GS_NO_ZERO_TILE | GS_NO_OPACITY_EXTENT | GS_NO_ROW_RANGE;
-        for (const uint32_t off : {uint32_t(GS_NO_EXACT_CULL), uint32_t(GS_NO_OPACITY_EXTENT), uint32_t(GS_NO_ROW_RANGE), all}) {
+        for (const uint32_t off :
+             {uint32_t(GS_NO_EXACT_CULL), uint32_t(GS_NO_OPACITY_EXTENT), uint32_t(GS_NO_ROW_RANGE), all}) {
             o.disable = off;
             const Result full = run(m, c, o);
             CHECK(same_bits(fast.image, full.image));
@@ -469,7 +471,8 @@ void gains_have_the_gradient_of_the_exposed_picture() {
     CHECK(std::memcmp(&result, &second, sizeof result) == 0);
     for (const float bad : {0.0f, -1.0f, INFINITY, std::numeric_limits<float>::quiet_NaN()}) {
         gain[1] = bad;
-        CHECK(gs_image_loss(raster, &args, &second, nullptr) == GS_BAD_ARGUMENT && std::strstr(gs_last_error(), "gain"));
+        CHECK(gs_image_loss(raster, &args, &second, nullptr) == GS_BAD_ARGUMENT &&
+              std::strstr(gs_last_error(), "gain"));
     }
     gs_raster_destroy(raster);
 }
@@ -487,7 +490,7 @@ struct Learner {
           moment2(size_t(n * w)), seen(size_t(n)), lag(size_t(n)), drift(GS_ADAM_LAGS) {}
 
     gs_adam_tensor view(int mode, int64_t step) {
-        return {param.data(), grad.data(), moment1.data(), moment2.data(), width, mode,
+        return {param.data(), grad.data(), moment1.data(), moment2.data(), width,       mode,
                 0.01f,        step,        seen.data(),    lag.data(),     drift.data()};
     }
 };

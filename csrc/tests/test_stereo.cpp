@@ -34,7 +34,8 @@ gs_stereo_sweep_args sweep_args(const uint8_t *grey, const std::vector<gs_stereo
     gs_stereo_sweep_args a = {};
     a.width = kWidth, a.height = kHeight, a.grey = grey;
     a.source_count = int32_t(sources.size()), a.sources = sources.data();
-    a.farthest = 0.6f, a.nearest = 1.4f, a.planes = 17, a.radius = kRadius, a.best = 1, a.noise = 1, a.threads = threads;
+    a.farthest = 0.6f, a.nearest = 1.4f, a.planes = 17, a.radius = kRadius, a.best = 1, a.noise = 1,
+    a.threads = threads;
     return a;
 }
 
