@@ -67,8 +67,9 @@ def test_developers_get_their_tools_too(
     ("changed", "target", "built"),
     [
         ("csrc/src/api.cpp", "install", "GS_TESTS=OFF"),
-        ("csrc/src/blend.inl.h", "demo", "GS_TESTS=OFF"),
+        ("csrc/src/blend_forward.inl.h", "demo", "GS_TESTS=OFF"),
         ("csrc/include/gscore.h", "test-native", "GS_TESTS=ON"),
+        ("csrc/include/gscore/raster.h", "install", "GS_TESTS=OFF"),
         ("csrc/tests/test_native.cpp", "test-native", "GS_TESTS=ON"),
         ("csrc/tests/test_native.cpp", "install", ""),
         ("README.md", "test-native", ""),

@@ -91,3 +91,14 @@ def test_limits_of_floats_are_no_macros() -> None:
     macro = re.compile(r"\b(?:FLT|DBL)_[A-Z]+\b")
     found = [path.name for path in (CSRC / "src").iterdir() if macro.search(path.read_text())]
     assert found == []
+
+
+def test_no_exception_crosses_the_interface() -> None:
+    """Oracle: the headers: each function with a status does its work inside `guarded`."""
+    paths = sorted((CSRC / "include" / "gscore").glob("*.h"))
+    headers = "".join(path.read_text(encoding="utf-8") for path in paths)
+    stated = set(re.findall(r"^GS_API gs_status (gs_\w+)\(", headers, flags=re.MULTILINE))
+    sources = "".join(path.read_text(encoding="utf-8") for path in (CSRC / "src").glob("api*.cpp"))
+    guarded = set(re.findall(r'\bguarded\("(gs_\w+)"', sources))
+    assert stated - guarded == {"gs_raster_stats"}  # it only copies a struct
+    assert guarded <= stated

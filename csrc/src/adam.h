@@ -1,6 +1,7 @@
 // Adam over the rows of splats in training: driver interface and kernel arguments.
 #pragma once
 
+#include "gscore/optimizer.h"
 #include "types.h"
 
 namespace gs {
@@ -13,5 +14,29 @@ constexpr float kGradientMax = 1e18f;
 // Returns the number of rows whose gradients were not finite.
 int64_t adam_step(const gs_adam &);
 void adam_catch_up(const gs_adam_tensor &, const gs_splats &, const gs_camera *, float eps2d, float *out, int threads);
+
+// A tensor under Adam with the constants of its step.
+struct AdamTensor {
+    gs_adam_tensor t;
+    float beta1, beta2, gain1, gain2;     // gain = 1 - beta
+    float eps2;                           // eps^2 (1 - beta2^t): added to second moments without bias correction
+    float rate;                           // lr sqrt(1 - beta2^t) / (1 - beta1^t)
+    const float *drift, *decay1, *decay2; // [GS_ADAM_LAGS] by number of pending steps
+};
+
+struct AdamArgs {
+    int64_t rows;
+    const AdamTensor *tensors;
+    int count;
+    const int32_t *radii; // [rows] or null
+};
+
+struct CatchUpArgs {
+    const AdamTensor *tensor;
+    const gs_splats *splats;
+    const gs_camera *camera; // null: all rows
+    float eps2d;
+    float *out; // [rows, width], or null: in place
+};
 
 } // namespace gs

@@ -9,8 +9,8 @@
 #pragma once
 
 #include "adam.h"
+#include "raster_types.h"
 #include "simd.h"
-#include "types.h"
 
 #include <cmath>
 

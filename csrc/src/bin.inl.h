@@ -4,8 +4,8 @@
 // columns of tiles are processed one per lane, wider ones one strip per lane.
 #pragma once
 
+#include "raster_types.h"
 #include "simd.h"
-#include "types.h"
 
 namespace gs::GS_NAMESPACE {
 

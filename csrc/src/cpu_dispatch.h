@@ -1,9 +1,43 @@
 // CPU dispatch: the available instruction sets, and the kernels in use.
 #pragma once
 
-#include "types.h"
+#include <cstdint>
 
 namespace gs {
+
+struct AdamArgs;
+struct BinArgs;
+struct BlendArgs;
+struct BlendBackwardArgs;
+struct CatchUpArgs;
+struct InstanceBuffer;
+struct LossArgs;
+struct MatchArgs;
+struct PairCount;
+struct ProjectArgs;
+struct ProjectBackwardArgs;
+struct StereoArgs;
+
+// One instruction set's kernels.
+struct Kernels {
+    const char *name;
+    void (*project)(const ProjectArgs &, int64_t chunk);
+    // Instances of a chunk's splats appended to `out`; false: out of memory.
+    bool (*bin)(const BinArgs &, int64_t chunk, InstanceBuffer *out);
+    PairCount (*blend)(const BlendArgs &, uint32_t outputs, uint32_t tile);
+    // Returns the number of pairs evaluated.
+    int64_t (*blend_backward)(const BlendBackwardArgs &, uint32_t outputs, uint32_t tile);
+    void (*project_backward)(const ProjectBackwardArgs &, int64_t chunk);
+    // One tile of `loss_grid`; `scratch` holds its scratch_floats().
+    void (*image_loss)(const LossArgs &, int tile, float *scratch);
+    // One chunk of rows; returns how many had gradients that are not finite.
+    int64_t (*adam_step)(const AdamArgs &, int64_t chunk);
+    void (*adam_catch_up)(const CatchUpArgs &, int64_t chunk);
+    void (*exp2)(const float *x, float *y, int64_t count);
+    // One band of rows of `StereoBand`; `scratch` holds its scratch_floats().
+    void (*stereo_sweep)(const StereoArgs &, int band, float *scratch);
+    void (*match)(const MatchArgs &);
+};
 
 const Kernels &kernels();
 // Selects an instruction set; false if it is not available.

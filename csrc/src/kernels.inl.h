@@ -3,11 +3,14 @@
 
 #include "adam.inl.h"
 #include "bin.inl.h"
-#include "blend.inl.h"
+#include "blend_backward.inl.h"
+#include "blend_forward.inl.h"
+#include "cpu_dispatch.h"
 #include "exp2.inl.h"
 #include "loss.inl.h"
 #include "match.inl.h"
-#include "project.inl.h"
+#include "project_backward.inl.h"
+#include "project_forward.inl.h"
 #include "stereo.inl.h"
 
 namespace gs::GS_NAMESPACE {

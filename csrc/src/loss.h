@@ -1,6 +1,7 @@
 // Loss sizes: constants of the fused L1 + SSIM loss, shared by driver and kernels.
 #pragma once
 
+#include "gscore/loss.h"
 #include "types.h"
 
 namespace gs {
@@ -39,6 +40,12 @@ struct LossGrid {
         const int rows_of_gain = 2; // the gains, repeated, and their sums
         return size_t(((2 + kLossDerivatives) * kLossRing + kLossMaps) * kLossGroup + rows_of_gain) * stride();
     }
+};
+
+struct LossArgs {
+    const gs_loss_args *args;
+    double *partial; // [tiles * kLossSums] sums of l1, ssim, mse and, by channel, of the derivative in ln gain
+    float *v_image;  // null: no gradient
 };
 
 } // namespace gs

@@ -1,7 +1,7 @@
 // Mesh depth: inverse depth of a triangle mesh at pixel centres.
 #pragma once
 
-#include "gscore.h"
+#include "gscore/mesh.h"
 
 namespace gs {
 

@@ -2,8 +2,9 @@
 #pragma once
 
 #include "buffer.h"
+#include "gscore/loss.h"
+#include "raster_types.h"
 #include "tile_sort.h"
-#include "types.h"
 
 #include <memory>
 #include <vector>

@@ -1,7 +1,7 @@
 // Row packing: rows of several tables in one buffer, and back.
 #pragma once
 
-#include "gscore.h"
+#include "gscore/optimizer.h"
 
 namespace gs {
 

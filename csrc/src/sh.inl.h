@@ -2,9 +2,9 @@
 // Signs and order are those of 3D Gaussian Splatting: bands in ascending order, within a band m = -l..l.
 #pragma once
 
+#include "raster_types.h"
 #include "rows.h"
 #include "simd.h"
-#include "types.h"
 
 namespace gs::GS_NAMESPACE {
 

@@ -1,6 +1,7 @@
 // Stereo: sizes of the plane sweep, shared by driver and kernels, and both stages.
 #pragma once
 
+#include "gscore/stereo.h"
 #include "types.h"
 
 namespace gs {
@@ -32,5 +33,18 @@ struct StereoBand {
 
 gs_status stereo_sweep(const gs_stereo_sweep_args &args, const gs_stereo_found &found);
 void stereo_check(const gs_stereo_check_args &args, uint8_t *agree, uint8_t *contradict, float *inverse_depth);
+
+// A photo of a stereo sweep; each word contains a pixel, and those to its right, below it, and to the lower right.
+struct StereoSource {
+    const uint32_t *quads; // [height, width]
+    int32_t width, height;
+    gs_stereo_warp warp;
+};
+
+struct StereoArgs {
+    const gs_stereo_sweep_args *args;
+    const StereoSource *sources;
+    gs_stereo_found found;
+};
 
 } // namespace gs

@@ -1,7 +1,7 @@
 // Thread count of a call: GSCORE_THREADS, or the number of usable cores.
 #include "thread_count.h"
 
-#include "gscore.h"
+#include "gscore/base.h"
 
 #include <algorithm>
 #include <atomic>

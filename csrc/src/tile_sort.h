@@ -2,7 +2,7 @@
 #pragma once
 
 #include "buffer.h"
-#include "types.h"
+#include "raster_types.h"
 
 namespace gs {
 
