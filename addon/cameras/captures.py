@@ -10,9 +10,8 @@ from ..core import Folder, find_capture
 from ..interface import editable_check
 from ..interface.incremental_removal import finish
 from ..process.incremental_tasks import run_blocking
-from . import camera_math as cm
 from . import objects as co
-from . import undistort_jobs
+from . import scene_camera, undistort_jobs
 from .backgrounds import KnownImages, photo_of, photo_on_disk, set_photo
 from .importing import ImportedCapture, importing
 from .objects import cameras_of, is_camera
@@ -27,9 +26,9 @@ def import_capture(scene: bpy.types.Scene, path: str | Path, **options: Any) -> 
 
 
 def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
-    """Make a photo's camera the scene camera, with the photo's resolution and pixel aspect.
+    """Make a photo's camera the scene camera (`scene_camera.use_photo`), and show its photo.
 
-    The resolution percentage stays. The photo of the previous camera is freed from memory.
+    The photo of the previous camera is freed from memory.
 
     Returns:
         Sentences about changed scene settings, and about a missing photo.
@@ -39,19 +38,8 @@ def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
     """
     if not is_camera(ob):
         raise ValueError(f"{ob.name} is no camera of a photo. Import a capture's cameras first.")
-    own = co.stated(ob)
-    _, frame = cm.lens_from_intrinsics(own.K, own.width, own.height)
-    before = scene.camera
-    scene.camera = ob
-    render = scene.render
-    render.resolution_x, render.resolution_y = own.width, own.height
-    render.pixel_aspect_x, render.pixel_aspect_y = frame.pixel_aspect_x, frame.pixel_aspect_y
-    notes = []
-    aspect = frame.pixel_aspect_x / frame.pixel_aspect_y
-    if abs(aspect - 1) > 1e-3:
-        notes.append(
-            f"fx and fy of {own.image} differ; the scene's pixel aspect is now {aspect:.4f} for it."
-        )
+    before, own = scene.camera, co.stated(ob)
+    notes = scene_camera.use_photo(scene, ob)
     if not bpy.app.background:
         undistort_jobs.ask([ob])
     photo = photo_of(ob)

@@ -41,18 +41,24 @@ def views_of(scene: bpy.types.Scene) -> list[bpy.types.SpaceView3D]:
     return [area.spaces.active for area in areas if area.type == "VIEW_3D"]
 
 
+def most_similar(cameras: Iterable[Matrix], direction: Vector) -> int:
+    """Index of the camera matrix with the most similar viewing direction, the first of several."""
+    likeness = [-m.col[2].xyz.normalized().dot(direction) for m in cameras]
+    return likeness.index(max(likeness))
+
+
 def show_ball(space: bpy.types.SpaceView3D, middle: np.ndarray, radius: float) -> None:
     """Frame a sphere from a view's direction; camera views stay unchanged."""
     region, radius = space.region_3d, max(radius, 1e-3 / _ROOM)
     if region.view_perspective != "CAMERA":
         region.view_location = Vector(middle)
         region.view_distance = _ROOM * radius * space.lens / _USUAL_LENS
-        _extend_clipping(space, region.view_distance + radius)
+        extend_clipping(space, region.view_distance + radius)
 
 
 def show_from(
     space: bpy.types.SpaceView3D,
-    cameras: Iterable[Matrix],
+    cameras: Sequence[Matrix],
     places: np.ndarray,
     weights: np.ndarray,
 ) -> None:
@@ -68,17 +74,14 @@ def show_from(
     region = space.region_3d
     if region.view_perspective == "CAMERA":
         return
-    now = region.view_rotation @ Vector((0, 0, -1))
-    ahead, eye = max(
-        ((-m.col[2].xyz.normalized(), m.translation) for m in cameras),
-        key=lambda one: one[0].dot(now),
-    )
+    nearest = cameras[most_similar(cameras, region.view_rotation @ Vector((0, 0, -1)))]
+    ahead, eye = -nearest.col[2].xyz.normalized(), nearest.translation
     depth = depth_of(places, weights, np.array(eye), np.array(ahead))
     if region.view_perspective == "PERSP" and not region.lock_rotation:
         region.view_rotation = ahead.to_track_quat("-Z", "Y")
     region.view_distance = depth
     region.view_location = eye + depth * ahead
-    _extend_clipping(space, 2 * depth)
+    extend_clipping(space, 2 * depth)
 
 
 def depth_of(places: np.ndarray, weights: np.ndarray, eye: np.ndarray, ahead: np.ndarray) -> float:
@@ -103,7 +106,7 @@ def depth_of(places: np.ndarray, weights: np.ndarray, eye: np.ndarray, ahead: np
     return float(quantiles(depths, weights[central] / depths**2, (0.5,))[0])
 
 
-def _extend_clipping(space: bpy.types.SpaceView3D, distance: float) -> None:
-    """Extend the clipping range of a view."""
-    space.clip_end = max(space.clip_end, 10 * distance)
-    space.clip_start = min(space.clip_start, 1e-2 * distance)
+def extend_clipping(owner: bpy.types.SpaceView3D | bpy.types.Camera, distance: float) -> None:
+    """Extend the clipping range of a view or camera."""
+    owner.clip_end = max(owner.clip_end, 10 * distance)
+    owner.clip_start = min(owner.clip_start, 1e-2 * distance)

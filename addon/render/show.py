@@ -17,7 +17,8 @@ from .operators import use_engine
 
 class ShowSplats(BaseOperator, bpy.types.Operator):
     """Show the splats as they were trained: set engine, colors and shading, hide photos, and align
-    views with the photo camera of the most similar direction"""
+    views with the photo camera of the most similar direction; it becomes the scene camera, or a new
+    one does, if there is none but Blender's default"""
 
     bl_idname = "gscore.show_splats"
     bl_label = "Show Splats"
@@ -49,6 +50,7 @@ class ShowSplats(BaseOperator, bpy.types.Operator):
         context.view_layer.update()  # to evaluate the matrix of hidden objects
         for space in framed.turn_views(context.scene, ob):
             space.shading.type = "RENDERED"
+        self.warn(framed.set_camera(context.scene, ob))
         return ""
 
 

@@ -98,7 +98,8 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
     )
     turn_views: BoolProperty(
         name="Frame in Views",
-        description="Frame the imported splats in the 3D views",
+        description="Frame the imported splats in the 3D views; a photo camera of their capture "
+        "replaces Blender's default as the scene camera",
         default=True,
     )
     in_crop: BoolProperty(
@@ -146,6 +147,7 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
         if here and self.turn_views and not self.in_crop:
             context.view_layer.update()
             framed.turn_views(context.scene, here[-1])
+            self.warn(framed.set_camera(context.scene, here[-1], may_add=False))
         total = sum(len(ob.data.vertices) for ob in made)
         return f"Imported {total:,} splats from {len(made)} file(s)."
 

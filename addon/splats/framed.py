@@ -1,8 +1,9 @@
-"""Framing of an object's visible splats in 3D views."""
+"""Framing of an object's visible splats, in 3D views and by the scene camera."""
 
 import bpy
 import numpy as np
 
+from ..cameras import scene_camera
 from ..cameras.objects import cameras_of, root_of
 from ..interface import framing
 from . import bounds
@@ -29,8 +30,7 @@ def turn_views(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[bpy.types.S
         ValueError: as `frame_of`.
     """
     placed, weights = _shown(ob)
-    root = root_of(ob)
-    cameras = [] if root is None else [camera.matrix_world for camera in cameras_of(root)]
+    cameras = [camera.matrix_world for camera in _cameras(ob)]
     views = framing.views_of(scene)
     for space in views:
         if cameras:
@@ -38,6 +38,45 @@ def turn_views(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[bpy.types.S
         else:
             framing.show_ball(space, *framing.ball(placed, weights))
     return views
+
+
+def set_camera(scene: bpy.types.Scene, ob: bpy.types.Object, *, may_add: bool = True) -> list[str]:
+    """Set a scene camera for an object's splats, unless the user chose one (`is_chosen`).
+
+    It is the photo camera of the capture with the direction most similar to that of the 3D view;
+    without photo cameras a new one that looks as the view does, with the ball of `frame_of` in its
+    picture.
+
+    Args:
+        scene: The scene.
+        ob: The splats.
+        may_add: Add a camera where the capture has none.
+
+    Returns:
+        Warnings.
+
+    Raises:
+        ValueError: as `frame_of`.
+    """
+    if scene_camera.is_chosen(scene):
+        return []
+    ahead, cameras = scene_camera.direction_of(scene), _cameras(ob)
+    if not cameras:
+        if may_add:
+            scene_camera.add(scene, ahead, *frame_of(ob))
+        return []
+    try:
+        return scene_camera.use_photo(
+            scene, cameras[framing.most_similar([c.matrix_world for c in cameras], ahead)]
+        )
+    except ValueError as error:
+        return [str(error)]
+
+
+def _cameras(ob: bpy.types.Object) -> list[bpy.types.Object]:
+    """The photo cameras of the capture that an object belongs to."""
+    root = root_of(ob)
+    return [] if root is None else cameras_of(root)
 
 
 def _shown(ob: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:

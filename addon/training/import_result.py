@@ -38,6 +38,7 @@ class ImportResult(ImportOperator, bpy.types.Operator):
             make_active(context, ob)
             context.view_layer.update()
             framed.turn_views(context.scene, ob)
+            self.warn(framed.set_camera(context.scene, ob, may_add=False))
         return f"{ob.name} has the {len(ob.data.vertices):,} splats of {self._run.info.path}."
 
 
