@@ -54,6 +54,7 @@ MODULES: tuple[str, ...] = (
     "render.operators",
     "render.show",
     "render.transparent_bounces",
+    "render.video_size",
     "render.decimate",
     "render.panels",
     "paint.settings",

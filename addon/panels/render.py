@@ -3,7 +3,7 @@
 import bpy
 
 from ..cameras.objects import is_camera
-from ..render import transparent_bounces
+from ..render import transparent_bounces, video_size
 from ..render.composite_nodes import combine_node, is_older
 from ..render.compositing_scene import SPLAT_SCENE
 from ..render.engine import NAME
@@ -40,6 +40,9 @@ class RenderPanel(TabPanel, bpy.types.Panel):
         row.enabled = scene.camera is not None
         row.operator("render.render", text="Picture", icon="RENDER_STILL").use_viewport = True
         row.operator("render.render", text="Animation", icon="RENDER_ANIMATION").animation = True
+        if problem := video_size.problem(scene):
+            sentence(layout, context, problem, icon="ERROR")
+            layout.operator("gscore.make_size_even")
         if scene.camera is None:
             layout.label(text="The scene has no camera", icon="ERROR")
         if root(context) is not None:

@@ -60,6 +60,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "use_engine": {},
     "use_photo_colors": {},
     "see_through_splats": {},
+    "make_size_even": {},
     "set_up_compositing": {},
     "remove_compositing": {},
     "show_splats": {},
