@@ -9,7 +9,7 @@ from ..datasets.capture import listing
 from ..io.foreign_cameras import unread_cameras
 from ..quoting import as_typed
 from ..sfm.heic import header_of, readable
-from ..sfm.panorama import refused_panoramas
+from ..sfm.panorama import possible_panoramas, refused_panoramas
 from ..sfm.photo_folders import doubt, excluded_folders
 from ..sfm.photos import (
     LEAST,
@@ -43,7 +43,9 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
     for i, name in enumerate(changed, len(photos)):
         with header_of(root / name) as image:
             photos.append(photo_of(name, i, image))
-    refused = refused_panoramas({photo.name: photo.panorama for photo in photos}, request)
+    panoramas = {photo.name: photo.panorama for photo in photos}
+    refused = refused_panoramas(panoramas, request)
+    possible = "" if refused else possible_panoramas(panoramas, request)
     photos = one_of_each_name(photos)
     work = Work(request=request, root=root, photos=photos, masks=None, folder=root)
     first = attempts(request)[0]
@@ -59,7 +61,7 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
         "pairs": work.pairs_expected(first),
         "sfm_seconds": round(work.forecast(first).seconds, 1),
         "next": None if doubtful or refused else as_typed("train", path, "-o", "run"),
-        "warnings": [text for text in (refused, doubtful, unread_cameras(path)) if text],
+        "warnings": [text for text in (refused, possible, doubtful, unread_cameras(path)) if text],
     }
 
 

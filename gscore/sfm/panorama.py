@@ -12,16 +12,18 @@ from ..io.colmap.camera_models import NO_PINHOLE
 from ..text_format import count_words
 from .search_request import USUAL_LENS, SearchRequest
 
-STATED, PARTIAL, HINTED, SEEN, POSSIBLE = "stated", "partial", "hinted", "seen", "possible"
+STATED, PARTIAL, HINTED = "stated", "partial", "hinted"
 """Kinds of evidence: XMP or the camera states a full sphere; XMP states a part of it or a cylinder;
-XMP that does not fit the size, as in a view cut out of a panorama; the pixels show it; twice as
-wide as high, and the pixels do not contradict."""
+XMP that does not fit the size, as in a view cut out of a panorama."""
+SEEN, PLAIN, POSSIBLE, ORDINARY = "seen", "plain", "possible", "ordinary"
+"""Kinds of photos twice as wide as high without such statements: the pixels show a sphere; they are
+too plain to tell; the same with a lens in EXIF or one varied pole, or not read; they show none."""
 _PROJECTION = re.compile(rb"GPano:ProjectionType\W{0,4}?(?:=\s*[\"']|>)\s*(\w+)")
 _CROPPED = re.compile(rb"GPano:CroppedAreaImage(Width|Height)Pixels(?:=\s*[\"']|>)\s*(\d+)")
 """As attributes or elements of XMP (Google, Photo Sphere XMP metadata)."""
 _CAMERAS = re.compile(
     r"theta|insta360|arashi vision|gopro max|gear 360|sm-[cr]2[01]0|virb 360|keymission 360|qoocam"
-    r"|lg-r105|mi sphere|madv360|yi 360",
+    r"|lg-r105|mi sphere|madv360|yi 360|osmo 360|antigravity|kandao|xphase|labpano|trisio",
     re.IGNORECASE,
 )
 """Makes and models of 360-degree cameras in EXIF."""
@@ -47,7 +49,7 @@ def panorama_of(image: Any, camera: Sequence[str] = (), *, whole: bool = True) -
 
     Args:
         image: Opened; its pixels are decoded if `whole`.
-        camera: Make and model from EXIF.
+        camera: Make, model, lens and focal lengths from EXIF.
         whole: Use pixels too.
     """
     double = _is_double(image)
@@ -61,9 +63,15 @@ def panorama_of(image: Any, camera: Sequence[str] = (), *, whole: bool = True) -
             return STATED if double else PARTIAL if fits else HINTED
         if kind == b"cylindrical":
             return PARTIAL
-    if double and _CAMERAS.search(" ".join(camera)):
+    if not double:
+        return ""
+    if _CAMERAS.search(" ".join(camera[:2])):
         return STATED
-    return _look(image) if whole and double else ""
+    has_lens = any(camera[2:])
+    if not whole:
+        return ORDINARY if has_lens else POSSIBLE
+    kind = _look(image)
+    return POSSIBLE if kind == PLAIN and has_lens else kind
 
 
 def _xmp(image: Any) -> bytes:
@@ -80,17 +88,23 @@ def _is_double(image: Any) -> bool:
 
 
 def _look(image: Any) -> str:
-    """`SEEN` if the left and right edges of a picture match, and its upper and lower edges, each
-    one point of the sphere, have one colour; `POSSIBLE` if left and right are too plain to tell."""
+    """Kind of evidence in the pixels of a picture twice as wide as high.
+
+    In a panorama the left and right edges match, and the upper and lower edges, each one point of
+    the sphere, have one colour. One of these suffices, because tripods and lamps are there, but not
+    where left and right are too plain to tell.
+    """
     pixels = np.asarray(image.convert("RGB").resize(_GRID), np.float32).mean(axis=2)
     step = np.abs(np.diff(pixels, axis=1)).mean()
     seam = np.abs(pixels[:, 0] - pixels[:, -1]).mean()
     contrast = pixels.std()
-    poles = max(pixels[0].std(), pixels[-1].std())
+    poles = sum(row.std() <= _POLE * contrast for row in (pixels[0], pixels[-1]))
     sides = min(pixels[:, 0].std(), pixels[:, -1].std())
-    if not contrast > 0 or seam > _SEAM * step or poles > _POLE * contrast:
-        return ""
-    return SEEN if sides >= _UPRIGHT * contrast else POSSIBLE
+    if not contrast > 0 or seam > _SEAM * step or not poles:
+        return ORDINARY
+    if sides >= _UPRIGHT * contrast:
+        return SEEN
+    return PLAIN if poles == 2 else POSSIBLE
 
 
 def check_lens(model: str) -> None:
@@ -106,8 +120,8 @@ def refused_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
     """Message on photos that are panoramas; empty if none is.
 
     Args:
-        photos: Evidence by name. `SEEN` counts only if it is that of most photos, because few may
-            look like it by chance.
+        photos: Evidence by name. Pixels count only if they agree in most photos twice as wide as
+            high, because few may look like it by chance; plain ones alone, if most photos are.
         request: Its lens model or focal length, if given, overrides all evidence but `STATED` and
             `PARTIAL`.
     """
@@ -118,35 +132,45 @@ def refused_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
             "lens model fits them: leave them out."
         )
     names = [name for name, how in photos.items() if how == STATED]
+    what = count_words(len(names), "photo shows", "photos show")
+    why = "by XMP or by the camera"
     excuse = (
         "If these are ordinary photos, remove that statement, as with `exiftool -XMP-GPano:all= "
         "-Model= PHOTOS`."
     )
     if not names and not _lens_is_given(request):
-        often = 2 * sum(how in (HINTED, SEEN) for how in photos.values()) > len(photos)
-        names = [n for n, how in photos.items() if how == HINTED or (how == SEEN and often)]
+        kinds = (HINTED, SEEN, PLAIN) if _pixels_agree(list(photos.values())) else (HINTED,)
+        names = [name for name, how in photos.items() if how in kinds]
+        what = count_words(len(names), "photo seems", "photos seem") + " to show"
+        why = "by XMP, or because they are twice as wide as high and left and right edge meet"
         excuse = (
-            "If they are ordinary photos, give --focal-length in px or another --camera-model, as "
-            "OPENCV."
+            "If they are ordinary photos, give `gscore sfm` their --focal-length in px or another "
+            "--camera-model, as OPENCV."
         )
     if not names:
         return ""
-    what = count_words(len(names), "photo shows", "photos show")
     return (
-        f"{what} all directions (360-degree panoramas, by XMP, by the camera or because left and "
-        f"right edge meet): {listing(names, 3)}. {_HOW}. {excuse}"
+        f"{what} all directions (360-degree panoramas, {why}): {listing(names, 3)}. {_HOW}. "
+        f"{excuse}"
     )
 
 
+def _pixels_agree(kinds: list[str]) -> bool:
+    """Whether the pixels of all photos, by their kinds of evidence, make panoramas of them."""
+    wide = sum(how in (SEEN, PLAIN, POSSIBLE, ORDINARY) for how in kinds)
+    alike = sum(how in (SEEN, PLAIN) for how in kinds)
+    return 2 * alike > (wide if SEEN in kinds else len(kinds))
+
+
 def possible_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
-    """Message where most photos may be panoramas and nothing decides it; empty otherwise."""
-    names = [name for name, how in photos.items() if how in (POSSIBLE, SEEN)]
-    if _lens_is_given(request) or 2 * len(names) <= len(photos):
+    """Message on photos that may be panoramas where nothing decides it; empty otherwise."""
+    names = [name for name, how in photos.items() if how in (POSSIBLE, PLAIN, SEEN)]
+    if _lens_is_given(request) or not names:
         return ""
     return (
         f"{count_words(len(names), 'photo is', 'photos are')} twice as wide as high, as "
-        f"360-degree panoramas are: {listing(names, 3)}. They are searched as ordinary photos. If "
-        f"they show all directions, stop. {_HOW}."
+        f"360-degree panoramas are: {listing(names, 3)}. If they show all directions, no search "
+        f"can use them as they are. {_HOW}."
     )
 
 

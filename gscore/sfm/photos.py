@@ -166,7 +166,7 @@ def photo_of(
 ) -> Photo:
     """A photo from Pillow's image, from its header unless `look` and `shot` are given."""
     camera, alias = _camera(image), f"{index:06}{Path(name).suffix.lower()}"
-    panorama = panorama_of(image, camera[:2], whole=look is not None)
+    panorama = panorama_of(image, camera, whole=look is not None)
     size = image.width, image.height
     return Photo(name, alias, *size, camera, look, shot, moment_of(image), panorama)
 

@@ -223,12 +223,14 @@ def test_info_counts_a_shot_of_two_files_once(ending: str, tmp_path: Path, capsy
     assert sum(facts["sizes"].values()) == 5
 
 
-@pytest.mark.parametrize("camera", ["RICOH THETA Z1", "Phone 9"])
+@pytest.mark.parametrize("camera", ["RICOH THETA Z1", "Phone 9", ""])
 def test_info_names_panoramas(camera: str, tmp_path: Path, capsys: Out) -> None:
     """Oracle: pictures twice as wide as high of a 360-degree camera, which the search refuses in
-    the same words, and of a phone."""
+    the same words, of a phone with its focal length, and of an unknown camera."""
     exif = Image.Exif()
     exif[0x0110] = camera
+    if camera == "Phone 9":
+        exif.get_ifd(0x8769)[0x920A] = 4.2
     for i in range(4):
         noise = Image.effect_noise((64, 32), 90)
         noise.save(tmp_path / f"{i}.jpg", exif=exif)
@@ -236,6 +238,9 @@ def test_info_names_panoramas(camera: str, tmp_path: Path, capsys: Out) -> None:
     facts = json.loads(capsys.readouterr().out)
     if camera == "Phone 9":
         assert facts["warnings"] == [] and facts["next"]
+        return
+    if not camera:
+        assert facts["next"] and "4 photos are twice as wide as high" in facts["warnings"][0]
         return
     assert facts["next"] is None and "4 photos show all directions" in facts["warnings"][0]
     assert main(["sfm", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
