@@ -4,6 +4,7 @@ from collections import Counter
 from pathlib import Path
 
 from ..datasets.capture import listing
+from ..datasets.shots import stem_of
 from ..errors import GsError
 from ..io.foreign_cameras import unread_cameras
 from ..io.images.read_image import read_info
@@ -38,7 +39,8 @@ def bare_facts(source: Path) -> CaptureFacts:
             sizes[info.width, info.height] += 1
         except GsError as error:
             problems.append(Problem(is_error=True, text=str(error)))
-    changed, unread = readable(unread)
+    stems = set(map(stem_of, names))
+    changed, unread = readable([name for name in unread if stem_of(name) not in stems])
     sizes.update(size_of(root / name) for name in changed)
     names += changed
     if len(names) < LEAST:

@@ -16,7 +16,7 @@ from ..io.images.pillow_images import check_whole, opened_picture
 from ..io.images.raw import RAW_ENDINGS
 from ..io.images.read_image import IMAGE_ENDINGS
 from ..text_format import count_words, number
-from .heic import what_to_do
+from .heic import is_heic, what_to_do
 from .panorama import panorama_of
 from .photo_quality import PhotoQuality, measure_quality
 
@@ -74,7 +74,8 @@ def photo_folder(path: Path) -> Path:
 
 def list_photos(root: Path, leave_out: tuple[Path, ...]) -> tuple[list[str], list[str]]:
     """Names of the photos below a folder, and of photos in unsupported formats, in natural order;
-    hidden files, the folders `leave_out` and masks next to their photos are skipped."""
+    hidden files, the folders `leave_out`, masks next to their photos and raw files of listed photos
+    are skipped."""
     skipped = {folder.resolve() for folder in leave_out}
     names, unread = [], []
     for folder, below, files in os.walk(root):
@@ -87,6 +88,8 @@ def list_photos(root: Path, leave_out: tuple[Path, ...]) -> tuple[list[str], lis
             elif name[0] != "." and name.lower().endswith(UNREAD):
                 unread.append(relative)
     names = without_masks(names, unread)
+    stems = set(map(stem_of, names))
+    unread = [name for name in unread if is_heic(name) or stem_of(name) not in stems]
     return sorted(names, key=natural), sorted(unread, key=natural)
 
 

@@ -14,6 +14,7 @@ from PIL import Image
 from gscore.commands import main
 from gscore.inspection.photo_folder import bare_facts
 from gscore.io.colmap.folder import read_model
+from gscore.sfm.photos import list_photos
 
 from .conftest import NEAR, STUDIO
 
@@ -221,6 +222,20 @@ def test_info_counts_a_shot_of_two_files_once(ending: str, tmp_path: Path, capsy
     facts = json.loads(capsys.readouterr().out)
     assert (facts["photos"], facts["cameras"], facts["pairs"]) == (5, 1, 10)
     assert sum(facts["sizes"].values()) == 5
+
+
+def test_files_of_one_shot_count_once_in_the_panel(tmp_path: Path) -> None:
+    """Oracle: JPEGs of a phone and of a camera with the files they come from, whose headers need
+    packages that Blender lacks."""
+    for view in range(4):
+        _saved(view, tmp_path / f"IMG_{view}.JPG")
+        (tmp_path / f"IMG_{view}{'.HEIC' if view < 2 else '.NEF'}").write_bytes(b"")
+    facts = bare_facts(tmp_path)
+    assert (facts.photos, facts.problems) == (4, ())
+    (tmp_path / "IMG_9.NEF").write_bytes(b"")
+    [problem] = bare_facts(tmp_path).problems
+    assert "1 photo is of a kind that is not read: IMG_9.NEF" in problem.text
+    assert list_photos(tmp_path, ())[1] == ["IMG_0.HEIC", "IMG_1.HEIC", "IMG_9.NEF"]
 
 
 @pytest.mark.parametrize("camera", ["RICOH THETA Z1", "Phone 9", ""])
