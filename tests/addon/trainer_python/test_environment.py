@@ -345,7 +345,7 @@ def killed(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     code = (
         "import sys; from pathlib import Path; from types import SimpleNamespace\n"
         "from addon.trainer_python import installer\n"
-        "task = SimpleNamespace(tell=print, check=lambda: None)\n"
+        "task = SimpleNamespace(report=print, check=lambda: None)\n"
         "target, base = map(Path, sys.argv[1:])\n"
         "installer.make(target, target.parent / 'w.whl', task, online=True, base=base)\n"
     )
