@@ -5,6 +5,7 @@ and renamed when it is complete, so that after a failure an earlier one is uncha
 Blender installs at a time (`install_lock.py`).
 """
 
+import math
 import os
 import platform
 import re
@@ -22,8 +23,10 @@ from ..process.child_program import Process
 from . import install_lock, pins
 from .environment import check, python_in
 
-NEEDED_BYTES = 3_000_000_000
-"""Required free space: torch with its dependencies unpacked, and the downloads."""
+_WITHOUT_TORCH = 2000
+"""Required free space for the other packages unpacked and their downloads, MB."""
+_TORCH = 2.5
+"""Required free space for torch, unpacked and its download, per download; measured with CUDA."""
 OFFLINE = (
     "Blender does not allow add-ons to go online; switch on Preferences > System > Network > Allow "
     "Online Access, then press Make Environment again."
@@ -70,6 +73,7 @@ def make(
         raise SetupError(OFFLINE)
     try:
         with install_lock.turn(target):
+            _check_space(target, cpu)
             _make(target, wheel, task, base=base, cpu=cpu)
     except GsError as error:
         raise SetupError(str(error)) from error
@@ -78,7 +82,6 @@ def make(
 
 
 def _make(target: Path, wheel: Path, task: BackgroundTask, *, base: Path | None, cpu: bool) -> None:
-    _check_space(target)
     partial = install_lock.partial(target)
     try:
         _make_venv(partial, base or usable_base(), task)
@@ -153,7 +156,7 @@ def contents(wheel: Path, target: Path, *, cpu: bool) -> list[str]:
     where = registry if torch.index == pins.REGISTRY else torch.index
     return [
         f"A Python environment is made in {target}; an earlier one there is replaced at the end. "
-        f"The installation needs {NEEDED_BYTES / 1e9:.0f} GB of disk space.",
+        f"The installation needs {needed_gigabytes(cpu=cpu)} GB of disk space.",
         f"gscore, from this extension: {wheel.name}.",
         f"{', '.join(torch.packages)}: {size}from {where}, {how}.",
         f"About {rest.megabytes + pins.pip().megabytes} MB from {registry}, {checked}: "
@@ -214,12 +217,18 @@ def _make_venv(folder: Path, base: Path, task: BackgroundTask) -> None:
         raise
 
 
-def _check_space(target: Path) -> None:
+def needed_gigabytes(*, cpu: bool) -> int:
+    """Required free space, GB; `cpu` as in `make`."""
+    return math.ceil((_WITHOUT_TORCH + _TORCH * pins.torch(cpu=cpu).megabytes) / 1000)
+
+
+def _check_space(target: Path, cpu: bool) -> None:
     folder = next(p for p in (target, *target.parents) if p.exists())
     free = shutil.disk_usage(folder).free
-    if free < NEEDED_BYTES:
+    needed = needed_gigabytes(cpu=cpu)
+    if free < 1e9 * needed:
         raise SetupError(
-            f"The environment needs about {NEEDED_BYTES / 1e9:.0f} GB, but {folder} has only "
+            f"The environment needs about {needed} GB, but {folder} has only "
             f"{free / 1e9:.1f} GB free; free some space, then press Make Environment again."
         )
 
@@ -263,14 +272,12 @@ def _reason(lines: list[str]) -> str:
     if re.search(r"No space left on device|Errno 28|not enough space on the disk", text):
         return "The disk is full; free some space, then press Make Environment again."
     network = (
-        r"NewConnectionError|ConnectionError|Temporary failure in name resolution|timed out"
+        r"connection broken by|NewConnectionError|ConnectionError|NameResolutionError"
+        r"|Temporary failure in name resolution|timed out"
         r"|getaddrinfo failed|Network is unreachable|Max retries exceeded|ProxyError|SSLError"
     )
     if re.search(network, text):
-        return (
-            "The package registry cannot be reached; check the network and proxy of this "
-            "computer, then press Make Environment again."
-        )
+        return _unreachable(text)
     if "DO NOT MATCH THE HASHES" in text:
         return (
             "A downloaded package differs from the one of this extension (another hash), so "
@@ -279,6 +286,23 @@ def _reason(lines: list[str]) -> str:
     errors = [line.strip() for line in lines if "ERROR" in line or line.startswith("Error")]
     last = errors[-1] if errors else next((x for x in reversed(lines) if x.strip()), "no reason")
     return f"The environment could not be made: {last[:300]}"
+
+
+def _unreachable(text: str) -> str:
+    """The sentence for an error of the network."""
+    if "CERTIFICATE_VERIFY_FAILED" in text:
+        return (
+            "The package registry's certificate is not trusted, as behind some proxies; set the "
+            "environment variable REQUESTS_CA_BUNDLE to a file with the proxy's certificate, start "
+            "Blender again, then press Make Environment again."
+        )
+    match = re.search(r"host='([^']+)'", text)
+    host = match[1] if match else "The package registry"
+    other = ", or choose Default Build, which is from PyPI" if host in pins.TORCH_INDEX else ""
+    return (
+        f"{host} cannot be reached; check the network and proxy of this computer{other}, then "
+        "press Make Environment again."
+    )
 
 
 def _put_in_place(partial: Path, target: Path) -> None:

@@ -85,6 +85,8 @@ class Setup:
         """The Python in check."""
         self.make_problem = ""
         """Error message of the last installation."""
+        self._shown: list[str] = []
+        """`progress` at the last call of `collect`."""
 
     def start_check(self, prefs: Any) -> BackgroundTask:
         """Search for a Python that can train, or check the chosen one; does not wait."""
@@ -157,8 +159,10 @@ class Setup:
         return task.result
 
     def collect(self, prefs: Any) -> bool:
-        """Collect finished tasks; return whether there were any. For the main thread."""
-        changed = False
+        """Collect finished tasks; return whether there were any, or other progress to draw. For the
+        main thread."""
+        before, self._shown = self._shown, self.progress()
+        changed = self._shown != before
         if self._checking is not None and not self._checking.running:
             task, self._checking, changed = self._checking, None, True
             if task.result is not None:

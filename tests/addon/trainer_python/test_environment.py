@@ -3,14 +3,17 @@
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 import tomllib
 import venv
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -225,6 +228,30 @@ def test_nothing_is_downloaded_without_permission(prefs: preferences.Preferences
     assert not setup.CURRENT.busy()
 
 
+def test_progress_is_redrawn(prefs: preferences.Preferences) -> None:
+    """Oracle: one redraw for the first line, one for each new one, and one at the end."""
+    going, line = threading.Event(), threading.Event()
+
+    def install(task: BackgroundTask) -> None:
+        task.report("Downloading: 1 of 2 MB")
+        line.set()
+        going.wait(60)
+        raise ValueError("The network is down.")
+
+    setup.CURRENT._making = task = BackgroundTask(install)
+    try:
+        assert line.wait(60)
+        assert [setup.CURRENT.collect(prefs) for _ in range(2)] == [True, False]
+        task.report("Downloading: 2 of 2 MB")
+        assert [setup.CURRENT.collect(prefs) for _ in range(2)] == [True, False]
+    finally:
+        going.set()
+        assert task.wait(60)
+    assert [setup.CURRENT.collect(prefs) for _ in range(2)] == [True, False]
+    assert setup.CURRENT.make_problem == "The network is down."
+    setup.CURRENT.make_problem = ""
+
+
 def test_a_wheel_is_needed(prefs: preferences.Preferences, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the error of a copy that was not installed from the zip file."""
     monkeypatch.setattr(setup, "bundled_wheel", lambda: None)
@@ -285,6 +312,21 @@ def test_an_environment_replaces_the_earlier_one(tmp_path: Path) -> None:
             " echo 'ERROR: No matching distribution found for torch' >&2; exit 1",
             "registry cannot be reached",
         ),
+        (
+            "echo \"WARNING: NameResolutionError(HTTPSConnection(host='pypi.org', port=443))\" >&2;"
+            " exit 1",
+            "pypi.org cannot be reached; check the network and proxy of this computer, then",
+        ),
+        (
+            "echo \"NameResolutionError(host='download.pytorch.org', port=443)\" >&2; exit 1",
+            "download.pytorch.org cannot be reached; check the network and proxy of this computer, "
+            "or choose Default Build",
+        ),
+        (
+            'echo "SSLError(SSLCertVerificationError(1, \'[SSL: CERTIFICATE_VERIFY_FAILED] " >&2;'
+            " exit 1",
+            "REQUESTS_CA_BUNDLE",
+        ),
         ("echo 'ERROR: gscore.whl is not a supported wheel' >&2; exit 1", "not a supported wheel"),
         ("exit 1", "could not be made"),
     ],
@@ -314,12 +356,21 @@ def test_a_base_without_venv(tmp_path: Path) -> None:
     assert "python3-venv" in make(tmp_path / "trainer", base).problem
 
 
-def test_too_little_space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Oracle: the error names the required space; nothing is started."""
-    monkeypatch.setattr(installer, "NEEDED_BYTES", 10**18)
-    task = make(tmp_path / "trainer", tmp_path / "never")
-    assert "1000000000 GB" in task.problem
+@pytest.mark.parametrize(("cpu", "needed"), [(True, 3), (False, 9)])
+def test_too_little_space(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cpu: bool, needed: int
+) -> None:
+    """Oracle: GB of downloads and installed files as measured on Linux, 2.4 without CUDA and 8.2
+    with it, which dialog and error state; nothing is started."""
+    monkeypatch.setattr(pins, "system", lambda: "linux_x86_64")
+    monkeypatch.setattr("sys.platform", "linux")
+    usage = SimpleNamespace(free=needed * 10**9 - 1)
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
+    task = make(tmp_path / "trainer", tmp_path / "never", cpu=cpu)
+    assert f"needs about {needed} GB" in task.problem
     assert leftovers(tmp_path / "trainer") == []
+    text = " ".join(installer.contents(Path("gscore.whl"), tmp_path, cpu=cpu))
+    assert f"needs {needed} GB" in text
 
 
 def test_making_can_be_cancelled(tmp_path: Path) -> None:
