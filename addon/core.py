@@ -132,6 +132,7 @@ from gscore.frontend import (
     rotmat_to_quat,
     sh0_to_rgb,
     sh_basis,
+    show_options,
     stated_depth,
     stated_up,
     target_size,

@@ -84,6 +84,7 @@ if TYPE_CHECKING:
     from .lod.build import LodFacts, build_lod
     from .lod.lod_renderer import LodModel
     from .lod.read import read_lod
+    from .option_marks import show_options
     from .options import Option, options_of
     from .raster.mesh import mesh_depth
     from .report.colormap import colorize
@@ -215,6 +216,7 @@ _HOME = {
     "rotmat_to_quat": "transforms",
     "sh0_to_rgb": "sh",
     "sh_basis": "sh",
+    "show_options": "option_marks",
     "stated_depth": "depth.stated",
     "stated_up": "io.ply.up_axis",
     "target_size": "datasets.resolution",
@@ -344,6 +346,7 @@ __all__ = [
     "rotmat_to_quat",
     "sh0_to_rgb",
     "sh_basis",
+    "show_options",
     "stated_depth",
     "stated_up",
     "target_size",

@@ -24,6 +24,7 @@ BOTTOM = {
     "signal_guard",
     "smallest_three",
     "json_text",
+    "option_marks",
     "options",
     "presets",
     "choices",

@@ -1,23 +1,16 @@
-"""Option labels: command-line flags in gscore's messages, replaced by the names in the panels."""
+"""Option labels: marked options in gscore's messages, shown by their labels in the panels."""
 
-import re
+from ..core import GsError, show_options
 
-from ..core import GsError
-
-LABELS: dict[str, str] = {}
-"""Option to its name in a panel; `declared` notes them."""
+LABELS = {"resolution": "Photo Size"}
+"""Label of each option in a panel; `declared` adds those that it declares."""
 CHOICES: dict[tuple[str, str], str] = {}
-"""Option and value to the panel's name of that choice."""
-_FLAG = re.compile(r"(?<![\w/-])--([a-z][a-z0-9-]*)(?: (on|off|auto|none|ignore|composite)\b)?")
-
-
-_OF_PIP = re.compile(r"pip install (?:(?!\. |; ).)*$")
-"""The beginning of a command of pip, whose flags are meant to be typed."""
+"""Label of a choice in a panel, by option and value."""
 
 
 def panel_words(sentence: str) -> str:
-    """`sentence` with the names of panels for flags; those that no panel has become options."""
-    return _FLAG.sub(_label, sentence)
+    """`sentence` with panel labels for marked options, or "the option ..." for those without."""
+    return show_options(sentence, _label)
 
 
 def error_words(error: Exception | None) -> str:
@@ -28,14 +21,10 @@ def error_words(error: Exception | None) -> str:
     return panel_words(str(error)) if isinstance(error, GsError) else str(error)
 
 
-def _label(found: re.Match[str]) -> str:
-    flag, value = found.groups()
-    option = flag.replace("-", "_")
+def _label(option: str, value: str) -> str:
     label = LABELS.get(option)
-    if _OF_PIP.search(found.string, 0, found.start()):
-        return found.group()
     if label is None:
-        return f"the option {flag.replace('-', ' ')}" + (f" ({value})" if value else "")
+        return f"the option {option.replace('_', ' ')}" + (f" ({value})" if value else "")
     if not value:
         return f'"{label}"'
-    return f'"{label}: {CHOICES.get((option, value), value.capitalize())}"'
+    return f'"{label}: {CHOICES.get((option, value), value)}"'

@@ -66,8 +66,8 @@ def open_for_bench(data: DataConfig) -> Dataset:
     photos = load_dataset(data)
     if not photos.test:
         raise DatasetError(
-            f"{data.source}: no views are held out to measure on; hold some out with --eval or "
-            "--hold-out."
+            f"{data.source}: no views are held out to measure on; hold some out with `--eval` or "
+            "`--hold-out`."
         )
     return photos
 

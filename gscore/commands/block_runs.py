@@ -113,7 +113,7 @@ def _found(args: argparse.Namespace, wanted: Sequence[int] | None = None) -> lis
         if index not in records:
             raise DatasetError(
                 f"Block {index} of {count} is not in {brief(source)}. Copy {block_name(index)} "
-                "there, or train the existing ones individually with --block."
+                "there, or train the existing ones individually with `--block`."
             )
     return list(wanted)
 
@@ -123,8 +123,8 @@ def _check_room(args: argparse.Namespace, blocks: Sequence[int], *, resume: bool
     if begun and not (resume or args.overwrite):
         raise ConfigError(
             f"{brief(args.output)} contains runs on {count_words(len(begun), 'block')}, the first "
-            f"in {begun[0]}; continue with --resume, which keeps completed ones, replace them with "
-            "--overwrite, or choose another folder."
+            f"in {begun[0]}; continue with `--resume`, which keeps completed ones, replace them "
+            "with `--overwrite`, or choose another folder."
         )
 
 

@@ -73,7 +73,7 @@ def _check_output(args: argparse.Namespace) -> None:
     if args.picture is not None and args.picture.suffix.lower() != ".png":
         raise ConfigError(f"{brief(args.picture)}: the picture is a PNG; give a name with .png.")
     if args.picture is None and args.picture_view is not None:
-        raise ConfigError("--picture-view belongs to --picture FILE.png.")
+        raise ConfigError("`--picture-view` belongs to `--picture FILE.png`.")
     written = [path for path in (args.output, *beside, args.picture) if path is not None]
     for path in written:
         check_folder(path.parent)
@@ -111,7 +111,7 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
         if thinned and lost.psnr is not None and lost.psnr < _VISIBLE:
             edited.notes.append(
                 f"Missing splats are visible in the pictures ({lost.psnr:.1f} dB). If you have the "
-                f"photos, a training with --max-splats {len(edited.splats)} looks better."
+                f"photos, a training with `--max-splats {len(edited.splats)}` looks better."
             )
     if args.picture is not None:
         status.show(["Rendering the picture"])
@@ -134,7 +134,7 @@ def _open(path: Path, args: argparse.Namespace) -> ModelArgument:
         return ModelArgument(file=found, run=None, data=None, train=None)
     find_splats(path)  # reports a missing file before the missing levels
     if args.level is not None:
-        raise ConfigError(f"--level needs levels of detail, and {brief(path)} has none.")
+        raise ConfigError(f"`--level` needs levels of detail, and {brief(path)} has none.")
     return open_model(path)
 
 
@@ -251,7 +251,7 @@ def _facts(
         if given.count(path) > 1
     ]
     if args.spz_version != SPZ_VERSION and written.format != "spz":
-        warnings.append("--spz-version has no effect: the output is not an .spz.")
+        warnings.append("`--spz-version` has no effect: the output is not an .spz.")
     return {
         "input": [str(model.path) for model in models],
         "output": str(args.output),

@@ -20,15 +20,17 @@ def run(args: argparse.Namespace) -> int:
     if args.source is None:
         raise ConfigError("Give a capture: gscore depth CAPTURE --model NETWORK.")
     if args.download and (args.model is None or known(args.model) is None):
-        raise ConfigError(f"--download needs a --model with a name: {', '.join(network_names())}.")
+        raise ConfigError(
+            f"`--download` needs a `--model` with a name: {', '.join(network_names())}."
+        )
     if args.input_size < 0:
-        raise ConfigError(f"--input-size is {args.input_size}, expected a positive number.")
+        raise ConfigError(f"`--input-size` is {args.input_size}, expected a positive number.")
     if args.check and (args.model is not None or args.overwrite):
-        raise ConfigError("--check writes nothing; leave --model and --overwrite out.")
+        raise ConfigError("`--check` writes nothing; leave `--model` and `--overwrite` out.")
     if args.method == "stereo":
         _check_stereo(args)
     elif args.method == "network" and args.model is None:
-        raise ConfigError(f"--method network needs a network: --model FILE.onnx. {WHERE}.")
+        raise ConfigError(f"`--method network` needs a network: `--model FILE.onnx`. {WHERE}.")
     message = StopMessage()
     result, code = run_job(
         args, lambda show, control: make_maps(args, show, control, message), stopped=message
@@ -45,13 +47,13 @@ def run(args: argparse.Namespace) -> int:
 def _check_stereo(args: argparse.Namespace) -> None:
     """Raise ConfigError for options of other methods."""
     given = {
-        "--model": args.model is not None,
-        "--check": args.check,
-        "--align official": args.align == "official",
-        "--input-size": args.input_size > 0,
+        "`--model`": args.model is not None,
+        "`--check`": args.check,
+        "`--align official`": args.align == "official",
+        "`--input-size`": args.input_size > 0,
     }
     for flag in (flag for flag, is_given in given.items() if is_given):
         raise ConfigError(
-            f"--method stereo and {flag} exclude each other: stereo uses no network, and its maps "
-            "have the scale of the capture."
+            f"`--method stereo` and {flag} exclude each other: stereo uses no network, and its "
+            "maps have the scale of the capture."
         )

@@ -191,7 +191,7 @@ def _text(facts: dict[str, Any]) -> str:
     if facts["memory_available_bytes"] is not None:
         memory += f", {size_words(facts['memory_available_bytes'])} free"
     if facts["memory_is_short"]:
-        memory += "; low: train with -r 2 and fewer --max-splats"
+        memory += "; low: train with `--resolution 2` and fewer `--max-splats`"
     rows = [
         ("gscore", facts["gscore"]),
         ("Python", f"{facts['python']} ({facts['executable']})"),

@@ -334,8 +334,8 @@ def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
     """Name and indices of the views to measure."""
     if split == "test" and not dataset.test:
         raise DatasetError(
-            "The run has no held-out views; choose another --split, or select test views with "
-            "--hold-out."
+            "The run has no held-out views; choose another `--split`, or select test views with "
+            "`--hold-out`."
         )
     if split == "test" or (split is None and dataset.test):
         return "test", dataset.test

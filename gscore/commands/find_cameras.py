@@ -54,7 +54,7 @@ def with_cameras(
     check_no_cameras_above(data.source)
     if not allowed:
         raise DatasetError(
-            f"Leave out --no-sfm to find the cameras. {describe_unsupported(data.source)}"
+            f"Leave out `--no-sfm` to find the cameras. {describe_unsupported(data.source)}"
         )
     capture = output / CAPTURE
     # Masks are written in the training's default form, white where pixels count.

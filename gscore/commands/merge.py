@@ -144,7 +144,7 @@ def _record(run: Path, blocks: Path | None) -> BlockRecord:
     if not folder.is_dir():
         raise DatasetError(
             f"{brief(run)} was trained on {brief(folder)}, which no longer exists. Give the folder "
-            "of the blocks with --blocks."
+            "of the blocks with `--blocks`."
         )
     raise ConfigError(
         f"{brief(run)} was trained on {brief(folder)}, which is not a block: it has no "
@@ -203,8 +203,8 @@ def _compare(runs: list[Path], models: list[ModelArgument]) -> list[str]:
     for path, model in zip(runs[1:], models[1:], strict=True):
         if model.antialias != first.antialias:
             raise ConfigError(
-                f"{brief(runs[0])} and {brief(path)} differ in --antialias, so their splats cannot "
-                "be rendered together. Train one of them again."
+                f"{brief(runs[0])} and {brief(path)} differ in `--antialias`, so their splats "
+                "cannot be rendered together. Train one of them again."
             )
         changed = [*_changed(first.train, model.train), *_changed(first.data, model.data)]
         if changed:

@@ -46,7 +46,9 @@ def run(args: argparse.Namespace) -> int:
         more = f"The texts of these options mention {quoted(args.word)} too: {', '.join(others)}."
         print(wrapped(more, sys.stdout))
     print(
-        wrapped("Set an option with --set NAME=VALUE or its flag, as in --set seed=3.", sys.stdout)
+        wrapped(
+            "Set an option with `--set NAME=VALUE` or its flag, as in `--set seed=3`.", sys.stdout
+        )
     )
     return 0
 

@@ -229,7 +229,7 @@ def _open(args: argparse.Namespace) -> ModelArgument | LodArgument:
     if not is_lod_file(path):
         if args.lod_px is not None or args.lod_splats is not None:
             raise ConfigError(
-                f"--lod-px and --lod-splats need levels of detail, and {path} has none. Build "
+                f"`--lod-px` and `--lod-splats` need levels of detail, and {path} has none. Build "
                 "them first: "
                 + as_typed("lod", path, "-o", Path(path.name).with_suffix(LOD_ENDING))
             )
@@ -237,7 +237,7 @@ def _open(args: argparse.Namespace) -> ModelArgument | LodArgument:
     pixels = LOD_PX if args.lod_px is None else args.lod_px
     if not 0 <= pixels < math.inf or (args.lod_splats is not None and args.lod_splats < 1):
         raise ConfigError(
-            f"--lod-px must be 0 or more, and --lod-splats 1 or more, got {pixels:g} and "
+            f"`--lod-px` must be 0 or more, and `--lod-splats` 1 or more, got {pixels:g} and "
             f"{args.lod_splats}."
         )
     return LodArgument(model=LodModel(path), lod_px=pixels, most=args.lod_splats)
@@ -300,7 +300,7 @@ def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:
     if is_file and len(work.shots.names) > 1:
         raise ConfigError(
             f"{args.output} is a single picture, but {count_words(len(work.shots.names), 'view')} "
-            "are selected; give a folder with -o, or one view with --view."
+            "are selected; give a folder with -o, or one view with `--view`."
         )
     stems = [args.output.with_suffix("")] if is_file else []
     stems = stems or [
@@ -348,16 +348,16 @@ def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
         raise ConfigError("An MP4 has neither transparency nor depth; give a folder with -o.")
     views = args.view or args.all or args.test
     if args.frames is not None and not args.path and (views or not is_video):
-        raise ConfigError("--frames needs --path orbit or --path spline.")
+        raise ConfigError("`--frames` needs `--path orbit` or `--path spline`.")
     if args.path and args.path not in PATHS and (args.frames is not None or args.cameras):
         raise ConfigError(
-            f"--path {args.path} defines the camera of each picture: leave out --frames and "
-            f"--cameras."
+            f"`--path {args.path}` defines the camera of each picture: leave out `--frames` and "
+            f"`--cameras`."
         )
     if args.fps is not None and not 0 < args.fps <= 1000:
-        raise ConfigError(f"--fps must be above 0 and at most 1000, got {args.fps:g}.")
+        raise ConfigError(f"`--fps` must be above 0 and at most 1000, got {args.fps:g}.")
     if args.transparent and args.background is not None:
-        raise ConfigError("Give either --transparent or --background.")
+        raise ConfigError("Give either `--transparent` or `--background`.")
     if is_video:
         need_video()  # fail before the work instead of after it
 
@@ -367,7 +367,7 @@ def _check_one_size(shots: Cameras) -> None:
     if len(sizes) > 1:
         raise ConfigError(
             f"The views have {len(sizes)} sizes, but a video has one; give a width with -r, select "
-            "views with --view, or use --path."
+            "views with `--view`, or use `--path`."
         )
 
 

@@ -11,6 +11,7 @@ from ..errors import ConfigError, GsError
 from ..events import Show, Warn
 from ..io.output_paths import check_output_path
 from ..io.sequences import SEQUENCE_FILE
+from ..option_marks import mark_option
 from ..quoting import as_typed
 from ..sequence_options import SequenceOptions
 from ..text_format import count_words, quality_words
@@ -28,11 +29,11 @@ if TYPE_CHECKING:
     from ..trainer.sequence import SequenceResult
 
 _ONE_FRAME = {
-    "block": ("--block", "the frames of a sequence are not cut into blocks"),
-    "rig": ("--rig", "all frames use the cameras of the first, unless --no-fixed-rig"),
-    "start_checkpoint": ("--start-checkpoint", "continue with --resume, or use --start-splats"),
+    "block": "the frames of a sequence are not cut into blocks",
+    "rig": "all frames use the cameras of the first, unless `--no-fixed-rig`",
+    "start_checkpoint": "continue with `--resume`, or use `--start-splats`",
 }
-"""Options of `gscore train` that do not apply to a sequence."""
+"""Options of `gscore train` that do not apply to a sequence, and what to do instead."""
 _SELDOM = ("port", "no_sfm")
 """Options hidden here to keep the help short; `gscore options` lists them."""
 _FRAME = "train only the keyframe interval of this frame, for job arrays; all share one output"
@@ -119,11 +120,11 @@ def _train(
 def _asked(args: argparse.Namespace, show: Show, team: "ProcessGroup | None") -> _Asked:
     from ..trainer.sequence import read_options
 
-    for name, (option, instead) in _ONE_FRAME.items():
+    for name, instead in _ONE_FRAME.items():
         if getattr(args, name) is not None:
-            raise ConfigError(f"{option} is for a single training: {instead}.")
+            raise ConfigError(f"{mark_option(name)} is for a single training: {instead}.")
     if team and args.frame is not None:
-        raise ConfigError("--frame is for one process; torchrun distributes all frames.")
+        raise ConfigError("`--frame` is for one process; torchrun distributes all frames.")
     check_output_path(args.output)
     check_folder(args.output)
     frames = [path.name for path in args.output.glob("frame_*") if path.is_dir()]

@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.frames and not any(map(is_video, args.source)):
         names = " and ".join(map(brief, args.source))
-        raise ConfigError(f"--frames is for videos; {names} is not a video.")
+        raise ConfigError(f"`--frames` is for videos; {names} is not a video.")
     check_output_path(request.output)
     check_folder(request.output)
     found, code = run_job(

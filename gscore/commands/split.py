@@ -106,11 +106,11 @@ def _lines(cut: Cut, output: Path) -> list[str]:
     if min(len(block.views) for block in cut.blocks) > 0.9 * whole:
         lines.append(
             "Nearly every photo shows every block, so blocks save splats but no photos: this "
-            "capture goes around one subject. A higher --share leaves out more photos."
+            "capture goes around one subject. A higher `--share` leaves out more photos."
         )
     lines.append(
         f"Next: {as_typed('train', output, '-o', 'RUNS')}, or on many machines with "
-        "--block 0, 1, ...;"
+        "`--block` 0, 1, ...;"
     )
     lines.append("then: gscore merge RUNS -o merged.ply")
     return lines

@@ -143,7 +143,9 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     if args.source and args.source_option and args.source != args.source_option:
         raise ConfigError(f"Two captures were given: {args.source} and {args.source_option}.")
     if args.config and args.preset:
-        raise ConfigError("Give either --preset or --config: a config file contains all options.")
+        raise ConfigError(
+            "Give either `--preset` or `--config`: a config file contains all options."
+        )
     stored = args.config
     if args.resume and not (args.config or (args.preset and source)):
         stored = args.output / "config.json"
@@ -151,7 +153,7 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
             from ..trainer.files.run_folder import check_free
 
             check_free(args.output)  # a run that has just begun has written nothing yet
-            raise ConfigError(f"{args.output} contains no run to resume; leave out --resume.")
+            raise ConfigError(f"{args.output} contains no run to resume; leave out `--resume`.")
     if args.preset and stored:
         source = options_of_run(stored)[0].source
         data, config = PRESETS[args.preset](source)
@@ -168,7 +170,7 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     if args.iterations is not None and config.time_budget > 0:
         raise ConfigError(
             f"A time budget ({config.time_budget:g} s) determines the number of steps; leave out "
-            "--iterations, or give --time-budget 0."
+            "`--iterations`, or give `--time-budget 0`."
         )
     return data, config
 
@@ -279,6 +281,6 @@ def _nothing_to_do(result: "TrainResult") -> str:
     how = _HOW[result.reason]
     return (
         f"{result.output} was complete already: {how[0].lower()}{how[1:]} after "
-        f"{count_words(result.steps, 'step')}. Give a larger --iterations or --time-budget to "
+        f"{count_words(result.steps, 'step')}. Give a larger `--iterations` or `--time-budget` to "
         f"continue, or measure it again with: {as_typed('eval', result.output)}"
     )

@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 def _output(args: argparse.Namespace, model: ModelArgument) -> Path:
     """Path of the page, checked to be writable."""
     if args.photos < 0:
-        raise ConfigError(f"--photos must be at least 0, got {quoted(args.photos)}.")
+        raise ConfigError(f"`--photos` must be at least 0, got {quoted(args.photos)}.")
     if args.output is None and model.run is None:
         raise ConfigError(f"{model.path} is not in the folder of a run; give a page with -o.")
     output: Path = args.output or model.run / PAGE  # pyright: ignore

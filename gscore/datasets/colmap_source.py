@@ -44,7 +44,7 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
     if photos_required and not root.is_dir():
         raise DatasetError(
             f"There is no image folder {root}. Give the folder of both the photos and the model, "
-            f"and the name of the photo folder in it with --images."
+            f"and the name of the photo folder in it with `--images`."
         )
     folder = Folder(root)
     files = folder.find_images(names)
@@ -55,7 +55,7 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
             f"{len(missing)} of the {count_words(len(names), 'image')} of the model in "
             f"{model.path} are missing "
             f"in {root} ({count_words(len(folder), 'image')} there): {listing(missing)}. Give the "
-            "folder of the photos that COLMAP was run on with --images."
+            "folder of the photos that COLMAP was run on with `--images`."
         )
     if missing:
         rest = f"; going on with the other {len(names) - len(missing)}" if photos_required else ""

@@ -79,7 +79,7 @@ def find_frames(data: DataConfig) -> list[SequenceFrame]:
         raise DatasetError(
             f"{data.source} holds no frames; expected a numbered folder for each, with photos and "
             f"a COLMAP model in it. If all frames share one model, give its folder, and "
-            f"frames/{{frame:06d}} as --images."
+            f"frames/{{frame:06d}} as `--images`."
         )
     return [
         SequenceFrame(number=n, data=replace(data, source=path))

@@ -142,7 +142,7 @@ def masks_of_views(
                 f"None of the {number(len(views))} masks stated by the capture exists, "
                 "for example "
                 f"{next(file for file in stated if file is not None)}. Put them there, or choose "
-                f"--mask-mode none."
+                f"`--mask-mode none`."
             )
         where = "the paths stated by the capture"
     elif place is not None and place.is_dir():
@@ -155,10 +155,10 @@ def masks_of_views(
                 f"expected names like {views[0].name}.png."
             )
             if config.masks:
-                raise DatasetError(f"{problem} Rename them, or give another folder with --masks.")
+                raise DatasetError(f"{problem} Rename them, or give another folder with `--masks`.")
             return files, [f"{problem} It is not used."]
     elif config.masks:
-        raise DatasetError(f"There is no mask folder {place}. Give its name with --masks.")
+        raise DatasetError(f"There is no mask folder {place}. Give its name with `--masks`.")
     else:
         return [None] * len(views), []
     missing = [view.name for view, file in zip(views, files, strict=True) if file is None]

@@ -84,7 +84,7 @@ def check_fit(views: Sequence[View], infos: Sequence[ImageInfo], fit: PhotoFit) 
     raise DatasetError(
         f"{view.image} is {info.width} x {info.height} pixels, its camera was calibrated for "
         f"{view.camera.width} x {view.camera.height}.{others} Give the folder of the photos that "
-        f"COLMAP was run on with --images, or photos scaled without cropping."
+        f"COLMAP was run on with `--images`, or photos scaled without cropping."
     )
 
 

@@ -144,7 +144,7 @@ def find_kind(samples: list[Samples | None]) -> tuple[DepthKind, tuple[str, ...]
     if abs(mean) < _LEAST_CORRELATION:
         return DepthKind.INVERSE, (
             "The points do not show whether the depth maps contain depth or inverse depth; inverse "
-            "depth is assumed. Set it with --kind when making depth_params.json.",
+            "depth is assumed. Set it with `--kind` when making depth_params.json.",
         )
     return (DepthKind.INVERSE if mean > 0 else DepthKind.DEPTH), ()
 

@@ -44,7 +44,7 @@ def network_file(network: KnownNetwork, *, download: bool) -> Path:
     path = cached_file(network)
     if path is None and not download:
         raise ConfigError(
-            f"{network.name} is not on this machine. --download fetches it into the cache of "
+            f"{network.name} is not on this machine. `--download` fetches it into the cache of "
             f"huggingface_hub: {terms(network)}."
         )
     if path is None:
@@ -112,16 +112,16 @@ def _why(error: Exception, network: KnownNetwork) -> str:
     ):
         return (
             f"the hub has no {network.file} of {network.repository} any more. Give the path of a "
-            "file with --model."
+            "file with `--model`."
         )
     if os.environ.get("HF_HUB_OFFLINE", "").lower() in ("1", "true", "yes", "on"):
-        return "HF_HUB_OFFLINE forbids it. Unset it, or give the path of a file with --model."
+        return "HF_HUB_OFFLINE forbids it. Unset it, or give the path of a file with `--model`."
     for each in _chain(error):
         if isinstance(each, OSError) and each.errno and "Connect" not in type(each).__name__:
             return reason(each)
     return (
         f"the hub cannot be reached ({_cause(error)}). Check the connection, or download "
-        f"{network.file} from {network.page} and give its path with --model."
+        f"{network.file} from {network.page} and give its path with `--model`."
     )
 
 
@@ -150,6 +150,6 @@ def _check(network: KnownNetwork, path: Path) -> None:
         each.unlink(missing_ok=True)
     raise FormatError(
         f"The file from the hub for {network.name} has the SHA-256 {digest[:12]}..., expected "
-        f"{network.sha256[:12]}...; it was removed. Try again with --download, or download it in a "
-        "browser and give its path with --model."
+        f"{network.sha256[:12]}...; it was removed. Try again with `--download`, or download it in "
+        "a browser and give its path with `--model`."
     )

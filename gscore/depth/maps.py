@@ -51,7 +51,7 @@ class MapFolder:
         if not root.is_dir():
             raise DatasetError(
                 f"There is no folder {root} with depth maps. Make them with `gscore depth`, or "
-                f"name the folder with --depths."
+                f"name the folder with `--depths`."
             )
         self.root = root
         self._files: dict[str, Path] = {}

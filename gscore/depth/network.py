@@ -15,7 +15,7 @@ from .maps import DepthKind
 from .onnx_graph import GraphFacts, read_facts
 
 WHERE = (
-    "`gscore depth --list-models` names networks that --download fetches. As files: "
+    "`gscore depth --list-models` names networks that `--download` fetches. As files: "
     "model-small.onnx of https://github.com/isl-org/MiDaS/releases (v2_1), and Depth Anything V2 "
     "exports of https://github.com/fabio-sim/Depth-Anything-ONNX/releases; check their licences"
 )
@@ -169,11 +169,11 @@ class Network:
         if size and profile.width and profile.height and size != min(profile.width, profile.height):
             raise ConfigError(
                 f"{path.name} only takes pictures of {profile.width} x {profile.height} pixels; "
-                f"leave --input-size out."
+                f"leave `--input-size` out."
             )
         if size % profile.multiple and not (profile.width and profile.height):
             raise ConfigError(
-                f"--input-size is {size}, expected a multiple of {profile.multiple} for "
+                f"`--input-size` is {size}, expected a multiple of {profile.multiple} for "
                 f"{profile.family}."
             )
 
@@ -210,7 +210,7 @@ class Network:
         except Exception as error:  # onnxruntime has no common base for its errors
             raise GsError(
                 f"{self.path.name} failed on a picture of {feed[self._input].shape}: "
-                f"{str(error).strip()[:300]}. Try another --input-size, or another model."
+                f"{str(error).strip()[:300]}. Try another `--input-size`, or another model."
             ) from error
         values = np.asarray(output, np.float32).squeeze()
         if values.ndim != 2 or min(values.shape) < 2:

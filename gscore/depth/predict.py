@@ -129,7 +129,7 @@ def encoded(name: str, values: np.ndarray, mask: np.ndarray | None, kind: DepthK
     low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
     if not high > low:
         raise GsError(
-            f"The network gives {name} one value everywhere. Set --normalization to its input "
+            f"The network gives {name} one value everywhere. Set `--normalization` to its input "
             f"format, or try another model."
         )
     code = np.zeros(values.shape, np.uint16)
@@ -168,14 +168,14 @@ def _kept(folder: Path, record: dict[str, Any], names: tuple[str, ...]) -> list[
             changed = [k for k in record if k != "gscore" and before.get(k) != record[k]]
         except (OSError, ValueError, AttributeError) as error:
             raise FormatError(
-                f"{path} is damaged ({brief(error)}). Remove the folder or give --overwrite."
+                f"{path} is damaged ({brief(error)}). Remove the folder or give `--overwrite`."
             ) from error
         if not changed:
             return there
         by = f"they were made by {before.get('model')} with another {' and '.join(changed)}"
     raise ConfigError(
         f"{folder} already contains depth maps of {count_words(len(there), 'view')}, and {by}. "
-        "Give --overwrite to replace them, or another folder with --depths."
+        "Give `--overwrite` to replace them, or another folder with `--depths`."
     )
 
 

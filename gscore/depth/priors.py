@@ -144,7 +144,7 @@ def _missing(folder: MapFolder, maps: list[Path | None], names: tuple[str, ...])
             f"{folder.root} has no depth map of any view (it contains "
             f"{count_words(len(folder), 'map')}); expected "
             f"names like {Path(names[0]).stem}.png. Make them with `gscore depth`, or name another "
-            f"folder with --depths."
+            f"folder with `--depths`."
         )
     if not missing:
         return []

@@ -87,7 +87,7 @@ class Server:
             listening.close()
             raise ConfigError(
                 f"Viewers cannot connect to {ip}, port {port}: {error.strerror or error}. Another "
-                "training may use it; choose another --port, or leave --port out."
+                "training may use it; choose another `--port`, or leave `--port` out."
             ) from error
         return listening
 

@@ -128,10 +128,10 @@ def _check_masks(runs: Sequence[ComparedRun]) -> None:
         if "composite" in modes:
             advice = (
                 "With composite masks splats show the subject only, else its surroundings too, so "
-                "they cannot be compared: train one with the other's --mask-mode."
+                "they cannot be compared: train one with the other's `--mask-mode`."
             )
         raise ConfigError(
-            f"{brief(runs[0].label)} was scored with --mask-mode {modes[0]}, "
+            f"{brief(runs[0].label)} was scored with `--mask-mode {modes[0]}`, "
             f"{brief(runs[1].label)} with {modes[1]}: their numbers are of different pixels. "
             f"{advice}"
         )

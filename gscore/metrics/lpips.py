@@ -110,7 +110,7 @@ def find_lpips(
         return LpipsNet(net, threads=threads, download=download), ""
     found = lpips_file(path)
     if found is None:
-        return None, "no LPIPS network: give one with --lpips, or an ONNX file in GSCORE_LPIPS"
+        return None, "no LPIPS network: give one with `--lpips`, or an ONNX file in GSCORE_LPIPS"
     try:
         return Lpips(found, threads=threads), ""
     except (BackendError, ConfigError, FormatError) as error:

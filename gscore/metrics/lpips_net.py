@@ -55,7 +55,7 @@ class LpipsNet:
             raise ConfigError(
                 f"The weights of LPIPS with {net} are not on this machine: {path} "
                 f"({_MEGABYTES[net]} MB, from torchvision). Copy them there, or download them "
-                "with --lpips-download."
+                "with `--lpips-download`."
             )
         try:
             self._metric = package.LPIPS(net=net, version="0.1", verbose=False).eval()

@@ -244,7 +244,8 @@ def raise_status(status: int) -> None:
         raise Cancelled("Rendering was cancelled.")
     if status == header.OUT_OF_MEMORY:
         raise BackendError(
-            f"{message}. Close programs, or use smaller images (-r) or fewer splats (--max-splats)."
+            f"{message}. Close programs, or use smaller images (`--resolution`) or fewer splats "
+            "(`--max-splats`)."
         )
     if status == header.BAD_ARGUMENT:
         raise ShapeError(f"{message}.")

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..io.files import atomic_write
+from ..option_marks import show_flags
 
 AXES = (("step", "steps"), ("elapsed_s", "seconds"))
 """Choices of the x axis: key of a row, and name."""
@@ -17,7 +18,7 @@ def whole_page(
 
     Args:
         title: Title of the window.
-        body: HTML.
+        body: HTML; marked options are shown as flags.
         styles: CSS files in this folder, added after report.css.
         scripts: Script files in this folder, added after charts.js.
     """
@@ -28,7 +29,7 @@ def whole_page(
         '<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{html.escape(title)}</title>\n<style>\n{css}</style>\n</head>\n<body>\n<main>\n"
-        f"{body}</main>\n<script>\n{js}</script>\n</body>\n</html>\n"
+        f"{show_flags(body)}</main>\n<script>\n{js}</script>\n</body>\n</html>\n"
     )
 
 

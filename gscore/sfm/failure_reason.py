@@ -26,7 +26,7 @@ def failure_reason(found: Overlap, names: dict[str, str]) -> str:
             f"No cameras found: the photos show too little texture. Half of the {photos} have "
             f"{f'{median} or fewer features' if median else 'no features'}, at least "
             f"{_FEW_FEATURES} are needed. Take sharp photos of textured surfaces, or leave masks "
-            "out with --no-masks."
+            "out with `--no-masks`."
         )
     if not found.pairs:
         return (

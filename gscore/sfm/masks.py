@@ -22,7 +22,7 @@ def mask_folder(root: Path, requested: Path | None) -> Path | None:
         for place in (requested, root / requested, root.parent / requested):
             if place.is_dir():
                 return place
-        raise DatasetError(f"There is no mask folder {requested}. Give its path with --masks.")
+        raise DatasetError(f"There is no mask folder {requested}. Give its path with `--masks`.")
     found = masks_inside(root)
     if found is None and root.name in ("images", "input"):
         return masks_inside(root.parent)
@@ -71,7 +71,7 @@ def write_masks(
             raise DatasetError(
                 f"The mask {masks[photo.name]} is {mask.shape[1]} x {mask.shape[0]} pixels, its "
                 f"photo {photo.name} is {photo.width} x {photo.height}. Scale the mask, or leave "
-                "masks out with --no-masks."
+                "masks out with `--no-masks`."
             )
         write_png(target / f"{photo.alias}.png", mask)
     without = len(photos) - len(masks)

@@ -39,8 +39,8 @@ of objects on white match too."""
 _HOW = (
     "Cut each into views of 90 degrees, as with `ffmpeg -i PANORAMA.jpg -vf "
     "v360=equirect:flat:h_fov=90:v_fov=90:yaw=0:w=1200:h=1200 VIEW_0.jpg`, with yaw -180, -135 "
-    "and so on to 135, and give `gscore sfm` the views with --camera-model SIMPLE_PINHOLE and "
-    "--focal-length 600, half their width"
+    "and so on to 135, and give `gscore sfm` the views with `--camera-model SIMPLE_PINHOLE` and "
+    "`--focal-length 600`, half their width"
 )
 
 
@@ -144,8 +144,8 @@ def refused_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
         what = count_words(len(names), "photo seems", "photos seem") + " to show"
         why = "by XMP, or because they are twice as wide as high and left and right edge meet"
         excuse = (
-            "If they are ordinary photos, give `gscore sfm` their --focal-length in px or another "
-            "--camera-model, as OPENCV."
+            "If they are ordinary photos, give `gscore sfm` their `--focal-length` in px or "
+            "another `--camera-model`, as OPENCV."
         )
     if not names:
         return ""

@@ -46,7 +46,7 @@ def check_no_cameras_above(path: Path) -> None:
     if whole.name not in _IN_CAPTURES or not _has_cameras(whole.parent):
         return
     above = path.parent if path.name else whole.parent
-    images = "" if whole.name == "images" else f" --images {whole.name}"
+    images = "" if whole.name == "images" else f" with `--images {whole.name}`"
     raise DatasetError(
         f"{path} contains only the photos; {above} contains their cameras too: give "
         f"{above}{images}. To find new cameras, copy the photos to a folder of their own."

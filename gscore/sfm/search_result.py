@@ -95,7 +95,8 @@ class SearchResult:
         if self.reprojection_px > _BLURRED:
             messages.append(
                 "The error is high: photos may be blurred or scaled by different factors, or the "
-                "lens has more distortion than --camera-model describes; try --camera-model OPENCV."
+                "lens has more distortion than `--camera-model` describes; try "
+                "`--camera-model OPENCV`."
             )
         if self.track_length < _SHORT_TRACKS:
             messages.append(
@@ -143,7 +144,7 @@ def focal_text(cameras: list[tuple[float, bool]]) -> str:
     return (
         "The photos do not constrain the focal length: others fit as well, for example if the "
         f"camera only moves ahead. It is set to {shown}, {source}; if you know it "
-        "better, give it with --focal-length."
+        "better, give it with `--focal-length`."
     )
 
 

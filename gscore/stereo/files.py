@@ -28,8 +28,8 @@ def check_maps_folder(folder: Path, names: tuple[str, ...], *, overwrite: bool) 
     if there:
         raise ConfigError(
             f"{folder} already contains depth maps of {count_words(len(there), 'view')}, which "
-            "were not made by stereo. Give --overwrite to replace them, or another folder with "
-            "--depths."
+            "were not made by stereo. Give `--overwrite` to replace them, or another folder with "
+            "`--depths`."
         )
 
 

@@ -53,7 +53,7 @@ def select(only: Sequence[str] = (), *, full: bool = False) -> list[Case]:
     for word in only:
         if not any(word.lower() in c.name.lower() for c in CASES):
             names = "; ".join(c.name for c in CASES)
-            raise ConfigError(f"--only {word}: no test name contains this. Tests: {names}.")
+            raise ConfigError(f"`--only {word}`: no test name contains this. Tests: {names}.")
     keys = {word.lower() for word in only}
     return [
         c

@@ -89,7 +89,7 @@ def _empty_views(trainer: Trainer) -> Iterator[str]:
         raise DatasetError(
             f"None of the {number(len(views))} training views shows any of the "
             f"{count_words(trainer.splat_count, 'initial splat')}. Check that the cameras and the "
-            "points, or the PLY of --start-splats, belong to one capture."
+            "points, or the PLY of `--start-splats`, belong to one capture."
         )
     if empty:
         names = listing([trainer.photos.scene.cameras.names[i] for i in empty])

@@ -34,10 +34,10 @@ from .views.photo_analysis import analyze_photos
 from .views.pose_check import PoseCheck
 
 _MASKS = {
-    "ignore": "Masks are used: masked pixels are neither trained nor measured. --mask-mode none "
+    "ignore": "Masks are used: masked pixels are neither trained nor measured. `--mask-mode none` "
     "trains whole photos, composite only the subject.",
     "composite": "Masks are used as the opacity of the subject, and only the subject is trained. "
-    "--mask-mode none trains whole photos, ignore does not constrain masked pixels.",
+    "`--mask-mode none` trains whole photos, ignore does not constrain masked pixels.",
 }
 """Decision on masks, by `mask_mode`."""
 _KEPT = ("stereo", "drops", "ensemble", "exposure", "poses")
@@ -229,6 +229,6 @@ def memory_in_words() -> Iterator[None]:
         if not isinstance(error, MemoryError) and "can't allocate memory" not in str(error):
             raise
         raise BackendError(
-            "Out of memory; use fewer splats (--max-splats) or smaller photos (-r 2), or close "
-            "programs. The last checkpoint is kept."
+            "Out of memory; use fewer splats (`--max-splats`) or smaller photos "
+            "(`--resolution 2`), or close programs. The last checkpoint is kept."
         ) from error

@@ -10,7 +10,7 @@ from ..config import DataConfig, TrainConfig, limited_as, unlimited
 from ..config_file import differences, load_config
 from ..errors import ConfigError, FormatError, GsError
 from ..formats import Decoded, read_decoded
-from ..options import flag_of
+from ..option_marks import mark_option
 from .files import checkpoint
 from .files.checkpoint import Checkpoint
 from .files.run_folder import RunFolder
@@ -49,7 +49,7 @@ class RunStart:
                 splats is damaged.
         """
         if resume and start_checkpoint is not None:
-            raise ConfigError("Give either --resume or --start-checkpoint, not both.")
+            raise ConfigError("Give either `--resume` or `--start-checkpoint`, not both.")
         self._folder, self._data = folder, data
         self._resumes = resume
         self._damaged: list[Path] = []
@@ -156,10 +156,10 @@ class RunStart:
                 if len(self._damaged) < len(paths):
                     continue
                 if len(paths) == 1:
-                    raise FormatError(f"{error} Or start again with --overwrite.") from error
+                    raise FormatError(f"{error} Or start again with `--overwrite`.") from error
                 raise FormatError(
                     f"All {len(paths)} checkpoints in {path.parent} are damaged, the oldest: "
-                    f"{error} Start again with --overwrite."
+                    f"{error} Start again with `--overwrite`."
                 ) from error
         return None
 
@@ -175,7 +175,7 @@ class RunStart:
             stored, _ = load_config(self._folder.config)
             found = differences(stored, self._data, ignore=("source", "rig", "test_list"))
             pairs = [change.partition(" ") for change in found]
-            return [f"{flag_of(name)} {rest}" for name, _, rest in pairs]
+            return [f"{mark_option(name)} {rest}" for name, _, rest in pairs]
         return []
 
 

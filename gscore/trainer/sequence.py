@@ -129,7 +129,7 @@ def read_options(output: Path) -> SequenceOptions | None:
     except ConfigError as error:
         raise FormatError(
             f"{output / SEQUENCE_FILE} was written by another gscore ({error}); start a new "
-            f"sequence with all options in another folder, without --resume."
+            f"sequence with all options in another folder, without `--resume`."
         ) from error
 
 
@@ -330,7 +330,7 @@ def _open(output: Path, *, resume: bool, overwrite: bool, ours: bool = False) ->
     begun = _begun(output)
     if read_sequence(output) is None and not begun:
         if resume and not ours:
-            raise ConfigError(f"{output} contains no sequence to resume; leave --resume out.")
+            raise ConfigError(f"{output} contains no sequence to resume; leave `--resume` out.")
         _check_no_run(output)
     elif overwrite:
         _clear(begun)
@@ -338,7 +338,7 @@ def _open(output: Path, *, resume: bool, overwrite: bool, ours: bool = False) ->
     elif not resume:
         raise ConfigError(
             f"{output} contains another sequence ({count_words(len(begun), 'frame')} started); "
-            "continue it with --resume, replace it with --overwrite, or choose another folder."
+            "continue it with `--resume`, replace it with `--overwrite`, or choose another folder."
         )
 
 

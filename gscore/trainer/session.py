@@ -43,12 +43,12 @@ _PAUSE = 0.02
 """Seconds between polls of the viewer clients after the last step."""
 _CROWDED = (
     "Many splats are closer to a camera than the points of the capture suggest. They are kept, as "
-    "with --free-space 0."
+    "with `--free-space 0`."
 )
 _FILLED = (
-    "More than a fifth of the splats are in front of the mesh of --guide-free, so they are kept. "
-    "The mesh may be in the wrong place, or behind objects that should stay; --guide-surface keeps "
-    "splats in front of a mesh."
+    "More than a fifth of the splats are in front of the mesh of `--guide-free`, so they are kept. "
+    "The mesh may be in the wrong place, or behind objects that should stay; `--guide-surface` "
+    "keeps splats in front of a mesh."
 )
 _MANY_CLEARED = 0.02
 """Number of splats removed in front of cameras, relative to the final number, above which the user
@@ -178,7 +178,7 @@ class Session:
             self._checkpoint(keep=_CHECKPOINTS_KEPT)
             raise type(error)(
                 f"{error} Step {self._trainer.steps} is kept in {self._folder.path}; restore the "
-                f"original photos and continue with --resume."
+                f"original photos and continue with `--resume`."
             ) from error
 
     def _steer(self) -> None:
@@ -392,7 +392,7 @@ class Session:
             self.warn(
                 f"{count_words(cleared, 'splat was', 'splats were')} removed, closer to a camera "
                 f"than {self._config.free_space:g} of its distance from the nearest points. If "
-                "there are objects so close, train with --free-space 0.",
+                "there are objects so close, train with `--free-space 0`.",
                 "cleared",
             )
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)

@@ -703,7 +703,7 @@ class Trainer:
             raise GsError(
                 f"Training diverged: the loss was not finite for "
                 f"{count_words(_MAX_SKIPPED, 'step')} in a row, "
-                f"the last one at step {self.steps}. Lower the learning rates; --detect-anomaly "
+                f"the last one at step {self.steps}. Lower the learning rates; `--detect-anomaly` "
                 "finds the first number that is not finite."
             )
 

@@ -156,7 +156,7 @@ class FrameFolder:
         if not self._overwrite:
             raise ConfigError(
                 f"{place} holds frames of another video, of other options, or not all of them. "
-                "Choose a new folder with -o, or replace them with --overwrite."
+                "Choose a new folder with -o, or replace them with `--overwrite`."
             )
         rows = record.get("frames")
         listed = rows if isinstance(rows, list) else []

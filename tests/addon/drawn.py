@@ -96,4 +96,5 @@ def _layout(panel: type) -> Layout:
     poll, layout = getattr(panel, "poll", None), Layout()
     if poll is None or poll(bpy.context):
         panel.draw(SimpleNamespace(layout=layout), bpy.context)
+    assert "`--" not in layout.text, layout.text  # marked options are shown by their labels
     return layout

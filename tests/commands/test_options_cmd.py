@@ -43,7 +43,7 @@ def test_one_option_with_all_that_is_known(capsys: pytest.CaptureFixture[str]) -
     assert row["default"] == 0.0 and row["range"] == "0 to less than 1" and not row["basic"]
     assert row["flag"] == "--drop-rate" and row["group"] == "loss"
     (row,) = told("mcmc_noise", capsys)
-    assert row["name_3dgs"] == "--noise-lr" and row["idle"] == "only with --strategy mcmc"
+    assert row["name_3dgs"] == "--noise-lr" and row["idle"] == "only with `--strategy mcmc`"
 
 
 def test_a_word_finds_by_group_and_by_text(capsys: pytest.CaptureFixture[str]) -> None:

@@ -96,7 +96,7 @@ def test_a_view_that_one_run_was_trained_on_is_told() -> None:
         ({"views": [view("other", 1.0, 1.0)]}, "no scored view in common"),
         ({"views": [view("1.png", 1.0, 1.0) | {"width": 80}]}, "40 x 30 px.*80 x 30 px"),
         ({"mask_mode": "ignore"}, "different pixels.*gscore eval b --mask-mode"),
-        ({"mask_mode": "composite"}, "different pixels.*train one with the other's --mask-mode"),
+        ({"mask_mode": "composite"}, "different pixels.*train one with the other's `--mask-mode`"),
     ],
 )
 def test_what_cannot_be_compared(

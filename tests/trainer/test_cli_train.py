@@ -248,7 +248,7 @@ def test_resuming_with_other_options_says_which(
     again = ["train", "-o", str(tmp_path), "--resume", "--quiet"]
     assert main([*again, "-r", "20"]) == 2
     err = capsys.readouterr().err
-    assert "another run: -r was -1, is 20. A resumed run takes its options from" in err
+    assert "another run: --resolution was -1, is 20. A resumed run takes its options from" in err
     assert "--iterations, --time-budget" in err
     assert "cameras" not in err
     assert main([*again, "--preset", "draft"]) == 2

@@ -348,11 +348,10 @@ def test_too_little_memory_is_told_before_the_start(
     """Oracle: 10 million splats, too many for 2 GB; the proposed number fits."""
     monkeypatch.setattr(memory, "available_memory_bytes", lambda: 2_000_000_000)
     config = replace(CONFIG, max_splats=10_000_000, sh_degree=3)
-    with pytest.raises(GsError, match=r"use --max-splats (\d+)") as error:
+    with pytest.raises(GsError, match=r"use `--max-splats \d+`") as error:
         train(config, data_of(capture), tmp_path / "out")
     assert not (tmp_path / "out").exists()
-    words = str(error.value).split()
-    offered = int(words[words.index("--max-splats") + 1].rstrip(","))
+    offered = int(str(error.value).partition("`--max-splats ")[2].partition("`")[0])
     assert offered > 100_000
     found = estimate(replace(config, max_splats=offered), [(48, 48)] * 8, points=150, pace=1.0)
     assert found.fits

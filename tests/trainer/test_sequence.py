@@ -400,7 +400,7 @@ def test_each_frame_is_guided_by_its_own_mesh(frames: Path, tmp_path: Path) -> N
     ]
     assert "Surface mesh wall-000.ply" in of_kind(events, Started)[0].decision("guide")
     (tmp_path / "wall-010.ply").unlink()
-    with pytest.raises(ConfigError, match="the mesh of --guide-surface for frame 10"):
+    with pytest.raises(ConfigError, match="the mesh of `--guide-surface` for frame 10"):
         train_sequence(config, data, tmp_path / "other")
     assert not (tmp_path / "other").exists()
 
@@ -421,12 +421,12 @@ def test_only_frames_left_to_train_need_their_meshes(frames: Path, tmp_path: Pat
     walls[10].unlink()
     train_sequence(config, data, out, options=options, frame=10)
     for number, more in ((5, {"frame": 5}), (0, {"resume": True})):
-        with pytest.raises(ConfigError, match="the mesh of --guide-surface for frame 0"):
+        with pytest.raises(ConfigError, match="the mesh of `--guide-surface` for frame 0"):
             train_sequence(config, data, out, options=options, **more)
         build(number)
     train_sequence(config, data, out, options=options, resume=True)
     assert numbers_in(out) == [0, 5, 10]
     for more in ({"frame": 10}, {}):
-        with pytest.raises(ConfigError, match="the mesh of --guide-surface for frame 10"):
+        with pytest.raises(ConfigError, match="the mesh of `--guide-surface` for frame 10"):
             train_sequence(config, data, out, options=options, overwrite=True, **more)
     assert numbers_in(out) == [0, 5, 10]

@@ -7,6 +7,7 @@ import pytest
 from gscore.commands import train
 from gscore.commands.args import option_names_3dgs
 from gscore.commands.args.unused_options import RULES, unused_options
+from gscore.option_marks import show_flags
 
 ALWAYS = """
 help source source_option output preset config resume overwrite start_checkpoint images
@@ -80,7 +81,7 @@ def test_no_option_is_forgotten() -> None:
 )
 def test_what_is_idle_is_told_with_the_reason(line: str, words: str) -> None:
     """Oracle: one sentence, or none."""
-    found = told(line)
+    found = show_flags(told(line))
     assert words in found
     assert bool(found) == bool(words)
     assert found.count("Without effect") == bool(words)

@@ -373,7 +373,7 @@ def test_frames_are_picked_by_number_or_path(make_case: Callable[..., Case]) -> 
     assert "per_frame" in str(other.views[0].image), "the next layout that has the frame"
     with pytest.raises(DatasetError, match=r"no frame 7: data_COLMAP has 2, 0 to 5 in steps of 5"):
         read_capture(DataConfig(source=root, frame=7))
-    with pytest.raises(ConfigError, match="is frame 5, but --frame is 10"):
+    with pytest.raises(ConfigError, match="is frame 5, but `--frame` is 10"):
         read_capture(DataConfig(source=root / "per_frame/000005", frame=10))
     with pytest.raises(ConfigError, match="no multi-view video"):
         read_capture(DataConfig(source=root / "cams", frame=5))

@@ -8,6 +8,7 @@ from typing import Any
 from ...config import DataConfig
 from ...errors import ConfigError
 from ...hold_out import SPLIT, parse_hold_out
+from ...option_marks import mark_option
 from ...options import Option, flag_of
 from .run_options import declare, help_words, passed_options
 
@@ -70,7 +71,7 @@ def _given_split(args: argparse.Namespace) -> dict[str, Any]:
     """
     names = [name for name in ("hold_out", *SPLIT) if getattr(args, name, None) is not None]
     if len(names) > 1 and set(names) != {"test_first", "test_last"}:
-        flags = [flag_of(name) for name in names]
+        flags = [mark_option(name) for name in names]
         raise ConfigError(
             f"{' and '.join(flags)} are different ways to choose test views; give one of them."
         )

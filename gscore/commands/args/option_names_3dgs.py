@@ -41,7 +41,7 @@ _SWITCHES = {
 _FEATURE_LR_SHARE = 20
 """--feature-lr also sets the rate of the higher SH bands, divided by this."""
 REFUSED = {
-    "--debug": "the rasterizer has no debug dumps; see --detect-anomaly",
+    "--debug": "the rasterizer has no debug dumps; see `--detect-anomaly`",
     "--position-lr-max-steps": "the rate of positions falls until the last step",
     "--position-lr-delay-mult": "the rate of positions is not delayed at the start",
     "--data-device": "photos are always kept as bytes in main memory",
@@ -82,7 +82,7 @@ def rows() -> list[Row]:
         Row("-w, --white-background", "background white"),
         Row("--random-background", "background random"),
         Row("--train-test-exp", "exposure on; psnr_cc fits colours on half of a held-out view"),
-        Row("--disable-viewer", "port 0, overriding --port"),
+        Row("--disable-viewer", "port 0, overriding `--port`"),
         *(Row(flag, "without effect") for flag in _WITHOUT_EFFECT),
         *(Row(flag, f"refused: {reason}") for flag, reason in REFUSED.items()),
     ]
@@ -95,7 +95,7 @@ def translate(args: argparse.Namespace) -> None:
         ConfigError: contradicting options.
     """
     if args.white_background and args.random_background:
-        raise ConfigError("Give either --white-background or --random-background.")
+        raise ConfigError("Give either `--white-background` or `--random-background`.")
     if args.white_background or args.random_background:
         color = Background.WHITE if args.white_background else Background.RANDOM
         args.background = args.background or color

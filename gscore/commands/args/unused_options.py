@@ -6,7 +6,8 @@ from collections.abc import Callable
 from ...config import DataConfig, Doubling, Skip, Stereo, Strategy, Switch, TrainConfig
 from ...hold_out import SPLIT
 from ...live_options import LiveOptions
-from ...options import Option, flag_of, options_of
+from ...option_marks import mark_option
+from ...options import Option, options_of
 
 _Idle = Callable[[argparse.Namespace, DataConfig, TrainConfig], bool]
 _Rule = tuple[str, _Idle]
@@ -35,45 +36,45 @@ def _beyond(name: str) -> _Idle:
 
 
 _WHEN: dict[str, _Rule] = {
-    "mcmc": ("only with --strategy mcmc", lambda a, d, c: c.strategy is not Strategy.MCMC),
-    "default": ("not with --strategy mcmc", lambda a, d, c: c.strategy is Strategy.MCMC),
+    "mcmc": ("only with `--strategy mcmc`", lambda a, d, c: c.strategy is not Strategy.MCMC),
+    "default": ("not with `--strategy mcmc`", lambda a, d, c: c.strategy is Strategy.MCMC),
     "clone_split": (
-        "only with --doubling clone-split, not with --strategy mcmc",
+        "only with `--doubling clone-split`, not with `--strategy mcmc`",
         lambda a, d, c: c.strategy is Strategy.MCMC or c.doubling is not Doubling.CLONE_SPLIT,
     ),
-    "depth": ("only with --depths, not with --depth-mode off", _no_depth),
-    "depth_maps": ("only with --depths", lambda a, d, c: not d.depths),
-    "depth_on": ("not with --depth-mode off", lambda a, d, c: c.depth_mode is Switch.OFF),
-    "poses": ("not with --refine-poses off", lambda a, d, c: c.refine_poses is Switch.OFF),
-    "exposure": ("not with --exposure off", lambda a, d, c: c.exposure is Switch.OFF),
-    "bands": ("not with --sh-degree 0", _no_bands),
-    "small_photos": ("not with --without small-photos", _large_photos),
-    "points": ("not with --start-splats", lambda a, d, c: c.start_splats is not None),
+    "depth": ("only with `--depths`, not with `--depth-mode off`", _no_depth),
+    "depth_maps": ("only with `--depths`", lambda a, d, c: not d.depths),
+    "depth_on": ("not with `--depth-mode off`", lambda a, d, c: c.depth_mode is Switch.OFF),
+    "poses": ("not with `--refine-poses off`", lambda a, d, c: c.refine_poses is Switch.OFF),
+    "exposure": ("not with `--exposure off`", lambda a, d, c: c.exposure is Switch.OFF),
+    "bands": ("not with `--sh-degree 0`", _no_bands),
+    "small_photos": ("not with `--without small-photos`", _large_photos),
+    "points": ("not with `--start-splats`", lambda a, d, c: c.start_splats is not None),
     "stereo": (
-        "not with --stereo off or --start-splats",
+        "not with `--stereo off` or `--start-splats`",
         lambda a, d, c: c.stereo == Stereo.OFF or c.start_splats is not None,
     ),
-    "one_model": ("not with --start-splats", lambda a, d, c: c.start_splats is not None),
+    "one_model": ("not with `--start-splats`", lambda a, d, c: c.start_splats is not None),
     "ensemble": (
-        "not with --ensemble 1 or --start-splats",
+        "not with `--ensemble 1` or `--start-splats`",
         lambda a, d, c: c.ensemble == 1 or c.start_splats is not None,
     ),
-    "dropping": ("not with --drop-rate 0", lambda a, d, c: c.drop_rate == 0),
-    "guide_surface": ("only with --guide-surface", lambda a, d, c: c.guide_surface is None),
-    "start_splats": ("only with --start-splats", lambda a, d, c: c.start_splats is None),
-    "viewer": ("not with --disable-viewer", lambda a, d, c: a.disable_viewer),
+    "dropping": ("not with `--drop-rate 0`", lambda a, d, c: c.drop_rate == 0),
+    "guide_surface": ("only with `--guide-surface`", lambda a, d, c: c.guide_surface is None),
+    "start_splats": ("only with `--start-splats`", lambda a, d, c: c.start_splats is None),
+    "viewer": ("not with `--disable-viewer`", lambda a, d, c: a.disable_viewer),
     "port": (
-        "only with --port, not with --disable-viewer",
+        "only with `--port`, not with `--disable-viewer`",
         lambda a, d, c: not a.port or a.disable_viewer,
     ),
-    "masks": ("not with --mask-mode none", lambda a, d, c: d.mask_mode == "none"),
+    "masks": ("not with `--mask-mode none`", lambda a, d, c: d.mask_mode == "none"),
     "hiding_masks": (
         "only with ignore masks",
         lambda a, d, c: d.mask_mode in ("none", "composite"),
     ),
 }
 """By `Option.when`: the condition of the effect, and the predicate of an idle option."""
-_SPLIT: _Rule = ("not with --no-eval", lambda a, d, c: not d.eval)
+_SPLIT: _Rule = ("not with `--no-eval`", lambda a, d, c: not d.eval)
 
 
 def _rule(one: Option) -> _Rule:
@@ -92,16 +93,16 @@ RULES: dict[str, _Rule] = {
     **dict.fromkeys(("hold_out", *SPLIT), _SPLIT),
     "debug_from": ("there are no debug dumps", lambda a, d, c: True),
     "white_background": (
-        "overridden by --background",
+        "overridden by `--background`",
         lambda a, d, c: a.background not in (None, "white"),
     ),
     "random_background": (
-        "overridden by --background",
+        "overridden by `--background`",
         lambda a, d, c: a.background not in (None, "random"),
     ),
-    "train_test_exp": ("overridden by --exposure", lambda a, d, c: c.exposure is not Switch.ON),
+    "train_test_exp": ("overridden by `--exposure`", lambda a, d, c: c.exposure is not Switch.ON),
     "feature_lr": (
-        "overridden by --sh0-lr and --shN-lr",
+        "overridden by `--sh0-lr` and `--shN-lr`",
         lambda a, d, c: a.sh0_lr is not None and a.shN_lr is not None,
     ),
 }
@@ -124,7 +125,7 @@ def unused_options(args: argparse.Namespace, data: DataConfig, config: TrainConf
     for name, (reason, idle) in RULES.items():
         value = getattr(args, name, None)
         if value is not None and value is not False and idle(args, data, config):
-            reasons.setdefault(reason, []).append(flag_of(name))
+            reasons.setdefault(reason, []).append(mark_option(name))
     if not reasons:
         return ""
     parts = [f"{', '.join(names)} ({reason})" for reason, names in reasons.items()]

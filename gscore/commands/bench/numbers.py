@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 
 from ...errors import ConfigError
-from ...options import flag_of
+from ...option_marks import mark_option
 from ...quoting import brief, quoted
 from ...text_format import number
 
@@ -18,8 +18,10 @@ def check_numbers(args: argparse.Namespace, least: int, *names: str) -> None:
         value = getattr(args, name)
         for given in value if isinstance(value, Sequence) else [value]:
             if given < least:
-                raise ConfigError(f"{flag_of(name)} must be at least {least}, got {quoted(given)}.")
+                raise ConfigError(
+                    f"{mark_option(name)} must be at least {least}, got {quoted(given)}."
+                )
             if given > _MOST:
                 raise ConfigError(
-                    f"{flag_of(name)} must be at most {number(_MOST)}, got {brief(given)}."
+                    f"{mark_option(name)} must be at most {number(_MOST)}, got {brief(given)}."
                 )

@@ -48,10 +48,11 @@ def variants_of(args: argparse.Namespace) -> list[QualityRequest]:
         name, equals, changes = text.partition("=")
         if not (name and equals and changes):
             raise ConfigError(
-                f"--compare takes NAME=CHANGES, such as both=mcmc,free-space=0, got {quoted(text)}."
+                "`--compare` takes NAME=CHANGES, such as both=mcmc,free-space=0, got "
+                f"{quoted(text)}."
             )
         if name in [variant.label for variant in variants]:
-            raise ConfigError(f"--compare: two variants are called {quoted(name)}.")
+            raise ConfigError(f"`--compare`: two variants are called {quoted(name)}.")
         variants.append(_request(args, name, changes.split(",")))
     return variants
 
@@ -61,7 +62,7 @@ def _request(args: argparse.Namespace, label: str, changes: Sequence[str]) -> Qu
     for preset in presets:
         if preset not in PRESETS:
             raise ConfigError(
-                f"--compare {label}: there is no preset {quoted(preset)}; there are: "
+                f"`--compare {label}`: there is no preset {quoted(preset)}; there are: "
                 f"{', '.join(PRESETS)}."
             )
     rest = tuple(part for part in changes if not part.startswith("preset="))
@@ -113,14 +114,14 @@ def _check_different(labels: Sequence[str], options: Sequence[object]) -> None:
         first = options.index(one)
         if first < place:
             raise ConfigError(
-                f"--compare {labels[place]} changes nothing: it is the same as {labels[first]}."
+                f"`--compare {labels[place]}` changes nothing: it is the same as {labels[first]}."
             )
 
 
 def _held_out(data: DataConfig, offset: int) -> DataConfig:
     if data.test_list is not None or data.test_first or data.test_last:
         raise ConfigError(
-            "This bench selects test views by --offsets; leave out other options that select test "
-            "views."
+            "This bench selects test views by `--offsets`; leave out other options that select "
+            "test views."
         )
     return replace(data, eval=True, test_offset=offset)

@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if (args.ply is None) != (args.cameras is None):
-        raise ConfigError("--ply and --cameras belong together: give both, or neither.")
+        raise ConfigError("`--ply` and `--cameras` belong together: give both, or neither.")
     check_numbers(args, 1, "views", "repeats", "splats", "width", "height")
     if args.ply is None:
         splats, cameras = synthetic_scene(args.splats, args.width, args.height)

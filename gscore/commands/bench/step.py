@@ -51,9 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if (args.source is None) != (args.ply is None):
-        raise ConfigError("SOURCE and --ply belong together: give both, or neither.")
+        raise ConfigError("SOURCE and `--ply` belong together: give both, or neither.")
     if args.cache_mb is not None and (args.source is None or args.cache_mb < 1):
-        raise ConfigError("--cache-mb is at least 1 and takes a SOURCE: synthetic photos stay.")
+        raise ConfigError("`--cache-mb` is at least 1 and takes a SOURCE: synthetic photos stay.")
     check_numbers(args, 1, "steps", "splats", "width", "height")
     cache = None if args.cache_mb is None else args.cache_mb * 1_000_000
     if args.source is None:

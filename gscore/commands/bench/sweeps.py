@@ -45,13 +45,13 @@ def check_sweeps(args: argparse.Namespace) -> None:
     for name, values in numbers.items():
         least = SMALLEST_WIDTH if name == "widths" else 1
         if any(value < least for value in values):
-            raise ConfigError(f"--sweep-{name} needs numbers of at least {least}.")
+            raise ConfigError(f"`--sweep-{name}` needs numbers of at least {least}.")
     if args.resolution is not None and any(numbers.values()):
-        raise ConfigError("Give photo sizes with --sweep-widths, not with -r.")
+        raise ConfigError("Give photo sizes with `--sweep-widths`, not with `--resolution`.")
     if args.sweep_splats and args.max_splats is not None:
-        raise ConfigError("Give either --sweep-splats or --max-splats.")
+        raise ConfigError("Give either `--sweep-splats` or `--max-splats`.")
     if args.sweep_iterations and args.iterations is not None:
-        raise ConfigError("Give either --sweep-iterations or --iterations.")
+        raise ConfigError("Give either `--sweep-iterations` or `--iterations`.")
 
 
 @dataclass(frozen=True, kw_only=True)

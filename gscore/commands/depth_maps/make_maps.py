@@ -31,7 +31,7 @@ from ..args.data_options import with_data_options
 from ..terminal.output import check_folder, check_replaced
 from .networks import network_of, network_words
 
-_MAKE = f"use --method stereo, which needs no network, or --model FILE.onnx. {WHERE}."
+_MAKE = f"use `--method stereo`, which needs no network, or `--model FILE.onnx`. {WHERE}."
 """Remedy for missing maps without a network."""
 
 
@@ -162,8 +162,8 @@ def _check_scales(path: Path, overwrite: bool, show: Show) -> None:
         return
     if not overwrite:
         raise ConfigError(
-            f"{path} was not written by gscore depth, so its scales are kept. --check shows how a "
-            "training uses them, --overwrite replaces them."
+            f"{path} was not written by gscore depth, so its scales are kept. `--check` shows how "
+            "a training uses them, `--overwrite` replaces them."
         )
     show(Warn(message=f"The scales in {path}, written by another program, are replaced."))
 

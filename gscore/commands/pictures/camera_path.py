@@ -125,8 +125,8 @@ def orbit_path(viewmats: np.ndarray, frames: int, *, up: np.ndarray | None = Non
     radii, angles = np.hypot(x, y), np.arctan2(y, x)
     if not np.median(radii) > 1e-9 * max(1.0, float(np.abs(centers).max())):
         raise ConfigError(
-            "The cameras have no distance to their focus point, so there is no orbit; use --path "
-            "spline."
+            "The cameras have no distance to their focus point, so there is no orbit; use "
+            "`--path spline`."
         )
     toward = -offsets / np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-12)
     facing = np.einsum("ci,ci->c", viewmats[:, 2, :3], toward)
@@ -134,7 +134,7 @@ def orbit_path(viewmats: np.ndarray, frames: int, *, up: np.ndarray | None = Non
     if (facing < math.cos(_FACING)).mean() > 0.25 or second_gap > _GAP:
         raise ConfigError(
             "The cameras do not face a common middle, so an orbit would show parts that no photo "
-            "shows; use --path spline."
+            "shows; use `--path spline`."
         )
     phases = np.arange(frames) / frames * 2 * math.pi
     if 2 * math.pi - sweep > _GAP:

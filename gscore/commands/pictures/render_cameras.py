@@ -72,7 +72,7 @@ def find_shots(
         if not captured.test:
             raise DatasetError(
                 "No view was held out, or the split is unknown: give the folder of a run that was "
-                "trained with --eval, or select views with --view or --all."
+                "trained with `--eval`, or select views with `--view` or `--all`."
             )
         return Shots(cameras=some_cameras(cameras, captured.test), path="")
     if args.view:
@@ -87,7 +87,7 @@ def _of_file(args: argparse.Namespace, model: ModelArgument | LodArgument, *, ev
     """The cameras of a file, one per picture."""
     if not Path(args.path).is_file():
         raise ConfigError(
-            f"--path {args.path}: neither {' nor '.join(PATHS)}, nor an existing file."
+            f"`--path {args.path}`: neither {' nor '.join(PATHS)}, nor an existing file."
         )
     found = read_camera_path(args.path)
     return Shots(
@@ -107,7 +107,7 @@ def _some_path(cameras: Cameras, args: argparse.Namespace) -> Shots:
         shots = _along(cameras, "spline", args)
         what = "a path through the cameras in their order, as they have no common middle"
     seconds = len(shots.cameras) / (args.fps or FPS)
-    why = f"Default path: {what}, {seconds:.1f} s. --all makes a video of the views instead."
+    why = f"Default path: {what}, {seconds:.1f} s. `--all` makes a video of the views instead."
     return replace(shots, why=why)
 
 

@@ -41,7 +41,7 @@ def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:
     if foreign:
         raise ConfigError(
             f"{first_few([str(path) for path in foreign])} exists already, without a mark of "
-            f"gscore{_never(foreign)}, so it is kept. Choose another output, or give --overwrite."
+            f"gscore{_never(foreign)}, so it is kept. Choose another output, or give `--overwrite`."
         )
 
 

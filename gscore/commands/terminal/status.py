@@ -14,6 +14,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Self, TextIO
 
+from ...option_marks import show_flags
+
 _LINE_PERIOD = 10.0
 """Seconds between two lines where the line cannot be redrawn."""
 _DRAW_PERIOD = 0.1
@@ -145,7 +147,8 @@ def show_while(stream: TextIO, words: str) -> Iterator[None]:
 
 def wrapped(text: str, stream: TextIO) -> str:
     """The text wrapped between words to the width of a terminal; continuations of an indented line
-    are indented two columns more."""
+    are indented two columns more; marked options become flags."""
+    text = show_flags(text)
     if not stream.isatty():
         return text
     width = _columns(stream)

@@ -47,7 +47,7 @@ def read_per_frame(
     if not photos:
         raise DatasetError(
             f"{path / images} has no photo of a known camera; expected names like "
-            f"image_c_000_f_{frame:06d}.png. Give the photo folder with --images."
+            f"image_c_000_f_{frame:06d}.png. Give the photo folder with `--images`."
         )
     names = {number: photo.name for number, photo in photos.items()}
     return _with_cams(case, path, photos, names, mattes(path, images))

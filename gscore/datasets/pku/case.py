@@ -87,8 +87,8 @@ def read_video(video: PkuVideo, config: DataConfig, *, photos_required: bool = T
     wanted = video.frame if config.frame is None else config.frame
     if video.frame is not None and wanted != video.frame:
         raise ConfigError(
-            f"{config.source} is frame {video.frame}, but --frame is {wanted}. Give the "
-            f"folder above it, or leave --frame out."
+            f"{config.source} is frame {video.frame}, but `--frame` is {wanted}. Give the "
+            f"folder above it, or leave `--frame` out."
         )
     layouts = (video.layout,) if video.layout else tuple(LAYOUTS)
     for layout in layouts:
@@ -107,7 +107,7 @@ def read_video(video: PkuVideo, config: DataConfig, *, photos_required: bool = T
     if wanted is None and len(listed) > 1:
         warnings.append(
             f"{video.case / layout} holds {count_words(len(listed), 'frame')}, {_span(listed)}; "
-            f"using frame {frame}. Choose another with --frame."
+            f"using frame {frame}. Choose another with `--frame`."
         )
     return replace(capture, points=points, masks_are="composite", warnings=tuple(warnings))
 
@@ -195,7 +195,9 @@ def _no_frame(video: PkuVideo, wanted: int | None) -> DatasetError:
             f"{video.layout or 'data_COLMAP'}/{_EXAMPLES[video.layout]}."
         )
     have = "; ".join(f"{name} has {len(f)}, {_span(f)}" for name, f in listed.items())
-    return DatasetError(f"{where} has no frame {wanted}: {have}. Choose one of these with --frame.")
+    return DatasetError(
+        f"{where} has no frame {wanted}: {have}. Choose one of these with `--frame`."
+    )
 
 
 def _span(frames: dict[int, Path]) -> str:

@@ -75,7 +75,7 @@ def read_ngp(
     if not found:
         raise DatasetError(
             f"{path} has no transform_train.json (nor transforms_train.json or transform.json). "
-            f"Copy the frame again, or choose another one with --frame."
+            f"Copy the frame again, or choose another one with `--frame`."
         )
     return _capture(path, path, views, test, missing - views.keys(), photos_required)
 

@@ -57,7 +57,8 @@ def photo_folder_name(root: Path, name: str, *, default: str = "images") -> str:
     others = sorted(path.name for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
     raise DatasetError(
         f"There is no photo folder {' or '.join(names)} in {root}"
-        f"{f' (there are {chr(44).join(others)})' if others else ''}. Give its name with --images."
+        f"{f' (there are {chr(44).join(others)})' if others else ''}. Give its name "
+        "with `--images`."
     )
 
 

@@ -89,7 +89,7 @@ def _missing_warnings(
         raise DatasetError(
             f"{len(missing)} of the {count_words(count, 'photo')} of {found.path} are missing in "
             f"{photos.root}: {listing(missing)}. Put them there, or give their folder with "
-            "--images."
+            "`--images`."
         )
     if not missing:
         return []

@@ -106,7 +106,7 @@ def _no_folder(path: Path) -> str:
         return f"There is no folder {path}. Give the folder of the capture."
     return describe_unsupported(path) or (
         f"{path} is a file; a capture is a folder of photos, with or without cameras. To "
-        "train from the splats of a PLY, give the capture and --start-splats."
+        "train from the splats of a PLY, give the capture and `--start-splats`."
     )
 
 

@@ -37,7 +37,7 @@ def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) ->
         why = f"Photos agree on the depth of {known:.0%} of their pixels"
     return rate, (
         f"{why}, so steps drop up to {rate:.0%} of the splats, which improves unseen views "
-        "(--drop-rate 0 drops none)."
+        "(`--drop-rate 0` drops none)."
     )
 
 

@@ -78,6 +78,6 @@ def decide(mode: Switch, facts: Coverage, *, usable: int) -> tuple[bool, str]:
     if mode is Switch.AUTO and facts.is_dense:
         return False, (
             f"The capture is dense ({facts}), so the photos determine the geometry and depth is "
-            f"not used; --depth-mode on uses it anyway."
+            f"not used; `--depth-mode on` uses it anyway."
         )
     return True, f"Depth supervises {count_words(usable, 'training view')} ({facts})."

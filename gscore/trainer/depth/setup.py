@@ -66,7 +66,8 @@ def prepare_depth(
         if option := depth_option_set(config):
             raise ConfigError(
                 f"{option} needs depth maps, but no folder is given. Run gscore depth "
-                f"{data.source}, which writes them into its folder depths, and add -d depths."
+                f"{data.source}, which writes them into its folder depths, and add "
+                "`--depths depths`."
             )
         return DepthSetup()
     facts = coverage(photos.scene, photos.train)
@@ -116,8 +117,8 @@ def prepare_depth(
 def depth_option_set(config: TrainConfig) -> str:
     """The option that requires depth maps; empty if none does."""
     if config.depth_mode is Switch.ON:
-        return "--depth-mode on"
-    return f"--depth-points {config.depth_points}" if config.depth_points > 0 else ""
+        return "`--depth-mode on`"
+    return f"`--depth-points {config.depth_points}`" if config.depth_points > 0 else ""
 
 
 def _weight_words(first: float, last: float) -> str:

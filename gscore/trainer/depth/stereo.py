@@ -56,7 +56,7 @@ def stereo_start(
         return StereoStart()
     if not _is_enabled(config.stereo, known):
         if config.stereo_points and config.stereo == Stereo.MISSING:
-            return _nothing(f"the capture has {number(given)} (--stereo on adds more)")
+            return _nothing(f"the capture has {number(given)} (`--stereo on` adds more)")
         return StereoStart()
     most = max_stereo_points(config, given)
     if not most:

@@ -65,7 +65,7 @@ def of_all(
         team.notified = True
         raise GsError(
             f"Rank {rank} has other splats than rank 0 after the same steps, because its machine "
-            "computes differently. Resume with --resume on machines of one kind, or with "
+            "computes differently. Resume with `--resume` on machines of one kind, or with "
             "GSCORE_ISA and ATEN_CPU_CAPABILITY set to what all support."
         )
     return BatchLosses(

@@ -119,8 +119,8 @@ class ProcessGroup:
             where = f"{os.environ.get('MASTER_ADDR', '?')}:{os.environ.get('MASTER_PORT', '?')}"
             raise GsError(
                 f"Rank {self.rank} ({platform.node()}) cannot meet the others at {where}: "
-                f"{_first_line(error)} Check --master-addr, --master-port or --rdzv-endpoint of "
-                "torchrun, and at GLOO_SOCKET_IFNAME, the network to use."
+                f"{_first_line(error)} Check `--master-addr`, `--master-port` or `--rdzv-endpoint` "
+                "of torchrun, and at GLOO_SOCKET_IFNAME, the network to use."
             ) from error
         self.hosts = self.texts(platform.node())
         """The names of the ranks' machines."""
@@ -277,8 +277,8 @@ class ProcessGroup:
         except RuntimeError as error:
             raise RankLostError(
                 "A rank of this training is gone; torchrun reports which and why. With "
-                "--max-restarts torchrun resumes from the last checkpoint by itself, otherwise "
-                f"run the same command with --resume. ({_first_line(error)})"
+                "`--max-restarts` torchrun resumes from the last checkpoint by itself, otherwise "
+                f"run the same command with `--resume`. ({_first_line(error)})"
             ) from error
         finally:
             self._waited += time.perf_counter() - began

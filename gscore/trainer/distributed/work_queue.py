@@ -111,7 +111,7 @@ class WorkQueue:
             failure = ConfigError(
                 f"{brief(self.output)} is not the folder in which rank 0 writes. All ranks need "
                 "one shared folder for the results, such as a network folder. Without one, run "
-                "the parts one by one with --frame or --block."
+                "the parts one by one with `--frame` or `--block`."
             )
         check_ready(self.team, failure)
 

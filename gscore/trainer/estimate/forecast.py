@@ -69,9 +69,9 @@ class Estimate:
         """Advice if the memory is insufficient, else empty."""
         if self.fits:
             return ""
-        ways = [f"use --max-splats {self.fitting_splats}"] if self.fitting_splats else []
+        ways = [f"use `--max-splats {self.fitting_splats}`"] if self.fitting_splats else []
         if self.fitting_width:
-            ways.append(f"use smaller photos (-r {self.fitting_width})")
+            ways.append(f"use smaller photos (`--resolution {self.fitting_width}`)")
         return " or ".join([*ways, "close programs"])
 
 

@@ -22,7 +22,8 @@ from ...config_file import differences, from_dict, to_dict
 from ...errors import ConfigError, FormatError
 from ...io.files import atomic_write, check_regular
 from ...json_text import parse_json
-from ...options import flag_of, options_of
+from ...option_marks import mark_option
+from ...options import options_of
 from ...quoting import brief
 from ...raster import native_library
 from ..model.checkpoint_schema import as_int
@@ -181,7 +182,7 @@ def check_compatible(
         of = "" if config.region is None else f" that show the region {config.region}"
         different += changed or [f"{key} of the capture{of} are not the same" for key in mismatched]
     if different:
-        free = ", ".join(flag_of(name) for name in _OFTEN_CHANGED)
+        free = ", ".join(mark_option(name) for name in _OFTEN_CHANGED)
         raise ConfigError(
             f"{checkpoint.path} belongs to another run: {'; '.join(different)}. A resumed run "
             f"takes its options from its config.json, so leave them out; {free} and output "
@@ -190,7 +191,7 @@ def check_compatible(
     if checkpoint.steps > config.iterations and not config.time_budget:
         raise ConfigError(
             f"{checkpoint.path} is at step {checkpoint.steps}, beyond iterations = "
-            f"{config.iterations}; increase --iterations."
+            f"{config.iterations}; increase `--iterations`."
         )
 
 
@@ -218,7 +219,7 @@ def check_same_depth(checkpoint: Checkpoint, trainer: Trainer) -> None:
     else:
         how = "with other depth maps or another alignment of them"
     raise ConfigError(
-        f"{checkpoint.path} belongs to another run: it was trained {how}. Use the same --depths "
+        f"{checkpoint.path} belongs to another run: it was trained {how}. Use the same `--depths` "
         "and depth options, or start a new run in another folder."
     )
 
@@ -240,7 +241,7 @@ def check_same_guide(checkpoint: Checkpoint, trainer: Trainer) -> None:
     if checkpoint.capture.get(_GUIDE) != guide_fingerprint(trainer).get(_GUIDE):
         raise ConfigError(
             f"{checkpoint.path} belongs to another run: its guide meshes differ. Restore those of "
-            "--guide-surface and --guide-free, or start a new run in another folder."
+            "`--guide-surface` and `--guide-free`, or start a new run in another folder."
         )
 
 

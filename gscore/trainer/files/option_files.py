@@ -50,7 +50,7 @@ def check_option_files(
             read(path)
     if names:
         split_views(sorted(names), data)
-    option = f"--depths {data.depths}" if data.depths else depth_option_set(config)
+    option = f"`--depths {data.depths}`" if data.depths else depth_option_set(config)
     maps = Path(data.depths)
     if option and not (maps.is_absolute() and maps.is_dir()):  # relative to the capture
         raise ConfigError(

@@ -131,7 +131,7 @@ def _check_begun(folder: RunFolder) -> None:
     """Raise ConfigError unless a folder has a checkpoint."""
     if not folder.checkpoints():
         check_free(folder.path)
-        raise ConfigError(f"{folder.path} has no checkpoint to resume from; leave --resume out.")
+        raise ConfigError(f"{folder.path} has no checkpoint to resume from; leave `--resume` out.")
 
 
 def _check_room(folder: RunFolder, *, overwrite: bool) -> None:
@@ -142,8 +142,8 @@ def _check_room(folder: RunFolder, *, overwrite: bool) -> None:
     check_replaceable(path)
     if names and not overwrite:
         raise ConfigError(
-            f"{path} contains another run ({', '.join(names)}); continue it with --resume, replace "
-            "it with --overwrite, or choose another folder."
+            f"{path} contains another run ({', '.join(names)}); continue it with `--resume`, "
+            "replace it with `--overwrite`, or choose another folder."
         )
 
 

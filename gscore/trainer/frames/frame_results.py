@@ -85,7 +85,7 @@ def completed(frame: PlannedFrame) -> FrameResult | None:
     if changed:
         raise ConfigError(
             f"{folder} was trained with other options: {'; '.join(changed)}. Use the same options, "
-            "or replace the sequence with --overwrite."
+            "or replace the sequence with `--overwrite`."
         )
     metrics = read_metrics(folder)
     if not is_measured(metrics):

@@ -7,6 +7,7 @@ from pathlib import Path
 from ...config import DataConfig, TrainConfig
 from ...datasets.frames import SequenceFrame, of_frame
 from ...errors import ConfigError
+from ...option_marks import mark_option
 from ...sequence_options import SequenceOptions
 from ...text_format import count_words
 from ..files.run_folder import RunFolder
@@ -50,7 +51,7 @@ def plan_frames(
     """
     if config.region is not None:
         raise ConfigError(
-            "A region can be trained in a single frame only: use --region with gscore train, not "
+            "A region can be trained in a single frame only: use `--region` with gscore train, not "
             "with gscore sequence."
         )
     config = replace(config, steps_a_photo=0, splats_a_photo=0)  # frames use the requested numbers
@@ -84,9 +85,9 @@ def check_guides(frames: Sequence[PlannedFrame]) -> None:
             path = getattr(frame.config, name)
             if path is not None and not path.is_file():
                 raise ConfigError(
-                    f"There is no {path}, the mesh of --{name.replace('_', '-')} for frame "
+                    f"There is no {path}, the mesh of {mark_option(name)} for frame "
                     f"{frame.number}. Add a mesh for each frame, or exclude the frame with "
-                    "--frames."
+                    "`--frames`."
                 )
 
 
@@ -99,15 +100,15 @@ def check_shareable(runs: Sequence[range], processes: int) -> str:
     if len(runs) == 1 < processes:
         raise ConfigError(
             f"Each frame of this sequence starts from the previous one, so {processes} processes "
-            "cannot share them. Use --keyframe-every N, which trains every Nth frame from its own "
-            "points, so that processes share the parts between; or train with one process."
+            "cannot share them. Use `--keyframe-every N`, which trains every Nth frame from its "
+            "own points, so that processes share the parts between; or train with one process."
         )
     if len(runs) >= processes:
         return ""
     return (
         f"There are {len(runs)} runs of frames for {processes} processes, so "
         f"{count_words(processes - len(runs), 'process has', 'processes have')} no work. A "
-        "smaller --keyframe-every makes more runs."
+        "smaller `--keyframe-every` makes more runs."
     )
 
 
@@ -121,8 +122,8 @@ def run_of_frame(frames: Sequence[PlannedFrame], runs: Sequence[range], number: 
         if any(frames[place].number == number for place in run):
             return run
     raise ConfigError(
-        f"--frame {number} is not in the sequence, whose frames are {frames[0].number} to "
-        f"{frames[-1].number} as selected by --frames."
+        f"`--frame {number}` is not in the sequence, whose frames are {frames[0].number} to "
+        f"{frames[-1].number} as selected by `--frames`."
     )
 
 

@@ -58,5 +58,5 @@ def check_splat_count(start: Splats, config: TrainConfig) -> None:
     if not 0 < len(start) <= config.max_splats:
         raise ConfigError(
             f"There are {number(len(start))} start splats, expected 1 to max_splats = "
-            f"{number(config.max_splats)}; raise --max-splats or start from fewer."
+            f"{number(config.max_splats)}; raise `--max-splats` or start from fewer."
         )

@@ -159,12 +159,12 @@ def _check_masks(photos: Dataset, threads: int) -> list[str]:
         if any(photos.files[i].mask_inverted for i in photos.train):
             raise DatasetError(
                 f"The masks of all {views} in {photos.source} are white, so inverted they leave "
-                "no pixels to train on. Leave out --invert-masks, or use --mask-mode none."
+                "no pixels to train on. Leave out `--invert-masks`, or use `--mask-mode none`."
             )
         raise DatasetError(
             f"The masks of all {views} in {photos.source} are black, so there are no pixels to "
-            "train on. White pixels are trained: use --invert-masks if white marks pixels to "
-            "ignore, or --mask-mode none."
+            "train on. White pixels are trained: use `--invert-masks` if white marks pixels to "
+            "ignore, or `--mask-mode none`."
         )
     warnings = []
     if empty:

@@ -51,8 +51,8 @@ def sky_splats(
     if not config.sky:
         return None
     if photos.mask_mode == "composite" or config.region is not None:
-        what = "the region" if config.region else "the masked subject (--mask-mode composite)"
-        raise ConfigError(f"Only {what} is trained, so there is no sky: leave out --sky.")
+        what = "the region" if config.region else "the masked subject (`--mask-mode composite`)"
+        raise ConfigError(f"Only {what} is trained, so there is no sky: leave out `--sky`.")
     views = evenly_spaced(list(photos.train), _MOST_PHOTOS)
     middle = cameras.centers[views].mean(axis=0)
     away = distances(points, middle)

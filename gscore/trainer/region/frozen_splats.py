@@ -86,7 +86,7 @@ def split_frozen(
     if start.sh_degree > config.sh_degree:
         raise ConfigError(
             f"The frozen splats around the region have SH degree {start.sh_degree}, and this run "
-            f"has {config.sh_degree}; use --sh-degree {start.sh_degree}."
+            f"has {config.sh_degree}; use `--sh-degree {start.sh_degree}`."
         )
     if inside.all():
         return start, None

@@ -38,7 +38,7 @@ class RegionPhotos(Dataset):
         if narrow and whole.mask_mode == "composite":
             raise ConfigError(
                 "Composite masks cannot be combined with a region without start splats. Use "
-                "--mask-mode ignore, which excludes masked pixels from the training."
+                "`--mask-mode ignore`, which excludes masked pixels from the training."
             )
         points = whole.scene.points.points
         if narrow and len(points) and not box.holds(points).any():

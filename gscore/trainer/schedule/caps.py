@@ -139,7 +139,7 @@ def model_count(
     return models, (
         f"Photos agree on the depth of {why}, so {models} models that share the splats are trained "
         "in parallel and merged. That takes longer but improves views between the photos "
-        "(--ensemble 1 trains one)."
+        "(`--ensemble 1` trains one)."
     )
 
 
@@ -182,7 +182,7 @@ def cap_by_photos(
         config = replace(config, iterations=steps)
         reasons.append(
             f"{number(steps)} of {number(given)} steps are taken: more do not improve unseen views "
-            f"with {of_photos} (--steps-a-photo 0 takes them all)."
+            f"with {of_photos} (`--steps-a-photo 0` takes them all)."
         )
     if compared:
         models, _ = model_count(
@@ -195,6 +195,6 @@ def cap_by_photos(
         config = replace(config, max_splats=splats)
         reasons.append(
             f"The model grows to {number(splats)} of {number(most)} splats: more do not improve "
-            f"unseen views with {of_photos} (--splats-a-photo 0 allows them all)."
+            f"unseen views with {of_photos} (`--splats-a-photo 0` allows them all)."
         )
     return config, " ".join(reasons)

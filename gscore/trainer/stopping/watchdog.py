@@ -122,8 +122,8 @@ class Watchdog:
                 sign = f"{self._lost:.0%} of the splats had runaway values"
             raise GsError(
                 f"Training diverged{again}: at step {step} {sign}. Lower the learning rates "
-                "(--lr-boost 1, --means-lr), and check that photos and cameras match. "
-                "--detect-anomaly finds the first number that is not finite, --no-watchdog "
+                "(`--lr-boost 1`, `--means-lr`), and check that photos and cameras match. "
+                "`--detect-anomaly` finds the first number that is not finite, `--no-watchdog` "
                 "continues regardless."
             )
         self.rescues += 1

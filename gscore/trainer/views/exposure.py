@@ -95,7 +95,7 @@ def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) 
     if not known:
         return False, (
             "The exposure of the photos is unknown, because no points are observed in several of "
-            "them and EXIF has none. Colours are used unchanged; --exposure on optimises gains."
+            "them and EXIF has none. Colours are used unchanged; `--exposure on` optimises gains."
         )
     if apart < LEAST_STOPS and farthest < FAR_STOPS:
         return False, (
@@ -104,7 +104,7 @@ def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) 
         )
     return True, (
         f"Neighbouring photos differ in exposure ({fact}), so that of each is optimised; new views "
-        "get the mean. --exposure off uses colours unchanged."
+        "get the mean. `--exposure off` uses colours unchanged."
     )
 
 

@@ -80,7 +80,7 @@ def _unknown(viewmats: np.ndarray, *, forced: bool) -> PoseCheck:
         )
     return PoseCheck(
         why="No observed points can check the camera poses, so they are unchanged "
-        "(--refine-poses on refines them)."
+        "(`--refine-poses on` refines them)."
     )
 
 

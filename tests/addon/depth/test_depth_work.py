@@ -82,7 +82,7 @@ def play(tmp_path: Path) -> Callable[..., Path]:
 
 def test_a_prediction_from_click_to_table(studio: bpy.types.Scene, play) -> None:
     """Oracle: the events of the script, and Blender's own list of rows."""
-    result = DONE | {"why": "Not used; --depth-mode on uses it."}
+    result = DONE | {"why": "Not used; `--depth-mode on` uses it."}
     called = play(progress(0, "reading"), progress(1), {"await": "go"}, {"say": result})
     assert bpy.ops.gscore.predict_depth() == {"FINISHED"}
     job = predict_depth.job_of(studio)

@@ -20,39 +20,40 @@ ADDON = Path(addon.__file__).parent
 @pytest.mark.parametrize(
     ("said", "shown"),
     [
-        ("Not used; --depth-mode on uses it.", 'Not used; "Use Depth: Always" uses it.'),
-        ("Give fewer --max-splats.", 'Give fewer "Max Splats".'),
-        ("--exposure off takes colours as they are.", "the option exposure (off) takes"),
-        ("Give --mask-mode ignore: then", 'Give "Mask Mode: Ignore Masked": then'),
+        ("Not used; `--depth-mode on` uses it.", 'Not used; "Use Depth: Always" uses it.'),
+        ("Give fewer `--max-splats`.", 'Give fewer "Max Splats".'),
+        ("Use smaller photos (`--resolution 2`).", 'Use smaller photos ("Photo Size: 2").'),
+        ("Give it with `--images My_Photos`.", 'Give it with "Photo Folder: My_Photos".'),
+        ("`--exposure off` takes colours as they are.", "the option exposure (off) takes"),
+        ("Give `--mask-mode ignore`: then", 'Give "Mask Mode: Ignore Masked": then'),
         (
-            'SOG: install it with: pip install "gscore[train]" --extra-index-url https://a.b/cpu. '
-            "Give fewer --max-splats.",
-            'SOG: install it with: pip install "gscore[train]" --extra-index-url https://a.b/cpu. '
-            'Give fewer "Max Splats".',
+            'pip install "gscore[train]" --extra-index-url https://a.b. Fewer `--max-splats`.',
+            'pip install "gscore[train]" --extra-index-url https://a.b. Fewer "Max Splats".',
         ),
-        ('pip install --upgrade "pycolmap>=4.2"; --depth-mode on', 'pip install --upgrade "pyco'),
-        ("/tmp/a--b and x-- y stay", "/tmp/a--b and x-- y stay"),
+        ("An old run: --depth-mode on uses it.", "An old run: --depth-mode on uses it."),
+        ("/tmp/a`b and `--x stay", "/tmp/a`b and `--x stay"),
     ],
 )
 def test_names_of_panels(scene: bpy.types.Scene, said: str, shown: str) -> None:
     """Oracle: the names of the panel's own properties."""
     assert scene.gscore.bl_rna.properties["depth_mode"].name == "Use Depth"
     assert scene.gscore.bl_rna.properties["max_splats"].name == "Max Splats"
+    assert scene.gscore.bl_rna.properties["resolution"].name == "Photo Size"
     assert panel_words(said).startswith(shown)
 
 
 def test_warnings_and_failures_of_a_process(scene: bpy.types.Scene) -> None:
     """Oracle: lines of the trainer."""
-    warned = read_event(to_line(Warn(message="Try --depth-mode off.", code="depth")))
+    warned = read_event(to_line(Warn(message="Try `--depth-mode off`.", code="depth")))
     assert isinstance(warned, Warn) and warned.message == 'Try "Use Depth: Never".'
-    failed = read_event(to_line(Failed(message="Needs --max-splats.")))
+    failed = read_event(to_line(Failed(message="Needs `--max-splats`.")))
     assert isinstance(failed, Failed) and failed.message == 'Needs "Max Splats".'
 
 
 @pytest.mark.parametrize(
     ("error", "shown"),
     [
-        (GsError("Give its name with --images."), 'Give its name with "Photo Folder".'),
+        (GsError("Give its name with `--images`."), 'Give its name with "Photo Folder".'),
         (ValueError("There is no folder /a b/ --images."), "There is no folder /a b/ --images."),
     ],
 )

@@ -36,7 +36,7 @@ from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import fake_python
 from tests.addon.trainings import splats, until
 
-SAID, SHOWN = "Needs fewer --max-splats.", 'Needs fewer "Max Splats".'
+SAID, SHOWN = "Needs fewer `--max-splats`.", 'Needs fewer "Max Splats".'
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_a_run_that_cannot_go_on(
 def test_why_depth_was_not_used(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """As a training notes it in metrics.json."""
     view = {"view": "a.jpg", "map": None, "accepted": None, "reason": ""}
-    why = "Depth is not used; --depth-mode on uses it all the same."
+    why = "Depth is not used; `--depth-mode on` uses it all the same."
     (tmp_path / "run").mkdir()
     content = {"depth": {"why": why, "views": [view]}}
     (tmp_path / "run" / "metrics.json").write_text(json.dumps(content))

@@ -257,7 +257,7 @@ def test_decisions_are_told_in_words_of_panels(
     assert drawn(progress.DecisionsPanel) == ""
     decisions = [
         Decision("enough", "Enough steps."),
-        Decision("depth", "Depth is not used; --depth-mode on uses it."),
+        Decision("depth", "Depth is not used; `--depth-mode on` uses it."),
     ]
     state.started = replace(state.started, decisions=decisions)
     told = drawn(progress.DecisionsPanel)

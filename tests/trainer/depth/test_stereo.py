@@ -100,7 +100,7 @@ def test_what_photos_agree_on_by_chance_replaces_nothing(
 def test_a_number_of_points_that_nobody_looks_for_is_told(arc: Path) -> None:
     """Oracle: the text of the option: such points are searched where the capture has none."""
     found = start(arc, TrainConfig(stereo_points=500, max_splats=4000))
-    assert found.points is None and "--stereo on adds more" in found.why
+    assert found.points is None and "`--stereo on` adds more" in found.why
 
 
 def test_random_points_stay_where_photos_agree_on_nothing(tmp_path: Path) -> None:

@@ -69,7 +69,8 @@ def test_what_does_not_fit_is_told_with_what_would() -> None:
     big = [(2000, 1500)] * 200
     found = estimate(config, big, points=7000, free=7 * GB // 5, pace=1.0)
     assert not found.fits
-    with pytest.raises(GsError, match=rf"--max-splats {found.fitting_splats} or .*-r \d+"):
+    ways = rf"`--max-splats {found.fitting_splats}` or .*`--resolution \d+`"
+    with pytest.raises(GsError, match=ways):
         check_fits(found, config)
     fewer = replace(config, max_splats=found.fitting_splats)
     assert estimate(fewer, big, points=7000, free=7 * GB // 5, pace=1.0).fits

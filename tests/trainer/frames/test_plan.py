@@ -49,7 +49,7 @@ def test_a_frame_is_found_in_its_run() -> None:
     options = SequenceOptions(keyframe_every=2)
     frames, runs = planned(options), independent_runs(5, options)
     assert run_of_frame(frames, runs, 30) == run_of_frame(frames, runs, 20) == range(2, 4)
-    with pytest.raises(ConfigError, match="--frame 3 is not in the sequence, whose frames"):
+    with pytest.raises(ConfigError, match="`--frame 3` is not in the sequence, whose frames"):
         run_of_frame(frames, runs, 3)
 
 
@@ -66,7 +66,7 @@ def test_each_frame_has_the_mesh_of_its_number(tmp_path: Path) -> None:
     for name in ("floor.ply", names[0]):
         (tmp_path / name).touch()
     with pytest.raises(
-        ConfigError, match=r"wall-0008.ply, the mesh of --guide-surface for frame 8"
+        ConfigError, match=r"wall-0008.ply, the mesh of `--guide-surface` for frame 8"
     ):
         check_guides(plan)
     (tmp_path / names[1]).touch()

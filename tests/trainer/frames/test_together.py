@@ -106,7 +106,7 @@ def test_ranks_without_a_common_folder_or_work_are_told(video: Path, tmp_path: P
     line = ["-m", "gscore", "sequence", video, *SHORT]
     elsewhere = f"Rank 1 ({platform.node()}): {there} is not the folder in which"
     for more, other, sentence in (
-        ([], out, "so 2 processes cannot share them. --keyframe-every N lets"),
+        ([], out, "so 2 processes cannot share them. Use --keyframe-every N, which"),
         (KEYS, there, elsewhere),
     ):
         ranks = start([*line, *more, "-o", out], [*line, *more, "-o", other])

@@ -67,7 +67,7 @@ def test_the_config_bounds_degree_and_number(make_photos: Callable[..., Any]) ->
     start = with_harmonics(first_splats(photos), 2)
     trainer = Trainer(replace(CONFIG, sh_degree=1), photos, start=start)
     np.testing.assert_array_equal(trainer.splats().shN, start.shN[:, :3])
-    with pytest.raises(ConfigError, match="raise --max-splats"):
+    with pytest.raises(ConfigError, match="raise `--max-splats`"):
         Trainer(replace(CONFIG, max_splats=149), photos, start=start)
     with pytest.raises(ConfigError, match="are 0"):
         Trainer(CONFIG, photos, start=start.subset(np.zeros(0, np.int64)))

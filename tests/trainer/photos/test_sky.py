@@ -155,8 +155,8 @@ def test_there_is_no_sky_behind_a_subject_or_a_region(
     """Oracle: sentences with the reason."""
     photos = looking_out(make_photos)
     photos.mask_mode = "composite"
-    with pytest.raises(ConfigError, match=r"composite.*leave out --sky"):
+    with pytest.raises(ConfigError, match=r"composite.*leave out `--sky`"):
         Trainer(CONFIG, photos)
     photos.mask_mode = "none"
-    with pytest.raises(ConfigError, match=r"region.*leave out --sky"):
+    with pytest.raises(ConfigError, match=r"region.*leave out `--sky`"):
         Trainer(replace(CONFIG, region=tmp_path / "box.json"), photos)

@@ -321,7 +321,7 @@ def test_what_cannot_be_a_region_run_is_refused(
     with pytest.raises(ConfigError, match="None of the"):
         Trainer(config, photos, start=known_splats, region=RegionBox(away))
     rest = np.zeros((len(known_splats), 15, 3), np.float32)
-    with pytest.raises(ConfigError, match="--sh-degree 3"):
+    with pytest.raises(ConfigError, match="`--sh-degree 3`"):
         Trainer(
             replace(config, sh_degree=1),
             photos,

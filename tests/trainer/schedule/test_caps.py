@@ -27,7 +27,7 @@ def test_the_sentence() -> None:
     """Oracle: by hand."""
     assert cap_by_photos(TRAIN, photos=52)[1] == (
         "4,160 of 7,000 steps are taken: more do not improve unseen views with 52 photos "
-        "(--steps-a-photo 0 takes them all)."
+        "(`--steps-a-photo 0` takes them all)."
     )
 
 
@@ -114,7 +114,7 @@ def test_each_photo_is_good_for_so_many_splats(photos: int, splats: int) -> None
     assert cap_by_photos(replace(config, splats_a_photo=0), photos=photos)[1] == ""
     told = (
         f"The model grows to {splats:,} of 600,000 splats: more do not improve unseen views with "
-        f"{photos} photos (--splats-a-photo 0 allows them all)."
+        f"{photos} photos (`--splats-a-photo 0` allows them all)."
     )
     assert why == ("" if photos == 100 else told)
 

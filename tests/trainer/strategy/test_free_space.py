@@ -208,7 +208,7 @@ def told_by(config: TrainConfig, capture: Path, output: Path) -> list[str]:
     """Warnings that name the option."""
     seen: list[Event] = []
     train(config, DataConfig(source=capture), output, seen.append)
-    return [e.message for e in seen if isinstance(e, Warn) and "--free-space 0" in e.message]
+    return [e.message for e in seen if isinstance(e, Warn) and "`--free-space 0`" in e.message]
 
 
 def test_when_it_clears() -> None:
