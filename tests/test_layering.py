@@ -55,6 +55,7 @@ ALLOWED = {
     "depth": BOTTOM | {"io", "datasets", "depth"},
     "inspection": BOTTOM | {"io", "datasets", "video", "sfm", "depth", "inspection"},
     "raster": BOTTOM | {"io", "formats", "raster"},
+    "engine": BOTTOM | {"raster", "engine"},
     "edit": BOTTOM | {"io", "formats", "raster", "edit"},
     "lod": BOTTOM | {"io", "formats", "raster", "edit", "lod"},
     "blocks": BOTTOM | {"io", "formats", "datasets", "edit", "blocks"},
@@ -64,17 +65,18 @@ ALLOWED = {
     "page": BOTTOM | {"io", "page"},
     "live": BOTTOM | {"live"},
     "trainer": BOTTOM
-    | {"io", "formats", "datasets", "depth", "raster", "stereo", "metrics", "report"}
+    | {"io", "formats", "datasets", "depth", "raster", "engine", "stereo", "metrics", "report"}
     | {"live", "trainer"},
     "stress": BOTTOM
-    | {"io", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer", "stress"},
+    | {"io", "datasets", "depth", "raster", "engine", "stereo", "metrics", "live", "trainer"}
+    | {"stress"},
     "bench": BOTTOM
     | {"io", "datasets", "depth", "raster", "stereo", "metrics", "live", "trainer", "bench"},
 }
 TOP = {"__init__", "__main__", "frontend", "commands"}
 """May import any layer."""
 OUTSIDE = {
-    "torch": {"raster", "metrics", "trainer", "stress", "bench", "commands"},
+    "torch": {"raster", "engine", "metrics", "trainer", "stress", "bench", "commands"},
     "bpy": set(),
     "addon": set(),
 }

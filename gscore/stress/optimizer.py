@@ -48,9 +48,9 @@ class _Dense:
 def _model(values: dict[str, np.ndarray]) -> Any:
     import torch
 
-    from ..trainer.model.model import Model
+    from ..engine.cpu.model import CpuModel
 
-    return Model({name: torch.from_numpy(v.copy()) for name, v in values.items()})
+    return CpuModel({name: torch.from_numpy(v.copy()) for name, v in values.items()})
 
 
 def _step(
@@ -67,9 +67,8 @@ def _step(
 @case("S23", "optimizer, splats seen now and then")
 def adam(full: bool) -> Iterator[Measure]:
     """Oracle: dense Adam, float32 and float64, through pruning, copying, reordering and resets."""
-    import torch
 
-    from ..trainer.strategy import row_ops
+    from ..engine.base import RowEdit
 
     steps = 1000 if full else 300
     rng = np.random.default_rng(2300)
@@ -98,18 +97,16 @@ def adam(full: bool) -> Iterator[Measure]:
         twin.step(gradients, rates)
         true.step(gradients, rates)
         if step % 97 == 50:
-            model.sync()
             rest = unseen + rng.permutation(len(model) - unseen)
             keep = np.concatenate([np.arange(unseen), rest[: _ROWS - 30 - unseen]])
             copied = rest[:20]
-            copies = row_ops.duplicate(model, torch.from_numpy(copied))
-            row_ops.edit(model, keep=torch.from_numpy(keep), append=copies)
+            model.edit(RowEdit(keep=keep, parents=copied))
             twin.edit(keep, copied)
             true.edit(keep, copied)
         if step % 131 == 100:
-            model.sync()
-            row_ops.reset_opacities(model, 0.01)
             ceiling = np.log(0.01 / 0.99)
+            lowered = np.minimum(model.column("opacities"), np.float32(ceiling))
+            model.edit(RowEdit(values={"opacities": lowered}, forget=("opacities",)))
             twin.reset_opacities(ceiling)
             true.reset_opacities(ceiling)
     moved, settled = 0.0, model.synced()

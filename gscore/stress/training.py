@@ -77,8 +77,8 @@ def long_training(full: bool) -> Iterator[Measure]:
     There are fewer splats than in the scene of the photos, so the final error is their limited
     capacity; with enough splats it would be the noise of the last steps, 1 dB at 52 dB.
     """
+    from ..engine.cpu import sanitize
     from ..splats import PARAMETERS
-    from ..trainer.model import sanitize
 
     photos = toy_photos(held_out=(3,))
     for strategy in Strategy:

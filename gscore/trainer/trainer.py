@@ -1,7 +1,7 @@
 """Trainer: the training step and all state it depends on; no files, events or clock."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -10,12 +10,18 @@ import numpy as np
 import torch
 
 from ..config import Skip, TrainConfig
+from ..engine.base import RowEdit
+from ..engine.cpu import finite_check
+from ..engine.cpu.model import CpuModel, ShUpdate
+from ..engine.cpu.noise import add_noise, add_regularisers
+from ..engine.random import generator_of
 from ..errors import DatasetError, GsError
 from ..formats.joined import joined
 from ..io.block_record import BlockRecord
 from ..raster.header import OUT_INVERSE_DEPTH
 from ..raster.memory import zeros
 from ..raster.request import Frustum, Settings
+from ..raster.screen_gradients import add_screen_gradients
 from ..raster.training_rasterizer import Picture
 from ..scene import PointCloud
 from ..splats import Splats
@@ -30,13 +36,10 @@ from .distributed.process_group import ProcessGroup, RankLostError
 from .guide.loss import GuideLoss
 from .guide.mesh_free_space import MeshFreeSpace
 from .guide.setup import GuideSetup
-from .host.random import generator_of
 from .host.stage_timer import StageTimer
-from .model import filter3d, finite_check, sanitize
 from .model.checkpoint_schema import as_float, as_int
 from .model.conversion import splats_from_tensors, tensors_from_splats
 from .model.ensemble import divide_opacities
-from .model.model import Model, ShUpdate
 from .model.training_frame import TrainingFrame
 from .photos.raster_skips import disabled_skips
 from .photos.view_sampler import Photos, ViewSampler
@@ -48,7 +51,8 @@ from .schedule.plan import Plan
 from .step.step_loss import LossAndGradients, StepLoss
 from .step.step_result import StepResult, combine_results
 from .step.training_views import TrainingView, ViewBatcher
-from .strategy import Change, DrawnView, all_within, make_strategy, row_ops
+from .strategy import Change, all_within, make_strategy
+from .strategy.contribution import Weights, weights_by_view
 from .strategy.initialization import initial_splats
 from .strategy.pruning import Pruner
 from .views.model_renderer import ModelRenderer
@@ -64,7 +68,7 @@ _MAX_SKIPPED = 100
 _ABSURD_MSE = 1e4
 """Mean squared error that only runaway splats cause: colours of 100 where photos have 0 to 1."""
 _SANITIZE_EVERY = 100
-"""Steps between two sanitizing passes, see `model.sanitize`."""
+"""Steps between two sanitizing passes, see `engine.cpu.sanitize`."""
 _ROWS_A_PART = 1 << 16
 """Splats per part of `parts`."""
 
@@ -161,7 +165,7 @@ class Trainer:
         self.bad_rows = 0
         """Gradient rows skipped so far because they were not finite."""
         self.lost_rows = 0
-        """Runaway splats reset so far, see `model.sanitize`."""
+        """Runaway splats reset so far, see `engine.cpu.sanitize`."""
         self.rate_factor = 1.0
         """Factor of all learning rates."""
         self._skipped = 0
@@ -211,8 +215,6 @@ class Trainer:
         self.pruner = Pruner(
             config,
             free_space,
-            self._rasterizer,
-            self._view_batcher.training_views,
             masks_hide=photos.mask_mode == "ignore",
             guided=MeshFreeSpace(guide.free, given, self.frame.similarity)
             if guide is not None and guide.free
@@ -223,13 +225,12 @@ class Trainer:
         self._given_degree = first.sh_degree
         self.cut_degree = max(0 if start is None else start.sh_degree, first.sh_degree)
         """SH degree of the start splats before it was cut to that of the config."""
-        for member in self.members:
-            if Skip.SH_BANDS in config.without:
-                row_ops.widen_sh(member.model, config.sh_degree)
-            self.strategy.start(member.model)
+        if Skip.SH_BANDS in config.without:
+            for member in self.members:
+                member.model.widen_sh(config.sh_degree)
 
     @property
-    def model(self) -> Model:
+    def model(self) -> CpuModel:
         """The first model: splats with their moments and counters."""
         return self.members[0].model
 
@@ -274,12 +275,12 @@ class Trainer:
         if self.depth:
             self.depth.set_length(iterations)
 
-    def _may_grow(self, means: torch.Tensor) -> torch.Tensor:
+    def _may_grow(self, means: np.ndarray) -> np.ndarray:
         """Return [N] bool: `means`, [N, 3], next to which splats may be added."""
         if self._block is None:
             return all_within(means)
-        world = self.frame.similarity.points_from_training(means.numpy())
-        return torch.from_numpy(self._block.holds(world, self.frame.origin))
+        world = self.frame.similarity.points_from_training(means)
+        return self._block.holds(world, self.frame.origin)
 
     @property
     def photo_factor(self) -> float:
@@ -366,19 +367,20 @@ class Trainer:
         self._assert_finite(model, training_view, value)
         change, bad_rows = self._learn(member, step, v_means2d, training_view.view, count)
         self.bad_rows += bad_rows
-        pruned = self.pruner.prune_least(model, self.plan, step, pruned=member.pruned)
-        member.pruned += pruned
-        change = replace(change, removed=change.removed + pruned)
+        least = self.pruner.prune_least(
+            len(model), partial(self._weights, model), self.plan, step, pruned=member.pruned
+        )
+        pruned = self._apply(model, least)
+        member.pruned += pruned.removed
+        change += pruned
         laps.lap("learn")
         lost_rows = self._sanitize(model) if step % _SANITIZE_EVERY == 0 else 0
         if config.finest > 0 and self.plan.prunes_free_space_at(step):
-            filter3d.apply_min_scale(
-                model, map(self.renderer.view, self.sampler.indices), config.finest
-            )
+            model.apply_min_scale(map(self.renderer.view, self.sampler.indices), config.finest)
         return StepResult(value, mse, change, bad_rows, False, lost_rows)
 
     def _draw(
-        self, model: Model, training_view: TrainingView, opacities: torch.Tensor, step: int
+        self, model: CpuModel, training_view: TrainingView, opacities: torch.Tensor, step: int
     ) -> Picture:
         config, counts = self.config, self._loss.uses_depth(training_view, step)
         return self._rasterizer.draw(
@@ -571,7 +573,11 @@ class Trainer:
     def _members_of(self, first: Splats) -> list[EnsembleMember]:
         """Create the ensemble members, each with a copy of these splats."""
         return [
-            EnsembleMember(place, Model(tensors_from_splats(first)), self.team)
+            EnsembleMember(
+                place,
+                CpuModel(tensors_from_splats(first), counters=self.strategy.counters),
+                self.team,
+            )
             for place in range(self._models)
         ]
 
@@ -635,7 +641,7 @@ class Trainer:
     def _widen_to(self, member: EnsembleMember, degree: int) -> None:
         if member.model.sh_degree < degree:
             self._rasterizer.release()
-            row_ops.widen_sh(member.model, degree)
+            member.model.widen_sh(degree)
             if member.batch:
                 member.batch.forget()
 
@@ -652,7 +658,9 @@ class Trainer:
         factor = self.rate_factor / len(self.members)
         self.photo_parameters.learn(indices, slopes, done=done, factor=factor)
 
-    def _step_opacities(self, model: Model, step: int) -> tuple[torch.Tensor, torch.Tensor | None]:
+    def _step_opacities(
+        self, model: CpuModel, step: int
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
         """Return the opacities of this step, and the leaf tensor of their gradients if dropout
         changes them."""
         opacities = model.params["opacities"]
@@ -688,11 +696,11 @@ class Trainer:
             end=plan.iterations,
         )
 
-    def _mark(self, model: Model) -> float:
+    def _mark(self, model: CpuModel) -> float:
         """CRC of the splats every `_SANITIZE_EVERY` steps, for comparison between ranks; else 0."""
         return float(crc_of(model.params)) if self.steps % _SANITIZE_EVERY == 0 else 0.0
 
-    def _assert_finite(self, model: Model, training_view: TrainingView, value: float) -> None:
+    def _assert_finite(self, model: CpuModel, training_view: TrainingView, value: float) -> None:
         if self.config.detect_anomaly:
             name = self.photos.scene.cameras.names[training_view.index]
             finite_check.assert_finite(model, value, step=self.steps, view=name)
@@ -707,8 +715,8 @@ class Trainer:
                 "finds the first number that is not finite."
             )
 
-    def _sanitize(self, model: Model) -> int:
-        lost = sanitize.clamp_runaways(model, extent=self.frame.extent)
+    def _sanitize(self, model: CpuModel) -> int:
+        lost = model.clamp_runaways(self.frame.extent)
         self.lost_rows += lost
         return lost
 
@@ -719,15 +727,16 @@ class Trainer:
         gradients that were not finite."""
         model, batch, radii = member.model, member.batch, self._rasterizer.radii
         counters = batch.counters(model) if batch else model.rows
-        drawn = DrawnView(
-            step=step, radii=radii, v_means2d=v_means2d, width=view.width, height=view.height
-        )
-        self.strategy.observe(counters, drawn)
+        if self.strategy.observes_at(step):
+            sums, views = (counters[name] for name in self.strategy.counters)
+            scale, threads = (0.5 * view.width, 0.5 * view.height), self.config.threads
+            add_screen_gradients(sums, views, v_means2d, radii, scale, threads=threads)
         if batch:
             radii = batch.add_up(
                 model, counters=counters, photos=count, threads=self.config.threads
             )
-        self.strategy.shape_gradients(model)
+        strategy = self.strategy
+        add_regularisers(model, opacity_reg=strategy.opacity_reg, scale_reg=strategy.scale_reg)
         factor, plan = self.rate_factor, self.plan
         means_lr = factor * plan.means_lr_at(step) * math.sqrt(count)
         rates = {name: factor * rate for name, rate in plan.rates_at(step, count).items()}
@@ -739,15 +748,37 @@ class Trainer:
         bad_rows = model.step(shown, shN=rest, photos=count, threads=self.config.threads)
         if self.plan.refines_at(step):
             self._rasterizer.release()
-        removed = self.pruner.prune_free_space(model, self.plan, step)
-        removed += self.pruner.prune_masked(model, self.plan, step)
-        change = self.strategy.after_step(
-            model,
-            step=step,
-            means_lr=means_lr,
-            cap=self.plan.cap_for(self.photo_factor) - self._frozen_count,
-            generator=self.generator,
+        cap = self.plan.cap_for(self.photo_factor) - self._frozen_count
+        change = self._apply(model, self.pruner.prune_free_space(model.column, plan, step))
+        masked = self.pruner.prune_masked(len(model), partial(self._weights, model), plan, step)
+        change += self._apply(model, masked)
+        change += self._apply(
+            model, strategy.refine(model.column, step=step, cap=cap, generator=self.generator)
         )
+        add_noise(model, strategy.noise_at(means_lr), self.generator)
         if self.region is not None and self._given:
-            self.region.keep_inside(model.params["means"])
-        return replace(change, removed=change.removed + removed), bad_rows
+            inside = self.region.keep_inside(model.column("means"))
+            self._apply(model, () if inside is None else (inside,))
+        return change, bad_rows
+
+    def _apply(self, model: CpuModel, edits: Iterable[RowEdit]) -> Change:
+        """Apply edits, each before the next is decided; returns what they change."""
+        change = Change()
+        for edit in edits:
+            if edit.moves_rows:
+                self._rasterizer.release()
+            change += Change.of(edit, len(model))
+            model.edit(edit)
+        return change
+
+    def _weights(self, model: CpuModel) -> Iterator[Weights]:
+        """Contributions of the splats to all training views, at the size of the last step."""
+        return weights_by_view(
+            self._rasterizer,
+            model.params,
+            self._view_batcher.training_views(),
+            antialias=self.config.antialias,
+            masks_hide=self.photos.mask_mode == "ignore",
+            scratch=model.grads,  # free after the step
+            threads=self.config.threads,
+        )

@@ -20,9 +20,9 @@ from gscore.io.images.read_image import write_png
 from gscore.raster.api import render
 from gscore.splats import Splats
 from gscore.stress.capture import SIZE, VIEWS, ToyPhotos, toy_photos, toy_splats
-from gscore.trainer.model.model import Model
 from gscore.transforms import rotmat_to_quat
 from tests.isas import isa  # noqa: F401
+from tests.marked_model import marked_model  # noqa: F401
 from tests.run_verb import refused  # noqa: F401
 from tests.trainer.short_run import DEEP_UNIT
 
@@ -127,36 +127,6 @@ def deep(capture: Path, known_splats: Any, tmp_path_factory: pytest.TempPathFact
         params[Path(name).stem] = {"scale": DEEP_UNIT, "offset": 0.0}
     (root / "sparse" / "0" / FILE).write_text(json.dumps(params))
     return root
-
-
-@pytest.fixture
-def marked_model() -> Callable[..., Model]:
-    """`make(n)`: a model of n rows in which every number encodes its row.
-
-    Parameters are the row, first moments 1000 + row, second moments 2000 + row, and the counter
-    `seen` 3000 + row, so that a misplaced row shows.
-    """
-
-    def make(n: int, *, sh_rest: int = 3) -> Model:
-        row = torch.arange(n, dtype=torch.float32)
-        model = Model(
-            {
-                "means": row[:, None].repeat(1, 3),
-                "quats": row[:, None].repeat(1, 4) + 1,
-                "scales": row[:, None].repeat(1, 3) * 0.01 - 3,
-                "opacities": row * 0.1 - 1,
-                "sh0": row[:, None, None].repeat(1, 1, 3),
-                "shN": row[:, None, None].repeat(1, sh_rest, 3),
-            }
-        )
-        for name, p in model.params.items():
-            shape = [n] + [1] * (p.ndim - 1)
-            first = (1000 + row).reshape(shape).expand(p.shape).clone()
-            model.replace(name, p, first, first + 1000, steps=7)
-        model.rows["seen"] = 3000 + row
-        return model
-
-    return make
 
 
 @pytest.fixture(autouse=True)

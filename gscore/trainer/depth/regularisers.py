@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from ...config import TrainConfig
-from ..host.random import uniform
+from ...engine.random import uniform
 from ..schedule.caps import drops_splats_of_subject
 
 _GONE = -30.0

@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ...engine.cpu.model import CpuModel, ShUpdate
 from ...raster.row_packing import Table, unpack_rows
 from ...splats import PARAMETERS
-from ..model.model import Model, ShUpdate
 from .process_group import ProcessGroup
 from .row_sums import RowSums
 
@@ -58,7 +58,7 @@ class BatchGradients:
         """Store the [size, size] `sizes` of all ranks for `add_up`."""
         self._all_sizes = sizes
 
-    def into(self, model: Model, photos: int) -> dict[str, Tensor]:
+    def into(self, model: CpuModel, photos: int) -> dict[str, Tensor]:
         """Return the tensors that receive the gradients of this rank's photo, as `model.grads`.
 
         Where there are fewer `photos` than ranks, the remaining ranks render another rank's photo
@@ -68,14 +68,14 @@ class BatchGradients:
         return model.grads | {"shN": torch.zeros_like(model.grads["shN"])}
 
     @staticmethod
-    def counters(model: Model) -> dict[str, Tensor]:
+    def counters(model: CpuModel) -> dict[str, Tensor]:
         """Return zeroed counters of a strategy for one batch, [N] float32 by name."""
         counts = {name: rows for name, rows in model.rows.items() if rows.dtype == torch.float32}
         return {name: torch.zeros_like(rows) for name, rows in counts.items()}
 
     def add_up(
         self,
-        model: Model,
+        model: CpuModel,
         *,
         counters: dict[str, Tensor],
         photos: int,
@@ -114,11 +114,11 @@ class BatchGradients:
             model.rows[name] += counter
         return visible
 
-    def add_up_rest(self, model: Model, does: ShUpdate, *, threads: int) -> None:
+    def add_up_rest(self, model: CpuModel, does: ShUpdate, *, threads: int) -> None:
         """Sum the accumulated shN gradients of all ranks into `model.grads`, if shN takes a step.
 
         Args:
-            model: Model of this rank.
+            model: CpuModel of this rank.
             does: Update of shN in this step.
             threads: 0: all cores.
         """
@@ -147,7 +147,7 @@ class BatchGradients:
         self._source = weakref.ref(grad)
         self._accumulated = torch.from_numpy(np.any(grad.numpy(), axis=(1, 2)))
 
-    def collect(self, model: Model) -> None:
+    def collect(self, model: CpuModel) -> None:
         """Gather the accumulated gradients on rank 0; all ranks call this unless `complete`."""
         self._others = self._team.to_first(model.grads["shN"])
         self.complete = True

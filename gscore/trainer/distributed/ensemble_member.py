@@ -6,8 +6,8 @@ from typing import Any
 
 import torch
 
+from ...engine.cpu.model import CpuModel, Moments
 from ..model.checkpoint_schema import as_int, check_tensors
-from ..model.model import Model, Moments
 from .batch_gradients import BatchGradients, gathered_of
 from .process_group import ProcessGroup
 
@@ -18,7 +18,7 @@ _PLACE = re.compile(r"([1-9])/")
 class EnsembleMember:
     """One model of an ensemble with the state of its steps; a single model is a sole member."""
 
-    def __init__(self, place: int, model: Model, team: ProcessGroup | None) -> None:
+    def __init__(self, place: int, model: CpuModel, team: ProcessGroup | None) -> None:
         """`place` is its index in the ensemble, from 0; `team` is the process group."""
         self.place = place
         self.model = model
@@ -55,7 +55,7 @@ class EnsembleMember:
         out |= {f"row/{name}": counter for name, counter in model.rows.items()}
         return {self._name(key): tensor for key, tensor in out.items()}
 
-    def check(self, tensors: Mapping[str, torch.Tensor], like: Model) -> None:
+    def check(self, tensors: Mapping[str, torch.Tensor], like: CpuModel) -> None:
         """Raise ValueError or KeyError unless its checkpoint tensors fit each other and `like`."""
         check_tensors(self.of(tensors), like)
 
@@ -89,7 +89,7 @@ class EnsembleMember:
         }
         if self.batch:
             self.batch.forget()
-        self.model = Model({name: mine[f"param/{name}"] for name in names}, moments)
+        self.model = CpuModel({name: mine[f"param/{name}"] for name in names}, moments)
         self.model.rows = {k.removeprefix("row/"): t for k, t in mine.items() if k[:4] == "row/"}
         self.model.drift = mine["drift"]
 

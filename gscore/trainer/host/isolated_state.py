@@ -1,7 +1,7 @@
 """Isolated torch and numpy state: replaces a host program's settings during a training.
 
 Torch's default dtype and device stay, because they apply to all threads of the host. Every tensor
-is created with an explicit dtype and device instead (`raster.memory`, `host.random`).
+is created with an explicit dtype and device instead (`raster.memory`, `engine.random`).
 """
 
 from collections.abc import Iterator

@@ -9,9 +9,9 @@ from typing import Any
 
 import torch
 
+from ...engine.cpu.model import CpuModel
 from ...quoting import quoted
 from ...splats import Splats
-from .model import Model
 
 _MOST = 1 << 53
 """Largest count: JSON numbers are not exact beyond."""
@@ -83,7 +83,7 @@ def as_int_dict(what: str, value: Any) -> dict[str, int]:
     return {name: as_int(f"{name} of {what}", count) for name, count in value.items()}
 
 
-def check_tensors(tensors: Mapping[str, torch.Tensor], like: Model) -> None:
+def check_tensors(tensors: Mapping[str, torch.Tensor], like: CpuModel) -> None:
     """Raise ValueError or KeyError unless a trainer's tensors fit each other and `like`, another
     model of the run; the numbers of splats and of SH coefficients may differ."""
     splats = Splats(**{name: tensors[f"param/{name}"].numpy() for name in like.params})

@@ -6,9 +6,9 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from ...engine.random import permutation
 from ...raster.request import Frustum
 from ...scene import Scene
-from ..host.random import permutation
 
 
 class Photos(Protocol):

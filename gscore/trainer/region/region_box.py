@@ -4,8 +4,8 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-import torch
 
+from ...engine.base import RowEdit
 from ...io.region_file import read_region
 from ...scene import offset_between
 from ...transforms import Similarity
@@ -48,17 +48,16 @@ class RegionBox:
         """Return [N] bool: `points`, [N, 3], in the box or on its sides."""
         return np.abs(self._local(points)).max(axis=1, initial=0) <= 1
 
-    def keep_inside(self, means: torch.Tensor) -> None:
-        """Clamp `means` [N, 3] to the box, in place."""
-        local = self._local(means.numpy())
+    def keep_inside(self, means: np.ndarray) -> RowEdit | None:
+        """Return the edit that clamps `means` [N, 3] to the box; None: all are inside."""
+        local = self._local(means)
         out = np.flatnonzero(~(np.abs(local).max(axis=1, initial=0) <= 1))
         if len(out) == 0:
-            return
-        # Means that are not finite stay unchanged: `model.sanitize` resets such splats.
+            return None
+        # Means that are not finite stay unchanged: `clamp_runaways` resets such splats.
         inside = np.clip(local[out], -1, 1) @ self.matrix[:3, :3].T + self.matrix[:3, 3]
         finite = np.isfinite(local[out]).all(axis=1)
-        rows = torch.from_numpy(out[finite])
-        means[rows] = torch.from_numpy(inside[finite].astype(np.float32))
+        return RowEdit(rows=out[finite], values={"means": inside[finite].astype(np.float32)})
 
     def may_be_seen(
         self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, near: float

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 import torch
 
 from ...config import Background, TrainConfig
+from ...engine.random import uniform
 from ...errors import GsError
 from ...raster.request import Frustum
 from ..distributed import batch_losses
 from ..distributed.load_balance import batches_of_equal_cost
 from ..distributed.process_group import ProcessGroup
-from ..host.random import uniform
 from ..model.checkpoint_schema import as_float, as_int, as_int_list, as_measurements
 from ..photos.image_pyramid import AHEAD, SizedView
 from ..photos.view_sampler import ViewSampler

@@ -2,11 +2,11 @@
 
 from ...config import Strategy, TrainConfig
 from ..schedule.plan import Plan
-from .base import Change, DrawnView, Policy, Within, all_within
+from .base import Change, Policy, Within, all_within
 from .default import DefaultStrategy
 from .mcmc import MCMCStrategy
 
-__all__ = ["Change", "DrawnView", "Policy", "all_within", "make_strategy"]
+__all__ = ["Change", "Policy", "all_within", "make_strategy"]
 
 
 def make_strategy(

@@ -1,12 +1,16 @@
 """Strategy interface: the policy that adds, moves and removes splats between steps."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import torch
 
-from ..model.model import Model
+from ...engine.base import RowEdit
+
+Read = Callable[[str], np.ndarray]
+"""Returns a column of the model by name, `EngineModel.column`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,53 +26,56 @@ class Change:
     def __bool__(self) -> bool:
         return bool(self.added or self.removed or self.moved or self.reset)
 
+    def __add__(self, other: "Change") -> "Change":
+        return Change(
+            added=self.added + other.added,
+            removed=self.removed + other.removed,
+            moved=self.moved + other.moved,
+            reset=self.reset or other.reset,
+        )
 
-@dataclass(frozen=True, kw_only=True)
-class DrawnView:
-    """The rendered view of a step, as input of a strategy."""
-
-    step: int
-    """Number of the step, from 1."""
-    radii: torch.Tensor
-    """[N] int32 px, 0 for splats that were not drawn."""
-    v_means2d: torch.Tensor
-    """[N, 2] float32, gradient of the loss in projected means, per px."""
-    width: int
-    """px."""
-    height: int
-    """px."""
+    @classmethod
+    def of(cls, edit: RowEdit, count: int) -> "Change":
+        """The change that an edit makes to a model of `count` splats."""
+        return cls(
+            added=0 if edit.parents is None else len(edit.parents),
+            removed=0 if edit.keep is None else count - len(edit.keep),
+            moved=0 if edit.moved is None else len(edit.moved),
+            reset=edit.rows is None and "opacities" in edit.values,
+        )
 
 
-Within = Callable[[torch.Tensor], torch.Tensor]
+Within = Callable[[np.ndarray], np.ndarray]
 """Test of `means`, [N, 3] in the training frame, against an allowed volume: returns [N] bool."""
 
 
-def all_within(means: torch.Tensor) -> torch.Tensor:
+def all_within(means: np.ndarray) -> np.ndarray:
     """Return [N] bool, all true: no limit."""
-    return torch.ones(len(means), dtype=torch.bool, device="cpu")
+    return np.ones(len(means), bool)
 
 
 class Policy(Protocol):
-    """A policy without state of its own: its counters are in `Model.rows`.
+    """A policy without state of its own, which reads columns and never writes."""
 
-    A step calls, in this order: `observe`, `shape_gradients`, the optimizer, `after_step`.
-    """
+    counters: tuple[str, ...]
+    """Names of the model's counters that it reads."""
+    opacity_reg: float
+    """Weight of the mean opacity in the loss (Kheradmand et al. 2024, section 5)."""
+    scale_reg: float
+    """Weight of the mean scale in the loss."""
 
-    def start(self, model: Model) -> None:
-        """Create the counters of the strategy."""
+    def observes_at(self, step: int) -> bool:
+        """Return whether screen-space gradients are counted in `step`."""
         ...
 
-    def shape_gradients(self, model: Model) -> None:
-        """Add the gradients of the strategy's own loss terms."""
+    def noise_at(self, means_lr: float) -> float:
+        """Weight of the noise on faint splats after a step with this learning rate of means; 0:
+        none."""
         ...
 
-    def observe(self, rows: Mapping[str, torch.Tensor], view: DrawnView) -> None:
-        """Add the statistics of a view to `rows`, the counters of `start`."""
-        ...
-
-    def after_step(
-        self, model: Model, *, step: int, means_lr: float, cap: int, generator: torch.Generator
-    ) -> Change:
-        """Densify and prune after the optimizer's step `step` with learning rate `means_lr` of the
-        means; the model grows to at most `cap` splats."""
+    def refine(
+        self, read: Read, *, step: int, cap: int, generator: torch.Generator
+    ) -> Iterator[RowEdit]:
+        """Yield the edits after the optimizer's `step`, each to be applied before the next; the
+        model grows to at most `cap` splats."""
         ...

@@ -34,7 +34,7 @@ def weights_by_view(
 
     Args:
         rasterizer: Its last rendered view becomes invalid.
-        params: Raw parameters, as in `Model.params`; SH coefficients are not read.
+        params: Raw parameters, as in `CpuModel.params`; SH coefficients are not read.
         shown: Views.
         antialias: As in training.
         masks_hide: Whether `kept` is weighted by masks.

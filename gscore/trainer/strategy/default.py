@@ -1,21 +1,22 @@
 """Adaptive density control of the 3DGS paper: clone, split, prune and reset (Kerbl et al. 2023)."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator
 
 import numpy as np
 import torch
 
 from ...config import Doubling, TrainConfig
-from ...raster.memory import zeros
-from ...raster.screen_gradients import add_screen_gradients
-from ..model.model import Model
+from ...engine.base import RowEdit
 from ..schedule.plan import Plan
-from . import row_ops
-from .base import Change, DrawnView, Within
+from . import splitting
+from .base import Read, Within
+from .relocation import logit
 
 RESET_OPACITY = 0.01
 """Ceiling of all opacities at a reset."""
+_COUNTERS = ("pull", "seen")
+"""Sum of the screen-space gradients, and number of views, of each splat."""
 
 
 class DefaultStrategy:
@@ -25,78 +26,79 @@ class DefaultStrategy:
     over the views that drew the splat. Under a cap, splats with the largest gradients come first.
     """
 
+    counters = _COUNTERS
+    opacity_reg = scale_reg = 0.0
+
     def __init__(self, config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within) -> None:
         self._config = config
         self._plan = plan
         self._extent = extent
         self._may_grow = may_grow
 
-    def start(self, model: Model) -> None:
-        model.rows["pull"] = zeros(len(model))
-        model.rows["seen"] = zeros(len(model))
+    def observes_at(self, step: int) -> bool:
+        return step <= self._plan.refine_stop
 
-    def shape_gradients(self, model: Model) -> None:
-        pass
+    def noise_at(self, means_lr: float) -> float:
+        return 0.0
 
-    def observe(self, rows: Mapping[str, torch.Tensor], view: DrawnView) -> None:
-        if view.step > self._plan.refine_stop:
-            return
-        sums, views = rows["pull"], rows["seen"]
-        scale, threads = (0.5 * view.width, 0.5 * view.height), self._config.threads
-        add_screen_gradients(sums, views, view.v_means2d, view.radii, scale, threads=threads)
-
-    def after_step(
-        self, model: Model, *, step: int, means_lr: float, cap: int, generator: torch.Generator
-    ) -> Change:
-        change = Change()
+    def refine(
+        self, read: Read, *, step: int, cap: int, generator: torch.Generator
+    ) -> Iterator[RowEdit]:
         if self._plan.refines_at(step):
-            change = self._refine(model, step, cap, generator)
+            yield from self._refine(read, step, cap, generator)
         if self._plan.resets_at(step):
-            row_ops.reset_opacities(model, RESET_OPACITY)
-            change = Change(added=change.added, removed=change.removed, reset=True)
-        return change
+            lowered = np.minimum(read("opacities"), np.float32(logit(RESET_OPACITY)))
+            yield RowEdit(values={"opacities": lowered}, forget=("opacities",))
 
-    def _refine(self, model: Model, step: int, cap: int, generator: torch.Generator) -> Change:
-        before = len(model)
-        gradients = model.rows["pull"] / model.rows["seen"].clamp_min(1)
-        pruned = self._to_prune(model.params, step)
+    def _refine(
+        self, read: Read, step: int, cap: int, generator: torch.Generator
+    ) -> Iterator[RowEdit]:
+        names = ("means", "quats", "scales", "opacities")
+        params = {name: torch.from_numpy(read(name)) for name in names}
+        pull, seen = (torch.from_numpy(read(name)) for name in _COUNTERS)
+        gradients = pull / seen.clamp_min(1)
+        pruned = self._to_prune(params, step)
         grow = gradients >= self._plan.grow_grad
-        grow &= ~pruned & self._may_grow(model.params["means"])
-        room = cap - before + int(pruned.sum())
+        grow &= ~pruned & torch.from_numpy(self._may_grow(params["means"].numpy()))
+        room = cap - len(gradients) + int(pruned.sum())
         grow = _strongest(grow, gradients, max(room, 0))
-        new, replaced = self._doubled(model, grow, generator)
+        parents, changes, replaced = self._doubled(params, grow, generator)
+        new = {name: p[parents] for name, p in params.items()} | changes
         healthy = (~self._to_prune(new, step)).nonzero().flatten()
-        new = {name: rows[healthy] for name, rows in new.items()}
-
         keep = ~pruned
         keep[replaced] = False
         kept = keep.nonzero().flatten()
-        kept = kept[row_ops.by_place(model.params["means"][kept])]
         if len(kept) + len(healthy) == 0:  # an empty model cannot recover
-            return Change()
-        row_ops.edit(model, keep=kept, append=new)
-        self.start(model)
-        return Change(added=len(healthy), removed=before - len(kept))
+            return
+        yield RowEdit(
+            keep=kept.numpy(),
+            morton=True,
+            parents=parents[healthy].numpy(),
+            changes={name: rows[healthy].numpy() for name, rows in changes.items()},
+        )
+        count = len(kept) + len(healthy)
+        yield RowEdit(values={name: np.zeros(count, np.float32) for name in _COUNTERS})
 
     def _doubled(
-        self, model: Model, grow: torch.Tensor, generator: torch.Generator
-    ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
-        """Return the new splats for the rows `grow`, [N] bool, and the rows, [M], they replace."""
+        self, params: dict[str, torch.Tensor], grow: torch.Tensor, generator: torch.Generator
+    ) -> tuple[torch.Tensor, dict[str, torch.Tensor], torch.Tensor]:
+        """Return the new splats for the rows `grow`, [N] bool: their parents, [A], parameters that
+        differ from those of the parents, and the rows, [M], that they replace."""
         if self._config.doubling is Doubling.LONG_AXIS:
             rows = grow.nonzero().flatten()
-            return row_ops.halve(model, rows), rows
-        size = model.params["scales"].amax(dim=1)  # log
+            return rows.repeat(splitting.SPLIT_COUNT), splitting.halve(params, rows), rows
+        size = params["scales"].amax(dim=1)  # log
         large = size > _log(self._config.grow_scale * self._extent)
         clone, divide = (grow & ~large).nonzero().flatten(), (grow & large).nonzero().flatten()
-        return row_ops.join(
-            row_ops.duplicate(model, clone), row_ops.split(model, divide, generator)
-        ), divide
+        split = splitting.split(params, divide, generator)
+        changes = {name: torch.cat([params[name][clone], rows]) for name, rows in split.items()}
+        return torch.cat([clone, divide.repeat(splitting.SPLIT_COUNT)]), changes, divide
 
     def _to_prune(self, params: dict[str, torch.Tensor], step: int) -> torch.Tensor:
         """Return [N] bool: splats that are too transparent, too large after the first opacity
         reset, or have a zero quaternion."""
         config, opacities = self._config, params["opacities"]
-        pruned = ~(opacities >= row_ops.logit(max(config.prune_opacity, 1e-6)))  # NaN too
+        pruned = ~(opacities >= logit(max(config.prune_opacity, 1e-6)))  # NaN too
         if self._plan.reset_every and step > self._plan.reset_every:
             size = params["scales"].amax(dim=1)
             pruned |= size > _log(config.prune_scale * self._extent)

@@ -3,16 +3,15 @@
 from collections.abc import Callable, Iterable, Iterator
 from typing import Protocol
 
+import numpy as np
 import torch
 
 from ...config import TrainConfig
-from ...raster.training_rasterizer import TrainingRasterizer
+from ...engine.base import RowEdit
 from ..model.checkpoint_schema import as_int
-from ..model.model import Model
-from ..photos.image_pyramid import SizedView
 from ..schedule.plan import Plan
-from . import row_ops
-from .contribution import Weights, lowest_rows, max_contribution, mostly_masked, weights_by_view
+from .base import Read
+from .contribution import Weights, lowest_rows, max_contribution, mostly_masked
 
 _CROWD = 0.2
 """Share of all splats in a free space above which it is not considered free."""
@@ -57,15 +56,13 @@ class Emptied:
 class Pruner:
     """Prunes splats in free space, masked splats, and splats with the least contribution.
 
-    Each method removes the splats that are due after a step and returns their number.
+    Each method yields the edits that are due after a step, each to be applied before the next.
     """
 
     def __init__(
         self,
         config: TrainConfig,
         free_space: Space,
-        rasterizer: TrainingRasterizer,
-        shown: Callable[[], Iterable[SizedView]],
         *,
         masks_hide: bool,
         guided: Space | None = None,
@@ -75,51 +72,58 @@ class Pruner:
         Args:
             config: The options.
             free_space: Free space around cameras.
-            rasterizer: Its last rendered view becomes invalid.
-            shown: Returns the training views at the size of the last step.
             masks_hide: Whether masks exclude pixels from the loss.
             guided: Free space of a guide mesh.
         """
         self._config = config
-        self._rasterizer = rasterizer
-        self._shown = shown
         self._masks_hide = masks_hide
         self.around = Emptied(free_space)
         """Free space around cameras."""
         self.guided = Emptied(guided)
         """Free space in front of a guide mesh."""
 
-    def prune_free_space(self, model: Model, plan: Plan, step: int) -> int:
+    def prune_free_space(self, read: Read, plan: Plan, step: int) -> Iterator[RowEdit]:
         """Remove splats in free space: around cameras and in front of a guide mesh."""
         if not plan.prunes_free_space_at(step):
-            return 0
-        before = len(model)
+            return
         for space in (self.around, self.guided):
-            rows = space.due(model.params["means"])
+            rows = space.due(torch.from_numpy(read("means")))
             if rows is not None:
-                self._remove(model, rows)
-        return before - len(model)
+                yield RowEdit(keep=np.flatnonzero(~rows.numpy()))
 
-    def prune_masked(self, model: Model, plan: Plan, step: int) -> int:
-        """Remove splats with most of their weight in masked pixels."""
+    def prune_masked(
+        self, count: int, weights: Callable[[], Iterable[Weights]], plan: Plan, step: int
+    ) -> Iterator[RowEdit]:
+        """Remove splats with most of their weight in masked pixels.
+
+        Args:
+            count: Number of splats.
+            weights: Returns the contributions to all training views.
+            plan: Plan of the run.
+            step: Last step.
+        """
         share = self._config.hidden_share
         if share == 0 or not self._masks_hide or not plan.prunes_masked_at(step):
-            return 0
-        hidden = mostly_masked(self._weights(model), len(model), share=share)
-        count = int(hidden.sum())
-        if count == 0 or count == len(model):
-            return 0
-        self._remove(model, hidden)
-        return count
+            return
+        hidden = mostly_masked(weights(), count, share=share).numpy()
+        if 0 < hidden.sum() < count:
+            yield RowEdit(keep=np.flatnonzero(~hidden))
 
-    def prune_least(self, model: Model, plan: Plan, step: int, *, pruned: int) -> int:
+    def prune_least(
+        self,
+        count: int,
+        weights: Callable[[], Iterable[Weights]],
+        plan: Plan,
+        step: int,
+        *,
+        pruned: int,
+    ) -> Iterator[RowEdit]:
         """Remove the splats with the least contribution if the plan has fewer splats; `pruned`:
-        number of those removed before."""
-        count = plan.surplus_at(step, len(model), pruned)
-        if count == 0:
-            return 0
-        self._remove(model, lowest_rows(max_contribution(self._weights(model), len(model)), count))
-        return count
+        number of those removed before. The other arguments are those of `prune_masked`."""
+        surplus = plan.surplus_at(step, count, pruned)
+        if surplus:
+            least = lowest_rows(max_contribution(weights(), count), surplus)
+            yield RowEdit(keep=np.flatnonzero(~least.numpy()))
 
     def state(self) -> dict[str, int | bool]:
         """State of the pruning, as JSON values."""
@@ -138,19 +142,3 @@ class Pruner:
         """
         self.around.restore(state, "cleared", "crowded")
         self.guided.restore(state, "guide_cleared", "guide_crowded")
-
-    def _weights(self, model: Model) -> Iterator[Weights]:
-        return weights_by_view(
-            self._rasterizer,
-            model.params,
-            self._shown(),
-            antialias=self._config.antialias,
-            masks_hide=self._masks_hide,
-            scratch=model.grads,  # free after the step
-            threads=self._config.threads,
-        )
-
-    def _remove(self, model: Model, rows: torch.Tensor) -> None:
-        """Remove the splats `rows`, [N] bool, after freeing the rasterizer's memory."""
-        self._rasterizer.release()
-        row_ops.edit(model, keep=(~rows).nonzero().flatten())

@@ -1,4 +1,4 @@
-"""Model renderer: images of the splats in training for viewers, metrics and decisions."""
+"""CpuModel renderer: images of the splats in training for viewers, metrics and decisions."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from ...config import Background, TrainConfig
+from ...engine.cpu.model import CpuModel
 from ...live.viewer_protocol import FrameRequest
 from ...raster.header import OUT_INVERSE_DEPTH
 from ...raster.loss import image_loss
@@ -16,7 +17,6 @@ from ...raster.request import Frustum, Settings
 from ...raster.training_rasterizer import Picture, TrainingRasterizer
 from ...scene import Cameras
 from ..model.ensemble import merge_models
-from ..model.model import Model
 from ..model.training_frame import TrainingFrame
 from ..photos.image_pyramid import ImagePyramid, SizedView, training_camera
 from ..photos.view_sampler import Photos
@@ -49,7 +49,7 @@ class ModelRenderer:
         frame: TrainingFrame,
         cameras: Cameras,
         photo_parameters: PhotoParameters,
-        models: Callable[[], list[Model]],
+        models: Callable[[], list[CpuModel]],
         *,
         cache: int | None = None,
         frozen: FrozenSplats | None = None,

@@ -9,13 +9,18 @@ import pytest
 import torch
 
 from gscore.config import Doubling, Strategy, TrainConfig
-from gscore.trainer.model.model import Model
+from gscore.engine.base import RowEdit
+from gscore.engine.cpu.model import CpuModel
+from gscore.engine.cpu.noise import add_noise, add_regularisers
+from gscore.engine.rotation import rotate
+from gscore.raster.screen_gradients import add_screen_gradients
 from gscore.trainer.schedule.plan import Plan
-from gscore.trainer.strategy import Change, DrawnView, Policy, make_strategy, row_ops
+from gscore.trainer.strategy import Change, Policy, make_strategy
 from gscore.trainer.strategy.default import DefaultStrategy
 from gscore.trainer.strategy.mcmc import MCMCStrategy
+from gscore.trainer.strategy.relocation import logit
 
-Make = Callable[..., Model]
+Make = Callable[..., CpuModel]
 EXTENT = 1.0
 
 
@@ -23,58 +28,52 @@ def plan_of(config: TrainConfig) -> Plan:
     return Plan.of(config, extent=EXTENT, points=4, side=300, pixels=90_000)
 
 
-def default(config: TrainConfig, model: Model) -> DefaultStrategy:
+def default(config: TrainConfig, model: CpuModel) -> DefaultStrategy:
     strategy = make_strategy(config, plan_of(config), extent=EXTENT)
     assert isinstance(strategy, DefaultStrategy)
-    strategy.start(model)
+    clear(model)
     return strategy
 
 
-def opaque(model: Model, scale: float) -> Model:
+def clear(model: CpuModel) -> None:
+    """Set the counters to zero."""
+    count = len(model)
+    model.edit(RowEdit(values={name: np.zeros(count, np.float32) for name in ("pull", "seen")}))
+
+
+def opaque(model: CpuModel, scale: float) -> CpuModel:
     """All splats opaque and round with standard deviation `scale`."""
     model.params["opacities"].data.fill_(2.0)
     model.params["scales"].data.fill_(math.log(scale))
     return model
 
 
-def see(strategy: DefaultStrategy, model: Model, pulls: list[float], step: int = 1) -> None:
+def see(strategy: DefaultStrategy, model: CpuModel, pulls: list[float], step: int = 1) -> None:
     """Show one view, 200 x 100 px, with screen-space gradients in normalised coordinates, along
     x."""
     v = torch.zeros(len(model), 2)
     v[:, 0] = torch.tensor(pulls) / 100
     radii = torch.ones(len(model), dtype=torch.int32)
-    drawn = DrawnView(step=step, radii=radii, v_means2d=v, width=200, height=100)
-    strategy.observe(model.rows, drawn)
+    if strategy.observes_at(step):
+        add_screen_gradients(model.rows["pull"], model.rows["seen"], v, radii, (100, 50))
 
 
-def after(
-    strategy: Policy, model: Model, step: int, cap: int, *, means_lr: float = 0.0, seed: int = 0
-) -> Change:
+def after(strategy: Policy, model: CpuModel, step: int, cap: int, *, seed: int = 0) -> Change:
     """The result of a step of the optimizer."""
-    generator = torch.Generator().manual_seed(seed)
-    return strategy.after_step(model, step=step, means_lr=means_lr, cap=cap, generator=generator)
+    generator, change = torch.Generator().manual_seed(seed), Change()
+    for edit in strategy.refine(model.column, step=step, cap=cap, generator=generator):
+        change += Change.of(edit, len(model))
+        model.edit(edit)
+    return change
 
 
-def refine(strategy: Policy, model: Model, step: int, cap: int = 400_000) -> Change:
+def refine(strategy: Policy, model: CpuModel, step: int, cap: int = 400_000) -> Change:
     return after(strategy, model, step, cap)
 
 
 CONFIG = TrainConfig(
     iterations=1000, refine_start=10, refine_every=10, refine_stop=500, grow_grad=2e-4
 )
-
-
-def test_pull_is_the_mean_over_views_that_drew_the_splat(marked_model: Make) -> None:
-    """Oracle: norm of (v_x W/2, v_y H/2), summed; views that culled the splat do not count."""
-    model = marked_model(2)
-    strategy = default(CONFIG, model)
-    v = torch.tensor([[3e-2, 8e-2], [0.0, 0.0]])
-    for radii in ([5, 0], [7, 0]):
-        drawn = torch.tensor(radii, dtype=torch.int32)
-        view = DrawnView(step=1, radii=drawn, v_means2d=v, width=200, height=100)
-        strategy.observe(model.rows, view)
-    np.testing.assert_allclose(model.rows["pull"].numpy(), [2 * math.hypot(3, 4), 0], rtol=1e-6)
-    assert model.rows["seen"].tolist() == [2, 0]
 
 
 def test_small_splats_are_cloned_large_ones_split(marked_model: Make) -> None:
@@ -107,8 +106,7 @@ def test_splats_that_are_pulled_become_their_halves(marked_model: Make) -> None:
 def test_a_refinement_puts_neighbours_together(marked_model: Make) -> None:
     """Oracle: the Morton order, along a line that of the coordinates; all of a row moves."""
     model = opaque(marked_model(6), 0.005)
-    order = torch.tensor([4, 0, 5, 2, 1, 3])
-    row_ops.edit(model, keep=order)
+    model.edit(RowEdit(keep=np.array([4, 0, 5, 2, 1, 3])))
     strategy = default(CONFIG, model)
     see(strategy, model, [0.0] * 6)
     assert not refine(strategy, model, 10)
@@ -141,7 +139,7 @@ def test_the_cap_takes_those_that_are_pulled_hardest(marked_model: Make) -> None
 def test_transparent_and_broken_splats_go(marked_model: Make) -> None:
     """Oracle: opacity below 0.005, NaN opacity and a zero quaternion, which are invisible."""
     model = opaque(marked_model(5), 0.005)
-    model.params["opacities"].data[1] = row_ops.logit(0.004)
+    model.params["opacities"].data[1] = logit(0.004)
     model.params["opacities"].data[2] = math.nan
     model.params["quats"].data[3] = 0
     strategy = default(CONFIG, model)
@@ -190,7 +188,7 @@ def test_nothing_is_added_beyond_the_cap(marked_model: Make, kind: Strategy) -> 
     strategy = make_strategy(config, plan_of(config), extent=EXTENT)
     model = opaque(marked_model(4), 1e-4)
     for step, cap, expected in ((10, 4, 4), (20, 5, 5), (30, 8, 8), (40, 5, 8)):
-        strategy.start(model)
+        clear(model)
         if isinstance(strategy, DefaultStrategy):
             see(strategy, model, [1.0] * len(model), step=step)
         before = len(model)
@@ -205,12 +203,12 @@ def test_splats_are_added_only_where_they_may_be(marked_model: Make, kind: Strat
     added or moved have the marks of the other side."""
     config = replace(CONFIG, strategy=kind, mcmc_growth=1)
 
-    def on_the_right(means: torch.Tensor) -> torch.Tensor:
+    def on_the_right(means: np.ndarray) -> np.ndarray:
         return means[:, 0] > 2.5
 
     strategy = make_strategy(config, plan_of(config), extent=EXTENT, may_grow=on_the_right)
     model = opaque(marked_model(6), 1e-4)
-    strategy.start(model)
+    clear(model)
     if isinstance(strategy, DefaultStrategy):
         see(strategy, model, [1.0] * 6)
     else:
@@ -224,7 +222,7 @@ def test_splats_are_added_only_where_they_may_be(marked_model: Make, kind: Strat
 def test_nothing_is_added_where_nothing_may_be(marked_model: Make) -> None:
     """Oracle: the number of splats, for dead ones without a target."""
     strategy, _ = mcmc(mcmc_growth=1)
-    strategy._may_grow = lambda means: torch.zeros(len(means), dtype=torch.bool)
+    strategy._may_grow = lambda means: np.zeros(len(means), bool)
     model = opaque(marked_model(4), 1e-4)
     model.params["opacities"].data[0] = -20.0
     assert after(strategy, model, 10, 9) == Change()
@@ -262,7 +260,7 @@ def test_mcmc_gradients_are_those_of_its_penalties(marked_model: Make) -> None:
     opacities = model.params["opacities"].clone().requires_grad_()
     scales = model.params["scales"].clone().requires_grad_()
     (0.01 * torch.sigmoid(opacities).mean() + 0.08 * scales.exp().mean()).backward()
-    strategy.shape_gradients(model)
+    add_regularisers(model, opacity_reg=strategy.opacity_reg, scale_reg=strategy.scale_reg)
     torch.testing.assert_close(model.grads["opacities"], opacities.grad)
     torch.testing.assert_close(model.grads["scales"], scales.grad)
 
@@ -275,13 +273,13 @@ def test_mcmc_noise_moves_faint_splats_along_their_shape(marked_model: Make) -> 
     model.params["means"].data.zero_()
     model.params["quats"].data[:] = torch.tensor([0.9, 0.3, -0.2, 0.4])
     model.params["scales"].data[:] = torch.tensor([0.5, 0.2, 0.1]).log()
-    model.params["opacities"].data[:] = row_ops.logit(0.01)
+    model.params["opacities"].data[:] = logit(0.01)
     model.params["opacities"].data[: n // 2] = 2.0
-    after(strategy, model, 1, n, means_lr=0.1)
+    add_noise(model, strategy.noise_at(0.1), torch.Generator().manual_seed(0))
     means = model.params["means"].double().numpy()
     assert not means[: n // 2].any()
     gate = 1 / (1 + math.exp(100 * (0.01 - 0.005)))
-    axes = row_ops.rotate(model.params["quats"][:3], torch.eye(3)).double().numpy().T
+    axes = rotate(model.params["quats"][:3], torch.eye(3)).double().numpy().T
     sigma = axes @ np.diag([0.25, 0.04, 0.01]) @ axes.T
     expected = (gate * 10.0 * 0.1) ** 2 * sigma @ sigma
     found = np.cov(means[n // 2 :].T)
@@ -294,6 +292,7 @@ def test_both_strategies_take_a_model_of_one(marked_model: Make, strategy: Strat
     config = TrainConfig(iterations=100, refine_start=1, refine_every=1, strategy=strategy)
     model = opaque(marked_model(1), 0.01)
     policy = make_strategy(config, plan_of(config), extent=EXTENT)
-    policy.start(model)
-    after(policy, model, 5, len(model), means_lr=1e-4)
+    clear(model)
+    after(policy, model, 5, len(model))
+    add_noise(model, policy.noise_at(1e-4), torch.Generator().manual_seed(0))
     assert len(model) >= 1

@@ -1,15 +1,18 @@
-"""Finite check of loss and gradients; `Model.step` skips rows that are not finite."""
+"""Finite check of loss and gradients; `CpuModel.step` skips rows that are not finite."""
 
 import math
+from typing import TYPE_CHECKING
 
 import torch
 
 from ...errors import GsError
 from ...text_format import count_words
-from .model import Model
+
+if TYPE_CHECKING:
+    from .model import CpuModel
 
 
-def assert_finite(model: Model, loss: float, *, step: int, view: str) -> None:
+def assert_finite(model: "CpuModel", loss: float, *, step: int, view: str) -> None:
     """Raise GsError naming the loss or the first gradient that is not finite."""
     if not math.isfinite(loss):
         raise GsError(f"Step {step}, view {view}: the loss is {loss}.")

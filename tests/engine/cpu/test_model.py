@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 import torch
 
+from gscore.engine.base import RowEdit
+from gscore.engine.cpu.model import CpuModel, ShUpdate
 from gscore.splats import PARAMETERS
-from gscore.trainer.model.model import Model, ShUpdate
-from gscore.trainer.strategy import row_ops
+from gscore.trainer.strategy import relocation
 
 
-def test_steps_are_those_of_adam(marked_model: Callable[..., Model]) -> None:
+def test_steps_are_those_of_adam(marked_model: Callable[..., CpuModel]) -> None:
     """Oracle: the update rule written out, with bias correction, beta 0.9 and 0.999, eps 1e-15."""
-    model = Model(marked_model(50).params)
+    model = CpuModel(marked_model(50).params)
     rng = np.random.default_rng(0)
     rates = {name: 1e-3 * (i + 1) for i, name in enumerate(PARAMETERS)}
     expected = {name: p.double().numpy().copy() for name, p in model.params.items()}
@@ -35,7 +36,7 @@ def test_steps_are_those_of_adam(marked_model: Callable[..., Model]) -> None:
         assert model.steps(name) == 5
 
 
-def test_missing_sh_coefficients_take_no_step(marked_model: Callable[..., Model]) -> None:
+def test_missing_sh_coefficients_take_no_step(marked_model: Callable[..., CpuModel]) -> None:
     """Oracle: no update at degree 0, while the other parameters move."""
     model = marked_model(4, sh_rest=0)
     before = model.params["sh0"].clone()
@@ -52,7 +53,7 @@ def test_missing_sh_coefficients_take_no_step(marked_model: Callable[..., Model]
 class Twin:
     """The same splats under dense Adam in float64, with rows moved in the same way."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: CpuModel) -> None:
         self.params = {name: p.double().numpy().copy() for name, p in model.params.items()}
         self.m = {name: np.zeros_like(x) for name, x in self.params.items()}
         self.v = {name: np.zeros_like(x) for name, x in self.params.items()}
@@ -74,7 +75,7 @@ class Twin:
             self.m[name] = np.concatenate([self.m[name][keep], none[name]])
             self.v[name] = np.concatenate([self.v[name][keep], none[name]])
 
-    def distances(self, model: Model) -> dict[str, float]:
+    def distances(self, model: CpuModel) -> dict[str, float]:
         """By parameter: the largest distance between two rows, relative to the row's length."""
         found = {}
         for name, p in model.synced().items():
@@ -94,7 +95,7 @@ def test_late_rows_end_where_dense_adam_takes_them(every: int) -> None:
     shapes = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": (), "sh0": (1, 3)}
     shapes["shN"] = (15, 3)
     first = {k: rng.normal(size=(n, *s)) + 3.0 for k, s in shapes.items()}
-    model = Model({k: torch.from_numpy(x).float() for k, x in first.items()})
+    model = CpuModel({k: torch.from_numpy(x).float() for k, x in first.items()})
     twin = Twin(model)
     generator = torch.Generator().manual_seed(0)
     gathered = np.zeros((n, 15, 3))
@@ -127,20 +128,24 @@ def test_late_rows_end_where_dense_adam_takes_them(every: int) -> None:
         if step % 90 == 0:  # prune and copy, in another order
             keep = rng.permutation(n)[: n - 5]
             parents = rng.choice(n, 8, replace=False)
-            copies = row_ops.duplicate(model, torch.from_numpy(parents))
-            row_ops.edit(model, keep=torch.from_numpy(keep), append=copies)
+            model.edit(RowEdit(keep=keep, parents=parents))
             twin.edit(keep, parents)
             gathered = np.concatenate([gathered[keep], np.zeros((8, 15, 3))])
         if step % 200 == 0:
-            row_ops.reset_opacities(model, 0.9)
+            lowered = np.minimum(model.column("opacities"), np.float32(relocation.logit(0.9)))
+            model.edit(RowEdit(values={"opacities": lowered}, forget=("opacities",)))
             twin.params["opacities"] = np.minimum(twin.params["opacities"], math.log(9))
             twin.m["opacities"][:], twin.v["opacities"][:] = 0, 0
         if step % 333 == 0:  # a relocated splat has its parent's numbers; both have zero moments
             n = len(model)
-            dead = torch.zeros(n, dtype=torch.bool)
+            dead, within = np.zeros(n, bool), np.ones(n, bool)
             dead[:4] = True
             before = model.synced()["sh0"].clone()
-            assert row_ops.relocate(model, dead, generator, min_opacity=0.005) == 4
+            for edit in relocation.relocate(
+                model.column, dead, generator, within=within, min_opacity=0.005
+            ):
+                assert edit.moved is not None and len(edit.moved) == 4
+                model.edit(edit)
             parents = (model.params["sh0"][:4, None] == before[None, 4:]).all(dim=(2, 3))
             chosen = parents.int().argmax(dim=1).numpy() + 4
             for name in PARAMETERS:
@@ -148,7 +153,7 @@ def test_late_rows_end_where_dense_adam_takes_them(every: int) -> None:
                     moments[name][:4], moments[name][chosen] = 0, 0
                 twin.params[name][:4] = twin.params[name][chosen]
             rows = [*range(4), *chosen]
-            for name in ("opacities", "scales"):  # set by the rule that test_ops checks
+            for name in ("opacities", "scales"):  # set by the rule that test_relocation checks
                 twin.params[name][rows] = model.params[name][rows].double().numpy()
             gathered[:4] = 0
     assert model.rows["shN_lag"].any()
@@ -165,7 +170,7 @@ def test_looking_at_a_model_changes_no_bit() -> None:
         rng = np.random.default_rng(0)
         shapes = [(40, 3), (40, 4), (40, 3), (40,), (40, 1, 3), (40, 8, 3)]
         first = {k: rng.normal(size=s) for k, s in zip(PARAMETERS, shapes, strict=True)}
-        model = Model({k: torch.from_numpy(x).float() for k, x in first.items()})
+        model = CpuModel({k: torch.from_numpy(x).float() for k, x in first.items()})
         model.set_rates(dict.fromkeys(PARAMETERS, 1e-2))
         for _ in range(30):
             radii = torch.from_numpy((rng.random(40) < 0.3).astype(np.int32))
@@ -186,10 +191,10 @@ def test_looking_at_a_model_changes_no_bit() -> None:
     assert all(torch.equal(results[0][name], results[1][name]) for name in PARAMETERS)
 
 
-def test_a_step_of_several_photos_fades_as_so_many(marked_model: Callable[..., Model]) -> None:
+def test_a_step_of_several_photos_fades_as_so_many(marked_model: Callable[..., CpuModel]) -> None:
     """Oracle: the update rule written out with beta to the power of the photos, steps counted in
     photos; higher SH coefficients have their own count."""
-    model = Model(marked_model(50).params)
+    model = CpuModel(marked_model(50).params)
     rng = np.random.default_rng(0)
     expected, m, v = model.params["means"].double().numpy().copy(), 0.0, 0.0
     taken = 0

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from gscore.config import DataConfig, TrainConfig
+from gscore.engine.cpu.filter3d import apply_min_scale, sampling_rates
+from gscore.engine.cpu.model import CpuModel
 from gscore.io.ply.splats import read_ply
 from gscore.raster.request import Frustum
-from gscore.trainer.model.filter3d import apply_min_scale, sampling_rates
-from gscore.trainer.model.model import Model
 from gscore.trainer.run import train
 
 PIXELS = 2.0
@@ -50,7 +50,7 @@ def rate_of(place: np.ndarray, looks: list[Frustum]) -> float:
 
 
 @pytest.fixture
-def model() -> Model:
+def model() -> CpuModel:
     """Four hundred splats about the origin, SH degree 0, axes from far too short to large."""
     rng = np.random.default_rng(7)
     rows = 400
@@ -62,10 +62,10 @@ def model() -> Model:
         "sh0": rng.normal(size=(rows, 1, 3)),
         "shN": np.zeros((rows, 0, 3)),
     }
-    return Model({name: torch.from_numpy(a).float() for name, a in arrays.items()})
+    return CpuModel({name: torch.from_numpy(a).float() for name, a in arrays.items()})
 
 
-def test_the_rate_is_that_of_the_nearest_photo(model: Model) -> None:
+def test_the_rate_is_that_of_the_nearest_photo(model: CpuModel) -> None:
     """Oracle: float64, one place and one camera at a time."""
     found = sampling_rates(model.params["means"], views())
     expected = [rate_of(place, views()) for place in model.params["means"].double().numpy()]
@@ -73,7 +73,7 @@ def test_the_rate_is_that_of_the_nearest_photo(model: Model) -> None:
     assert 0.1 < np.mean(np.array(expected) == 0) < 0.9  # some are visible, some are not
 
 
-def test_only_axes_that_are_too_short_change(model: Model) -> None:
+def test_only_axes_that_are_too_short_change(model: CpuModel) -> None:
     """Oracle: max(axis, pixels / rate) in float64; splats outside all photos, and all else,
     stay."""
     before = {name: p.clone() for name, p in model.params.items()}
@@ -89,7 +89,7 @@ def test_only_axes_that_are_too_short_change(model: Model) -> None:
         assert torch.equal(before[name], model.params[name])
 
 
-def test_no_splats_and_no_views_are_no_error(model: Model) -> None:
+def test_no_splats_and_no_views_are_no_error(model: CpuModel) -> None:
     """Oracle: unchanged splats."""
     before = model.params["scales"].clone()
     apply_min_scale(model, [], PIXELS)

@@ -6,13 +6,16 @@ widens it to half a pixel; a closer view would show the arbitrary thickness.
 
 import math
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
 from ...raster.memory import empty, ones, zeros
 from ...raster.request import Frustum
-from .model import Model
+
+if TYPE_CHECKING:
+    from .model import CpuModel
 
 _MARGIN = 0.15
 """Margin around a photo, relative to its sides, from which splats may still reach into it."""
@@ -45,7 +48,7 @@ def sampling_rates(means: torch.Tensor, views: Iterable[Frustum]) -> torch.Tenso
     return rates
 
 
-def apply_min_scale(model: Model, views: Iterable[Frustum], pixels: float) -> None:
+def apply_min_scale(model: "CpuModel", views: Iterable[Frustum], pixels: float) -> None:
     """Raise scales to at least `pixels` of the nearest photo.
 
     Args:

@@ -6,10 +6,13 @@ moments: the strategy removes or relocates it like other transparent splats.
 """
 
 import math
+from typing import TYPE_CHECKING
 
 import torch
 
-from .model import Model
+if TYPE_CHECKING:
+    from .model import CpuModel
+
 
 MAX_MEAN = 1e6
 """Farthest coordinate, in camera extents."""
@@ -31,7 +34,7 @@ _GONE = -MAX_LOGIT
 _NEUTRAL = {"means": 0.0, "quats": 1.0, "scales": -10.0, "opacities": _GONE, "sh0": 0.0, "shN": 0.0}
 
 
-def clamp_runaways(model: Model, *, extent: float) -> int:
+def clamp_runaways(model: "CpuModel", *, extent: float) -> int:
     """Reset runaway rows, and clamp opacities and axes to their bounds.
 
     Args:
@@ -71,7 +74,7 @@ def clamp_runaways(model: Model, *, extent: float) -> int:
     return count
 
 
-def _clamp_spread(model: Model, extent: float) -> None:
+def _clamp_spread(model: "CpuModel", extent: float) -> None:
     scales = model.params["scales"]
     if scales.numel() == 0 or float(scales.max()) <= math.log(MAX_SPREAD * extent):
         return
@@ -85,7 +88,7 @@ def _all_within(values: torch.Tensor, limit: float) -> bool:
     return -limit <= float(low) and float(high) <= limit and math.isfinite(float(low))
 
 
-def _reset_rows(model: Model, bad: torch.Tensor) -> None:
+def _reset_rows(model: "CpuModel", bad: torch.Tensor) -> None:
     for name, value in _NEUTRAL.items():
         model.params[name][bad] = value
         model.grads[name][bad] = 0
@@ -95,7 +98,7 @@ def _reset_rows(model: Model, bad: torch.Tensor) -> None:
         counter[bad] = 0
 
 
-def _reset_overflowed_moments(model: Model, name: str) -> None:
+def _reset_overflowed_moments(model: "CpuModel", name: str) -> None:
     """Clear moments that overflowed, as after one gradient of 1e20: such rows would stop moving."""
     first, second = model.moments(name)
     if second.numel() == 0 or _all_within(second, _LARGEST):

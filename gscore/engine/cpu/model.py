@@ -1,15 +1,20 @@
-"""Model in training: parameters, Adam moments and per-splat counters, kept in the same rows."""
+"""CPU model: parameters, Adam moments and per-splat counters, kept in the same rows."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import Enum, auto
+from functools import partial
 from typing import NamedTuple
 
+import numpy as np
 import torch
 
 from ...raster import adam
 from ...raster.memory import zeros
 from ...raster.request import Frustum
-from ...splats import PARAMETERS
+from ...splats import PARAMETERS, SH_REST_BY_DEGREE
+from ..base import RowEdit
+from . import filter3d, sanitize
+from .row_order import morton_order
 
 _SEEN, _LAG = "shN_seen", "shN_lag"
 
@@ -35,11 +40,10 @@ class Moments(NamedTuple):
     """Accumulated gradients for the next step; None: zeros."""
 
 
-class Model:
-    """N splats with their parameters, gradients, Adam moments and counters.
+class CpuModel:
+    """N splats with their parameters, gradients, Adam moments and counters (`EngineModel`).
 
-    Rows are added, removed and overwritten by `strategy.row_ops` only, so that parameters, moments
-    and counters stay aligned. SH coefficients are stored up to the degree in use.
+    SH coefficients are stored up to the degree in use.
 
     Rows of shN, three quarters of all numbers, use lazy Adam: a row that receives no gradient is
     pending until a view may show it or it is read, and then catches up on all skipped steps. So
@@ -48,16 +52,23 @@ class Model:
     """
 
     def __init__(
-        self, tensors: Mapping[str, torch.Tensor], moments: Mapping[str, Moments] | None = None
+        self,
+        tensors: Mapping[str, torch.Tensor],
+        moments: Mapping[str, Moments] | None = None,
+        *,
+        counters: Sequence[str] = (),
     ) -> None:
-        """Take ownership of raw float32 tensors as in `Splats` and of `moments`; None: zeros."""
+        """Take ownership of raw float32 tensors as in `Splats` and of `moments`; None: zeros.
+
+        `counters`: names of the float32 counters of a strategy.
+        """
         self.params: dict[str, torch.Tensor] = {}
         self.grads: dict[str, torch.Tensor] = {}
         """Gradients, shaped as `params`. Those of shN accumulate until its next step."""
         n = len(tensors["means"])
         self.rows: dict[str, torch.Tensor] = {
             name: zeros(n, dtype=torch.uint8) for name in (_SEEN, _LAG)
-        }
+        } | {name: zeros(n) for name in counters}
         """[N] counters: those of the strategy, float32, and pending steps of shN rows, uint8."""
         self.drift = zeros(adam.LAGS, dtype=torch.float64)
         """Factor of the pending update of a shN row, by number of skipped steps."""
@@ -109,20 +120,106 @@ class Model:
         self._steps[name] = self._steps[name] if steps is None else steps
         self._settled = None
 
-    def rebuild(
-        self,
-        name: str,
-        of_value: Callable[[torch.Tensor], torch.Tensor],
-        of_rest: Callable[[torch.Tensor], torch.Tensor],
-    ) -> None:
-        """Apply functions to a parameter, and to its moments and accumulated gradient: one tensor
-        after another, so that no more than one exists twice."""
-        self.params[name] = of_value(self.params[name]).contiguous()
+    @property
+    def widths(self) -> dict[str, tuple[int, ...]]:
+        """Shape of a row of each column, by name."""
+        return {name: tuple(t.shape[1:]) for name, t in (self.params | self.rows).items()}
+
+    def column(self, name: str) -> np.ndarray:
+        """Return a copy of a parameter or counter, [N, ...], after all pending steps."""
+        if name == "shN":
+            return self.synced()[name].numpy().copy()
+        return self._tensor(name).numpy().copy()
+
+    def gather(self, name: str, rows: np.ndarray) -> np.ndarray:
+        """Return some rows, [M] int64, of a parameter or counter, after all pending steps."""
+        tensor = self.synced()[name] if name == "shN" else self._tensor(name)
+        return tensor[torch.from_numpy(rows)].numpy()
+
+    def edit(self, edit: RowEdit) -> None:
+        """Apply an edit to parameters, moments and counters."""
+        if edit.moves_rows:
+            self.sync()
+        self._settled = None
+        rows = slice(None) if edit.rows is None else torch.from_numpy(edit.rows)
+        for name, values in edit.values.items():
+            self._tensor(name)[rows] = torch.from_numpy(values)
+        for name in edit.forget:
+            for moment in self._moments[name]:
+                moment[rows] = 0
+        if edit.moved is not None and edit.sources is not None:
+            self._move(torch.from_numpy(edit.moved), torch.from_numpy(edit.sources))
+        if edit.keep is not None or edit.parents is not None or edit.morton:
+            self._rebuild(edit)
+
+    def widen_sh(self, degree: int) -> None:
+        """Extend the SH coefficients to at least `degree`; new ones and their moments are zero."""
+        missing = SH_REST_BY_DEGREE[degree] - self.params["shN"].shape[1]
+        if missing <= 0:
+            return
+        self.sync()
+        wider = partial(torch.nn.functional.pad, pad=(0, 0, 0, missing))
+        self.params["shN"] = wider(self.params["shN"]).contiguous()
+        self._map_rest("shN", wider)
+
+    def clamp_runaways(self, extent: float) -> int:
+        """Reset runaway rows and clamp saturated parameters; returns the number of reset rows."""
+        return sanitize.clamp_runaways(self, extent=extent)
+
+    def apply_min_scale(self, views: Iterable[Frustum], pixels: float) -> None:
+        """Raise scales to at least `pixels` of the nearest photo."""
+        filter3d.apply_min_scale(self, views, pixels)
+
+    def _tensor(self, name: str) -> torch.Tensor:
+        return self.params[name] if name in self.params else self.rows[name]
+
+    def _move(self, targets: torch.Tensor, sources: torch.Tensor) -> None:
+        for name, p in self.params.items():
+            p[targets] = p[sources]
+            for cleared in (*self._moments[name], self.grads[name]):
+                cleared[targets] = 0
+        for counter in self.rows.values():
+            counter[targets] = 0
+
+    def _rebuild(self, edit: RowEdit) -> None:
+        """Keep rows and append copies, one tensor after another, so that no more than one exists
+        twice."""
+        keep = None if edit.keep is None else torch.from_numpy(edit.keep)
+        if edit.morton:
+            means = self.params["means"] if keep is None else self.params["means"][keep]
+            order = morton_order(means)
+            keep = order if keep is None else keep[order]
+        parents = None if edit.parents is None else torch.from_numpy(edit.parents)
+        kept = len(self) if keep is None else len(keep)
+        added = 0 if parents is None else len(parents)
+
+        def rebuilt(old: torch.Tensor, new: torch.Tensor | None = None) -> torch.Tensor:
+            out = old.new_empty((kept + added, *old.shape[1:]))
+            if keep is None:
+                out[:kept] = old
+            else:
+                torch.index_select(old, 0, keep, out=out[:kept])
+            out[kept:] = 0 if new is None else new
+            return out
+
+        for name in PARAMETERS:
+            new = None
+            if name in edit.changes:
+                new = torch.from_numpy(edit.changes[name])
+            elif parents is not None:
+                new = self.params[name][parents]
+            self.params[name] = rebuilt(self.params[name], new)
+            self._map_rest(name, rebuilt)
+        for name, counter in self.rows.items():
+            self.rows[name] = rebuilt(counter)
+
+    def _map_rest(self, name: str, function: Callable[[torch.Tensor], torch.Tensor]) -> None:
+        """Apply a function to the moments and the accumulated gradient of a parameter."""
         first, second = self._moments.pop(name)
-        first = of_rest(first).contiguous()
-        second = of_rest(second).contiguous()
+        first = function(first).contiguous()
+        second = function(second).contiguous()
         self._moments[name] = first, second
-        self.grads[name] = of_rest(self.grads[name]).contiguous()
+        self.grads[name] = function(self.grads[name]).contiguous()
         self._settled = None
 
     def set_rates(self, rates: Mapping[str, float]) -> None:

@@ -10,12 +10,12 @@ import pytest
 import torch
 
 from gscore.config import TrainConfig
+from gscore.engine.cpu import sanitize
+from gscore.engine.cpu.model import CpuModel
 from gscore.errors import GsError
 from gscore.raster.autograd import RasterAux, rasterize
 from gscore.raster.loss import image_loss
 from gscore.splats import PARAMETERS
-from gscore.trainer.model import sanitize
-from gscore.trainer.model.model import Model
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(iterations=200, max_splats=300, sh_degree=1, refine_start=150)
@@ -78,7 +78,7 @@ def test_a_poisoned_row_of_a_thousand_leaves_all_others_alone(
 @pytest.mark.parametrize("name", PARAMETERS)
 @pytest.mark.parametrize("value", [*POISON, 1e30, -1e30])
 def test_what_ran_away_is_taken_out(
-    marked_model: Callable[..., Model], name: str, value: float
+    marked_model: Callable[..., CpuModel], name: str, value: float
 ) -> None:
     """Oracle: row 3, neutral and without moments; the others unchanged. A tiny scale is allowed."""
     model = marked_model(10)
@@ -100,7 +100,7 @@ def test_what_ran_away_is_taken_out(
     assert sanitize.clamp_runaways(model, extent=1.0) == 0
 
 
-def test_saturated_opacities_and_thin_axes_are_held(marked_model: Callable[..., Model]) -> None:
+def test_saturated_opacities_and_thin_axes_are_held(marked_model: Callable[..., CpuModel]) -> None:
     """Oracle: the bounds, within which the slope of the sigmoid times a pixel's share is not
     zero."""
     model = marked_model(4)
@@ -111,7 +111,7 @@ def test_saturated_opacities_and_thin_axes_are_held(marked_model: Callable[..., 
     assert model.params["scales"][1].tolist() == pytest.approx([0.0, -math.log(1e5), -1.0])
 
 
-def test_sizes_are_bounded_by_the_distance(marked_model: Callable[..., Model]) -> None:
+def test_sizes_are_bounded_by_the_distance(marked_model: Callable[..., CpuModel]) -> None:
     """Oracle: 5 x (extent + distance): a large sky passes, splats that fill every picture do
     not."""
     model = marked_model(4)
@@ -179,7 +179,7 @@ def test_all_rows_may_be_lost_without_a_crash(photos: Any) -> None:
     assert all(torch.isfinite(p.detach()).all() for p in trainer.model.params.values())
 
 
-def test_moments_that_overflowed_are_cleared(marked_model: Callable[..., Model]) -> None:
+def test_moments_that_overflowed_are_cleared(marked_model: Callable[..., CpuModel]) -> None:
     """Oracle: row 2 alone; Adam would never move it again with an infinite second moment."""
     model = marked_model(5)
     first, second = model.moments("means")

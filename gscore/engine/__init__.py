@@ -1,0 +1,1 @@
+"""Engines: what computes a training; the trainer decides what to train."""

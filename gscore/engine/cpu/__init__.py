@@ -1,0 +1,1 @@
+"""CPU engine: the native library through torch tensors."""

@@ -1,0 +1,47 @@
+"""Noise and regularisers of MCMC training (Kheradmand et al. 2024, section 5)."""
+
+import math
+
+import torch
+
+from ..random import gaussian
+from ..rotation import rotate
+from .model import CpuModel
+
+GATE_SHARPNESS = 100.0
+GATE_OPACITY = 0.005
+"""Opacity around which noise fades out: sigmoid(-sharpness (opacity - GATE_OPACITY))."""
+NOISE_MAX_OPACITY = 0.1
+"""Opacity from which splats get no noise; the gate would leave less than 1e-4 of it."""
+
+
+def add_regularisers(model: CpuModel, *, opacity_reg: float, scale_reg: float) -> None:
+    """Add the gradients of opacity_reg * mean(opacity) + scale_reg * mean(scale)."""
+    if len(model) == 0:
+        return
+    scales, grads = model.params["scales"], model.grads
+    if opacity_reg:
+        opacity = torch.sigmoid(model.params["opacities"])
+        slope = opacity * (1 - opacity)
+        grads["opacities"].add_(slope, alpha=opacity_reg / len(model))
+    if scale_reg:
+        grads["scales"].add_(scales.exp(), alpha=scale_reg / scales.numel())
+
+
+def add_noise(model: CpuModel, weight: float, generator: torch.Generator) -> None:
+    """Move faint splats by covariance @ normal noise times `weight`."""
+    if weight <= 0:
+        return
+    opacities = model.params["opacities"]
+    limit = math.log(NOISE_MAX_OPACITY / (1 - NOISE_MAX_OPACITY))
+    faint = (opacities < limit).nonzero().flatten()
+    if len(faint) == 0:
+        return
+    opacity = torch.sigmoid(opacities[faint])
+    gate = torch.sigmoid(-GATE_SHARPNESS * (opacity - GATE_OPACITY))
+    variance = (2 * model.params["scales"][faint]).exp()
+    quats = model.params["quats"][faint]
+    noise = gaussian((len(faint), 3), generator) * (gate * weight)[:, None]
+    back = quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
+    shift = rotate(quats, variance * rotate(back, noise))
+    model.params["means"].index_add_(0, faint, shift)
