@@ -38,7 +38,7 @@ def two(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[SimpleNamespace]:
     yield SimpleNamespace(scene=scene, plush=folders[0], studio=folders[1], tmp=tmp_path)
     for job in registry.jobs():
         job.kill()
-        job.wait(10)
+        job.wait(60)
         registry.remove(job)
     prefs.python_path = before
 
@@ -196,7 +196,7 @@ def test_discarding_a_new_start_keeps_the_old_object(two: SimpleNamespace) -> No
     """Until the new run has filled it, because it has the only splats of the old run."""
     trained(two, two.plush, splats(10))
     plush = two.scene.gscore.result
-    run(two, step(1), {"sleep": 60})
+    run(two, step(1), {"sleep": 600})
     job = start_training.train(two.scene, overwrite=True)
     until(lambda: job.state.step == 1)
     start_training.discard(job)

@@ -31,7 +31,7 @@ def positions(ob: bpy.types.Object) -> np.ndarray:
     return out.reshape(-1, 3)
 
 
-def until(condition: Callable[[], bool], timeout: float = 20.0) -> None:
+def until(condition: Callable[[], bool], timeout: float = 60.0) -> None:
     """Poll like Blender until a condition is true."""
     end = time.monotonic() + timeout
     while not condition():

@@ -51,7 +51,7 @@ def looking(port, make_request):
         yield seen
     finally:
         over.set()
-        thread.join(30)
+        thread.join(60)
 
 
 @pytest.mark.parametrize("strategy", [Strategy.DEFAULT, Strategy.MCMC])
@@ -107,7 +107,7 @@ def test_a_viewer_can_hold_and_look_on(capture, tmp_path):  # noqa: F811
             up.set()
 
         result = train(CONFIG, data, out, note, Control(), viewers=server.viewers)
-    thread.join(30)
+    thread.join(60)
     assert result.reason == "finished" and result.steps == CONFIG.iterations
     assert any(isinstance(e, Progress) and e.phase == "paused" for e in events)
     K, viewmat, width, height = camera(out)

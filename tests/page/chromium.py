@@ -58,7 +58,7 @@ class Chromium:
     def __exit__(self, *_: object) -> None:
         os.close(self._to)
         self._process.terminate()
-        self._process.wait(30)
+        self._process.wait(60)
         os.close(self._from)
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:

@@ -422,7 +422,7 @@ class Job:
         """Read to the end; return the exit code."""
         assert self.process.stdout
         self.events += [e for line in self.process.stdout if (e := from_line(line))]
-        return self.process.wait(timeout=20)
+        return self.process.wait(timeout=60)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from pathlib import Path
 from gscore.control import Control, end_means_parent_gone, listen
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
+def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if condition():
@@ -50,7 +50,7 @@ def test_a_pause_ends_with_resume_or_stop() -> None:
         thread.join(0.1)
         assert thread.is_alive()
         control.submit(way)
-        thread.join(5)
+        thread.join(60)
         assert not thread.is_alive()
 
 
@@ -68,7 +68,7 @@ def test_a_pipe_is_read_line_by_line_and_its_end_counts() -> None:
     assert wait_for(control.take_snapshot)
     assert ends == []
     os.close(write)
-    thread.join(5)
+    thread.join(60)
     assert ends == [1]
     assert control.unknown() == ["nonsense"]
     os.close(read)
@@ -80,7 +80,7 @@ def test_only_pipes_and_sockets_end_with_their_parent(tmp_path: Path) -> None:
     control, ends = Control(), []
     for path in (tmp_path / "commands", Path(os.devnull)):
         descriptor = os.open(path, os.O_RDONLY)
-        listen(control, descriptor, on_end=lambda: ends.append(1)).join(5)
+        listen(control, descriptor, on_end=lambda: ends.append(1)).join(60)
         os.close(descriptor)
     assert control.paused
     assert ends == []
@@ -106,6 +106,6 @@ def test_commands_can_come_while_the_trainer_looks() -> None:
     thread.start()
     while not control.stopping:
         control.wait_while_paused()
-    thread.join(5)
+    thread.join(60)
     assert control.take_snapshot()
     assert not control.paused

@@ -33,7 +33,7 @@ def file_of(path: Path, size: tuple[int, int], to: tuple[int, int]) -> ViewFile:
 def test_no_more_than_there_is(size: int, together: int) -> None:
     """Oracle: a counter of active threads, of eight; a photo larger than the whole room is
     alone."""
-    room, lock = _Room(10), threading.Lock()
+    room, lock, full = _Room(10), threading.Lock(), threading.Event()
     inside, most = 0, 0
 
     def work() -> None:
@@ -42,7 +42,10 @@ def test_no_more_than_there_is(size: int, together: int) -> None:
             with lock:
                 inside += 1
                 most = max(most, inside)
-            time.sleep(0.02)
+                if inside == together:
+                    full.set()
+            assert full.wait(60)
+            time.sleep(0.02)  # for others that may not enter
             with lock:
                 inside -= 1
 

@@ -144,8 +144,18 @@ def nothing() -> Iterator[str]:
         yield ""
 
 
+def stroke(pieces: Any) -> Iterator[str]:
+    """A whole stroke of a brush, a move per step."""
+    made = yield from pieces
+    for x in range(500, 1100, 20):
+        made.to(np.array([x, 450.0]))
+        made.show()
+        yield ""
+    made.finish()
+
+
 def strokes(ob: bpy.types.Object, camera: bpy.types.Object) -> None:
-    """Measure the start of a brush stroke, and picking a color."""
+    """Measure the start of a brush stroke, a whole one, and picking a color."""
     from addon.cameras.render_camera import render_camera
     from addon.paint import paint_target, visible_splats
     from addon.paint.brush import Brush
@@ -155,6 +165,7 @@ def strokes(ob: bpy.types.Object, camera: bpy.types.Object) -> None:
     brush = Brush(radius=50, color=(1, 0, 0))
     measured("Paint", paint_target.begin_stroke(ob, brush, view))
     measured("Paint, Front Only", paint_target.begin_stroke(ob, brush, view, front_only=True))
+    measured("Paint, a Stroke", stroke(paint_target.begin_stroke(ob, brush, view)))
     with suppress(ValueError):  # there may be no splat in the middle
         measured("Paint, Pick a Color", visible_splats.color_at(ob, view, np.array([800.0, 450.0])))
 

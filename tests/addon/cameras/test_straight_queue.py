@@ -46,7 +46,7 @@ def tasks(*copies: str) -> list[dict[str, str]]:
 
 def poll_until(queue: UndistortQueue, program: object, done: Callable[[list[str]], bool]) -> list:
     """Poll until a condition on the finished copies is true; return them."""
-    made, until = [], time.monotonic() + 20
+    made, until = [], time.monotonic() + 60
     while not done(made):
         assert time.monotonic() < until, (made, queue.problems)
         made += queue.poll(program)

@@ -256,13 +256,11 @@ def test_a_photo_that_cannot_be_read_is_said(scene, tmp_path: Path, own_copies: 
 
 
 def test_the_queue_stops_and_goes_on(scene, tmp_path: Path, own_copies: Path) -> None:
-    """Oracle: the existing copies; Blender never waits."""
+    """Oracle: the existing copies; none is waited for."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
     assert not bpy.ops.gscore.stop_straightening.poll()
-    began = time.monotonic()
     assert undistort_jobs.ask(made.cameras) == 3
-    undistort_jobs.collect()
-    assert time.monotonic() - began < 0.5
+    assert not undistort_jobs.collect()
     begun = copy_needed(made.cameras[0])
     assert "Undistorting photos: 0 of 3" in drawn(CamerasPanel)
     assert not bpy.ops.gscore.remove_straight_photos.poll()

@@ -23,6 +23,7 @@ from addon.training import facts, lookups, verb_job
 from tests.addon.captures import STUDIO
 from tests.addon.fake_trainer import fake_python
 from tests.addon.trainings import until
+from tests.lines_run import lines_run
 
 ROOT = Path(__file__).parents[3]
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
@@ -133,11 +134,11 @@ def test_cancelling_asks_and_then_ends(
     with pytest.raises(RuntimeError, match="No depth job is running"):
         bpy.ops.gscore.cancel_depth()
     monkeypatch.setattr(verb_job, "STOP_GRACE", 0.2)
-    play(progress(1), {"sleep": 60})
+    play(progress(1), {"sleep": 600})
     job = predict_depth.predict(studio)
     until(lambda: job.progress is not None)
     job.cancel()
-    until(lambda: job.ended, timeout=10)
+    until(lambda: job.ended, timeout=60)
     assert job.status == verb_job.CANCELLED
 
 
@@ -199,20 +200,18 @@ def test_the_training_has_a_report_of_its_own(studio: bpy.types.Scene, tmp_path:
 
 
 def test_a_beat_with_a_thousand_views_is_short(studio: bpy.types.Scene, play) -> None:
-    """Oracle: processor time of this thread; the table is complete immediately."""
+    """Oracle: the count of lines per view; the table is complete immediately."""
     table = [ACCEPTED | {"view": f"v{i:04}.jpg"} for i in range(1000)]
     play({"say": DONE | {"table": table}})
     job = predict_depth.check(studio)
-    longest, end = 0.0, time.monotonic() + 60
+    longest, end = 0, time.monotonic() + 60
     while depth_table.table_of(bpy.context) is None or not job.ended:
         assert time.monotonic() < end
-        start = time.thread_time()
-        poll_timer.poll()
-        longest = max(longest, time.thread_time() - start)
+        longest = max(longest, lines_run(poll_timer.poll))
         time.sleep(0.01)
     poll_timer.poll()
     assert len(depth_table.table_of(bpy.context).views) == 1000
-    assert longest < 0.05
+    assert longest < 100 * len(table)
 
 
 @needs_trainer

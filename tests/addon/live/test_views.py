@@ -64,7 +64,7 @@ class Screen:
 
     def drawn(self, one: Placed) -> object:
         """Redraw until the picture is complete."""
-        until = time.monotonic() + 20
+        until = time.monotonic() + 60
         while (picture := self.draw(one)) is None or not self.view.complete:
             assert time.monotonic() < until
             time.sleep(0.02)

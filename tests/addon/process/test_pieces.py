@@ -77,7 +77,7 @@ def test_given_up():
 
     def beside(check: Check) -> None:
         began.set()
-        assert go_on.wait(20)
+        assert go_on.wait(60)
         try:
             check()
         except Cancelled:
@@ -92,11 +92,11 @@ def test_given_up():
             log.append("over")
 
     going = TaskRunner(endless())
-    assert not going.step() and began.wait(20) and not going.step()
+    assert not going.step() and began.wait(60) and not going.step()
     going.cancel()
     assert log == ["over"]
     go_on.set()
-    assert ends.wait(20) and log == ["over"]
+    assert ends.wait(60) and log == ["over"]
 
 
 class _Counting:

@@ -23,7 +23,7 @@ def test_the_end_waits_and_asks() -> None:
         [sys.executable, "-c", SCRIPT, str(ROOT / "addon" / "process" / "threads.py")],
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=60,
     )
     assert done.returncode == 3, done.stderr
     assert done.stdout.split("\n")[0] == "the end"

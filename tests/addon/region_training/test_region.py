@@ -213,7 +213,7 @@ def test_a_result_that_has_no_place_is_told_where_it_lies(
 def test_stopping_leaves_all_as_it_was(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
     """Oracle: the splats of the object."""
     write_splats(tmp_path / "a.ply", splats(50))
-    play({"say": STARTED}, {"follow": 30})
+    play({"say": STARTED}, {"follow": 600})
     ob = cropped(studio, tmp_path / "a.ply")
     before = positions(ob)
     bpy.ops.gscore.train_region()
@@ -233,7 +233,7 @@ def test_no_step_of_the_start_is_long(
     writes; the splats at the button press, byte by byte, although all were painted over
     meanwhile."""
     write_splats(tmp_path / "a.ply", splats(50))
-    play({"say": STARTED}, {"follow": 30})
+    play({"say": STARTED}, {"follow": 600})
     ob = cropped(studio, tmp_path / "a.ply")
     expected = objects.transformed(ob, splat_files.source_matrix_of_data(ob))
     read, writers, meshes = [], [], len(bpy.data.meshes)
@@ -266,7 +266,7 @@ def test_no_step_of_the_start_is_long(
 def test_stopping_before_the_start(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
     """Oracle: no file, mesh or process is left, and the next one may begin."""
     write_splats(tmp_path / "a.ply", splats(50))
-    told = play({"say": STARTED}, {"follow": 30})
+    told = play({"say": STARTED}, {"follow": 600})
     cropped(studio, tmp_path / "a.ply")
     meshes = len(bpy.data.meshes)
     bpy.ops.gscore.train_region()
@@ -284,7 +284,7 @@ def test_a_start_that_cannot_be_written(
 ) -> None:
     """Oracle: an error in the panel that names the file, or the missing splats."""
     write_splats(tmp_path / "a.ply", splats(50))
-    play({"say": STARTED}, {"follow": 30})
+    play({"say": STARTED}, {"follow": 600})
     cropped(studio, tmp_path / "a.ply")
     (tmp_path / "full").write_text("a file where a folder should be")
     studio.gscore.output_path = str(tmp_path / "full" / "out")
@@ -311,7 +311,7 @@ def test_a_start_that_fails_begins_nothing(
 ) -> None:
     """Oracle: an error in the panel, and no started process."""
     write_splats(tmp_path / "a.ply", splats(50))
-    play({"say": STARTED}, {"follow": 30})
+    play({"say": STARTED}, {"follow": 600})
     cropped(studio, tmp_path / "a.ply")
 
     def fail(*_: object) -> None:

@@ -1,7 +1,7 @@
 """Copies of splats in Edit Mode, where Blender reports each copy as a change."""
 
-import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import bmesh
 import bpy
@@ -16,10 +16,12 @@ COUNT = 300
 
 
 class Views:
-    """Fake views: they copy at each redraw, and receive updates."""
+    """Fake views: they copy at each redraw, and receive updates, on a clock of their own."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.made, self.copied = viewport_copies.Copies(), 0
+        self.made, self.copied, self.now = viewport_copies.Copies(), 0, 100.0
+        clock = SimpleNamespace(perf_counter=lambda: self.now)
+        monkeypatch.setattr(viewport_copies, "time", clock)
         frozen = Source.frozen_mesh
 
         def counted(source: Source) -> object:
@@ -37,8 +39,19 @@ class Views:
         """Redraw; return the first splat's x."""
         found = sources(bpy.context.evaluated_depsgraph_get())
         placed, _ = self.made.copied(found)
+        self.now += 0.001
         bpy.context.view_layer.update()
         return float(placed[0].frozen.attributes["position"].data.values[0])
+
+    def move(self, x: float) -> None:
+        """Move the first splat, as a user does, a while after the last redraw."""
+        self.now += 0.1
+        mesh = bpy.context.object.data
+        editor = bmesh.from_edit_mesh(mesh)
+        editor.verts.ensure_lookup_table()
+        editor.verts[0].co.x = x
+        bmesh.update_edit_mesh(mesh)
+        bpy.context.view_layer.update()
 
 
 @pytest.fixture
@@ -54,20 +67,10 @@ def views(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> Iterator[V
     bpy.app.handlers.depsgraph_update_post.remove(made.told)
 
 
-def move(x: float) -> None:
-    """Move the first splat, as a user does."""
-    mesh = bpy.context.object.data
-    editor = bmesh.from_edit_mesh(mesh)
-    editor.verts.ensure_lookup_table()
-    editor.verts[0].co.x = x
-    bmesh.update_edit_mesh(mesh)
-
-
 def test_a_view_comes_to_rest_in_edit_mode(views: Views) -> None:
     """Oracle: the number of copies, which ends; each edit is shown by the next redraw."""
     for x in (3.0, 4.0, 5.0):
-        move(x)
-        bpy.context.view_layer.update()
+        views.move(x)
         assert views.drawn() == np.float32(x)
     for _ in range(5):
         views.drawn()
@@ -78,23 +81,20 @@ def test_a_view_comes_to_rest_in_edit_mode(views: Views) -> None:
 
 
 def test_an_edit_that_comes_with_an_echo_shows_when_it_rests(
-    views: Views, monkeypatch: pytest.MonkeyPatch
+    views: Views,
 ) -> None:
     """Oracle: Blender's position, although its update was taken for that of the copy."""
-    monkeypatch.setattr(viewport_copies, "_REST", 0.05)
-    move(6.0)
-    bpy.context.view_layer.update()
+    views.move(6.0)
     views.drawn()  # differs from the copy before, so the next update counts
     views.made.copied(sources(bpy.context.evaluated_depsgraph_get()))  # the same as that
-    move(7.0)
-    bpy.context.view_layer.update()
+    views.move(7.0)
     assert views.drawn() == np.float32(6.0)
-    time.sleep(0.1)
+    views.now += viewport_copies._REST
     assert views.drawn() == np.float32(7.0)
     for _ in range(5):
         views.drawn()
     before = views.copied
-    time.sleep(0.1)
+    views.now += viewport_copies._REST
     for _ in range(20):
         views.drawn()
     assert views.copied <= before + 1
@@ -103,21 +103,14 @@ def test_an_edit_that_comes_with_an_echo_shows_when_it_rests(
 def test_slow_redraws_come_to_rest_too(views: Views, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the number of copies, which ends although every echo is late at first."""
     monkeypatch.setattr(viewport_copies, "_ECHO", 1e-9)
-    monkeypatch.setattr(
-        viewport_copies, "_REST", 1e9
-    )  # a slow machine may rest in between otherwise
     views.made = viewport_copies.Copies()
-    move(8.0)
-    bpy.context.view_layer.update()
+    views.move(8.0)
     for _ in range(8):
         views.drawn()
     before = views.copied
     for _ in range(20):
         assert views.drawn() == np.float32(8.0)
     assert views.copied == before
-    # No user edits sooner, and fast redraws are finished by then.
-    time.sleep(4 * viewport_copies._SAME_UPDATE)
-    move(9.0)
-    bpy.context.view_layer.update()
+    views.move(9.0)
     views.drawn()
     assert views.drawn() == np.float32(9.0)

@@ -55,7 +55,7 @@ def holiday(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]
     JOBS._jobs.clear()
     for run in registry.jobs():
         run.kill()
-        run.wait(10)
+        run.wait(60)
         registry.remove(run)
     prefs.python_path, prefs.live_seconds = before
 

@@ -32,7 +32,7 @@ def paths(tmp_path: Path, make_splats: Callable[..., Splats]) -> list[Path]:
 def begun(paths: list[Path], **options: object) -> AsyncImport:
     """An import with its files read."""
     made = AsyncImport(bpy.context, [splat_files.want(path, **options) for path in paths])
-    assert made._task.wait(20)
+    assert made._task.wait(60)
     return made
 
 

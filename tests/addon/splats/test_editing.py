@@ -1,7 +1,6 @@
 """Selection, grading, separation and joining of splats. Oracles: numpy on the written attributes,
 Blender's undo, and pictures of the rasterizer."""
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -315,32 +314,6 @@ def test_a_refused_join_changes_nothing(scene: bpy.types.Scene) -> None:
     with pytest.raises(RuntimeError, match="other cannot be transformed"):
         bpy.ops.gscore.join_splats()
     assert len(one.data.vertices) == len(other.data.vertices) == 20
-
-
-@pytest.mark.slow
-def test_a_million_splats(scene: bpy.types.Scene, make_splats: Make) -> None:
-    """Oracle: the clock, processor time; five times the documented time, because machines
-    differ."""
-    ob = lab.add(scene, make_splats(1_000_000))
-    activate(ob)
-    choose(ob, np.arange(1_000_000) < 10)
-    took = {}
-    for name, settings in (
-        ("select_by_color", {}),
-        ("select_by_opacity", {}),
-        ("select_by_size", {}),
-        ("select_flood", {"gap": 0.05}),
-        ("select_floaters", {}),
-        ("grade_splats", {"gain": (1.1, 1, 1)}),
-        ("separate_splats", {}),
-        ("decimate_splats", {"count": 500_000}),
-    ):
-        if ob.mode == "EDIT":
-            bpy.ops.object.mode_set(mode="OBJECT")
-        began = time.process_time()
-        getattr(bpy.ops.gscore, name)(**settings)
-        took[name] = time.process_time() - began
-    assert max(took.values()) < 5, took
 
 
 def test_the_panel_leads_to_a_display_that_follows(

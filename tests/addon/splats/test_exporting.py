@@ -115,7 +115,7 @@ def test_cancelled(obs: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
     def slow(*args: object, **options: object) -> object:
         began.set()
-        assert go_on.wait(20)
+        assert go_on.wait(60)
         return write(*args, **options)
 
     monkeypatch.setattr(exporting, "write_splat_file", slow)
@@ -125,7 +125,7 @@ def test_cancelled(obs: list, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     task = export._task
     export.cancel()
     go_on.set()
-    assert task.wait(20) and task.cancelled
+    assert task.wait(60) and task.cancelled
     assert out.read_bytes() == b"earlier"
     nothing_left(tmp_path, "out.ply")
 

@@ -321,7 +321,7 @@ def test_an_export_by_the_trainers_python_can_be_given_up(
         assert not going.step()
     going.cancel()
     task = going._task
-    assert task is not None and task.wait(10) and task.cancelled
+    assert task is not None and task.wait(60) and task.cancelled
     assert out.read_bytes() == b"before"
     assert {one.name for one in tmp_path.iterdir()} == {"out.sog", "chair.ply"}
 

@@ -39,7 +39,7 @@ class Disk:
         self.broken: set[int] = set()
 
     def __call__(self, path: Path) -> Splats:
-        self.may.wait(20)
+        self.may.wait(60)
         number = int(path.stem)
         self.read.append(number)
         if number in self.broken:
@@ -64,7 +64,7 @@ def frames(disk: Disk) -> Iterator[library.Library]:
 
 
 def _until(condition: Callable[[], bool]) -> None:
-    until = time.monotonic() + 20
+    until = time.monotonic() + 60
     while not condition():
         assert time.monotonic() < until
         time.sleep(0.005)

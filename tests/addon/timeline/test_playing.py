@@ -73,7 +73,7 @@ def shown() -> list[tuple[int, np.ndarray]]:
 def copied(depsgraph: bpy.types.Depsgraph) -> list:
     """The splats that a viewport would draw, once all are read."""
     made = Copies()
-    until = time.monotonic() + 20
+    until = time.monotonic() + 60
     while True:
         found = sources(depsgraph)
         placed, complete = made.copied(found)
@@ -86,7 +86,7 @@ def copied(depsgraph: bpy.types.Depsgraph) -> list:
 
 def until(condition: Callable[[], bool]) -> None:
     """Poll until a condition is true."""
-    end = time.monotonic() + 20
+    end = time.monotonic() + 60
     while not condition():
         assert time.monotonic() < end
         poll_timer.poll()
@@ -416,7 +416,7 @@ def test_an_edit_that_blender_has_not_seen_is_kept(scene, scrubbed) -> None:
 
 def come(coming: SequenceComing) -> bpy.types.Object:
     """Complete an incremental import; return the object."""
-    end = time.monotonic() + 20
+    end = time.monotonic() + 60
     while (made := coming.step()) is None:
         assert time.monotonic() < end and coming.sentence
         time.sleep(0.001)

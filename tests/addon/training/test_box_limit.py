@@ -33,7 +33,7 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
     yield scene
     for job in registry.jobs():
         job.kill()
-        job.wait(10)
+        job.wait(60)
         registry.remove(job)
     preferences.get().python_path = before
 

@@ -108,7 +108,7 @@ def test_what_does_not_fit_is_made_to_fit(scene: bpy.types.Scene) -> None:
 
 def wait(scene: bpy.types.Scene) -> Estimate:
     """Poll like Blender until the estimate for the settings is ready."""
-    end = time.monotonic() + 20
+    end = time.monotonic() + 60
     while (answer := facts.forecast_of(scene))[0] is None:
         assert time.monotonic() < end and not answer[1], answer
         poll_timer.poll()
