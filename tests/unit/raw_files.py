@@ -13,27 +13,35 @@ XYZ_TO_SRGB = (32405, -15371, -4985, -9693, 18760, 416, 556, -2040, 10572)
 
 
 def directories(
-    pages: list[tuple[list[Tag], np.ndarray, list[Tag], np.ndarray | None]], order: str
+    pages: list[tuple[list[Tag], np.ndarray, list[Tag], np.ndarray | None]],
+    order: str,
+    *,
+    big: bool = False,
 ) -> bytes:
-    """A TIFF.
+    """A TIFF, or a BigTIFF.
 
     Args:
         pages: For each its tags and pixels, and those of its sub-directory, or None.
         order: `<` or `>`.
+        big: BigTIFF, with offsets of 8 bytes.
     """
-    out = bytearray((b"II*\0" if order == "<" else b"MM\0*") + bytes(4))
-    link = 4
+    magic = struct.pack(order + "HHH", 43, 8, 0) if big else struct.pack(order + "H", 42)
+    out = bytearray((b"II" if order == "<" else b"MM") + magic)
+    link = len(out)
+    out += bytes(8 if big else 4)
     for tags, pixels, below, inner in pages:
         more: list[Tag] = []
         if inner is not None:
-            more = [(_CHILDREN, 4, (_directory(out, below, inner, order)[0],))]
-        at, following = _directory(out, [*tags, *more], pixels, order)
-        struct.pack_into(order + "I", out, link, at)
+            more = [(_CHILDREN, 4, (_directory(out, below, inner, order, big)[0],))]
+        at, following = _directory(out, [*tags, *more], pixels, order, big)
+        struct.pack_into(order + ("Q" if big else "I"), out, link, at)
         link = following
     return bytes(out)
 
 
-def _directory(out: bytearray, tags: list[Tag], pixels: np.ndarray, order: str) -> tuple[int, int]:
+def _directory(
+    out: bytearray, tags: list[Tag], pixels: np.ndarray, order: str, big: bool
+) -> tuple[int, int]:
     """Append pixels and their directory; return the offsets of it and of its link."""
     height, width = pixels.shape[:2]
     samples = 1 if pixels.ndim == 2 else 3
@@ -50,6 +58,8 @@ def _directory(out: bytearray, tags: list[Tag], pixels: np.ndarray, order: str) 
         (278, 4, (height,)),
         (279, 4, (len(data),)),
     ]
+    offset = order + ("Q" if big else "I")
+    wide = struct.calcsize(offset)
     entries = []
     for number, kind, value in sorted(whole, key=lambda tag: tag[0]):
         if isinstance(value, bytes):
@@ -57,10 +67,12 @@ def _directory(out: bytearray, tags: list[Tag], pixels: np.ndarray, order: str) 
         else:
             raw = struct.pack(f"{order}{len(value)}{_LETTERS[kind]}", *value)
             count = len(value) // (2 if kind in (5, 10) else 1)
-        field = raw.ljust(4, b"\0") if len(raw) <= 4 else struct.pack(order + "I", _put(out, raw))
-        entries.append(struct.pack(order + "HHI", number, kind, count) + field)
-    at = _put(out, struct.pack(order + "H", len(entries)) + b"".join(entries) + bytes(4))
-    return at, len(out) - 4
+        fits = len(raw) <= wide
+        field = raw.ljust(wide, b"\0") if fits else struct.pack(offset, _put(out, raw))
+        entries.append(struct.pack(f"{order}HH{offset[1]}", number, kind, count) + field)
+    size = struct.pack(order + ("Q" if big else "H"), len(entries))
+    at = _put(out, size + b"".join(entries) + bytes(wide))
+    return at, len(out) - wide
 
 
 def _put(out: bytearray, data: bytes) -> int:
@@ -80,7 +92,9 @@ def page(
     return tags, pixels, [], None
 
 
-def dng(mosaic: np.ndarray, preview: np.ndarray, *, order: str = "<", turn: int = 1) -> bytes:
+def dng(
+    mosaic: np.ndarray, preview: np.ndarray, *, order: str = "<", turn: int = 1, big: bool = False
+) -> bytes:
     """A DNG as cameras write them: a preview, below it the mosaic (red, green, green, blue) of
     linear sRGB.
 
@@ -89,6 +103,7 @@ def dng(mosaic: np.ndarray, preview: np.ndarray, *, order: str = "<", turn: int 
         preview: [h, w, 3] uint8.
         order: `<` or `>`.
         turn: EXIF's orientation.
+        big: A BigTIFF.
     """
     first: list[Tag] = [
         (254, 4, (1,)),
@@ -111,4 +126,4 @@ def dng(mosaic: np.ndarray, preview: np.ndarray, *, order: str = "<", turn: int 
         (50714, 3, (0,)),
         (50717, 4, (65535,)),
     ]
-    return directories([(first, preview, raw, mosaic)], order)
+    return directories([(first, preview, raw, mosaic)], order, big=big)

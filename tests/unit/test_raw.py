@@ -1,5 +1,6 @@
 """Raw photos and TIFFs that begin with a reduced picture; oracle: the source pixels."""
 
+import struct
 import sys
 from pathlib import Path
 
@@ -19,15 +20,17 @@ FULL = np.random.default_rng(2).integers(0, 256, (60, 80, 3)).astype(np.uint8)
 SMALL = np.full((15, 20, 3), 90, np.uint8)
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize(("order", "big"), [("<", False), (">", False), ("<", True)])
 @pytest.mark.parametrize("old", [False, True])
 @pytest.mark.parametrize("place", [0, 1, 2])
-def test_the_full_picture_of_a_tiff(order: str, old: bool, place: int, tmp_path: Path) -> None:
+def test_the_full_picture_of_a_tiff(
+    order: str, old: bool, big: bool, place: int, tmp_path: Path
+) -> None:
     """Oracle: the pixels and size of the only picture not marked as reduced."""
     pages = [page(SMALL, reduced=True, old=old) for _ in range(2)]
     pages.insert(place, page(FULL, reduced=False, old=old))
     path = tmp_path / "a.tif"
-    path.write_bytes(directories(pages, order))
+    path.write_bytes(directories(pages, order, big=big))
     info = read_info(path)
     assert (info.width, info.height) == (80, 60)
     np.testing.assert_array_equal(read_image(path), FULL)
@@ -41,11 +44,13 @@ def test_pages_that_are_not_called_reduced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("reduced", [True, None])
-def test_a_full_picture_below_the_first(reduced: bool | None, tmp_path: Path) -> None:
+@pytest.mark.parametrize("big", [False, True])
+def test_a_full_picture_below_the_first(reduced: bool | None, big: bool, tmp_path: Path) -> None:
     """Oracle: a refusal by name, when reading its size and its pixels."""
     tags, pixels, _, _ = page(SMALL, reduced=reduced)
     below = page(FULL, reduced=False)[0]
-    (tmp_path / "a.tif").write_bytes(directories([(tags, pixels, below, FULL)], "<"))
+    made = directories([(tags, pixels, below, FULL)], "<", big=big)
+    (tmp_path / "a.tif").write_bytes(made)
     for read in (read_info, read_image):
         with pytest.raises(FormatError, match=r"a\.tif begins with a reduced picture"):
             read(tmp_path / "a.tif")
@@ -59,25 +64,36 @@ def test_cameras_are_not_searched_by_reduced_pictures(tmp_path: Path) -> None:
         read_photos(tmp_path, ["a.tif"], on_photo=lambda done: None, cancelled=lambda: False)
 
 
-def _raw_photo(path: Path, *, order: str = "<", turn: int = 1) -> np.ndarray:
+def test_damaged_offsets_of_a_bigtiff(tmp_path: Path) -> None:
+    """Oracle: a sentence for offsets and numbers of tags beyond those of files."""
+    for offset, count in ((2**64 - 1, 1), (16, 2**64 - 1), (2**62, 1)):
+        head = struct.pack("<2sHHHQQ", b"II", 43, 8, 0, offset, count)
+        (tmp_path / "a.tif").write_bytes(head + bytes(200))
+        with pytest.raises(FormatError, match=r"a\.tif cannot be read"):
+            read_image(tmp_path / "a.tif")
+
+
+def _raw_photo(path: Path, *, order: str = "<", turn: int = 1, big: bool = False) -> np.ndarray:
     """A DNG of a grey ramp and an orange patch; its values, 0 to 1, [H, W, 3]."""
     meant = np.repeat(np.linspace(0.05, 0.8, 96)[None, :, None], 64, axis=0).repeat(3, axis=2)
     meant[20:40, 30:60] = (0.6, 0.3, 0.1)
     mosaic = meant[..., 1].copy()
     mosaic[::2, ::2], mosaic[1::2, 1::2] = meant[::2, ::2, 0], meant[1::2, 1::2, 2]
     small = np.full((16, 24, 3), 128, np.uint8)
-    path.write_bytes(dng(np.rint(mosaic * 65535).astype(np.uint16), small, order=order, turn=turn))
+    values = np.rint(mosaic * 65535).astype(np.uint16)
+    path.write_bytes(dng(values, small, order=order, turn=turn, big=big))
     return meant
 
 
 @pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("big", [False, True])
 @pytest.mark.parametrize("name", ["a.dng", "a.NEF", "a.arw", "a.tif", "a.jpg"])
 def test_raw_is_refused_without_rawpy(
-    name: str, order: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, order: str, big: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the file's name and a remedy; never the preview, for any ending."""
     monkeypatch.setitem(sys.modules, "rawpy", None)
-    _raw_photo(tmp_path / name, order=order)
+    _raw_photo(tmp_path / name, order=order, big=big)
     for read in (read_info, read_image):
         with pytest.raises(FormatError, match=rf"{name} is a raw photo, .* Convert .* rawpy"):
             read(tmp_path / name)

@@ -21,16 +21,17 @@ RAW_ENDINGS = (
 """File endings of raw photos, lower case."""
 _OTHER_RAW = (b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FUJIFILMCCD-RAW")
 """First bytes of raw photos without the magic number of TIFF: Olympus, Panasonic, Fujifilm."""
-_TIFF = {b"II*\0": "<", b"MM\0*": ">"}
+_TIFF = {b"II*\0": "<HI", b"MM\0*": ">HI", b"II+\0": "<QQ", b"MM\0+": ">QQ"}
+"""Byte order and types of the number of tags and of offsets by first bytes: TIFF and BigTIFF."""
 _SUBFILE, _OLD_SUBFILE, _WIDTH, _HEIGHT, _COLOURS, _CHILDREN, _DNG = (
     *(254, 255, 256, 257, 262, 330, 50706),
 )
 _MOSAIC = frozenset({32803, 34892})
 """PhotometricInterpretation of a colour filter array and of linear raw values."""
-_SIZES = {1: 1, 3: 2, 4: 4, 13: 4}
+_SIZES = {1: 1, 3: 2, 4: 4, 13: 4, 16: 8, 18: 8}
 """Bytes per number, by type."""
-_MOST = 64
-"""Most directories that are read."""
+_MOST, _MOST_TAGS = 64, 0xFFFF
+"""Most directories that are read, and most tags of one."""
 _FLIPS = {3: 3, 5: 8, 6: 6}
 """EXIF orientation by LibRaw's flip."""
 
@@ -162,43 +163,48 @@ def _unread(path: Path, reason: str) -> FormatError:
 def _directories(file: BinaryIO) -> list[_Directory]:
     """Directories of a TIFF including sub-directories, up to the first damaged one."""
     file.seek(0)
-    order = _TIFF.get(file.read(4))
+    layout = _TIFF.get(file.read(4))
     directories: list[_Directory] = []
     visited: set[int] = set()
     try:
-        if order is None:
+        if layout is None:
             return []
-        (at,) = struct.unpack(order + "I", file.read(4))
+        (at,) = _next(file, layout[0] + ("4xQ" if "Q" in layout else "I"))
         while at and at not in visited and len(directories) < _MOST:
             visited.add(at)
-            tags, at = _tags(file, order, at)
+            tags, at = _tags(file, layout, at)
             page = sum(d.page is not None for d in directories)
             directories.append(_Directory(tags, page))
             for child in tags.get(_CHILDREN, ())[:_MOST]:
-                directories.append(_Directory(_tags(file, order, child)[0], None))
-    except (OSError, struct.error):
+                directories.append(_Directory(_tags(file, layout, child)[0], None))
+    except (OSError, OverflowError, ValueError, struct.error):
         pass
     return directories
 
 
-def _tags(file: BinaryIO, order: str, at: int) -> tuple[dict[int, tuple[int, ...]], int]:
+def _tags(file: BinaryIO, layout: str, at: int) -> tuple[dict[int, tuple[int, ...]], int]:
     """The needed tags of a directory, and the offset of the next directory."""
+    order, counts, offsets = layout
     file.seek(at)
-    (count,) = struct.unpack(order + "H", file.read(2))
-    entries = file.read(12 * count)
-    (following,) = struct.unpack(order + "I", file.read(4))
+    (count,) = _next(file, order + counts)
+    entry = f"{order}HH{offsets}{struct.calcsize(order + offsets)}s"
+    entries = [_next(file, entry) for _ in range(min(count, _MOST_TAGS))]
+    (following,) = _next(file, order + offsets)
     tags = {}
-    for i in range(count):
-        tag, kind, number = struct.unpack_from(order + "HHI", entries, 12 * i)
+    for tag, kind, number, value in entries:
         size = _SIZES.get(kind, 0)
         if tag not in (_SUBFILE, _OLD_SUBFILE, _WIDTH, _HEIGHT, _COLOURS, _CHILDREN, _DNG):
             continue
         if not size or not 0 < number <= _MOST:
             continue
-        value = entries[12 * i + 8 : 12 * i + 12]
-        if size * number > 4:
-            file.seek(struct.unpack(order + "I", value)[0])
+        if size * number > len(value):
+            file.seek(struct.unpack(order + offsets, value)[0])
             value = file.read(size * number)
-        letter = {1: "B", 2: "H", 4: "I"}[size]
+        letter = {1: "B", 2: "H", 4: "I", 8: "Q"}[size]
         tags[tag] = struct.unpack_from(f"{order}{number}{letter}", value)
     return tags, following
+
+
+def _next(file: BinaryIO, layout: str) -> tuple[Any, ...]:
+    """The next values of a file, by struct's format."""
+    return struct.unpack(layout, file.read(struct.calcsize(layout)))
