@@ -421,6 +421,24 @@ def test_of_several_camera_files_one_is_read_and_the_others_named(rig: Rig, tmp_
     assert find_capture(tmp_path / "a") == tmp_path / "a" and is_photo_folder(tmp_path / "a")
 
 
+@pytest.mark.parametrize("folder", ["images", "input"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_camera_file_among_the_photos(kind: str, folder: str, rig: Rig, tmp_path: Path) -> None:
+    """Oracle: the same cameras, whether the folder of the photos or the one above is given."""
+    rig = replace(rig, off=(0.0, 0.0)) if kind == "LLFF" else rig
+    _photos(tmp_path / "a", rig)
+    if kind == "RealityScan XMP":
+        KINDS[kind](tmp_path / "a", rig)
+    else:
+        KINDS[kind](tmp_path / "a/images", rig)
+    (tmp_path / "a/images").rename(tmp_path / "a" / folder)
+    inner = _read(tmp_path / "a" / folder)
+    assert not is_photo_folder(tmp_path / "a")
+    assert [v.viewmat.tolist() for v in _read(tmp_path / "a").views] == [
+        v.viewmat.tolist() for v in inner.views
+    ]
+
+
 def test_colmap_and_transforms_come_first(rig: Rig, tmp_path: Path) -> None:
     """Oracle: a transforms.json of one camera in the same folder, which has precedence as
     before."""

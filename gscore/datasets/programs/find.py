@@ -26,11 +26,12 @@ class ProgramFile:
 
 
 def find_program(source: Path, images: str = "images", *, below: bool = True) -> ProgramFile | None:
-    """The camera file at or in `source`, or None; XMP sidecars if there is no other.
+    """The camera file at or in `source` or its folder of photos, or None; XMP sidecars if there is
+    no other.
 
     Args:
         source: A file, or the folder of a capture.
-        images: Folder of the photos in it, for sidecars.
+        images: Folder of the photos in it.
         below: Search sidecars in all folders below; else only in those two, for folders with
             unknown content.
     """
@@ -38,15 +39,24 @@ def find_program(source: Path, images: str = "images", *, below: bool = True) ->
         return _of_file(source, source.parent)
     if not source.is_dir():
         return None
-    files = sorted(p for p in source.iterdir() if p.suffix.lower() in (".csv", ".xml"))
-    files += [source / name for name in (*_RECONSTRUCTIONS, _BOUNDS)]
-    known = [f for path in files if (f := _of_file(path, source))]
+    known = [
+        found
+        for folder in dict.fromkeys((source, source / images, source / "input"))
+        if folder.is_dir()
+        for path in _candidates(folder)
+        if (found := _of_file(path, source))
+    ]
     if known:
         return replace(known[0], others=tuple(other.path for other in known[1:]))
     photos = source / images if (source / images).is_dir() else source
     if any(realityscan.sidecars_in(photos, below=below)):
         return ProgramFile(program="RealityScan XMP", path=photos, root=source)
     return None
+
+
+def _candidates(folder: Path) -> list[Path]:
+    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".csv", ".xml"))
+    return files + [folder / name for name in (*_RECONSTRUCTIONS, _BOUNDS)]
 
 
 def _of_file(path: Path, root: Path) -> ProgramFile | None:
