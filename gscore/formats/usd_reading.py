@@ -4,6 +4,7 @@ Writes the splats to PLY and one JSON object to stdout: error, antialiased, orig
 """
 
 import json
+import logging
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from ..io.splat_rows import drawable, log_scales, logits
 from ..scene import checked_origin
 from ..sh import MAX_DEGREE, sh_count
 from ..splats import Splats
-from ..text_format import number
+from ..text_format import count_words, number
 from ..transforms import transform_splats
 from ..warning_log import collected_warnings
 from .axes import X, half_turn
@@ -32,6 +33,8 @@ _MOST_SPLATS_A_BYTE, _SLACK = 1, 1 << 16
 """Most splats per byte of a scene's files, since instances repeat splats, and the slack."""
 _Y_OF_Z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Rotation from a stage with Z up to one with Y up."""
+
+_log = logging.getLogger(__package__)  # __name__ is __main__ in the process
 
 
 def hand_over(file: Path, ply: Path) -> dict[str, Any]:
@@ -84,6 +87,13 @@ def read_usd(path: Path) -> Decoded:
             room -= len(parts[-1])
             if room < 0:
                 raise _repeated(path, len(parts))
+        if unread := stage.GetCompositionErrors():
+            _log.warning(
+                "%s is incomplete: %s of the scene cannot be read. %s",
+                path,
+                count_words(len(unread), "part"),
+                str(unread[0]).strip(),
+            )
         has_z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
     except (Tf.ErrorException, RuntimeError, UnicodeDecodeError) as error:
         raise FormatError(

@@ -598,6 +598,24 @@ def Xform "plain" {{ {_PRIM} }}
     assert _usd_means(text, tmp_path / "a.usda") == sorted(wanted)
 
 
+def test_usd_that_lacks_a_file(tmp_path: Path) -> None:
+    """Oracle: a scene of three files, with all and without one, which is named."""
+    pytest.importorskip("pxr.UsdVol")
+    for name in "ab":
+        (tmp_path / f"{name}.usda").write_text(
+            f'#usda 1.0\n(\n defaultPrim = "M"\n upAxis = "Y"\n)\ndef Xform "M" {{ {_PRIM} }}'
+        )
+    text = "".join(
+        f'def Xform "{name}" (\n instanceable = true\n references = @./{name}.usda@\n) {{}}\n'
+        for name in "ab"
+    )
+    assert len(_usd_means(text, tmp_path / "whole.usda")) == 4
+    assert not read_splat_file(tmp_path / "whole.usda").notes
+    (tmp_path / "b.usda").unlink()
+    [note] = read_splat_file(tmp_path / "whole.usda").notes
+    assert "1 part of the scene cannot be read" in note and "b.usda" in note
+
+
 def test_usd_point_instancers(tmp_path: Path) -> None:
     """Oracle: positions worked out by hand: scale, a half turn about y, then the point, of a
     prototype that is moved itself; one point is hidden."""
