@@ -6,7 +6,7 @@ from typing import Any
 
 from ..config import DataConfig
 from ..datasets.capture import listing
-from ..io.foreign_cameras import unread_cameras
+from ..io.unsupported_formats import unread_cameras
 from ..quoting import as_typed
 from ..sfm.heic import header_of, readable
 from ..sfm.panorama import possible_panoramas, refused_panoramas

@@ -6,8 +6,8 @@ from pathlib import Path
 from ..datasets.capture import listing
 from ..datasets.shots import stem_of
 from ..errors import GsError
-from ..io.foreign_cameras import unread_cameras
 from ..io.images.read_image import read_info
+from ..io.unsupported_formats import unread_cameras
 from ..sfm.heic import readable, size_of, what_to_do
 from ..sfm.masks import mask_folder
 from ..sfm.photo_folders import doubt

@@ -1,6 +1,7 @@
 """Unsupported formats: detection of files by content, with a remedy for each.
 
-Used wherever a capture or a PLY was expected and another file was given.
+Used wherever a capture or a PLY was expected and another file was given, and for cameras of other
+programs among photos.
 """
 
 import shlex
@@ -13,7 +14,6 @@ from ..errors import GsError
 from ..text_format import count_words
 from .block_record import BLOCK_RECORD
 from .file_sample import FileSample, sample_file
-from .foreign_cameras import METASHAPE_EXPORT, REALITYSCAN_EXPORT, foreign_cameras, foreign_index
 from .lod_index import KIND
 from .runs import CAPTURE
 
@@ -38,8 +38,12 @@ _COLMAP = (
     "COLMAP on the photos, and give the folder with both."
 )
 _WITH_PHOTOS = "Give the folder with it and the photos."
+_REALITYSCAN = (".rcproj", ".rsproj", ".rcalign", ".rsalign")
 _UNPACK = "Unpack it and give its content."
 _MESH = "It has meshes. Give the 3DGS PLY of splats, or the photos and cameras of a capture."
+_NERFSTUDIO = (
+    "Convert it with nerfstudio's ns-process-data {} to a transforms.json, and give that folder."
+)
 _MOVIE = "Find them first with gscore sfm, or give it to gscore train, which does both."
 
 
@@ -47,8 +51,12 @@ _MOVIE = "Find them first with gscore sfm, or give it to gscore train, which doe
 class _Format:
     name: str
     advice: str
-    matches: Callable[[FileSample], bool]
+    matches: Callable[[FileSample], bool] | None = None
+    """None: its names suffice."""
     but: str = ", which gscore does not read"
+    names: tuple[str, ...] = ()
+    """Of files among photos: lower-case names, or their ends if they begin with a dot or
+    underscore."""
 
 
 def _starts(*magics: bytes) -> Callable[[FileSample], bool]:
@@ -58,6 +66,11 @@ def _starts(*magics: bytes) -> Callable[[FileSample], bool]:
 def _text(*words: bytes) -> Callable[[FileSample], bool]:
     """True for XML or other text whose first bytes contain one of the words."""
     return lambda s: b"\0" not in s.head and any(word in s.head for word in words)
+
+
+def _has(*words: bytes) -> Callable[[FileSample], bool]:
+    """True for files whose first bytes contain all the words."""
+    return lambda s: all(word in s.head for word in words)
 
 
 def _zip_of(*names: bytes) -> Callable[[FileSample], bool]:
@@ -80,6 +93,43 @@ def _is_movie(s: FileSample) -> bool:
     return is_box or is_riff or s.head.startswith(b"\x1a\x45\xdf\xa3")
 
 
+_INDEXES = (
+    _Format("the index of a 3D Tiles tileset", "It lists tiles without splats: give a glTF tile "
+            "(.glb or .gltf) with splats, or join the tiles in the program that made them.",
+            _has(b'"root"', b'"geometricError"'), "", ("tileset.json",)),
+    _Format("the index of a Streamed SOG of PlayCanvas", "It lists chunks without splats: give the "
+            "meta.json of a chunk, or join them into one file with splat-transform.",
+            but="", names=("lod-meta.json",)),
+)  # fmt: skip
+"""Indexes of splats in many files."""
+_CAMERAS = (
+    _Format("a project of Metashape", "Export the cameras with File > Export > Export Cameras as "
+            "Agisoft XML, or in COLMAP's format, and put the file into the folder of the photos.",
+            names=(".psx", ".psz")),
+    _Format("a project or component of RealityScan (RealityCapture)", "Export the cameras with "
+            "Alignment > Export > Registration as Internal/External Camera Parameters (CSV), or in "
+            "COLMAP's format, and put the file into the folder of the photos.",
+            lambda s: s.ending in _REALITYSCAN or _text(b"<RealityCapture", b"<RealityScan")(s),
+            names=_REALITYSCAN),
+    _Format("a camera file of Bundler", "It states no size of the photos, and programs disagree on "
+            f"its axes. {_COLMAP}", _has(b"# Bundle file"), names=(".out",)),
+    _Format("a camera file of VisualSFM (NVM)", _COLMAP, _has(b"NVM_V3"), names=(".nvm",)),
+    _Format("a Blocks Exchange file of ContextCapture", _COLMAP, _has(b"<BlocksExchange"),
+            names=(".xml",)),
+    _Format("a camera file of OpenMVG", "Convert it with openMVG_main_openMVG2Colmap.",
+            _has(b'"sfm_data_version"'), names=(".json",)),
+    _Format("a camera file of Meshroom (AliceVision)", "Add its node ExportColmap, and give the "
+            "folder that it writes.", _has(b'"featuresFolders"'), names=(".sfm", ".json")),
+    _Format("a camera file of Pix4D", _COLMAP, names=("_calibrated_camera_parameters.txt", ".p4d",
+            "_calibrated_external_camera_parameters.txt")),
+    _Format("a capture of Polycam", _NERFSTUDIO.format("polycam"), names=("mesh_info.json",)),
+    _Format("a capture of Record3D", _NERFSTUDIO.format("record3d"), names=(".r3d",)),
+    _Format("a capture of Record3D", _NERFSTUDIO.format("record3d"),
+            lambda s: not s.ending and _has(b'"poses"', b'"K"')(s), names=("metadata",)),
+    _Format("a file of poses in the layout of transforms.json", "Give that file itself, or call it "
+            "transforms.json.", _has(b'"frames"', b'"transform_matrix"'), "", (".json",)),
+)  # fmt: skip
+"""Cameras that are not read."""
 _FORMATS = (
     _Format("a file of levels of detail", "Use it with gscore render, info and convert, or import "
             "it in Blender; for all else convert it: gscore convert IN.lod out.ply --level 0.",
@@ -104,15 +154,10 @@ _FORMATS = (
     _Format("a LAS or LAZ point cloud", _CLOUD, _starts(b"LASF")),
     _Format("the database of COLMAP", "Give the folder with the model that COLMAP's mapper wrote, "
             "sparse/0, and the photos.", _starts(b"SQLite format 3")),
-    _Format("a project of Metashape", METASHAPE_EXPORT,
-            lambda s: _text(b"<document")(s) and s.ending in (".psx", ".psz")),
     _Format("a camera file of Metashape", _WITH_PHOTOS,
             lambda s: _text(b"<document")(s) and _text(b"<chunk", b"<cameras")(s), ", not splats"),
-    _Format("a project of RealityScan (RealityCapture)", REALITYSCAN_EXPORT,
-            _text(b"<RealityCapture", b"<RealityScan")),
     _Format("a camera file of RealityScan (RealityCapture)", _WITH_PHOTOS,
             _text(b"xcr:", b"capturingreality.com"), _MODEL),
-    _Format("a Blocks Exchange file of ContextCapture", _COLMAP, _text(b"<BlocksExchange")),
     _Format("a mesh of FBX", _MESH, _starts(b"Kaydara FBX Binary")),
     _Format("a mesh (OBJ or STL)", _MESH, _ends(".obj", ".stl")),
     _Format("a video", _MOVIE, _is_movie, but=" without cameras"),
@@ -141,19 +186,55 @@ def describe_unsupported(path: Path) -> str:
         return ""  # reading it reports the error
 
 
+def unread_cameras(folder: Path) -> str:
+    """Message about unsupported camera or splat files in a folder of photos; empty without any.
+
+    Args:
+        folder: Folder of the photos, or its parent.
+    """
+    places = [place for place in (folder, folder / "images", folder / "input") if place.is_dir()]
+    try:
+        names = [name for place in places for name in islice(place.iterdir(), _MOST_NAMES)]
+    except OSError:
+        return ""  # listing the photos reports the error
+    for kinds, but in ((_INDEXES, ""), (_CAMERAS, ", whose cameras are not read")):
+        for path in sorted(names):
+            if match := _match(path, kinds, among_photos=True):
+                return f"{path} is {match.name}{but}. {match.advice}"
+    return ""
+
+
+def _match(path: Path, kinds: tuple[_Format, ...], *, among_photos: bool) -> _Format | None:
+    """The first of these formats that a file has; among photos only files of its names have it."""
+    candidates = [
+        kind
+        for kind in kinds
+        if _is_named(path.name.lower(), kind) or (kind.matches and not among_photos)
+    ]
+    try:
+        sample = sample_file(path) if candidates and path.is_file() else None
+    except (OSError, ValueError, GsError):
+        return None  # reading it reports the error
+    if sample is None:
+        return None
+    return next((k for k in candidates if k.matches is None or k.matches(sample)), None)
+
+
+def _is_named(name: str, kind: _Format) -> bool:
+    return any(name == end or (end[0] in "._" and name.endswith(end)) for end in kind.names)
+
+
 def _file(path: Path) -> str:
-    if text := foreign_index(path):
-        return text
-    sample = sample_file(path)
-    match = next((kind for kind in _FORMATS if kind.matches(sample)), None)
-    return f"{path} is {match.name}{match.but}. {match.advice}" if match else foreign_cameras(path)
+    match = _match(path, (*_INDEXES, *_CAMERAS, *_FORMATS), among_photos=False)
+    return f"{path} is {match.name}{match.but}. {match.advice}" if match else ""
 
 
 def _folder(path: Path) -> str:
     names = list(islice(path.iterdir(), _MOST_NAMES))
     if text := _gscore_folder(path, sorted(n for n in names if n.is_dir())):
         return text
-    if text := foreign_index(path):
+    indexes = (_file(n) for n in names if any(_is_named(n.name.lower(), k) for k in _INDEXES))
+    if text := next(filter(None, indexes), ""):
         return text
     if (path / "meta.json").is_file() and any(n.suffix == ".webp" for n in names):
         return f"{path} is an unpacked splat file of PlayCanvas (SOG){_MODEL}. {_SPLATS}"

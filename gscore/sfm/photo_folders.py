@@ -9,8 +9,8 @@ from ..datasets.programs import find_program
 from ..datasets.transforms_json import find_transforms
 from ..errors import DatasetError
 from ..io.files import read_bytes
-from ..io.foreign_cameras import unread_cameras
 from ..io.runs import SEARCH_RECORD
+from ..io.unsupported_formats import unread_cameras
 from ..json_text import parse_json
 from ..quoting import brief
 from ..text_format import count_words, number

@@ -15,10 +15,9 @@ from gscore.datasets import load_dataset
 from gscore.errors import GsError
 from gscore.inspection.photo_folder import bare_facts
 from gscore.io.block_record import BLOCK_RECORD
-from gscore.io.foreign_cameras import unread_cameras
 from gscore.io.images.read_image import write_png
 from gscore.io.ply.splats import read_ply
-from gscore.io.unsupported_formats import describe_unsupported
+from gscore.io.unsupported_formats import describe_unsupported, unread_cameras
 
 
 def _zip(*names: str) -> bytes:
@@ -51,6 +50,8 @@ FILES = {
     "xml": (_METASHAPE, "camera file of Metashape", "with it and the photos"),
     "psx": (b'<document version="1.2.0" path="{projectname}.files/project.zip"/>',
             "Metashape", "COLMAP's format"),
+    "psz": (_zip("doc.xml", "frame.zip"), "project of Metashape", "COLMAP's format"),
+    "r3d": (_zip("metadata", "icon"), "Record3D", "ns-process-data record3d"),
     "rcproj": (b"<RealityCaptureProject/>", "RealityCapture", "COLMAP's format"),
     "xmp": (b'<x:xmpmeta><rdf:Description xmlns:xcr="" xcr:Version="3"/>',
             "RealityCapture", "with it and the photos"),
@@ -60,7 +61,7 @@ FILES = {
     "blend": (b"BLENDER-v405", "Blender", "add-on"),
 }  # fmt: skip
 """By the usual ending: the first bytes by the format's definition, and words of the message."""
-BY_NAME = ("splat", "ksplat", "gltf", "psx")
+BY_NAME = ("splat", "ksplat", "gltf", "psx", "psz", "r3d")
 """Formats without a signature, detected by their ending."""
 
 
@@ -208,21 +209,22 @@ INDEXES = {
 
 
 @pytest.mark.parametrize("name", [*UNREAD, *INDEXES])
+@pytest.mark.parametrize("place", ["", "images"])
 def test_cameras_among_photos_that_are_not_read(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Oracle: each program's own file name and first bytes; its kind and export advice, in `info`
     and in the facts of the panel."""
     for i in range(3):
         write_png(tmp_path / "images" / f"{i}.png", np.zeros((4, 4, 3), np.uint8))
     content, kind, *advice = (UNREAD | INDEXES)[name]
-    (tmp_path / name).write_bytes(content)
+    (tmp_path / place / name).write_bytes(content)
     assert main(["info", str(tmp_path)]) == 0
     out = " ".join(capsys.readouterr().out.split())
     for words in (name, kind, *advice):
         assert words in out
     assert any(name in problem.text for problem in bare_facts(tmp_path).problems)
-    assert unread_cameras(tmp_path / "images") == ""
+    assert bool(unread_cameras(tmp_path / "images")) == (place == "images")
 
 
 @pytest.mark.parametrize("name", INDEXES)
