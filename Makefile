@@ -50,7 +50,7 @@ $(DEVELOPED): $(INSTALLED)
 	@touch $@
 
 # The native library in the checkout, rebuilt after changes in csrc/.
-$(LIBRARY): $(INSTALLED) $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/include/gscore/*.h csrc/src/*)
+$(LIBRARY): $(INSTALLED) $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/include/gscore/*.h csrc/shared/* csrc/src/*)
 	@echo "Building the native library"
 	@$(CMAKE) -B build/native -DGS_TESTS=OFF > /dev/null
 	@$(BIN)/cmake --build build/native

@@ -98,6 +98,7 @@ from gscore.frontend import (
     find_up,
     frame_pattern,
     from_line,
+    glsl_defines,
     gray_png,
     importance_of,
     in_unit_shape,

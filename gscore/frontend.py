@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     )
     from .formats import SPLAT_ENDINGS, SplatFile, is_antialiased
     from .formats.joined import joined as join_splats
+    from .glsl import glsl_defines
     from .inspection import CaptureFacts, Problem, find_capture
     from .inspection import inspect as inspect_capture
     from .io.cameras_json import read_cameras_json as read_cameras
@@ -181,6 +182,7 @@ _HOME = {
     "frame_pattern": "datasets.frames",
     "from_line": "events",
     "file_errors": "io.files",
+    "glsl_defines": "glsl",
     "gray_png": "io.images.png",
     "importance_of": "edit",
     "in_unit_shape": "edit",
@@ -311,6 +313,7 @@ __all__ = [
     "find_up",
     "frame_pattern",
     "from_line",
+    "glsl_defines",
     "gray_png",
     "importance_of",
     "in_unit_shape",

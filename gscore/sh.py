@@ -1,46 +1,10 @@
 """Real spherical harmonics with the signs of 3D Gaussian Splatting, and colour to coefficient."""
 
-import math
-
 import numpy as np
 
 from .errors import ShapeError
+from .shared_constants import SH_C0, SH_C1, SH_C2, SH_C3, SH_C4
 
-SH_C0 = 0.5 * math.sqrt(1.0 / math.pi)
-"""Value of the constant basis function."""
-SH_C1 = math.sqrt(3.0 / (4.0 * math.pi))
-"""Factor of the linear basis functions -y, z, -x."""
-SH_C2 = (
-    0.5 * math.sqrt(15.0 / math.pi),
-    -0.5 * math.sqrt(15.0 / math.pi),
-    0.25 * math.sqrt(5.0 / math.pi),
-    -0.5 * math.sqrt(15.0 / math.pi),
-    0.25 * math.sqrt(15.0 / math.pi),
-)
-"""Factors of xy, yz, 2z²-x²-y², xz, x²-y²."""
-SH_C3 = (
-    -0.25 * math.sqrt(35.0 / (2.0 * math.pi)),
-    0.5 * math.sqrt(105.0 / math.pi),
-    -0.25 * math.sqrt(21.0 / (2.0 * math.pi)),
-    0.25 * math.sqrt(7.0 / math.pi),
-    -0.25 * math.sqrt(21.0 / (2.0 * math.pi)),
-    0.25 * math.sqrt(105.0 / math.pi),
-    -0.25 * math.sqrt(35.0 / (2.0 * math.pi)),
-)
-"""Factors of y(3x²-y²), xyz, y(4z²-x²-y²), z(2z²-3x²-3y²), x(4z²-x²-y²), z(x²-y²), x(x²-3y²)."""
-SH_C4 = (
-    0.75 * math.sqrt(35.0 / math.pi),
-    -0.75 * math.sqrt(35.0 / (2.0 * math.pi)),
-    0.75 * math.sqrt(5.0 / math.pi),
-    -0.75 * math.sqrt(5.0 / (2.0 * math.pi)),
-    3.0 / 16.0 * math.sqrt(1.0 / math.pi),
-    -0.75 * math.sqrt(5.0 / (2.0 * math.pi)),
-    3.0 / 8.0 * math.sqrt(5.0 / math.pi),
-    -0.75 * math.sqrt(35.0 / (2.0 * math.pi)),
-    3.0 / 16.0 * math.sqrt(35.0 / math.pi),
-)
-"""Factors of xy(x²-y²), yz(3x²-y²), xy(6z²-x²-y²), yz(4z²-3x²-3y²), 8z⁴-24z²(x²+y²)+3(x²+y²)²,
-xz(4z²-3x²-3y²), (x²-y²)(6z²-x²-y²), xz(x²-3y²), x⁴-6x²y²+y⁴."""
 MAX_DEGREE = 4
 """Highest degree of stored splats. Trainers of the 3DGS family write at most 3."""
 

@@ -35,6 +35,8 @@ BOTTOM = {
     "ending_signals",
     "events",
     "extras",
+    "glsl",
+    "shared_constants",
     "hold_out",
     "importance",
     "live_options",

@@ -7,6 +7,7 @@ the order has their colours in this view; the CPU computes both.
 import gpu
 
 from ..compat import declare_depth
+from ..core import glsl_defines
 from .atlas import COLUMNS, TEXELS
 from .clip import PLANES
 
@@ -67,7 +68,7 @@ void main()
     at_pixel = f * p.xy + middle;
   }
   else {
-    vec2 margin = 0.15 * size / f;
+    vec2 margin = 0.5 * GS_JACOBIAN_MARGIN * size / f;
     vec2 slope = clamp(p.xy / p.z, -(middle / f + margin), (size - middle) / f + margin);
     m0 = (r0.xyz - slope.x * r2.xyz) * (f.x / p.z);
     m1 = (r1.xyz - slope.y * r2.xyz) * (f.y / p.z);
@@ -78,14 +79,14 @@ void main()
   vec3 v1 = vec3(dot(s0, m1), dot(s1, m1), dot(s2, m1));
   float xx = max(dot(m0, v0), 0.0), yy = max(dot(m1, v1), 0.0), xy = dot(m1, v0);
   float before = max(xx * yy - xy * xy, 0.0);
-  float after = before + WIDENING * (xx + yy + WIDENING);
-  xx += WIDENING;
-  yy += WIDENING;
+  float after = before + GS_EPS2D * (xx + yy + GS_EPS2D);
+  xx += GS_EPS2D;
+  yy += GS_EPS2D;
   float opacity = a.w;
   if (projection.w > 0.5) {
-    opacity *= max(sqrt(before / after), 0.005);
+    opacity *= max(sqrt(before / after), GS_COMPENSATION_MIN);
   }
-  if (opacity < 1.0 / 255.0) {
+  if (opacity < GS_ALPHA_MIN) {
     return;
   }
   float half_trace = 0.5 * (xx + yy);
@@ -95,9 +96,9 @@ void main()
     axis = xx > yy ? vec2(0.5 * (xx - yy) + apart, xy) : vec2(xy, 0.5 * (yy - xx) + apart);
     axis = normalize(axis);
   }
-  float reach = sqrt(2.0 * log(255.0 * opacity));
+  float reach = sqrt(2.0 * log(opacity / GS_ALPHA_MIN));
   float longest = half_trace + apart;
-  vec2 radii = sqrt(vec2(longest, max(after / longest, WIDENING)));
+  vec2 radii = sqrt(vec2(longest, max(after / longest, GS_EPS2D)));
   vec2 other = vec2(-axis.y, axis.x);
   ellipse = vec4(axis / radii.x, other / radii.y);
   spot = vec3(at_pixel, depth);
@@ -113,8 +114,8 @@ void main()
   // From the pixel's middle: values interpolated from the corners have their rounding errors.
   vec2 from = vec2(gl_FragCoord.x, frame.y - gl_FragCoord.y) - spot.xy;
   vec2 spread = vec2(dot(from, ellipse.xy), dot(from, ellipse.zw));
-  float alpha = min(0.99, shade.a * exp(-0.5 * dot(spread, spread)));
-  if (alpha < 1.0 / 255.0) {
+  float alpha = min(GS_ALPHA_MAX, shade.a * exp(-0.5 * dot(spread, spread)));
+  if (alpha < GS_ALPHA_MIN) {
     discard;
   }
   if (count.z > 0.5) {
@@ -207,7 +208,6 @@ def splats(*, nearness: bool = False) -> gpu.types.GPUShader:
     info.define("COLUMNS", str(COLUMNS))
     info.define("TEXELS", str(TEXELS))
     info.define("PLANES", str(PLANES))
-    info.define("WIDENING", "0.3")
     info.push_constant("VEC4", "lens")  # fx, fy, cx, cy, pixels
     info.push_constant("VEC4", "frame")  # width, height, near, whether rays are parallel
     info.push_constant("VEC4", "projection")  # depth's factor, offset, by z?, antialias?
@@ -265,6 +265,8 @@ def rows() -> gpu.types.GPUShader:
 
 
 def _made(info: gpu.types.GPUShaderCreateInfo, vertex: str, fragment: str) -> gpu.types.GPUShader:
+    for name, value in glsl_defines(vertex + fragment).items():
+        info.define(name, value)
     info.fragment_out(0, "VEC4", "result")
     info.vertex_source(vertex)
     info.fragment_source(fragment)

@@ -13,7 +13,7 @@
  *  - Results are bit-identical for any number of threads.
  *
  * The mathematics is that of Kerbl et al. 2023 (3D Gaussian Splatting) and Zwicker et al. 2001 (EWA splatting), with
- * the constants of raster.h.
+ * the constants of csrc/shared/constants.h.
  */
 #pragma once
 

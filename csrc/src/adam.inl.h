@@ -235,7 +235,7 @@ static inline uint32_t may_be_seen(const CatchUpArgs &a, int64_t begin, int lane
     if (in.raw)
         largest = exp(largest);
     const Vec above_one = log2(max(load(columns[6]), set1(1.0f)));
-    const Vec deviations = 1.004f * sqrt((above_one - kLog2AlphaMin) * (1.0f / kHalfLog2E));
+    const Vec deviations = 1.004f * sqrt((above_one - GS_LOG2_ALPHA_MIN) * (1.0f / GS_HALF_LOG2E));
     const float *w = c.viewmat;
     Vec cam[3];
     for (int i = 0; i < 3; ++i)
@@ -245,7 +245,7 @@ static inline uint32_t may_be_seen(const CatchUpArgs &a, int64_t begin, int lane
     uint32_t inside = bits(both(gt(cam[2], set1(c.near_plane)), ge(set1(c.far_plane), cam[2])));
     const float focal[2] = {c.fx, c.fy}, center[2] = {c.cx, c.cy}, side[2] = {float(c.width), float(c.height)};
     for (int i = 0; i < 2; ++i) {
-        const float edge = 1.3f * (std::fabs(center[i]) + side[i]) / focal[i]; // beyond project's clamp of x / z
+        const float edge = (1.0f + GS_JACOBIAN_MARGIN) * (std::fabs(center[i]) + side[i]) / focal[i];
         const Vec deviation = (std::sqrt(1.0f + edge * edge) * focal[i]) * largest * inverse_z;
         const Vec reach = deviations * sqrt(fma(deviation, deviation, set1(a.eps2d))) + 1.0f;
         const Vec at = fma(set1(focal[i]), cam[i] * inverse_z, set1(center[i]));

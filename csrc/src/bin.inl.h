@@ -45,7 +45,7 @@ static_assert(kBlock == 4 && kStripBlocks == 8);
 
 // Factor from an extent to that of an opaque splat of the same shape.
 static inline float opaque_extent(const Projected &p) {
-    return __builtin_sqrtf(kLog2AlphaMin / (kLog2AlphaMin - p.log2_opacity));
+    return __builtin_sqrtf(GS_LOG2_ALPHA_MIN / (GS_LOG2_ALPHA_MIN - p.log2_opacity));
 }
 
 // Intersections of a strip's columns with ellipses around the origin, of half-widths ex.

@@ -46,7 +46,7 @@ inline void BackwardBatch::find_alphas() {
                 store(v[i + j] + lane, r.v);
                 q[j * kBlockVecs + k] = r.log2_alpha;
             }
-        exp2_above<kCount>(kLog2AlphaMin, q, found);
+        exp2_above<kCount>(GS_LOG2_ALPHA_MIN, q, found);
         for (int j = 0; j < kCount; ++j)
             store(reinterpret_cast<float *>(alpha + i) + j * kLanes, found[j]); // across rows of the array
     }
@@ -179,7 +179,7 @@ GS_INLINE void pass_pixels(Ground &ground, const ColorGradients<kChannels> &colo
     std::memcpy(&stops, stop + at, sizeof stops);
     // A pixel only receives entries before its stop.
     const Vec raw = keep(gt_int(stops, index), load(batch.alpha[n] + lane));
-    const Vec alpha = min(raw, set1(kAlphaMax));
+    const Vec alpha = min(raw, set1(GS_ALPHA_MAX));
     const Vec t = quotient(load(ground.trans + at), 1.0f - alpha);
     store(ground.trans + at, t);
     const Vec w = alpha * t;
@@ -190,7 +190,7 @@ GS_INLINE void pass_pixels(Ground &ground, const ColorGradients<kChannels> &colo
     const Vec diff = own - back;
     store(ground.behind + at, fma(alpha, diff, back));
 
-    const Vec g = keep(ge(set1(kAlphaMax), raw), w * diff);
+    const Vec g = keep(ge(set1(GS_ALPHA_MAX), raw), w * diff);
     const Vec u = load(batch.u[n] + lane), v = load(batch.v[n] + lane);
     const Vec gu = g * u, gv = g * v;
     sums[kG] += g;

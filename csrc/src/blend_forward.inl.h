@@ -24,7 +24,7 @@ struct ForwardBatch : Batch<kForwardSplats + 1> {
 
     ForwardBatch() {
         splat[kNobody] = {};
-        splat[kNobody].log2_opacity = 2 * kLog2AlphaMin;
+        splat[kNobody].log2_opacity = 2 * GS_LOG2_ALPHA_MIN;
         u0[kNobody] = v0[kNobody] = 0;
     }
     bool full() const { return splats == kForwardSplats; }
@@ -128,7 +128,7 @@ GS_INLINE void find_alphas(const ForwardBatch &batch, const uint8_t *list, Vec x
     for (int j = 0; j < kGroup; ++j)
         for (int k = 0; k < kBlockVecs; ++k)
             q[j * kBlockVecs + k] = reach(batch, list[j], x, y[k]).log2_alpha;
-    exp2_above<kGroup * kBlockVecs>(kLog2AlphaMin, q, alpha);
+    exp2_above<kGroup * kBlockVecs>(GS_LOG2_ALPHA_MIN, q, alpha);
 }
 
 // Stops the pixels that splat `index` of the tile's list would complete: stores their transmittance and stop index, and
@@ -137,8 +137,8 @@ GS_INLINE void find_alphas(const ForwardBatch &batch, const uint8_t *list, Vec x
 GS_INLINE void stop_pixels(Ends ends, int at, int32_t index, const Vec *t, Vec *w, Vec *next) {
     for (int k = 0; k < kBlockVecs; ++k) {
         // Pixels completed earlier have a transmittance of zero, so the new ones are the others.
-        const Mask fresh = both(ge(set1(kTransmittanceMin), next[k]), gt(t[k], Vec{}));
-        const Mask goes_on = gt(next[k], set1(kTransmittanceMin));
+        const Mask fresh = both(ge(set1(GS_TRANSMITTANCE_MIN), next[k]), gt(t[k], Vec{}));
+        const Mask goes_on = gt(next[k], set1(GS_TRANSMITTANCE_MIN));
         float *final_at = ends.trans + at + k * kLanes;
         int32_t *stop_at = ends.stop + at + k * kLanes;
         store(final_at, select(fresh, t[k], load(final_at)));
@@ -202,13 +202,13 @@ GS_INLINE int blend_block(C &canvas, Ends ends, const ForwardBatch &batch, int b
             Vec w[kBlockVecs], next[kBlockVecs];
             uint32_t finished = 0;
             for (int k = 0; k < kBlockVecs; ++k) {
-                w[k] = min(alpha[j * kBlockVecs + k], set1(kAlphaMax)) * pixels[0][k];
+                w[k] = min(alpha[j * kBlockVecs + k], set1(GS_ALPHA_MAX)) * pixels[0][k];
                 next[k] = pixels[0][k] - w[k];
             }
             if (far) [[unlikely]]
                 end_before(batch.splat[s].channel[kChannelZ], far + at, next);
             for (int k = 0; k < kBlockVecs; ++k)
-                finished |= bits(ge(set1(kTransmittanceMin), next[k])) << (k * kLanes);
+                finished |= bits(ge(set1(GS_TRANSMITTANCE_MIN), next[k])) << (k * kLanes);
             if (finished != complete) [[unlikely]] {
                 stop_pixels(ends, at, batch.index[s], pixels[0], w, next);
                 complete = finished;

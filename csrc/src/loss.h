@@ -6,8 +6,7 @@
 
 namespace gs {
 
-constexpr int kWindow = 11;
-constexpr int kReach = kWindow / 2;
+constexpr int kReach = GS_SSIM_WINDOW / 2;
 // Rows filtered together, equal to the radius of the window, so that each stage is one group later.
 constexpr int kLossGroup = kReach;
 // Groups of rows covered by the windows over a group of rows.

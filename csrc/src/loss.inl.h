@@ -14,11 +14,7 @@
 namespace gs::GS_NAMESPACE {
 
 constexpr float kShift = 0.5f;
-constexpr float kC1 = 0.01f * 0.01f, kC2 = 0.03f * 0.03f;
-
-// Weights of the centre and of the taps 1..5 px away: exp(-d^2 / (2 * 1.5^2)), normalised to sum 1 over 11 taps.
-constexpr float kTap[kReach + 1] = {0.26601172486179436f,  0.21300553771125370f,  0.10936068950970002f,
-                                    0.036000773310661005f, 0.007598758135239183f, 0.0010283801057925797f};
+constexpr float kTap[kReach + 1] = {GS_SSIM_TAPS};
 
 // Ring buffer of rows, as many as the windows cover.
 struct LossRing {
@@ -122,8 +118,8 @@ struct Similarity {
         const Vec spread = squares - fma(mx, mx, my * my);
         const Vec v = max(fnma(diff, diff, distances), Vec{});
         const Vec ux = mx + kShift, uy = my + kShift;
-        const Vec inv_b1 = quotient(set1(1.0f), fma(ux, ux, uy * uy) + kC1);
-        const Vec inv_b2 = quotient(set1(1.0f), max(spread, Vec{}) + kC2);
+        const Vec inv_b1 = quotient(set1(1.0f), fma(ux, ux, uy * uy) + GS_SSIM_C1);
+        const Vec inv_b2 = quotient(set1(1.0f), max(spread, Vec{}) + GS_SSIM_C2);
         const Vec v_share = v * inv_b2, diff_share = diff * diff * inv_b1;
         const Vec luminance = 1.0f - diff_share, contrast = 1.0f - v_share;
         value = luminance * contrast;

@@ -43,10 +43,10 @@ struct Limits {
     float low[2], high[2];
     explicit Limits(const gs_camera &c) {
         const float tan_x = 0.5f * float(c.width) / c.fx, tan_y = 0.5f * float(c.height) / c.fy;
-        high[0] = (float(c.width) - c.cx) / c.fx + 0.3f * tan_x;
-        low[0] = -c.cx / c.fx - 0.3f * tan_x;
-        high[1] = (float(c.height) - c.cy) / c.fy + 0.3f * tan_y;
-        low[1] = -c.cy / c.fy - 0.3f * tan_y;
+        high[0] = (float(c.width) - c.cx) / c.fx + GS_JACOBIAN_MARGIN * tan_x;
+        low[0] = -c.cx / c.fx - GS_JACOBIAN_MARGIN * tan_x;
+        high[1] = (float(c.height) - c.cy) / c.fy + GS_JACOBIAN_MARGIN * tan_y;
+        low[1] = -c.cy / c.fy - GS_JACOBIAN_MARGIN * tan_y;
     }
 };
 
@@ -91,9 +91,9 @@ GS_INLINE Mask rotate(const float *w, Lanes &s) {
     Vec largest = {};
     for (int k = 0; k < 4; ++k)
         largest = max(largest, max(s.quat[k], -s.quat[k]));
-    const Mask ok = ge(largest, set1(kQuatMin));
+    const Mask ok = ge(largest, set1(GS_QUAT_MIN));
     Vec q[4], norm2 = {};
-    const Vec shrink = 1.0f / max(largest, set1(kQuatMin));
+    const Vec shrink = 1.0f / max(largest, set1(GS_QUAT_MIN));
     for (int k = 0; k < 4; ++k) {
         q[k] = s.quat[k] * shrink;
         norm2 = fma(q[k], q[k], norm2);

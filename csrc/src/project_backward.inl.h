@@ -64,7 +64,7 @@ static inline Moments merge_moments(const Moments *of_list, Span span) {
 }
 
 // Gradient with respect to M = J W R S. With G the matrix of second moments of d and Q the conic, that with respect to
-// the covariance is Q G Q / 2, hence (Q G Q) M. G itself is not needed: Q d = (ua u, ub u + vc v) / kHalfLog2E.
+// the covariance is Q G Q / 2, hence (Q G Q) M. G itself is not needed: Q d = (ua u, ub u + vc v) / GS_HALF_LOG2E.
 // ln(compensation) = (ln det0 - ln det) / 2 adds -log_gain Q M for its second term. In double, because for needles
 // entries of Q G Q are ten thousand times the product.
 static inline void covariance_backward(const Lanes &s, float eps2d, Vec guu, Vec guv, Vec gvv, Vec log_gain,
@@ -82,10 +82,10 @@ static inline void covariance_backward(const Lanes &s, float eps2d, Vec guu, Vec
         const DVec minor = m[0][k] * m[1][(k + 1) % 3] - m[0][(k + 1) % 3] * m[1][k];
         det += minor * minor;
     }
-    // Squares and products of ua, ub = -ratio ua and vc, all over kHalfLog2E.
+    // Squares and products of ua, ub = -ratio ua and vc, all over GS_HALF_LOG2E.
     const DVec inv_yy = 1.0 / yy, inv_det = 1.0 / det, ratio = xy * inv_yy;
     const DVec aa = yy * inv_det, ac = square_root(inv_det);
-    const DVec scale = DVec{} + 1.0 / double(kHalfLog2E);
+    const DVec scale = DVec{} + 1.0 / double(GS_HALF_LOG2E);
     const DVec uu = scale * to_double(guu) * aa, uv = scale * to_double(guv) * ac, vv = scale * to_double(gvv) * inv_yy;
     const DVec gain = to_double(log_gain);
     const DVec k00 = uu - gain * aa;
@@ -220,7 +220,7 @@ GS_INLINE void lanes_backward(const ProjectBackwardArgs &a, const Lanes &s, cons
     const gs_splats &in = *a.forward.splats;
     const gs_splat_grads &grads = a.grads;
     const float *view = a.forward.camera->viewmat;
-    const Vec u_sum = b.sum(kGu) * (1.0f / kHalfLog2E), v_sum = b.sum(kGv) * (1.0f / kHalfLog2E);
+    const Vec u_sum = b.sum(kGu) * (1.0f / GS_HALF_LOG2E), v_sum = b.sum(kGv) * (1.0f / GS_HALF_LOG2E);
     const Vec v_mean2d[2] = {load(b.conic[0]) * u_sum, fma(load(b.conic[1]), u_sum, load(b.conic[2]) * v_sum)};
     const Vec log_gain = keep(s.compensated, b.sum(kG));
     Vec v_m[2][3];

@@ -28,7 +28,7 @@ static void project(const ProjectArgs &a, int64_t chunk) {
         if (!bits(ok))
             continue;
         const Vec log2_opacity = log2(s.sigma_opacity);
-        const Vec t = max(log2_opacity - kLog2AlphaMin, Vec{}) * (1.0f / kHalfLog2E);
+        const Vec t = max(log2_opacity - GS_LOG2_ALPHA_MIN, Vec{}) * (1.0f / GS_HALF_LOG2E);
         const Vec ex = sqrt(t * s.cov_xx), ey = sqrt(t * s.cov_yy);
         ok = both(ok, both(ge(s.mean2d[0] + ex, set1(0.5f)), ge(set1(float(camera.width) - 0.5f), s.mean2d[0] - ex)));
         ok = both(ok, both(ge(s.mean2d[1] + ey, set1(0.5f)), ge(set1(float(camera.height) - 0.5f), s.mean2d[1] - ey)));
@@ -45,14 +45,14 @@ static void project(const ProjectArgs &a, int64_t chunk) {
         sh_colors(in, id, alive, d.x, d.y, d.z, color);
 
         const Vec inv_yy = 1.0f / s.cov_yy;
-        const Vec vc = sqrt(kHalfLog2E * inv_yy);
-        const Vec ua = sqrt(kHalfLog2E * s.cov_yy / s.det);
+        const Vec vc = sqrt(GS_HALF_LOG2E * inv_yy);
+        const Vec ua = sqrt(GS_HALF_LOG2E * s.cov_yy / s.det);
         const Vec ub = -ua * s.cov_xy * inv_yy;
         const Vec extent = max(ex, ey);
         const Vec slope = s.cov_xy / s.cov_xx;
         const Vec half_chord = sqrt(s.det) / s.cov_xx;
         for (const Vec c : color)
-            alive &= bits(ge(set1(kColorMax), c)); // NaN fails
+            alive &= bits(ge(set1(GS_COLOR_MAX), c)); // NaN fails
         IVec ids;
         std::memcpy(&ids, id, sizeof ids);
         // In the form of `Projected`.

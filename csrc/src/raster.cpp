@@ -341,9 +341,9 @@ gs_status gs_raster::projected(float *means2d, float *depths, float *conics, flo
             if (depths)
                 depths[id] = p.channel[kChannelZ];
             if (conics) {
-                conics[3 * id] = p.ua * p.ua / kHalfLog2E;
-                conics[3 * id + 1] = p.ua * p.ub / kHalfLog2E;
-                conics[3 * id + 2] = (p.ub * p.ub + p.vc * p.vc) / kHalfLog2E;
+                conics[3 * id] = p.ua * p.ua / GS_HALF_LOG2E;
+                conics[3 * id + 1] = p.ua * p.ub / GS_HALF_LOG2E;
+                conics[3 * id + 2] = (p.ub * p.ub + p.vc * p.vc) / GS_HALF_LOG2E;
             }
             if (colors)
                 std::copy_n(p.channel, 3, colors + 3 * id);

@@ -17,14 +17,6 @@ constexpr int kStrips = kTileWidth / kBlock, kStripBlocks = kTileHeight / kBlock
 static_assert(kTileBlocks == 32 && kStripBlocks == 8, "the blocks of a tile are the bits of a word, a byte a strip");
 constexpr int column_of_pixel(int i) { return i / (kBlock * kTileHeight) * kBlock + i % kBlock; }
 constexpr int row_of_pixel(int i) { return i / kBlock % kTileHeight; }
-constexpr float kAlphaMax = GS_ALPHA_MAX;
-constexpr float kTransmittanceMin = GS_TRANSMITTANCE_MIN;
-constexpr float kLog2AlphaMin = -7.99435343685886f; // log2(1 / 255)
-constexpr float kQuatMin = 1e-8f;
-// Brighter splats are culled as invalid, because their gradients would overflow, or cancel those of other splats.
-constexpr float kColorMax = 1e9f;
-// Gaussian exponent -d/2 in base 2: exp(-d / 2) = exp2(-kHalfLog2E * d).
-constexpr float kHalfLog2E = 0.72134752044448170f;
 
 constexpr int kChannelInvZ = 3, kChannelZ = 4;
 

@@ -11,17 +11,7 @@ namespace gs::GS_NAMESPACE {
 // Maximum gradient of a basis function passed to the view direction.
 constexpr float kSlopeMax = 1e30f;
 
-// Constants: sqrt of rational multiples of 1/pi, see e.g. Sloan 2013, "Efficient spherical harmonic evaluation".
-constexpr float kSh0 = 0.28209479177387814f;
-constexpr float kSh1 = 0.48860251190291987f;
-constexpr float kSh2[5] = {1.0925484305920792f, -1.0925484305920792f, 0.31539156525252005f, -1.0925484305920792f,
-                           0.5462742152960396f};
-constexpr float kSh3[7] = {-0.5900435899266435f, 2.890611442640554f, -0.4570457994644658f, 0.3731763325901154f,
-                           -0.4570457994644658f, 1.445305721320277f, -0.5900435899266435f};
-
-constexpr float kSh4[9] = {2.5033429417967046f,  -1.7701307697799304f, 0.9461746957575601f,
-                           -0.6690465435572892f, 0.10578554691520431f, -0.6690465435572892f,
-                           0.47308734787878004f, -1.7701307697799304f, 0.6258357354491761f};
+constexpr float kSh2[5] = {GS_SH_C2}, kSh3[7] = {GS_SH_C3}, kSh4[9] = {GS_SH_C4};
 
 static constexpr int sh_count(int degree) { return (degree + 1) * (degree + 1); }
 
@@ -60,12 +50,12 @@ static inline void sh_basis_4_backward(Vec x, Vec y, Vec z, const Vec *s, Vec *v
 }
 
 template <int kMost> static inline void sh_basis(int degree, Vec x, Vec y, Vec z, Vec *b) {
-    b[0] = set1(kSh0);
+    b[0] = set1(GS_SH_C0);
     if (degree < 1)
         return;
-    b[1] = -kSh1 * y;
-    b[2] = kSh1 * z;
-    b[3] = -kSh1 * x;
+    b[1] = -GS_SH_C1 * y;
+    b[2] = GS_SH_C1 * z;
+    b[3] = -GS_SH_C1 * x;
     if (degree < 2)
         return;
     const Vec xx = x * x, yy = y * y, zz = z * z;
@@ -92,9 +82,9 @@ template <int kMost> static inline void sh_basis_backward(int degree, Vec x, Vec
     v[0] = v[1] = v[2] = Vec{};
     if (degree < 1)
         return;
-    v[0] = -kSh1 * s[3];
-    v[1] = -kSh1 * s[1];
-    v[2] = kSh1 * s[2];
+    v[0] = -GS_SH_C1 * s[3];
+    v[1] = -GS_SH_C1 * s[1];
+    v[2] = GS_SH_C1 * s[2];
     if (degree < 2)
         return;
     const Vec a4 = kSh2[0] * s[4], a5 = kSh2[1] * s[5], a6 = kSh2[2] * s[6], a7 = kSh2[3] * s[7], a8 = kSh2[4] * s[8];
@@ -133,7 +123,7 @@ static inline void sh_colors_of(const gs_splats &in, const uint32_t *id, uint32_
     const int rest = sh_count(in.sh_degree) - 1;
     gather<3>(in.sh0, in.count, id, color);
     for (int c = 0; c < 3; ++c)
-        color[c] = color[c] * kSh0 + 0.5f;
+        color[c] = color[c] * GS_SH_C0 + 0.5f;
     if (rest > 0) {
         const float *row[kLanes];
         coefficient_rows(in, id, alive, row);
@@ -180,7 +170,7 @@ static inline void sh_backward_of(const gs_splats &in, const gs_splat_grads &gra
     Vec b[kMax] = {}, s[kMax] = {};
     sh_basis<kMost>(in.sh_degree, x, y, z, b);
     const int rest = sh_count(in.sh_degree) - 1;
-    const Vec v_sh0[3] = {v_color[0] * kSh0, v_color[1] * kSh0, v_color[2] * kSh0};
+    const Vec v_sh0[3] = {v_color[0] * GS_SH_C0, v_color[1] * GS_SH_C0, v_color[2] * GS_SH_C0};
     scatter<3>(grads.sh0, id, lanes, v_sh0);
     if (rest > 0) {
         const float *row[kLanes];

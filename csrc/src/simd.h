@@ -4,6 +4,8 @@
 // contraction is off, so forward and backward pass compute the same alpha to the last bit.
 #pragma once
 
+#include "../shared/constants.h"
+
 #include <cstdint>
 #include <cstring>
 
@@ -226,23 +228,13 @@ static inline void lane_sums(const Vec *v, float *out) {
 #endif
 }
 
-// Coefficients of the minimax polynomial for 2^x on [-0.5, 0.5], highest power first. Degree 5 reaches float precision;
-// the others are for measurements (tools/measure/kernel_error.py).
+// Degree of the polynomial for 2^x: 3, 4, 5 or 6, see GS_EXP2_5.
 #ifndef GS_EXP_DEGREE
 #define GS_EXP_DEGREE 5
 #endif
-#if GS_EXP_DEGREE == 3
-constexpr float kExp2Poly[] = {0.0550089329f, 0.242210969f, 0.693282902f, 1.0f};
-#elif GS_EXP_DEGREE == 4
-constexpr float kExp2Poly[] = {0.00958538242f, 0.0559066273f, 0.24024038f, 0.693124175f, 1.0f};
-#elif GS_EXP_DEGREE == 5
-constexpr float kExp2Poly[] = {0.0013276472f, 0.009675541f, 0.05550713f, 0.2402212f, 0.69314694f, 1.0f};
-#elif GS_EXP_DEGREE == 6
-constexpr float kExp2Poly[] = {
-    0.000152723049f, 0.00134104793f, 0.00961877499f, 0.0555029362f, 0.240226448f, 0.693147242f, 1.0f};
-#else
-#error "GS_EXP_DEGREE must be 3 to 6"
-#endif
+#define GS_PASTE(a, b) a##b
+#define GS_EXP2(degree) GS_PASTE(GS_EXP2_, degree)
+constexpr float kExp2Poly[] = {GS_EXP2(GS_EXP_DEGREE)};
 
 // 2^x of `count` vectors, stage by stage, zero where x < lowest, for x <= 127 and lowest >= -126; relative error 2.2e-7.
 template <int count> static inline void exp2_above(float lowest, const Vec *x, Vec *out) {
@@ -279,12 +271,12 @@ static inline Vec exp(Vec x) {
     const Vec n = t - magic;
     // x log2(e) - n in two parts, so that large |x| keep their fraction.
     const Vec f = fma(x, set1(1.92596303e-8f), fma(x, set1(1.44269502162933349609375f), -n));
-    Vec p = set1(0.0013276472f);
-    p = fma(p, f, set1(0.009675541f));
-    p = fma(p, f, set1(0.05550713f));
-    p = fma(p, f, set1(0.2402212f));
-    p = fma(p, f, set1(0.69314694f));
-    p = fma(p, f, set1(1.0f));
+    constexpr float c[] = {GS_EXP2_5};
+    Vec p = fma(set1(c[0]), f, set1(c[1]));
+    p = fma(p, f, set1(c[2]));
+    p = fma(p, f, set1(c[3]));
+    p = fma(p, f, set1(c[4]));
+    p = fma(p, f, set1(c[5]));
     return scale_by_power(p, t);
 }
 

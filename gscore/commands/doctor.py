@@ -16,6 +16,7 @@ from ..extras import how_to_install
 from ..io.system_memory import available_memory_bytes, total_memory_bytes
 from ..metrics.machine import cores, cpu_name, version_of
 from ..sh import rgb_to_sh0
+from ..shared_constants import ALPHA_MIN, EPS2D
 from ..splats import Splats
 from ..text_format import count_words, size_words
 from .terminal.output import print_json
@@ -163,8 +164,8 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
     K = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
     offsets = np.arange(size) + 0.5 - size / 2
     square = offsets[:, None] ** 2 + offsets[None, :] ** 2
-    alpha = opacity * np.exp(-square / (2 * ((focal * sigma / z) ** 2 + 0.3)))
-    alpha[alpha < 1 / 255] = 0.0
+    alpha = opacity * np.exp(-square / (2 * ((focal * sigma / z) ** 2 + EPS2D)))
+    alpha[alpha < ALPHA_MIN] = 0.0
     # At the cutoff rounding decides between 1/255 and zero; that is not an error.
     certain = np.abs(alpha * 255 - 1) > 1e-3
     expected = alpha[..., None] * color + (1 - alpha[..., None]) * background

@@ -1,6 +1,8 @@
-"""Rotation of vectors by quaternions."""
+"""Rotations by quaternions."""
 
 import torch
+
+from ..shared_constants import QUAT_MIN
 
 
 def rotate(quats: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
@@ -10,3 +12,8 @@ def rotate(quats: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
     # v + 2 w (u x v) + 2 u x (u x v)
     cross = torch.linalg.cross(axis, vectors)
     return vectors + 2 * (w * cross + torch.linalg.cross(axis, cross))
+
+
+def undirected(quats: torch.Tensor) -> torch.Tensor:
+    """Return [N] bool: quaternions, [N, 4], too short for the rasterizer to draw their splats."""
+    return quats.abs().amax(dim=1) < QUAT_MIN

@@ -6,10 +6,11 @@ import numpy as np
 
 from ..io.lod_index import CHILDREN, LodIndex, LodLevel
 from ..raster.request import Frustum
+from ..shared_constants import ALPHA_MIN, JACOBIAN_MARGIN
 
-_FAINTEST = float(np.sqrt(2 * np.log(255.0)))
+_FAINTEST = float(np.sqrt(-2 * np.log(ALPHA_MIN)))
 """Standard deviations at which an opaque splat falls below 1/255 and is no longer drawn."""
-_CLAMP = 1.3
+_CLAMP = 1 + JACOBIAN_MARGIN
 """Half-angles of the picture beyond which the rasterizer clamps the projection of covariances."""
 _ROUNDING = 1.0
 """Margin around the picture for float32 rounding, px."""

@@ -9,6 +9,7 @@ from ..io.lod_file import LodFile, empty_splats, open_lod_file
 from ..io.lod_index import LodIndex
 from ..raster.api import Rendered, render
 from ..raster.request import Frustum
+from ..shared_constants import EPS2D
 from ..splats import Splats
 from .chunk_selection import ChosenChunks, choose_chunks
 
@@ -69,7 +70,7 @@ class LodModel:
         lod_px: float = LOD_PX,
         most: int | None = None,
         near: float | None = None,
-        eps2d: float = 0.3,
+        eps2d: float = EPS2D,
         **how: Any,
     ) -> Rendered:
         """Render as `gscore.render`, with coarser levels for distant splats.

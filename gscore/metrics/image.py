@@ -7,19 +7,14 @@ import numpy as np
 
 from ..errors import ShapeError
 from ..extras import need
+from ..shared_constants import SSIM_C1, SSIM_C2, SSIM_SIGMA, SSIM_WINDOW
 from .colour_fit import corrected_mse
 
 EMPTY_MASK = "the mask leaves no pixel"
 """Reason for a completely masked view."""
-WINDOW = 11
-"""Width of the Gaussian window of SSIM, px."""
-SIGMA = 1.5
-"""Standard deviation of that window, px."""
-C1, C2 = 0.01**2, 0.03**2
-"""Constants of SSIM for values in [0, 1] (Wang et al. 2004, eq. 13)."""
 MS_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 """Exponents of the five scales of MS-SSIM, finest first (Wang et al. 2003, section 3.2)."""
-MS_SMALLEST = (WINDOW - 1) * 2 ** (len(MS_WEIGHTS) - 1) + 1
+MS_SMALLEST = (SSIM_WINDOW - 1) * 2 ** (len(MS_WEIGHTS) - 1) + 1
 """Minimum side for MS-SSIM, px, so that the window fits into the coarsest scale."""
 
 
@@ -105,8 +100,8 @@ def psnr_cc(image: Any, target: Any, *, mask: np.ndarray | None = None) -> float
 
 
 def _gaussian_window() -> np.ndarray:
-    offsets = np.arange(WINDOW) - WINDOW // 2
-    window = np.exp(-(offsets**2) / (2 * SIGMA**2))
+    offsets = np.arange(SSIM_WINDOW) - SSIM_WINDOW // 2
+    window = np.exp(-(offsets**2) / (2 * SSIM_SIGMA**2))
     return window / window.sum()
 
 
@@ -121,8 +116,8 @@ def _blur(planes: np.ndarray) -> np.ndarray:
 def _ssim_terms(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Luminance and contrast-structure maps of two planar pictures, zero padded.
 
-    The interior, `WINDOW // 2` pixels from every side, equals the valid convolution, so one call
-    computes both conventions and the finest scale of MS-SSIM.
+    The interior, `SSIM_WINDOW // 2` pixels from every side, equals the valid convolution, so one
+    call computes both conventions and the finest scale of MS-SSIM.
 
     Args:
         a, b: [3, H, W] float64 in [0, 1].
@@ -137,8 +132,8 @@ def _ssim_terms(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         mu_xy = mu_x * mu_y
         mu_square = mu_x * mu_x
         mu_square += mu_y * mu_y
-        contrast[k] = (2 * (product - mu_xy) + C2) / (square - mu_square + C2)
-        luminance[k] = (2 * mu_xy + C1) / (mu_square + C1)
+        contrast[k] = (2 * (product - mu_xy) + SSIM_C2) / (square - mu_square + SSIM_C2)
+        luminance[k] = (2 * mu_xy + SSIM_C1) / (mu_square + SSIM_C1)
     return luminance, contrast
 
 
@@ -147,7 +142,7 @@ def _planar(image: np.ndarray) -> np.ndarray:
 
 
 def _inside(planes: np.ndarray) -> np.ndarray:
-    edge = WINDOW // 2
+    edge = SSIM_WINDOW // 2
     return planes[..., edge:-edge, edge:-edge]
 
 
@@ -181,7 +176,7 @@ def ssim(image: Any, target: Any, *, padding: Literal["zero", "valid"] = "zero")
     """
     a, b = _pair(image, target)
     if padding == "valid":
-        _check_fits(a, WINDOW, "ssim with padding 'valid'")
+        _check_fits(a, SSIM_WINDOW, "ssim with padding 'valid'")
     luminance, contrast = _ssim_terms(_planar(a), _planar(b))
     values = luminance * contrast
     return float(np.mean(_inside(values) if padding == "valid" else values))
@@ -258,11 +253,11 @@ def image_metrics(image: Any, target: Any, *, mask: np.ndarray | None = None) ->
     values["d_ssim"] = (1.0 - values["ssim"]) / 2.0
     side = min(a.shape[1:])
     size = f"the picture is {a.shape[2]} x {a.shape[1]} pixels"
-    if side >= WINDOW:
+    if side >= SSIM_WINDOW:
         values["ssim_valid"] = float(_inside(similarity).mean())
     else:
         values["ssim_valid"] = None
-        values["ssim_valid_reason"] = f"needs {WINDOW} x {WINDOW} pixels, {size}"
+        values["ssim_valid_reason"] = f"needs {SSIM_WINDOW} x {SSIM_WINDOW} pixels, {size}"
     if side >= MS_SMALLEST:
         values["ms_ssim"] = _ms_ssim(a, b, luminance, contrast)
     else:

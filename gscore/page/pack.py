@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..sh import rgb_to_sh0, sh0_to_rgb
+from ..shared_constants import ALPHA_MIN
 from ..smallest_three import smallest_three, with_largest
 from ..splats import PARAMETERS, Splats, cut_degree, sigmoid
 from . import ascii85
@@ -39,8 +40,6 @@ COLOR_AXES = np.array(
     ]
 )
 """[3, 3], orthonormal rows: grey and two differences, which decorrelate colours."""
-FAINTEST = 1 / 255
-"""Splats with a lower opacity are never drawn."""
 _ENDS = (np.minimum, np.maximum)
 _STEPS = 0.004 * 1.15 ** np.arange(64)
 """Possible steps of higher SH coefficients; the last one removes nearly all of them."""
@@ -165,7 +164,7 @@ def _drawn(splats: Splats) -> np.ndarray:
         numbers = getattr(splats, name)
         good &= np.isfinite(numbers).all(axis=tuple(range(1, numbers.ndim)))
     good &= np.abs(splats.quats).max(axis=1) > 1e-18
-    return good & (sigmoid(splats.opacities) >= FAINTEST)
+    return good & (sigmoid(splats.opacities) >= ALPHA_MIN)
 
 
 def _geometry(splats: Splats, lengths: np.ndarray) -> bytes:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..glsl import glsl_defines
 from ..io.files import atomic_write
 from . import ascii85
 from .pack import Packed
@@ -87,8 +88,8 @@ def page_html(page: Page) -> str:
         "style": _asset("view.css"),
         "scene": _as_script(_scene(page)),
         "splats": ascii85.encode(page.splats.body),
-        "vertex": _asset("splat.vert"),
-        "fragment": _asset("splat.frag"),
+        "vertex": _shader("splat.vert"),
+        "fragment": _shader("splat.frag"),
         "sorter": _asset("sort.js"),
         "script": '"use strict";\n' + "\n".join(_asset(name) for name in _SCRIPTS),
     }
@@ -97,6 +98,13 @@ def page_html(page: Page) -> str:
 
 def _asset(name: str) -> str:
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
+
+
+def _shader(name: str) -> str:
+    """A shader with the values of its macros after its first line, the version."""
+    version, source = _asset(name).split("\n", 1)
+    defines = (f"#define {macro} {value}\n" for macro, value in glsl_defines(source).items())
+    return f"{version}\n{''.join(defines)}{source}"
 
 
 def _as_script(content: Any) -> str:

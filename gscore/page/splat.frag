@@ -7,8 +7,8 @@ out vec4 pixel;
 
 void main() {
     float alpha = shade.a * exp(-0.5 * dot(place, place));
-    if (alpha < 1.0 / 255.0)
+    if (alpha < GS_ALPHA_MIN)
         discard;
-    alpha = min(alpha, 0.99);
+    alpha = min(alpha, GS_ALPHA_MAX);
     pixel = vec4(shade.rgb * alpha, alpha);
 }

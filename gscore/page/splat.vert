@@ -40,21 +40,22 @@ mat3 turned(uint packed) {
 // Basis functions beyond the constant, bands ascending, within a band m = -l..l; signs of 3DGS.
 void basis(vec3 d, out float b[15]) {
     float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
-    b[0] = -0.48860251190291987 * y;
-    b[1] = 0.48860251190291987 * z;
-    b[2] = -0.48860251190291987 * x;
-    b[3] = 1.0925484305920792 * x * y;
-    b[4] = -1.0925484305920792 * y * z;
-    b[5] = 0.31539156525252005 * (2.0 * zz - xx - yy);
-    b[6] = -1.0925484305920792 * x * z;
-    b[7] = 0.5462742152960396 * (xx - yy);
-    b[8] = -0.5900435899266435 * y * (3.0 * xx - yy);
-    b[9] = 2.890611442640554 * x * y * z;
-    b[10] = -0.4570457994644658 * y * (4.0 * zz - xx - yy);
-    b[11] = 0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy);
-    b[12] = -0.4570457994644658 * x * (4.0 * zz - xx - yy);
-    b[13] = 1.445305721320277 * z * (xx - yy);
-    b[14] = -0.5900435899266435 * x * (xx - 3.0 * yy);
+    const float c2[5] = float[5](GS_SH_C2), c3[7] = float[7](GS_SH_C3);
+    b[0] = -GS_SH_C1 * y;
+    b[1] = GS_SH_C1 * z;
+    b[2] = -GS_SH_C1 * x;
+    b[3] = c2[0] * x * y;
+    b[4] = c2[1] * y * z;
+    b[5] = c2[2] * (2.0 * zz - xx - yy);
+    b[6] = c2[3] * x * z;
+    b[7] = c2[4] * (xx - yy);
+    b[8] = c3[0] * y * (3.0 * xx - yy);
+    b[9] = c3[1] * x * y * z;
+    b[10] = c3[2] * y * (4.0 * zz - xx - yy);
+    b[11] = c3[3] * z * (2.0 * zz - 3.0 * xx - 3.0 * yy);
+    b[12] = c3[4] * x * (4.0 * zz - xx - yy);
+    b[13] = c3[5] * z * (xx - yy);
+    b[14] = c3[6] * x * (xx - 3.0 * yy);
 }
 
 // View-dependent part of the colour.
@@ -81,7 +82,7 @@ void main() {
     if (!(seat.z > nearest))
         return;
 
-    vec2 reach = 0.15 * size / lens.xy; // 0.3 of the half-angle
+    vec2 reach = 0.5 * GS_JACOBIAN_MARGIN * size / lens.xy;
     vec2 ratio = clamp(seat.xy / seat.z, -lens.zw / lens.xy - reach, (size - lens.zw) / lens.xy + reach);
     vec2 sizes = unpackHalf2x16(second.x), more = unpackHalf2x16(second.y);
     mat3 shape = rotation * turned(first.w);
@@ -90,19 +91,19 @@ void main() {
     vec3 mx = lens.x / seat.z * (vec3(shape[0].x, shape[1].x, shape[2].x) - ratio.x * deep) * scale;
     vec3 my = lens.y / seat.z * (vec3(shape[0].y, shape[1].y, shape[2].y) - ratio.y * deep) * scale;
     vec3 minors = cross(mx, my);
-    float xx = dot(mx, mx) + 0.3, yy = dot(my, my) + 0.3, xy = dot(mx, my);
-    float det0 = dot(minors, minors), det = det0 + 0.3 * (xx + yy - 0.3);
+    float xx = dot(mx, mx) + GS_EPS2D, yy = dot(my, my) + GS_EPS2D, xy = dot(mx, my);
+    float det0 = dot(minors, minors), det = det0 + GS_EPS2D * (xx + yy - GS_EPS2D);
     float opacity = more.y;
     if (compensated)
-        opacity *= max(sqrt(det0 / det), 0.005);
-    if (!(opacity >= 1.0 / 255.0 && det > 0.0 && det < 3e38))
+        opacity *= max(sqrt(det0 / det), GS_COMPENSATION_MIN);
+    if (!(opacity >= GS_ALPHA_MIN && det > 0.0 && det < 3e38))
         return;
 
     float half_ = 0.5 * (xx - yy), root = sqrt(half_ * half_ + xy * xy);
     float longer = 0.5 * (xx + yy) + root;
     vec2 along = half_ > 0.0 ? vec2(half_ + root, xy) : vec2(xy, root - half_);
     along = root > 0.0 ? normalize(along) : vec2(1.0, 0.0);
-    float edge = sqrt(2.0 * log(255.0 * opacity));
+    float edge = sqrt(2.0 * log(opacity / GS_ALPHA_MIN));
     place = (vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0) * edge;
     vec2 offset = place.x * sqrt(longer) * along + place.y * sqrt(det / longer) * vec2(-along.y, along.x);
     vec2 at = (lens.xy * seat.xy / seat.z + lens.zw + offset) / size;

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from ..shared_constants import EPS2D
 from . import _native, arguments, header
 from .request import Frustum
 
@@ -70,7 +71,7 @@ def catch_up(
     params: Mapping[str, Tensor],
     view: Frustum | None = None,
     *,
-    eps2d: float = 0.3,
+    eps2d: float = EPS2D,
     out: Tensor | None = None,
     threads: int = 0,
 ) -> None:

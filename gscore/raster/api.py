@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import ShapeError
 from ..formats import read_decoded
 from ..scene import Cameras, moved_viewmats, offset_between
+from ..shared_constants import EPS2D
 from ..splats import PARAMETERS, Splats
 from . import _native, arguments, header
 from .request import CancelFlag, Frustum, Settings
@@ -44,7 +45,7 @@ def render(
     sh_degree: int | None = None,
     near: float = 0.01,
     far: float = 1e10,
-    eps2d: float = 0.3,
+    eps2d: float = EPS2D,
     antialias: bool = False,
     depths: bool = True,
     orthographic: bool = False,

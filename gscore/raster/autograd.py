@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..shared_constants import EPS2D
 from ..splats import PARAMETERS
 from . import _native, arguments, header
 from .buffers import address
@@ -126,7 +127,7 @@ def rasterize(
     background: tuple[float, float, float] | Tensor | None = None,
     near: float = 0.01,
     far: float = 1e10,
-    eps2d: float = 0.3,
+    eps2d: float = EPS2D,
     antialias: bool = False,
     inverse_depth: bool = False,
     depth: bool = False,
@@ -145,7 +146,7 @@ def rasterize(
 
     Args:
         means: [N, 3] world units.
-        quats: [N, 4] wxyz, of any length above 1e-8.
+        quats: [N, 4] wxyz, of any length; without a component of 1e-8 the splat is not drawn.
         scales: [N, 3] standard deviations in world units; their natural logs where `raw`.
         opacities: [N] in [0, 1]; logits where `raw`.
         sh0: [N, 1, 3] constant SH coefficient.

@@ -3,6 +3,7 @@
 import ctypes as ct
 from dataclasses import dataclass
 
+from ..shared_constants import EPS2D
 from .buffers import Array
 
 
@@ -45,7 +46,7 @@ class Settings:
     """Scales are logs and opacities logits."""
     sh_degree: int | None = None
     """SH degree to evaluate; None: the stored degree."""
-    eps2d: float = 0.3
+    eps2d: float = EPS2D
     """Added to the diagonal of the 2D covariance, px^2."""
     antialias: bool = False
     """Multiply opacities by max(sqrt(det0 / det), 0.005)."""

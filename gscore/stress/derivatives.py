@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ..shared_constants import COMPENSATION_MIN, EPS2D, JACOBIAN_MARGIN
 from . import truth
 from .scenes import SplatScene, settle
 
@@ -40,7 +41,7 @@ def relative(actual: np.ndarray, true: np.ndarray, *, floor: float = 0.01) -> fl
     return float((np.abs(actual - true) / scale).max())
 
 
-def has_kink(scene: SplatScene, *, eps2d: float = 0.3, margin: float = 1e-3) -> bool:
+def has_kink(scene: SplatScene, *, eps2d: float = EPS2D, margin: float = 1e-3) -> bool:
     """Whether a clamped quantity of a splat (colour, slope, compensation) is near its limit."""
     import torch
 
@@ -51,7 +52,7 @@ def has_kink(scene: SplatScene, *, eps2d: float = 0.3, margin: float = 1e-3) -> 
     slopes = cam[:, :2] / cam[:, 2:]
     focal, center = t["K"].diagonal()[:2], t["K"][:2, 2]
     size = torch.tensor([scene.width, scene.height]).double()
-    extra = 0.3 * 0.5 * size / focal
+    extra = JACOBIAN_MARGIN * 0.5 * size / focal
     limits = torch.stack([-(center / focal + extra), (size - center) / focal + extra])  # [2, 2]
     covars = reference.covariance(t["quats"], t["scales"].exp())
     jacobian = reference.projection_jacobian(cam, t["K"], scene.width, scene.height)
@@ -62,7 +63,8 @@ def has_kink(scene: SplatScene, *, eps2d: float = 0.3, margin: float = 1e-3) -> 
     offsets = t["means"] + t["viewmat"][:3, :3].T @ t["viewmat"][:3, 3]
     basis = reference.sh_basis(offsets / offsets.norm(dim=1, keepdim=True), 3)
     kinked = (slopes[None] - limits[:, None]).abs().min() < margin
-    kinked |= bool(((compensation - 0.005).abs() < 1e-5).any() and (compensation > 0.005).any())
+    above = compensation - COMPENSATION_MIN
+    kinked |= bool((above.abs() < 1e-5).any() and (above > 0).any())
     for degree in range(4):
         count = (degree + 1) ** 2
         stored = torch.cat([t["sh0"], t["shN"]], 1)[:, :count]

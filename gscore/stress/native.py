@@ -8,6 +8,7 @@ import numpy as np
 
 from ..raster import _native, header
 from ..raster.request import Frustum, Settings
+from ..shared_constants import EPS2D
 from ..splats import PARAMETERS
 from .scenes import SplatScene
 
@@ -75,7 +76,7 @@ def draw(
     antialias: bool = False,
     near: float = 0.01,
     far: float = 1e10,
-    eps2d: float = 0.3,
+    eps2d: float = EPS2D,
     orthographic: bool = False,
     outputs: int = ALL_DEPTHS,
     disable: int = 0,

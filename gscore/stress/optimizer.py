@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from ..shared_constants import ADAM_BETA1, ADAM_BETA2, ADAM_EPS
 from .case import EmptyTestError, Measure, case
 
-BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
 _ROWS = 120
 _SHAPES = {"means": 3, "quats": 4, "scales": 3, "opacities": 1, "sh0": 3, "shN": 45}
 _RATES = {"means": 1e-3, "quats": 1e-3, "scales": 5e-3, "opacities": 0.02, "sh0": 2.5e-3}
@@ -26,12 +26,12 @@ class _Dense:
     def step(self, gradients: dict[str, np.ndarray], rates: dict[str, float]) -> None:
         self.steps += 1
         c = self.dtype  # NumPy float64 scalars would promote float32 arrays
-        unbias = c(1 / (1 - BETA1**self.steps)), c(1 / (1 - BETA2**self.steps))
+        unbias = c(1 / (1 - ADAM_BETA1**self.steps)), c(1 / (1 - ADAM_BETA2**self.steps))
         for name, gradient in gradients.items():
             m, v, g = self.first[name], self.second[name], gradient.astype(c)
-            m += c(1 - BETA1) * (g - m)
-            v += c(1 - BETA2) * (g * g - v)
-            size = np.sqrt(v * unbias[1]) + c(EPS)
+            m += c(1 - ADAM_BETA1) * (g - m)
+            v += c(1 - ADAM_BETA2) * (g * g - v)
+            size = np.sqrt(v * unbias[1]) + c(ADAM_EPS)
             self.values[name] -= c(rates[name]) * (m * unbias[0]) / size
 
     def edit(self, keep: np.ndarray, copied: np.ndarray) -> None:

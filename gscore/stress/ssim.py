@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from ..shared_constants import SSIM_C1, SSIM_C2
 from .case import EmptyTestError, Measure, case
 
 
@@ -118,5 +119,5 @@ def _one_window(x: np.ndarray, y: np.ndarray, window: np.ndarray) -> float:
     mx, my = (window * x).sum(), (window * y).sum()
     vx, vy = (window * (x - mx) ** 2).sum(), (window * (y - my) ** 2).sum()
     cov = (window * (x - mx) * (y - my)).sum()
-    top = (2 * mx * my + 0.01**2) * (2 * cov + 0.03**2)
-    return top / ((mx * mx + my * my + 0.01**2) * (vx + vy + 0.03**2))
+    top = (2 * mx * my + SSIM_C1) * (2 * cov + SSIM_C2)
+    return top / ((mx * mx + my * my + SSIM_C1) * (vx + vy + SSIM_C2))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from gscore.engine.rotation import undirected
 from gscore.errors import GsError
 from gscore.raster import _native, reference
 from gscore.raster.api import render
@@ -187,3 +188,22 @@ def test_skew_and_missing_degrees_are_refused(random_scene):
         rasterize(**{**inputs, "K": skewed})
     with pytest.raises(GsError, match="degree"):
         rasterize(**inputs, sh_degree=2)
+
+
+@pytest.mark.parametrize(
+    ("quat", "drawn"),
+    [
+        ((0.0, 0.0, 1.001e-8, 0.0), True),
+        ((0.0, -1.001e-8, 0.0, 0.0), True),
+        ((0.0, 0.0, 0.999e-8, 0.0), False),
+        ((0.9e-8, 0.9e-8, -0.9e-8, 0.9e-8), False),  # of length 1.8e-8
+        ((0.0, 0.0, 0.0, 0.0), False),
+    ],
+)
+def test_quaternions_are_long_enough_by_one_rule(one_splat, quat, drawn):
+    """Oracle: the header (GS_QUAT_MIN: the largest component) for kernel, reference, strategies."""
+    splat = one_splat() | {"quats": torch.tensor([quat], dtype=torch.float64)}
+    out, _ = draw(splat)
+    twin = reference.rasterize_reference(**splat, viewmat=torch.eye(4), K=K, width=16, height=12)
+    found = [bool(picture.alpha.max() > 0) for picture in (out, twin)]
+    assert [*found, not undirected(splat["quats"].float())[0]] == [drawn, drawn, drawn]

@@ -3,10 +3,7 @@
 
 #include "raster.h"
 
-/* Adam (Kingma and Ba 2015) over the parameters of N splats, one call per step. */
-#define GS_ADAM_BETA1 0.9
-#define GS_ADAM_BETA2 0.999
-#define GS_ADAM_EPS 1e-15f
+/* Adam (Kingma and Ba 2015) over the parameters of N splats, one call per step, with GS_ADAM_BETA1, GS_ADAM_BETA2 and GS_ADAM_EPS. */
 /* Rows may have at most GS_ADAM_LAGS - 1 pending steps before they are synchronised. */
 #define GS_ADAM_LAGS 256
 

@@ -1,23 +1,15 @@
 /* Rasterization of splats: pictures of a camera, and the gradients of a loss on them. */
 #pragma once
 
+#include "../../shared/constants.h"
 #include "base.h"
 
-/* Minimum alpha with which a splat contributes to a pixel. */
-#define GS_ALPHA_MIN (1.0f / 255.0f)
-/* Maximum of alpha; a clamped alpha passes no gradient. */
-#define GS_ALPHA_MAX 0.99f
-/* A pixel is complete when the next splat would reduce its transmittance to this or less; that splat is not blended. */
-#define GS_TRANSMITTANCE_MIN 1e-4f
-/* Minimum opacity factor of the anti-aliasing compensation. */
-#define GS_COMPENSATION_MIN 0.005f
-/* Side of the tiles of gs_options.tiles, px. */
-#define GS_TILE 16
 /* Size of the tiles with splat lists, px. */
 #define GS_LIST_TILE_WIDTH GS_TILE
 #define GS_LIST_TILE_HEIGHT (2 * GS_TILE)
 
-/* N splats. Quaternions are wxyz and need not be normalised; a row whose quaternion is shorter than 1e-8 is culled. */
+/* N splats. Quaternions are wxyz and need not be normalised; a row without a component of at
+ * least GS_QUAT_MIN is culled. */
 typedef struct gs_splats {
     int64_t count;          /* N, at most 2^31 - 1; 0 is allowed */
     const float *means;     /* [N, 3] world */

@@ -5,9 +5,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from ...shared_constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from ..request import Frustum, Settings
-from .blending import PAIRS_PER_CHUNK, gaussian_alpha, pixel_centers
-from .constants import ALPHA_MAX, ALPHA_MIN, STOP_AT, TRANSMITTANCE_MIN
+from .blending import PAIRS_PER_CHUNK, STOP_AT, gaussian_alpha, pixel_centers
 from .rasterize import ProjectedSplats, SplatTensors, project
 
 

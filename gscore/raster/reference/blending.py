@@ -9,7 +9,11 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from .constants import ALPHA_MAX, ALPHA_MIN, STOP_AT
+from ...shared_constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+
+STOP_AT = TRANSMITTANCE_MIN * (1 + 1e-9)
+"""The limit of the transmittance with a tolerance: two splats capped at 0.99 leave exactly 1e-4,
+which must stop the pixel although (1 - 0.99)^2 rounds to slightly more."""
 
 PAIRS_PER_CHUNK = 1 << 18
 """Splat-pixel pairs per chunk: limits memory to about a hundred megabytes in float64."""

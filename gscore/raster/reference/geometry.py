@@ -12,7 +12,7 @@ Drettakis, "3D Gaussian Splatting for Real-Time Radiance Field Rendering", SIGGR
 import torch
 from torch import Tensor
 
-from .constants import COMPENSATION_MIN, JACOBIAN_MARGIN
+from ...shared_constants import COMPENSATION_MIN, JACOBIAN_MARGIN
 
 
 def quat_to_rotmat(quats: Tensor) -> Tensor:

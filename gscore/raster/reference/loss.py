@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-WINDOW, SIGMA = 11, 1.5
-C1, C2 = 0.01**2, 0.03**2
+from ...shared_constants import SSIM_C1, SSIM_C2, SSIM_SIGMA, SSIM_WINDOW
 
 
 def image_loss_reference(
@@ -46,17 +45,19 @@ def image_loss_reference(
     if gain is not None:
         image = image * gain
         image = torch.where((y >= 1) & (image > 1), torch.ones_like(image), image)
-    taps = torch.arange(WINDOW, dtype=image.dtype) - WINDOW // 2
-    taps = torch.exp(-(taps**2) / (2 * SIGMA**2))
+    taps = torch.arange(SSIM_WINDOW, dtype=image.dtype) - SSIM_WINDOW // 2
+    taps = torch.exp(-(taps**2) / (2 * SSIM_SIGMA**2))
     taps = taps / taps.sum()
     window = torch.outer(taps, taps)[None, None]
 
     def blur(x: Tensor) -> Tensor:
-        return functional.conv2d(x.permute(2, 0, 1)[:, None], window, padding=WINDOW // 2)
+        return functional.conv2d(x.permute(2, 0, 1)[:, None], window, padding=SSIM_WINDOW // 2)
 
     mx, my = blur(image), blur(y)
     sx, sy = blur(image * image) - mx * mx, blur(y * y) - my * my
     sxy = blur(image * y) - mx * my
-    ssim = ((2 * mx * my + C1) * (2 * sxy + C2)) / ((mx * mx + my * my + C1) * (sx + sy + C2))
+    ssim = ((2 * mx * my + SSIM_C1) * (2 * sxy + SSIM_C2)) / (
+        (mx * mx + my * my + SSIM_C1) * (sx + sy + SSIM_C2)
+    )
     l1 = (image - y).abs().mean()
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim.mean()), ssim.mean()

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from ...errors import ShapeError
+from ...shared_constants import ALPHA_MIN, COLOR_MAX, EPS2D, QUAT_MIN
 from ..request import Frustum, Settings
 from .blending import PAIRS_PER_CHUNK, blend
-from .constants import ALPHA_MIN, COLOR_MAX, QUAT_NORM2_MIN
 from .geometry import (
     conic,
     covariance,
@@ -119,9 +119,9 @@ def alive_rows(splats: SplatTensors, view: Frustum) -> Tensor:
     """[N] bool: rows with only finite parameters, a usable quaternion, and near < z <= far."""
     numbers = [field[:, None].flatten(1) for field in splats]
     finite = torch.cat(numbers, 1).isfinite()
-    length2 = (splats.quats * splats.quats).sum(1)
+    turned = splats.quats.abs().amax(1) >= QUAT_MIN
     z = means_to_camera(splats.means, view.viewmat)[:, 2]
-    return finite.all(1) & (length2 >= QUAT_NORM2_MIN) & (z > view.near) & (z <= view.far)
+    return finite.all(1) & turned & (z > view.near) & (z <= view.far)
 
 
 def project_rows(
@@ -247,7 +247,7 @@ def rasterize_reference(
     background: Tensor | None = None,
     near: float = 0.01,
     far: float = 1e10,
-    eps2d: float = 0.3,
+    eps2d: float = EPS2D,
     antialias: bool = False,
     orthographic: bool = False,
     far_depths: Tensor | None = None,
@@ -264,7 +264,7 @@ def rasterize_reference(
 
     Args:
         means: [N, 3], world units.
-        quats: [N, 4], wxyz, of any length; splats with a zero quaternion are not drawn.
+        quats: [N, 4], wxyz, of any length; splats without a component of QUAT_MIN are not drawn.
         scales: [N, 3], standard deviations in world units, or their logarithms if `raw`.
         opacities: [N], 0 to 1, or logits if `raw`.
         sh0: [N, 1, 3], constant SH coefficient.

@@ -6,10 +6,9 @@ from functools import cache
 import numpy as np
 import torch
 
+from ...shared_constants import ALPHA_MIN
 from ...splats import PARAMETERS
 
-_DRAWN_FROM = 1 / 255
-"""Least alpha that is drawn (Kerbl et al. 2023), which ends the tail of a splat."""
 _TOP, _NODES = 1 - 1e-6, 20_001
 """Last opacity in the table, and number of opacities."""
 
@@ -44,11 +43,11 @@ def divide_opacities(opacities: torch.Tensor, models: int) -> torch.Tensor:
         return opacities
     shared = _shared(models)
     o = torch.sigmoid(opacities.double())  # float32 bits depend on the split into parts
-    at = (o - _DRAWN_FROM) * ((_NODES - 1) / (_TOP - _DRAWN_FROM))
+    at = (o - ALPHA_MIN) * ((_NODES - 1) / (_TOP - ALPHA_MIN))
     at = torch.nan_to_num(at).clamp(0, _NODES - 1.01)
     before, share = at.long(), at.frac()
     found = torch.lerp(shared[before], shared[before + 1], share)
-    return torch.where(o > _DRAWN_FROM, torch.logit(found).float(), opacities)
+    return torch.where(o > ALPHA_MIN, torch.logit(found).float(), opacities)
 
 
 @cache
@@ -56,7 +55,7 @@ def _shared(models: int) -> torch.Tensor:
     """Return [_NODES] float64: divided opacities for evenly spaced ones from 1/255 to _TOP."""
     from scipy.special import spence  # imports in half a second, only needed by ensembles
 
-    nodes = np.linspace(_DRAWN_FROM, _TOP, _NODES)
+    nodes = np.linspace(ALPHA_MIN, _TOP, _NODES)
     depths = spence(1 - nodes)  # spence(1 - x) is Li2(x)
     depths -= depths[0]
     return torch.from_numpy(np.interp(depths / models, depths, nodes))

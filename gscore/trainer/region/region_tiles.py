@@ -7,15 +7,9 @@ import torch
 
 from ...raster import native_library
 from ...raster.request import Frustum
+from ...shared_constants import EPS2D, JACOBIAN_MARGIN, REACH
 from ..photos.image_pyramid import SizedView
 from ..photos.raster_skips import tiles_of_mask
-
-_REACH = 3.34
-"""Radius of a drawn splat in standard deviations: sqrt(2 log(255 * 0.99)), rounded up."""
-_EPS2D = 0.3
-"""px^2, added to each projected covariance."""
-_CLAMP_MARGIN = 0.3
-"""Directions are clamped to the view plus this share of its half-angle on each side."""
 
 
 def mask_to_region(found: SizedView, params: Mapping[str, torch.Tensor]) -> SizedView:
@@ -48,7 +42,7 @@ def tiles_of_splats(params: Mapping[str, torch.Tensor], view: Frustum) -> np.nda
     # Upper bound of the norm of the projection's Jacobian.
     tangents = np.minimum(np.abs(x), _most(K[0, 0], K[0, 2], view.width)) ** 2
     tangents += np.minimum(np.abs(y), _most(K[1, 1], K[1, 2], view.height)) ** 2
-    radius = _REACH * np.sqrt((focal / z * sigma) ** 2 * (1 + tangents) + _EPS2D) + 1
+    radius = REACH * np.sqrt((focal / z * sigma) ** 2 * (1 + tangents) + EPS2D) + 1
     left, right = _tiles(K[0, 0] * x + K[0, 2], radius, view.width)
     top, bottom = _tiles(K[1, 1] * y + K[1, 2], radius, view.height)
     return _covered(top, bottom, left, right, (view.height, view.width))
@@ -56,7 +50,7 @@ def tiles_of_splats(params: Mapping[str, torch.Tensor], view: Frustum) -> np.nda
 
 def _most(focal: float, centre: float, size: int) -> float:
     """Largest tangent of a direction after the clamping."""
-    return (max(centre, size - centre) + _CLAMP_MARGIN * size) / focal
+    return (max(centre, size - centre) + JACOBIAN_MARGIN * size) / focal
 
 
 def _tiles(centre: np.ndarray, radius: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:

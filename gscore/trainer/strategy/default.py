@@ -8,6 +8,7 @@ import torch
 
 from ...config import Doubling, TrainConfig
 from ...engine.base import RowEdit
+from ...engine.rotation import undirected
 from ..schedule.plan import Plan
 from . import splitting
 from .base import Read, Within
@@ -96,13 +97,13 @@ class DefaultStrategy:
 
     def _to_prune(self, params: dict[str, torch.Tensor], step: int) -> torch.Tensor:
         """Return [N] bool: splats that are too transparent, too large after the first opacity
-        reset, or have a zero quaternion."""
+        reset, or have a quaternion that is too short."""
         config, opacities = self._config, params["opacities"]
         pruned = ~(opacities >= logit(max(config.prune_opacity, 1e-6)))  # NaN too
         if self._plan.reset_every and step > self._plan.reset_every:
             size = params["scales"].amax(dim=1)
             pruned |= size > _log(config.prune_scale * self._extent)
-        return pruned | (params["quats"].square().sum(dim=1) < 1e-8)
+        return pruned | undirected(params["quats"])
 
 
 def _log(value: float) -> float:

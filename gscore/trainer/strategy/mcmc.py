@@ -6,6 +6,7 @@ import torch
 
 from ...config import TrainConfig
 from ...engine.base import RowEdit
+from ...engine.rotation import undirected
 from ..schedule.plan import Plan
 from . import relocation
 from .base import Read, Within
@@ -37,7 +38,7 @@ class MCMCStrategy:
         floor = max(self._config.prune_opacity, 1e-6)
         opacities = torch.from_numpy(read("opacities"))
         dead = ~(opacities > relocation.logit(floor))  # NaN is dead too
-        dead |= torch.from_numpy(read("quats")).square().sum(dim=1) < 1e-8
+        dead |= undirected(torch.from_numpy(read("quats")))
         within = self._may_grow(read("means"))
         yield from relocation.relocate(
             read, dead.numpy(), generator, within=within, min_opacity=floor

@@ -5,9 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from ...shared_constants import ADAM_BETA1, ADAM_BETA2, ADAM_EPS
 from ..model.checkpoint_schema import as_int
-
-_BETAS, _EPS = (0.9, 0.999), 1e-15
 
 
 def rate_at(first: float, last: float, done: float) -> float:
@@ -31,10 +30,12 @@ class PhotoAdam:
         self._steps[index] += 1
         count = int(self._steps[index])
         means = []
-        for moment, beta, sample in zip(self._moments, _BETAS, (grad, grad * grad), strict=True):
+        for moment, beta, sample in zip(
+            self._moments, (ADAM_BETA1, ADAM_BETA2), (grad, grad * grad), strict=True
+        ):
             moment[index] += (1 - beta) * (sample - moment[index])
             means.append(moment[index] / (1 - beta**count))
-        return -rate * means[0] / (np.sqrt(means[1]) + _EPS)
+        return -rate * means[0] / (np.sqrt(means[1]) + ADAM_EPS)
 
     def tensors(self, name: str) -> dict[str, torch.Tensor]:
         """State tensors, names prefixed by `name`; no copies."""

@@ -1,0 +1,19 @@
+"""GLSL macros of the shared constants."""
+
+import re
+
+from . import shared_constants
+
+
+def glsl_defines(source: str) -> dict[str, str]:
+    """Values of the macros GS_... in a shader: `shared_constants` as literals, lists by commas.
+
+    Raises:
+        AttributeError: a macro is no shared constant.
+    """
+    names = sorted(set(re.findall(r"\bGS_(\w+)", source)))
+    return {f"GS_{name}": _literal(getattr(shared_constants, name)) for name in names}
+
+
+def _literal(value: float | tuple[float, ...]) -> str:
+    return repr(value).strip("()")
