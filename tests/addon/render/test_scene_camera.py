@@ -61,6 +61,20 @@ def test_a_new_camera_frames_splats_without_photos(
     assert (render.resolution_x, render.resolution_y, render.pixel_aspect_x) == frame
 
 
+def test_a_figure_is_framed_with_its_head(startup: bpy.types.Scene) -> None:
+    """Oracle: the projection of a figure, thinner and with fewer splats towards the top."""
+    splats = lab.blob(2000)
+    rng = np.random.default_rng(0)
+    height = 1.7 * rng.uniform(0, 1, 2000) ** 1.3
+    across = rng.uniform(-0.25, 0.25, (2000, 2)) * (1.2 - 0.5 * height[:, None])
+    splats.means[:] = np.concatenate([across, height[:, None]], axis=1)
+    ob = lab.add(startup, splats)
+    bpy.context.view_layer.update()
+    assert bpy.ops.gscore.show_splats() == {"FINISHED"}
+    placed = in_picture(startup, ob)
+    assert placed[:, :2].min() > 0 and placed[:, :2].max() < 1
+
+
 def test_a_photo_of_the_capture_is_the_scene_camera(
     startup: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
