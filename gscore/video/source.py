@@ -222,13 +222,19 @@ def opened_video(path: Path) -> Iterator[Video]:
     check_regular(path)
     try:
         options = {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS}
-        container = av.open(f"file:{path}", options=options, metadata_errors="replace")
+        container = av.open(f"file:{path}", options=options, **_metadata_errors(av))
     except PermissionError as error:
         raise DatasetError(f"Cannot read {brief(path)}: permission denied.") from error
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise FormatError(_why_not_opened(path)) from error
     with container:
         yield Video(path, av, container, _stream(path, container))
+
+
+def _metadata_errors(av: Any) -> dict[str, str]:
+    """The argument that keeps PyAV before 19 from failing on metadata that is not UTF-8; later ones
+    never fail and have no such argument."""
+    return {"metadata_errors": "replace"} if int(av.__version__.split(".")[0]) < 19 else {}
 
 
 def _why_not_opened(path: Path) -> str:

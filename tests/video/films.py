@@ -47,11 +47,14 @@ def write(
     color: tuple[int, int, int] | None = None,
     source: str = "rgb24",
     interlaced: bool = False,
+    comment: str = "",
 ) -> Path:
     """A video of pictures; `times` in seconds instead of a constant rate, `color` the numbers of
     H.273 for primaries, transfer and matrix."""
     with av.open(f"file:{path}", "w", options=muxer or {}) as file:
         stream: Any = None
+        if comment:
+            file.metadata["comment"] = comment
         for index, picture in enumerate(pictures):
             if stream is None:
                 stream = file.add_stream(codec, rate=rate, options=options or {"crf": "12"})

@@ -84,6 +84,37 @@ def _joined(folder: Path, first: list[np.ndarray], second: list[np.ndarray]) -> 
     return folder / "joined.ts"
 
 
+def test_comments_in_other_encodings_do_no_harm(walk: list[np.ndarray], tmp_path: Path) -> None:
+    """Oracle: the size of a video whose comment is in Latin-1."""
+    path = films.write(tmp_path / "walk.mp4", walk[:3], comment="Caaaa")
+    path.write_bytes(path.read_bytes().replace(b"Caaaa", "Cafés".encode("latin-1")))
+    with opened_video(path) as video:
+        assert (video.facts.width, video.facts.height) == (films.WIDTH, films.HEIGHT)
+
+
+@pytest.mark.parametrize(("version", "known"), [("18.1.0", True), ("19.0.2", False)])
+def test_every_version_of_pyav_opens_videos(
+    walk: list[np.ndarray],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    version: str,
+    known: bool,
+) -> None:
+    """Oracle: the signatures of `av.open`: 19.0 has dropped `metadata_errors`."""
+    path = films.write(tmp_path / "walk.mp4", walk[:3])
+    given: dict[str, Any] = {}
+
+    def open_as_given(file: str, *, options: dict[str, str], **more: str) -> Any:
+        given.update(more)
+        return av_open(file, options=options)
+
+    av_open = av.open
+    monkeypatch.setattr(av, "open", open_as_given)
+    monkeypatch.setattr(av, "__version__", version)
+    with opened_video(path):
+        assert ("metadata_errors" in given) is known
+
+
 def test_the_time_goes_on_where_videos_were_joined(tmp_path: Path) -> None:
     """Oracle: 45 frames and 45 more at 30 a second, for any restart of the time stamps."""
     walk = films.walk(90)
