@@ -39,6 +39,7 @@ PAUSE, LAST = 0.4, 2.5
 MONTAGES = {
     "region": {"region": "1060x1010+0+0"},
     "handles": {"handles": "1060x960+0+220"},
+    "guides": {"part_guides": "1060x830+0+60"},
     "soft": {"part_soft": "240x420+410+350", "part_ellipsoids": "240x420+410+350"},
     "behind": {"part_photo": "620x700+230+230"},
     "frames": {"part_sequence": "290x300+770+832"},

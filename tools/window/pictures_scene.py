@@ -18,13 +18,14 @@ FOLDER, *PACKAGES = map(Path, sys.argv[sys.argv.index("--") + 1 :])
 sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
 
 import addon_utils  # noqa: E402 - the path comes first
+import bmesh  # noqa: E402
 import bpy  # noqa: E402
 from mathutils import Matrix, Quaternion, Vector  # noqa: E402
 
 from addon.panels import CLASSES  # noqa: E402
 
 IS_TOUR = (FOLDER / "walk.mp4").exists()
-OPEN = {"progress"} if IS_TOUR else {"result", "filters", "region", "sequence"}
+OPEN = {"progress"} if IS_TOUR else {"result", "filters", "region", "sequence", "guides"}
 """Open panels."""
 for panel in CLASSES:
     name = getattr(panel, "bl_idname", "").removeprefix("GSCORE_PT_")
@@ -47,6 +48,8 @@ WIDER = 60
 """Pixels by which the sidebar is widened, so that labels are not cut."""
 CREAM = 0.85, 0.8, 0.7
 """Color of the blouse."""
+GUIDES = {"surface": (0.1, 0.25, 0.6, 1.0), "free": (0.9, 0.4, 0.05, 0.5)}
+"""Viewport colors of guide meshes by their role."""
 CAPTURE, CAMERAS, TRAIN = 0, 1, 3
 """Rows of panels in the sidebar when all are closed."""
 seen: dict = {"log": []}
@@ -223,6 +226,43 @@ def finished(ob: bpy.types.Object) -> Iterator[object]:
     shoot(FOLDER / "tour-10.png")
 
 
+def guides() -> Iterator[object]:
+    """Picture of a floor and a hull around the figure as guide meshes, which are removed again."""
+    points = next(ob for ob in bpy.data.objects if ob.get("gs_kind") == "points")
+    figure = [p for v in points.data.vertices if (p := points.matrix_world @ v.co).z > 0.1]
+    figure = [p for p in figure if p.xy.length < 0.5]
+    floor = [Vector((x, y, 0)) for x in (-2, 2) for y in (-2, 2)]
+    made = [_hull(role, spots) for role, spots in (("surface", floor), ("free", figure))]
+    space().shading.color_type = "OBJECT"
+    space().region_3d.view_distance = 7.0
+    yield from toggled(TRAIN)
+    yield 4.0  # for the forecast
+    shoot(FOLDER / "part_guides.png")
+    yield from toggled(TRAIN)
+    for ob in made:
+        bpy.data.objects.remove(ob)
+    scene = bpy.context.scene.gscore
+    scene.guide_surface = scene.guide_free = None
+    space().shading.color_type = "VERTEX"
+    look_at_figure()
+
+
+def _hull(role: str, spots: list[Vector]) -> bpy.types.Object:
+    """Make the convex hull of some points a guide mesh."""
+    shape, mesh = bmesh.new(), bpy.data.meshes.new(role)
+    verts = [shape.verts.new(spot) for spot in spots]
+    bmesh.ops.convex_hull(shape, input=verts)
+    bmesh.ops.delete(shape, geom=[v for v in shape.verts if not v.link_faces], context="VERTS")
+    shape.to_mesh(mesh)
+    ob = bpy.data.objects.new(role, mesh)
+    bpy.context.scene.collection.objects.link(ob)
+    ob.color = GUIDES[role]
+    choose(ob)
+    press("gscore.add_guides", role=role)
+    ob.select_set(False)
+    return ob
+
+
 def region_and_filters(ob: bpy.types.Object) -> Iterator[object]:
     """Pictures of a crop box, histograms with limits, region training, and view histograms."""
     press("gscore.add_crop_box")
@@ -339,6 +379,8 @@ def result() -> Iterator[object]:
     settings.preset = "preview"
     press("gscore.import_cameras", directory=str(FOLDER / "studio"))
     yield 3.0
+    look_at_figure()
+    yield from guides()
     press("gscore.train")
     yield trained
     bpy.ops.wm.save_mainfile()
