@@ -171,8 +171,12 @@ def masks_of_views(
 
 
 def masks_inside(root: Path) -> Path | None:
-    """The folder of masks in a folder; None: no such folder."""
-    return next((root / name for name in _FOLDERS if (root / name).is_dir()), None)
+    """The folder of masks in a folder, its name in any case; None: no such folder."""
+    exact = next((root / name for name in _FOLDERS if (root / name).is_dir()), None)
+    if exact is not None or not root.is_dir():
+        return exact
+    named = sorted(path for path in root.iterdir() if path.name.lower() in _FOLDERS)
+    return next((path for path in named if path.is_dir()), None)
 
 
 def check_mask_size(view: View, file: Path, size: tuple[int, int]) -> None:

@@ -72,13 +72,16 @@ def test_names_of_different_folders_keep_them(tmp_path: Path) -> None:
     assert Folder(tmp_path).find_masks(["left/a.png", "right/a.png"]) == [None, None]
 
 
-@pytest.mark.parametrize("folder", ["masks", "mask"])
+@pytest.mark.parametrize("folder", ["masks", "mask", "Masks", "MASK"])
 def test_folders_of_a_colmap_capture(folder: str, make_capture: Callable) -> None:
-    """Oracle: either folder, in a training and in a search for cameras."""
+    """Oracle: any of these folders, in a training and in a search for cameras, of photos next to
+    it and above it."""
     capture = make_capture(views=4)
     _write(capture.root / folder, [image.name for image in capture.model.images])
     _check(load_dataset(DataConfig(source=capture.root)))
-    assert mask_folder(capture.root / "images", None) == capture.root / folder
+    place = capture.root / folder
+    assert mask_folder(capture.root / "images", None) == place
+    assert mask_folder(capture.root, None) == place
 
 
 @pytest.mark.parametrize("name", ["{0.stem}_mask.png", "{0.name}.mask.png", "{0.stem}_MASK.tif"])

@@ -292,6 +292,7 @@ def test_points_of_the_folder(rig: Rig, tmp_path: Path) -> None:
         (files.write_metashape, "images/{stem}_Mask.tif"),
         (files.write_metashape, "masks/{stem}_mask.png"),
         (files.write_metashape, "mask/{stem}_mask.png"),
+        (files.write_metashape, "Masks/{stem}_mask.png"),
         (files.write_opensfm, "masks/{stem}.png.png"),
     ],
 )

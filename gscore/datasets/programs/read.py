@@ -179,7 +179,7 @@ def _agreeing(one: tuple[str, ...], other: tuple[str, ...]) -> int:
 def _is_apart(path: Path) -> bool:
     """True for masks and hidden files."""
     hidden = any(part.startswith(".") for part in path.parts)
-    return hidden or path.parts[0] in ("masks", "mask", "depths") or is_marked_mask(path)
+    return hidden or path.parts[0].lower() in ("masks", "mask", "depths") or is_marked_mask(path)
 
 
 def _view(
