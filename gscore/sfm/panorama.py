@@ -40,7 +40,7 @@ _HOW = (
     "Cut each into views of 90 degrees, as with `ffmpeg -i PANORAMA.jpg -vf "
     "v360=equirect:flat:h_fov=90:v_fov=90:yaw=0:w=1200:h=1200 VIEW_0.jpg`, with yaw -180, -135 "
     "and so on to 135, and give `gscore sfm` the views with `--camera-model SIMPLE_PINHOLE` and "
-    "`--focal-length 600`, half their width"
+    "`--focal-length 600`, half their width. Pictures of two circles need stitching first"
 )
 
 

@@ -92,7 +92,7 @@ def test_photos_of_a_phone_held_upright(held: tuple[int, ...], tmp_path: Path) -
     assert len(cameras) == 10 and cameras.up is not None
     rotation, turned, off = _errors(cameras.viewmats, true)
     assert turned.max() < 5 and off.max() < 0.1
-    assert np.degrees(np.arccos(np.clip(rotation @ cameras.up @ [0, 0, 1], -1, 1))) < 3
+    assert np.degrees(np.arccos(np.clip(rotation @ cameras.up @ [0, 0, 1], -1, 1))) < 5
 
 
 def _room() -> gscore.Splats:
@@ -129,7 +129,7 @@ def test_panoramas_of_a_360_degree_camera(tmp_path: Path, capsys: Out) -> None:
     for i, photo in enumerate(photos):
         photo.save(tmp_path / f"walk/{i}.jpg", quality=95)
     assert main(["sfm", str(tmp_path / "walk"), "-o", str(tmp_path / "none"), "--quiet"]) == 2
-    told = " ".join(capsys.readouterr().err.split())
+    told = " ".join(capsys.readouterr().err.replace("`", "").split())
     options = re.search(r"v360=(\S+?)yaw=0:w=1200:h=1200", told)
     assert options is not None and "--camera-model SIMPLE_PINHOLE and --focal-length 600" in told
     true = {}
