@@ -14,6 +14,7 @@ from PIL import Image
 from gscore.commands import main
 from gscore.inspection.photo_folder import bare_facts
 from gscore.io.colmap.folder import read_model
+from gscore.option_marks import show_flags
 from gscore.sfm.photos import list_photos
 
 from .conftest import NEAR, STUDIO
@@ -259,7 +260,8 @@ def test_info_names_panoramas(camera: str, tmp_path: Path, capsys: Out) -> None:
         return
     assert facts["next"] is None and "4 photos show all directions" in facts["warnings"][0]
     assert main(["sfm", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
-    assert " ".join(capsys.readouterr().err.split()).endswith(facts["warnings"][0])
+    told = " ".join(capsys.readouterr().err.split())
+    assert told.endswith(show_flags(facts["warnings"][0]))
 
 
 def _screens(folder: Path) -> Path:
@@ -310,7 +312,7 @@ def test_a_capture_with_broken_cameras_is_none_of_plain_photos(
 
 def test_photos_of_a_capture_are_not_plain(mine: Path, tmp_path: Path, capsys: Out) -> None:
     """Oracle: the folder with the cameras is named, and none are estimated again."""
-    for name, given in (("images", ""), ("input", " --images input")):
+    for name, given in (("images", ""), ("input", " with --images input")):
         capture = tmp_path / f"capture of {name}"
         shutil.copytree(mine, capture / name)
         assert main(["info", str(capture / name)]) == 0
