@@ -36,7 +36,7 @@ bool same_row(const AdamState &a, const AdamState &b, size_t row) {
 
 // Whether the camera is rigid and its numbers leave enough float32 precision for pixels: the bounds of splats on screen
 // assume both.
-bool is_usual(const gs_camera &c) {
+bool is_usual(const gs_view &c) {
     for (const float v : {c.fx, c.fy, c.cx, c.cy})
         if (!(std::fabs(v) < 1e5f))
             return false;
@@ -65,11 +65,11 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     const Scene scene = fuzz::read_scene(in);
     const size_t n = scene.size();
     const AdamState before = late_state(n, rest, noise);
-    const gs_splats splats = scene.view();
-    const auto caught_up = [&](const gs_camera *camera, int threads, gs_status *status) {
+    const gs_splats splats = scene.splats();
+    const auto caught_up = [&](const gs_view *view, int threads, gs_status *status) {
         AdamState s = before;
         const gs_adam_tensor tensor = s.view(mode, kRate, step);
-        *status = gs_adam_catch_up(&tensor, &splats, camera, scene.options.eps2d, nullptr, threads);
+        *status = gs_adam_catch_up(&tensor, &splats, view, nullptr, threads);
         return s;
     };
 
@@ -81,33 +81,33 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
 
     gs_raster *raster = nullptr;
     REQUIRE(gs_raster_create(&raster) == GS_OK);
-    const bool sane = scene.camera.width > 0 && scene.camera.height > 0;
-    const size_t pixels = sane ? size_t(scene.camera.width) * size_t(scene.camera.height) : 1;
+    const bool sane = scene.view.width > 0 && scene.view.height > 0;
+    const size_t pixels = sane ? size_t(scene.view.width) * size_t(scene.view.height) : 1;
     Output rgb(3 * pixels), alpha(pixels), inverse_depth(pixels), depth(pixels), median(pixels);
     std::vector<int32_t> radii(n);
     const gs_image image = {rgb.data(), alpha.data(), inverse_depth.data(), depth.data(), median.data(), radii.data()};
-    const gs_status drawn = gs_raster_forward(raster, &splats, &scene.camera, &scene.options, &image);
+    const gs_status drawn = gs_raster_forward(raster, &splats, &scene.view, &scene.host, &image);
     gs_raster_destroy(raster);
 
-    const AdamState seen = caught_up(&scene.camera, 1, &status);
+    const AdamState seen = caught_up(&scene.view, 1, &status);
     if (status != GS_OK) {
         REQUIRE(status == GS_BAD_ARGUMENT || status == GS_UNSUPPORTED);
         REQUIRE(std::strlen(gs_last_error()) > 0 && equal(seen, before));
-        REQUIRE(drawn != GS_OK || scene.camera.orthographic);
+        REQUIRE(drawn != GS_OK || scene.view.orthographic);
         return 0;
     }
     for (size_t i = 0; i < n; ++i) {
-        if (drawn == GS_OK && radii[i] > 0 && is_usual(scene.camera))
+        if (drawn == GS_OK && radii[i] > 0 && is_usual(scene.view))
             REQUIRE(seen.lag[i] == 0);
         REQUIRE(same_row(seen, before.lag[i] && seen.lag[i] ? before : all, i));
     }
-    REQUIRE(equal(seen, caught_up(&scene.camera, 3, &status)) && status == GS_OK);
+    REQUIRE(equal(seen, caught_up(&scene.view, 3, &status)) && status == GS_OK);
 
     // With an output array: the same values, and nothing else changes.
     Output values(before.param.size());
     AdamState untouched = before;
     const gs_adam_tensor tensor = untouched.view(mode, kRate, step);
-    REQUIRE(gs_adam_catch_up(&tensor, &splats, &scene.camera, scene.options.eps2d, values.data(), 3) == GS_OK);
+    REQUIRE(gs_adam_catch_up(&tensor, &splats, &scene.view, values.data(), 3) == GS_OK);
     REQUIRE(values.guards_hold() && values.all_written() && equal(untouched, before));
     REQUIRE(seen.param.empty() ||
             std::memcmp(values.data(), seen.param.data(), seen.param.size() * sizeof(float)) == 0);

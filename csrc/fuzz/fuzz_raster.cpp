@@ -1,4 +1,4 @@
-// Forward and backward on hostile splats, cameras and options: no crash, and the results are as the header states.
+// Forward and backward on hostile splats, views and options: no crash, and the results are as the header states.
 #include "scene.h"
 
 #include <limits>
@@ -20,8 +20,8 @@ struct Drawn {
         : rgb(3 * pixels), alpha(pixels), inverse_depth(pixels), depth(pixels), median(pixels), radii(s.size(), -1) {
         const gs_image image = {rgb.data(),   alpha.data(),  inverse_depth.data(),
                                 depth.data(), median.data(), radii.data()};
-        const gs_splats splats = s.view();
-        status = gs_raster_forward(raster, &splats, &s.camera, &s.options, &image);
+        const gs_splats splats = s.splats();
+        status = gs_raster_forward(raster, &splats, &s.view, &s.host, &image);
         REQUIRE(gs_raster_stats(raster, &stats) == GS_OK);
     }
 
@@ -47,7 +47,7 @@ void check_image(const Drawn &d, const Scene &s) {
         REQUIRE(std::strlen(gs_last_error()) > 0);
         return;
     }
-    const uint32_t asked = s.options.outputs;
+    const uint32_t asked = s.view.outputs;
     REQUIRE(d.rgb.all_written() && d.alpha.all_written());
     REQUIRE(all_finite(d.rgb) && all_finite(d.alpha));
     for (size_t i = 0; i < d.alpha.size(); ++i)
@@ -67,7 +67,7 @@ void check_image(const Drawn &d, const Scene &s) {
         reached += r > 0;
     }
     const int64_t wide = GS_LIST_TILE_WIDTH, high = GS_LIST_TILE_HEIGHT;
-    const int64_t tiles = (s.camera.width + wide - 1) / wide * ((s.camera.height + high - 1) / high);
+    const int64_t tiles = (s.view.width + wide - 1) / wide * ((s.view.height + high - 1) / high);
     REQUIRE(d.stats.visible == reached);
     REQUIRE(d.stats.entries >= 0 && d.stats.entries <= d.stats.visible * tiles);
     REQUIRE(d.stats.forward_pairs >= 0 && d.stats.forward_pairs <= d.stats.entries * wide * high);
@@ -83,7 +83,7 @@ struct Gradients {
             out.emplace_back(size);
         const gs_splat_grads g = {out[0].data(), out[1].data(), out[2].data(), out[3].data(),
                                   out[4].data(), out[5].data(), out[6].data(), out[7].data()};
-        const gs_splats splats = s.view();
+        const gs_splats splats = s.splats();
         status = gs_raster_backward(raster, &splats, &in, &g, cancel);
         for (const Output &o : out)
             REQUIRE(o.guards_hold());
@@ -110,14 +110,14 @@ void check_gradients(const Gradients &g, const Drawn &d, const Scene &s) {
 extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     Bytes in(data, size);
     Scene scene = read_scene(in);
-    const bool sane = scene.camera.width > 0 && scene.camera.height > 0;
-    const size_t pixels = sane ? size_t(scene.camera.width) * size_t(scene.camera.height) : 1;
+    const bool sane = scene.view.width > 0 && scene.view.height > 0;
+    const size_t pixels = sane ? size_t(scene.view.width) * size_t(scene.view.height) : 1;
 
     Noise noise{uint32_t(size)};
     std::vector<float> far_depths(size % 3 ? 0 : pixels);
     for (size_t i = 0; i < far_depths.size(); ++i)
         far_depths[i] = i % 11 ? noise(-1, 7) : std::numeric_limits<float>::quiet_NaN();
-    scene.options.far_depths = size % 3 ? nullptr : far_depths.data();
+    scene.host.far_depths = size % 3 ? nullptr : far_depths.data();
 
     gs_raster *raster = nullptr;
     REQUIRE(gs_raster_create(&raster) == GS_OK);
@@ -128,10 +128,10 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     for (float &x : v)
         x = noise(-1, 1);
     const gs_image_grads grads = {v.data(), v.data() + 3 * pixels,
-                                  scene.options.outputs & GS_OUT_INVERSE_DEPTH ? v.data() + 4 * pixels : nullptr,
-                                  scene.options.outputs & GS_OUT_DEPTH ? v.data() + 5 * pixels : nullptr};
+                                  scene.view.outputs & GS_OUT_INVERSE_DEPTH ? v.data() + 4 * pixels : nullptr,
+                                  scene.view.outputs & GS_OUT_DEPTH ? v.data() + 5 * pixels : nullptr};
     const int32_t stop = 1;
-    if (drawn.status == GS_OK && !scene.camera.orthographic) {
+    if (drawn.status == GS_OK && !scene.view.orthographic) {
         REQUIRE(Gradients(raster, scene, grads, &stop).status == GS_CANCELLED);
         const Gradients first(raster, scene, grads, nullptr);
         REQUIRE(first.status == GS_OK);
@@ -139,7 +139,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
 
         // The same bits with another number of threads in the same workspace.
         Scene other = scene;
-        other.options.threads = scene.options.threads == 1 ? 3 : 1;
+        other.host.threads = scene.host.threads == 1 ? 3 : 1;
         REQUIRE(drawn.same_bits(Drawn(raster, other, pixels)));
         const Gradients second(raster, other, grads, nullptr);
         for (size_t a = 0; a < first.out.size(); ++a)

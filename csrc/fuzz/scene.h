@@ -1,4 +1,4 @@
-// Hostile splats, cameras and options, made from the bytes of a fuzzer.
+// Hostile splats, views and options, made from the bytes of a fuzzer.
 #pragma once
 
 #include "bytes.h"
@@ -13,15 +13,15 @@ namespace fuzz {
 
 struct Scene {
     std::vector<float> means, quats, scales, opacities, sh0, shN;
-    int sh_rest = 0, sh_degree = 0, raw = 1;
-    gs_camera camera = {};
-    gs_options options = {};
+    int sh_rest = 0, raw = 1;
+    gs_view view = {};
+    gs_host host = {};
     bool tame = true; // no number was replaced by a hostile one
 
     size_t size() const { return opacities.size(); }
-    gs_splats view() const {
-        return {int64_t(size()), means.data(), quats.data(), scales.data(), opacities.data(),
-                sh0.data(),      shN.data(),   sh_rest,      sh_degree,     raw};
+    gs_splats splats() const {
+        return {int64_t(size()), means.data(), quats.data(), scales.data(), opacities.data(), sh0.data(),
+                shN.data(),      sh_rest,      raw};
     }
 };
 
@@ -58,7 +58,7 @@ inline void add_splats(Scene &s, size_t n, uint8_t shape, Noise &noise) {
 }
 
 inline void set_camera(Scene &s, Bytes &in, Noise &noise) {
-    gs_camera &c = s.camera;
+    gs_view &c = s.view;
     c.width = 1 + in.byte() % 70;
     c.height = 1 + in.byte() % 70;
     for (int i = 0; i < 4; ++i)
@@ -72,22 +72,21 @@ inline void set_camera(Scene &s, Bytes &in, Noise &noise) {
 }
 
 inline void set_options(Scene &s, uint8_t flags) {
-    gs_options &o = s.options;
-    o.eps2d = 0.3f;
-    o.outputs = flags & 7;
-    o.antialias = flags >> 3 & 1;
-    o.disable = flags >> 4 & 3;
-    s.camera.orthographic = flags >> 6 == 3;
-    o.threads = 1 + (flags >> 6 & 1) * 2;
+    gs_view &v = s.view;
+    v.eps2d = 0.3f;
+    v.outputs = flags & 7;
+    v.antialias = flags >> 3 & 1;
+    v.orthographic = flags >> 6 == 3;
+    s.host.disable = flags >> 4 & 3;
+    s.host.threads = 1 + (flags >> 6 & 1) * 2;
 }
 
 // Replaces a number of the scene, or a splat by a copy of another one.
 inline void damage(Scene &s, Bytes &in) {
     std::vector<float> *arrays[] = {&s.means, &s.quats, &s.scales, &s.opacities, &s.sh0, &s.shN};
-    gs_camera &c = s.camera;
-    gs_options &o = s.options;
+    gs_view &c = s.view;
     float *cameras[] = {&c.fx, &c.fy, &c.cx, &c.cy, &c.near_plane, &c.far_plane};
-    float *options[] = {&o.eps2d, &o.background[0], &o.background[1], &o.background[2]};
+    float *options[] = {&c.eps2d, &c.background[0], &c.background[1], &c.background[2]};
     const uint8_t what = in.byte();
     s.tame = false;
     if (what < 200) {
@@ -112,11 +111,12 @@ inline void damage(Scene &s, Bytes &in) {
                     (*a)[to % s.size() * width + k] = (*a)[from % s.size() * width + k];
             }
     } else {
-        int32_t *const numbers[] = {&c.width, &c.height, &o.threads, &s.sh_degree, &c.orthographic, &s.sh_rest};
+        int32_t &threads = s.host.threads;
+        int32_t *const numbers[] = {&c.width, &c.height, &threads, &c.sh_degree, &c.orthographic, &s.sh_rest};
         // Small, so that accepted inputs stay fast; the arrays keep their sizes, so sh_rest only shrinks.
         const int32_t value = int32_t(in.byte()) - 8;
         int32_t &number = *numbers[what % 6];
-        number = &number == &s.sh_rest ? std::min(value, s.sh_rest) : &number == &o.threads ? value % 9 : value;
+        number = &number == &s.sh_rest ? std::min(value, s.sh_rest) : &number == &threads ? value % 9 : value;
     }
 }
 
@@ -132,7 +132,7 @@ inline Scene read_scene(Bytes &in) {
     const uint8_t shape = in.byte();
     const int stored = (shape & 3) + (shape >> 7);
     s.sh_rest = degrees[stored];
-    s.sh_degree = std::min((shape >> 2 & 3) + (shape >> 7), stored);
+    s.view.sh_degree = std::min((shape >> 2 & 3) + (shape >> 7), stored);
     s.raw = shape >> 4 & 1;
     add_splats(s, n, shape, noise);
     set_camera(s, in, noise);

@@ -88,11 +88,11 @@ int64_t adam_step(const gs_adam &in) {
     return bad;
 }
 
-void adam_catch_up(const gs_adam_tensor &tensor, const gs_splats &splats, const gs_camera *camera, float eps2d,
-                   float *out, int threads) {
+void adam_catch_up(const gs_adam_tensor &tensor, const gs_splats &splats, const gs_view *view, float *out,
+                   int threads) {
     const Tables tables(tensor.drift);
     const AdamTensor constant = constants(tensor, tables);
-    const CatchUpArgs args = {&constant, &splats, camera, eps2d, out};
+    const CatchUpArgs args = {&constant, &splats, view, out};
     const Kernels &k = kernels();
     parallel_for(size_t(chunks_of(splats.count)), threads_of(threads),
                  [&](size_t chunk, int) { k.adam_catch_up(args, int64_t(chunk)); });

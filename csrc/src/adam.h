@@ -13,7 +13,7 @@ constexpr float kGradientMax = 1e18f;
 
 // Returns the number of rows whose gradients were not finite.
 int64_t adam_step(const gs_adam &);
-void adam_catch_up(const gs_adam_tensor &, const gs_splats &, const gs_camera *, float eps2d, float *out, int threads);
+void adam_catch_up(const gs_adam_tensor &, const gs_splats &, const gs_view *, float *out, int threads);
 
 // A tensor under Adam with the constants of its step.
 struct AdamTensor {
@@ -34,9 +34,8 @@ struct AdamArgs {
 struct CatchUpArgs {
     const AdamTensor *tensor;
     const gs_splats *splats;
-    const gs_camera *camera; // null: all rows
-    float eps2d;
-    float *out; // [rows, width], or null: in place
+    const gs_view *view; // null: all rows
+    float *out;          // [rows, width], or null: in place
 };
 
 } // namespace gs

@@ -217,7 +217,7 @@ static int64_t adam_step(const AdamArgs &a, int64_t chunk) {
 // sqrt(2 ln 255) deviations to alpha = 1/255, and more if an activated opacity exceeds 1.
 static inline uint32_t may_be_seen(const CatchUpArgs &a, int64_t begin, int lanes) {
     const gs_splats &in = *a.splats;
-    const gs_camera &c = *a.camera;
+    const gs_view &c = *a.view;
     Vec mean[3], largest = set1(-3e38f);
     alignas(64) float columns[7][kLanes] = {};
     for (int l = 0; l < lanes; ++l) {
@@ -247,7 +247,7 @@ static inline uint32_t may_be_seen(const CatchUpArgs &a, int64_t begin, int lane
     for (int i = 0; i < 2; ++i) {
         const float edge = (1.0f + GS_JACOBIAN_MARGIN) * (std::fabs(center[i]) + side[i]) / focal[i];
         const Vec deviation = (std::sqrt(1.0f + edge * edge) * focal[i]) * largest * inverse_z;
-        const Vec reach = deviations * sqrt(fma(deviation, deviation, set1(a.eps2d))) + 1.0f;
+        const Vec reach = deviations * sqrt(fma(deviation, deviation, set1(c.eps2d))) + 1.0f;
         const Vec at = fma(set1(focal[i]), cam[i] * inverse_z, set1(center[i]));
         // Inverted comparisons, so that NaN counts as visible.
         inside &= ~(bits(gt(Vec{}, at + reach)) | bits(gt(at - reach, set1(side[i]))));
@@ -265,7 +265,7 @@ static void adam_catch_up(const CatchUpArgs &a, int64_t chunk) {
         uint32_t late = 0;
         for (int l = 0; l < lanes; ++l)
             late |= uint32_t(t.lag[first + l] != 0) << l;
-        if (late && a.camera)
+        if (late && a.view)
             late &= may_be_seen(a, first, lanes);
         for (int l = 0; l < lanes; ++l) {
             const int64_t row = first + l, at = row * t.width;

@@ -52,42 +52,40 @@ gs_status check_splat_count(int64_t count, const char *what) {
     return GS_OK;
 }
 
-gs_status check_eps2d(float eps2d) {
-    if (!(eps2d > 0 && eps2d < 1e6f))
-        return fail(GS_BAD_ARGUMENT, "eps2d must be positive, got %g", double(eps2d));
-    return GS_OK;
-}
-
 gs_status check_splats(const gs_splats &s) {
     if (const gs_status status = check_splat_count(s.count, "splats.count"))
         return status;
     if (s.sh_rest != 0 && s.sh_rest != 3 && s.sh_rest != 8 && s.sh_rest != 15 && s.sh_rest != 24)
         return fail(GS_BAD_ARGUMENT, "splats.sh_rest must be 0, 3, 8, 15 or 24, got %d", s.sh_rest);
-    if (s.sh_degree < 0 || s.sh_degree > 4 || (s.sh_degree + 1) * (s.sh_degree + 1) - 1 > s.sh_rest)
-        return fail(GS_BAD_ARGUMENT, "splats.sh_degree must be 0 to 4 and at most the degree of sh_rest = %d, got %d",
-                    s.sh_rest, s.sh_degree);
     if (s.count > 0 && (!s.means || !s.quats || !s.scales || !s.opacities || !s.sh0 || (s.sh_rest && !s.shN)))
         return fail(GS_BAD_ARGUMENT, "an array of splats is null");
     return GS_OK;
 }
 
-gs_status check_camera(const gs_camera &c) {
-    if (const gs_status s = check_image_size(c.width, c.height))
+gs_status check_view(const gs_view &v) {
+    if (const gs_status s = check_image_size(v.width, v.height))
         return s;
-    for (const float v : c.viewmat)
-        if (!std::isfinite(v))
-            return fail(GS_BAD_ARGUMENT, "camera.viewmat has a value that is not finite");
-    if (!(c.fx > 0 && c.fy > 0 && std::isfinite(c.fx) && std::isfinite(c.fy)))
-        return fail(GS_BAD_ARGUMENT, "focal lengths must be positive, got fx = %g, fy = %g", double(c.fx),
-                    double(c.fy));
-    if (!std::isfinite(c.cx) || !std::isfinite(c.cy))
-        return fail(GS_BAD_ARGUMENT, "the principal point must be finite, got cx = %g, cy = %g", double(c.cx),
-                    double(c.cy));
-    if (!(c.near_plane > 0) || !(c.far_plane > c.near_plane))
+    for (const float x : v.viewmat)
+        if (!std::isfinite(x))
+            return fail(GS_BAD_ARGUMENT, "view.viewmat has a value that is not finite");
+    if (!(v.fx > 0 && v.fy > 0 && std::isfinite(v.fx) && std::isfinite(v.fy)))
+        return fail(GS_BAD_ARGUMENT, "focal lengths must be positive, got fx = %g, fy = %g", double(v.fx),
+                    double(v.fy));
+    if (!std::isfinite(v.cx) || !std::isfinite(v.cy))
+        return fail(GS_BAD_ARGUMENT, "the principal point must be finite, got cx = %g, cy = %g", double(v.cx),
+                    double(v.cy));
+    if (!(v.near_plane > 0) || !(v.far_plane > v.near_plane))
         return fail(GS_BAD_ARGUMENT, "near must be positive and below far, got near = %g, far = %g",
-                    double(c.near_plane), double(c.far_plane));
-    if (c.orthographic != 0 && c.orthographic != 1)
-        return fail(GS_BAD_ARGUMENT, "camera.orthographic must be 0 or 1, got %d", c.orthographic);
+                    double(v.near_plane), double(v.far_plane));
+    if (v.orthographic != 0 && v.orthographic != 1)
+        return fail(GS_BAD_ARGUMENT, "view.orthographic must be 0 or 1, got %d", v.orthographic);
+    if (!(v.eps2d > 0 && v.eps2d < 1e6f))
+        return fail(GS_BAD_ARGUMENT, "eps2d must be positive, got %g", double(v.eps2d));
+    if (v.sh_degree < 0 || v.sh_degree > 4)
+        return fail(GS_BAD_ARGUMENT, "view.sh_degree must be 0 to 4, got %d", v.sh_degree);
+    for (const float b : v.background)
+        if (!std::isfinite(b))
+            return fail(GS_BAD_ARGUMENT, "the background must be finite");
     return GS_OK;
 }
 

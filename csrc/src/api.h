@@ -25,8 +25,7 @@ template <class Body> gs_status guarded(const char *what, Body body) {
 gs_status check_threads(int32_t threads);
 gs_status check_image_size(int32_t width, int32_t height);
 gs_status check_splat_count(int64_t count, const char *what);
-gs_status check_eps2d(float eps2d);
 gs_status check_splats(const gs_splats &);
-gs_status check_camera(const gs_camera &);
+gs_status check_view(const gs_view &);
 
 } // namespace gs

@@ -52,28 +52,26 @@ gs_status gs_adam_step(const gs_adam *adam, int64_t *bad_rows) {
     });
 }
 
-gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats, const gs_camera *camera, float eps2d,
-                           float *out, int32_t threads) {
+gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats, const gs_view *view, float *out,
+                           int32_t threads) {
     if (!tensor || !splats || splats->count < 0 || splats->count > INT32_MAX)
         return fail(GS_BAD_ARGUMENT, "gs_adam_catch_up: an argument is null or the number of splats is out of range");
     if (const gs_status s = check_tensor(*tensor, splats->count))
         return s;
     if (tensor->mode == GS_ADAM_ALL)
         return fail(GS_BAD_ARGUMENT, "gs_adam_catch_up: tensor.mode must not be GS_ADAM_ALL");
-    if (camera) {
-        if (const gs_status s = check_camera(*camera))
+    if (view) {
+        if (const gs_status s = check_view(*view))
             return s;
-        if (camera->orthographic)
+        if (view->orthographic)
             return fail(GS_UNSUPPORTED, "gs_adam_catch_up: orthographic cameras are not supported");
         if (splats->count > 0 && (!splats->means || !splats->scales))
             return fail(GS_BAD_ARGUMENT, "gs_adam_catch_up: means or scales are null");
-        if (const gs_status s = check_eps2d(eps2d))
-            return s;
     }
     if (const gs_status s = check_threads(threads))
         return s;
     return guarded("gs_adam_catch_up", [&] {
-        adam_catch_up(*tensor, *splats, camera, eps2d, out, threads);
+        adam_catch_up(*tensor, *splats, view, out, threads);
         return GS_OK;
     });
 }

@@ -3,22 +3,7 @@
 #include "cpu_dispatch.h"
 #include "raster.h"
 
-#include <cmath>
-
 using namespace gs;
-
-namespace {
-
-gs_status check_options(const gs_options &o) {
-    if (const gs_status s = check_eps2d(o.eps2d))
-        return s;
-    for (const float b : o.background)
-        if (!std::isfinite(b))
-            return fail(GS_BAD_ARGUMENT, "the background must be finite");
-    return check_threads(o.threads);
-}
-
-} // namespace
 
 gs_status gs_raster_create(gs_raster **out) {
     if (!out)
@@ -31,22 +16,25 @@ gs_status gs_raster_create(gs_raster **out) {
 
 void gs_raster_destroy(gs_raster *raster) { delete raster; }
 
-gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs_camera *camera,
-                            const gs_options *options, const gs_image *image) {
-    if (!raster || !splats || !camera || !options || !image || !image->rgb || !image->alpha)
+gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs_view *view, const gs_host *host,
+                            const gs_image *image) {
+    if (!raster || !splats || !view || !host || !image || !image->rgb || !image->alpha)
         return fail(GS_BAD_ARGUMENT, "gs_raster_forward: an argument, image.rgb or image.alpha is null");
     if (const gs_status s = check_splats(*splats))
         return s;
-    if (const gs_status s = check_camera(*camera))
+    if (const gs_status s = check_view(*view))
         return s;
-    if (const gs_status s = check_options(*options))
+    if (const gs_status s = check_threads(host->threads))
         return s;
-    if ((options->outputs & GS_OUT_INVERSE_DEPTH && !image->inverse_depth) ||
-        (options->outputs & GS_OUT_DEPTH && !image->depth) ||
-        (options->outputs & GS_OUT_MEDIAN_DEPTH && !image->median_depth))
+    if (sh_rest_of(view->sh_degree) > splats->sh_rest)
+        return fail(GS_BAD_ARGUMENT, "view.sh_degree must be at most the degree of sh_rest = %d, got %d",
+                    splats->sh_rest, view->sh_degree);
+    if ((view->outputs & GS_OUT_INVERSE_DEPTH && !image->inverse_depth) ||
+        (view->outputs & GS_OUT_DEPTH && !image->depth) ||
+        (view->outputs & GS_OUT_MEDIAN_DEPTH && !image->median_depth))
         return fail(GS_BAD_ARGUMENT, "gs_raster_forward: a requested output has no array");
     return guarded("gs_raster_forward", [&] {
-        const gs_status s = raster->forward(*splats, *camera, *options, *image);
+        const gs_status s = raster->forward(*splats, *view, *host, *image);
         if (s == GS_TOO_MANY)
             return fail(s,
                         "the splats cover too many tiles: more than 2147483647 entries; use a smaller image or fewer "
@@ -73,8 +61,8 @@ gs_status gs_raster_backward(gs_raster *raster, const gs_splats *splats, const g
         if (s == GS_UNSUPPORTED)
             return fail(s, "gs_raster_backward: the last forward call was orthographic, which has no gradients");
         if (s == GS_BAD_ARGUMENT)
-            return fail(s,
-                        "gs_raster_backward: there is no forward call of this raster with the same number of splats");
+            return fail(s, "gs_raster_backward: there is no forward call of this raster with the same number and "
+                           "degree of splats");
         return s;
     });
 }

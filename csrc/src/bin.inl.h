@@ -88,7 +88,7 @@ template <bool kPlain> class Appender {
     void finish(InstanceBuffer *out) const { out->size = size_t(at_ - out->data); }
 
   private:
-    // The blocks of a tile that gs_options.tiles enables: upper and lower half of each strip.
+    // The blocks of a tile that gs_host.tiles enables: upper and lower half of each strip.
     uint32_t blocks_drawn(uint32_t tile) const {
         static_assert(kTileWidth == GS_TILE && kTileHeight == 2 * GS_TILE);
         const uint32_t columns = uint32_t(a_.tiles_x), row = 2 * (tile / columns), column = tile % columns;

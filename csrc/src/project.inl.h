@@ -41,24 +41,24 @@ struct Lanes {
 // Limits of x / z and y / z in J, to which they are clamped, because the linearisation degenerates far off screen.
 struct Limits {
     float low[2], high[2];
-    explicit Limits(const gs_camera &c) {
-        const float tan_x = 0.5f * float(c.width) / c.fx, tan_y = 0.5f * float(c.height) / c.fy;
-        high[0] = (float(c.width) - c.cx) / c.fx + GS_JACOBIAN_MARGIN * tan_x;
-        low[0] = -c.cx / c.fx - GS_JACOBIAN_MARGIN * tan_x;
-        high[1] = (float(c.height) - c.cy) / c.fy + GS_JACOBIAN_MARGIN * tan_y;
-        low[1] = -c.cy / c.fy - GS_JACOBIAN_MARGIN * tan_y;
+    explicit Limits(const gs_view &v) {
+        const float tan_x = 0.5f * float(v.width) / v.fx, tan_y = 0.5f * float(v.height) / v.fy;
+        high[0] = (float(v.width) - v.cx) / v.fx + GS_JACOBIAN_MARGIN * tan_x;
+        low[0] = -v.cx / v.fx - GS_JACOBIAN_MARGIN * tan_x;
+        high[1] = (float(v.height) - v.cy) / v.fy + GS_JACOBIAN_MARGIN * tan_y;
+        low[1] = -v.cy / v.fy - GS_JACOBIAN_MARGIN * tan_y;
     }
 };
 
 // Means in the camera frame; returns the lanes between near and far plane.
-GS_INLINE Mask place(const gs_splats &in, const gs_camera &camera, const uint32_t *id, Lanes &s) {
-    const float *w = camera.viewmat;
+GS_INLINE Mask place(const gs_splats &in, const gs_view &view, const uint32_t *id, Lanes &s) {
+    const float *w = view.viewmat;
     gather<3>(in.means, in.count, id, s.mean);
     for (int i = 0; i < 3; ++i)
         s.cam[i] = fma(set1(w[4 * i]), s.mean[0],
                        fma(set1(w[4 * i + 1]), s.mean[1], fma(set1(w[4 * i + 2]), s.mean[2], set1(w[4 * i + 3]))));
     // Comparisons with NaN are false, so an invalid row fails here or below.
-    return both(gt(s.cam[2], set1(camera.near_plane)), ge(set1(camera.far_plane), s.cam[2]));
+    return both(gt(s.cam[2], set1(view.near_plane)), ge(set1(view.far_plane), s.cam[2]));
 }
 
 // Loads quaternions, and activated scales and opacities; returns the lanes with finite numbers.
@@ -120,11 +120,11 @@ GS_INLINE Mask rotate(const float *w, Lanes &s) {
 }
 
 // Projected means, J, J W R and M.
-GS_INLINE void linearise(const gs_camera &camera, const Limits &limits, Lanes &s) {
+GS_INLINE void linearise(const gs_view &view, const Limits &limits, Lanes &s) {
     s.inverse_z = 1.0f / s.cam[2];
-    const float focal[2] = {camera.fx, camera.fy}, center[2] = {camera.cx, camera.cy};
+    const float focal[2] = {view.fx, view.fy}, center[2] = {view.cx, view.cy};
     for (int i = 0; i < 2; ++i) {
-        if (camera.orthographic) {
+        if (view.orthographic) {
             s.jac_diagonal[i] = set1(focal[i]);
             s.jac_offset[i] = Vec{};
             s.mean2d[i] = fma(set1(focal[i]), s.cam[i], set1(center[i]));
@@ -144,12 +144,12 @@ GS_INLINE void linearise(const gs_camera &camera, const Limits &limits, Lanes &s
 }
 
 // 2D covariance and compensated opacity; returns the lanes in which both are valid.
-GS_INLINE Mask spread(const gs_options &options, Lanes &s) {
+GS_INLINE Mask spread(const gs_view &view, Lanes &s) {
     for (int k = 0; k < 3; ++k) {
         const int i = (k + 1) % 3, j = (k + 2) % 3;
         s.minor[k] = fnma(s.m[0][j], s.m[1][i], s.m[0][i] * s.m[1][j]);
     }
-    const float eps = options.eps2d;
+    const float eps = view.eps2d;
     const Vec xx = dot3(s.m[0][0], s.m[0][1], s.m[0][2], s.m[0][0], s.m[0][1], s.m[0][2]);
     const Vec yy = dot3(s.m[1][0], s.m[1][1], s.m[1][2], s.m[1][0], s.m[1][1], s.m[1][2]);
     s.cov_xy = dot3(s.m[0][0], s.m[0][1], s.m[0][2], s.m[1][0], s.m[1][1], s.m[1][2]);
@@ -162,7 +162,7 @@ GS_INLINE Mask spread(const gs_options &options, Lanes &s) {
 
     s.compensation = set1(1.0f);
     s.compensated = gt(Vec{}, set1(1.0f));
-    if (options.antialias) {
+    if (view.antialias) {
         const Vec c = sqrt(s.det0 / s.det);
         s.compensated = gt(c, set1(GS_COMPENSATION_MIN));
         s.compensation = max(c, set1(GS_COMPENSATION_MIN));
@@ -172,25 +172,25 @@ GS_INLINE Mask spread(const gs_options &options, Lanes &s) {
 }
 
 // Fills `s` for the splats id[0..kLanes); returns the lanes with valid geometry.
-static inline Mask project_lanes(const gs_splats &in, const gs_camera &camera, const gs_options &options,
-                                 const Limits &limits, const uint32_t *id, Lanes &s) {
-    Mask ok = place(in, camera, id, s);
+static inline Mask project_lanes(const gs_splats &in, const gs_view &view, const Limits &limits, const uint32_t *id,
+                                 Lanes &s) {
+    Mask ok = place(in, view, id, s);
     if (!bits(ok))
         return ok;
     ok = both(ok, read_shape(in, id, s));
-    ok = both(ok, rotate(camera.viewmat, s));
-    linearise(camera, limits, s);
-    return both(ok, spread(options, s));
+    ok = both(ok, rotate(view.viewmat, s));
+    linearise(view, limits, s);
+    return both(ok, spread(view, s));
 }
 
-static inline void direction(const gs_camera &camera, const Lanes &s, Row3 &d, Vec &length) {
+static inline void direction(const gs_view &view, const Lanes &s, Row3 &d, Vec &length) {
     // mean - camera centre = W^T (W mean + t), exact also far from the origin.
     // Parallel rays all run along W^T z.
-    const float *w = camera.viewmat;
+    const float *w = view.viewmat;
     Vec v[3];
     for (int j = 0; j < 3; ++j)
-        v[j] = camera.orthographic ? set1(w[8 + j])
-                                   : dot3(set1(w[j]), set1(w[4 + j]), set1(w[8 + j]), s.cam[0], s.cam[1], s.cam[2]);
+        v[j] = view.orthographic ? set1(w[8 + j])
+                                 : dot3(set1(w[j]), set1(w[4 + j]), set1(w[8 + j]), s.cam[0], s.cam[1], s.cam[2]);
     length = sqrt(dot3(v[0], v[1], v[2], v[0], v[1], v[2]));
     d = {v[0] / length, v[1] / length, v[2] / length};
 }

@@ -160,10 +160,10 @@ GS_INLINE void product_backward(const Lanes &s, bool raw, const Vec v_m[2][3], V
 }
 
 // Gradient with respect to the mean in the camera frame, from those of J, the projected mean and the two depths.
-GS_INLINE void screen_backward(const Lanes &s, const gs_camera &camera, const Vec v_jac_diagonal[2],
+GS_INLINE void screen_backward(const Lanes &s, const gs_view &view, const Vec v_jac_diagonal[2],
                                const Vec v_jac_offset[2], const Vec v_mean2d[2], Vec v_inverse_z, Vec v_z,
                                Vec v_cam[3]) {
-    const float focal[2] = {camera.fx, camera.fy};
+    const float focal[2] = {view.fx, view.fy};
     for (int i = 0; i < 2; ++i) {
         // jac_diagonal = f / z, jac_offset = -f / z * clamped ratio.
         const Vec v_clamped = -s.jac_diagonal[i] * v_jac_offset[i];
@@ -183,9 +183,9 @@ GS_INLINE void color_backward(const ProjectBackwardArgs &a, const Lanes &s, cons
         v_color[k] = keep(gt(load(b.color[k]), Vec{}), b.sum(MomentIndex(kRed + k)));
     Row3 d;
     Vec length;
-    direction(*a.forward.camera, s, d, length);
+    direction(*a.forward.view, s, d, length);
     Vec v_d[3];
-    sh_backward(*a.forward.splats, a.grads, b.id, lanes, d.x, d.y, d.z, v_color, v_d);
+    sh_backward(*a.forward.splats, a.forward.view->sh_degree, a.grads, b.id, lanes, d.x, d.y, d.z, v_color, v_d);
     const Vec radial = dot3(d.x, d.y, d.z, v_d[0], v_d[1], v_d[2]);
     v_from_center[0] = fnma(radial, d.x, v_d[0]) / length;
     v_from_center[1] = fnma(radial, d.y, v_d[1]) / length;
@@ -193,14 +193,14 @@ GS_INLINE void color_backward(const ProjectBackwardArgs &a, const Lanes &s, cons
 }
 
 // Adds the gradients of kLanes splats with respect to the camera, 3 x 4 row-major.
-GS_INLINE void view_backward(const Lanes &s, const float *view, int lanes, const Vec v_cam[3],
+GS_INLINE void view_backward(const Lanes &s, const float *viewmat, int lanes, const Vec v_cam[3],
                              const Vec v_world_rot[3][3], const Vec v_from_center[3], Vec view_sums[12]) {
     alignas(64) float on[kLanes];
     for (int l = 0; l < kLanes; ++l)
         on[l] = float(l < lanes);
     const Mask mask = gt(load(on), Vec{});
     for (int i = 0; i < 3; ++i) {
-        const float t = view[4 * i + 3];
+        const float t = viewmat[4 * i + 3];
         Vec v_t = v_cam[i];
         for (int j = 0; j < 3; ++j) {
             // W acts on the mean, on R, and through the centre -W^T t on the viewing direction.
@@ -208,7 +208,7 @@ GS_INLINE void view_backward(const Lanes &s, const float *view, int lanes, const
             for (int k = 0; k < 3; ++k)
                 v_w = fma(v_world_rot[i][k], s.rot[j][k], v_w);
             view_sums[4 * i + j] += keep(mask, v_w);
-            v_t = fma(set1(view[4 * i + j]), v_from_center[j], v_t);
+            v_t = fma(set1(viewmat[4 * i + j]), v_from_center[j], v_t);
         }
         view_sums[4 * i + 3] += keep(mask, v_t);
     }
@@ -219,13 +219,13 @@ GS_INLINE void lanes_backward(const ProjectBackwardArgs &a, const Lanes &s, cons
                               Vec view_sums[12]) {
     const gs_splats &in = *a.forward.splats;
     const gs_splat_grads &grads = a.grads;
-    const float *view = a.forward.camera->viewmat;
+    const float *viewmat = a.forward.view->viewmat;
     const Vec u_sum = b.sum(kGu) * (1.0f / GS_HALF_LOG2E), v_sum = b.sum(kGv) * (1.0f / GS_HALF_LOG2E);
     const Vec v_mean2d[2] = {load(b.conic[0]) * u_sum, fma(load(b.conic[1]), u_sum, load(b.conic[2]) * v_sum)};
     const Vec log_gain = keep(s.compensated, b.sum(kG));
     Vec v_m[2][3];
-    covariance_backward(s, a.forward.options->eps2d, b.sum(kGuu), b.sum(kGuv), b.sum(kGvv), log_gain, v_m);
-    if (a.forward.options->antialias)
+    covariance_backward(s, a.forward.view->eps2d, b.sum(kGuu), b.sum(kGuv), b.sum(kGvv), log_gain, v_m);
+    if (a.forward.view->antialias)
         compensation_backward(s, b.sum(kG), v_m);
 
     // v_opacity: alpha is proportional to the opacity.
@@ -238,29 +238,29 @@ GS_INLINE void lanes_backward(const ProjectBackwardArgs &a, const Lanes &s, cons
     Vec v_rot[3][3];
     for (int i = 0; i < 3; ++i)
         for (int k = 0; k < 3; ++k)
-            v_rot[i][k] = dot3(set1(view[i]), set1(view[4 + i]), set1(view[8 + i]), v_world_rot[0][k],
+            v_rot[i][k] = dot3(set1(viewmat[i]), set1(viewmat[4 + i]), set1(viewmat[8 + i]), v_world_rot[0][k],
                                v_world_rot[1][k], v_world_rot[2][k]);
     Vec v_quat[4];
     quat_backward(s, v_rot, v_quat);
     scatter<4>(grads.quats, b.id, lanes, v_quat);
 
     Vec v_cam[3], v_from_center[3], v_mean[3];
-    screen_backward(s, *a.forward.camera, v_jac_diagonal, v_jac_offset, v_mean2d, b.sum(kInvZ), b.sum(kZ), v_cam);
+    screen_backward(s, *a.forward.view, v_jac_diagonal, v_jac_offset, v_mean2d, b.sum(kInvZ), b.sum(kZ), v_cam);
     color_backward(a, s, b, lanes, v_from_center);
     for (int j = 0; j < 3; ++j)
-        v_mean[j] =
-            dot3(set1(view[j]), set1(view[4 + j]), set1(view[8 + j]), v_cam[0], v_cam[1], v_cam[2]) + v_from_center[j];
+        v_mean[j] = dot3(set1(viewmat[j]), set1(viewmat[4 + j]), set1(viewmat[8 + j]), v_cam[0], v_cam[1], v_cam[2]) +
+                    v_from_center[j];
     scatter<3>(grads.means, b.id, lanes, v_mean);
     if (grads.means2d)
         scatter<2>(grads.means2d, b.id, lanes, v_mean2d);
     if (a.viewmat_partial)
-        view_backward(s, view, lanes, v_cam, v_world_rot, v_from_center, view_sums);
+        view_backward(s, viewmat, lanes, v_cam, v_world_rot, v_from_center, view_sums);
 }
 
 static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
     const gs_splats &in = *a.forward.splats;
-    const gs_camera &camera = *a.forward.camera;
-    const Limits limits(camera);
+    const gs_view &view = *a.forward.view;
+    const Limits limits(view);
     const int64_t begin = chunk * kChunk;
     const int visible = a.forward.visible[chunk];
     zero_culled_rows(a, begin, begin + kChunk < in.count ? begin + kChunk : in.count, visible);
@@ -273,7 +273,7 @@ static void project_backward(const ProjectBackwardArgs &a, int64_t chunk) {
             fetch_coefficients(in, a.grads, a.forward.projected[begin + i].id);
         const int lanes = visible - first < kLanes ? visible - first : kLanes;
         read_blended(a, moments, begin + first, lanes, b);
-        project_lanes(in, camera, *a.forward.options, limits, b.id, s);
+        project_lanes(in, view, limits, b.id, s);
         lanes_backward(a, s, b, lanes, view_sums);
     }
     if (a.viewmat_partial) {

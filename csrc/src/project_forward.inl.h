@@ -8,8 +8,8 @@ namespace gs::GS_NAMESPACE {
 
 static void project(const ProjectArgs &a, int64_t chunk) {
     const gs_splats &in = *a.splats;
-    const gs_camera &camera = *a.camera;
-    const Limits limits(camera);
+    const gs_view &view = *a.view;
+    const Limits limits(view);
     const int64_t begin = chunk * kChunk;
     const int64_t end = begin + kChunk < in.count ? begin + kChunk : in.count;
     Projected *out = a.projected + begin;
@@ -24,14 +24,14 @@ static void project(const ProjectArgs &a, int64_t chunk) {
         if (a.radii)
             for (int l = 0; l < lanes; ++l)
                 a.radii[i0 + l] = 0;
-        Mask ok = project_lanes(in, camera, *a.options, limits, id, s);
+        Mask ok = project_lanes(in, view, limits, id, s);
         if (!bits(ok))
             continue;
         const Vec log2_opacity = log2(s.sigma_opacity);
         const Vec t = max(log2_opacity - GS_LOG2_ALPHA_MIN, Vec{}) * (1.0f / GS_HALF_LOG2E);
         const Vec ex = sqrt(t * s.cov_xx), ey = sqrt(t * s.cov_yy);
-        ok = both(ok, both(ge(s.mean2d[0] + ex, set1(0.5f)), ge(set1(float(camera.width) - 0.5f), s.mean2d[0] - ex)));
-        ok = both(ok, both(ge(s.mean2d[1] + ey, set1(0.5f)), ge(set1(float(camera.height) - 0.5f), s.mean2d[1] - ey)));
+        ok = both(ok, both(ge(s.mean2d[0] + ex, set1(0.5f)), ge(set1(float(view.width) - 0.5f), s.mean2d[0] - ex)));
+        ok = both(ok, both(ge(s.mean2d[1] + ey, set1(0.5f)), ge(set1(float(view.height) - 0.5f), s.mean2d[1] - ey)));
         uint32_t alive = bits(ok) & ((1u << lanes) - 1);
         if (!alive)
             continue;
@@ -40,9 +40,9 @@ static void project(const ProjectArgs &a, int64_t chunk) {
         fetch_floats(in.shN, (i0 + kLanes) * 3 * in.sh_rest, end * 3 * in.sh_rest, kLanes * 3 * in.sh_rest);
         Row3 d;
         Vec length;
-        direction(camera, s, d, length);
+        direction(view, s, d, length);
         Vec color[3];
-        sh_colors(in, id, alive, d.x, d.y, d.z, color);
+        sh_colors(in, view.sh_degree, id, alive, d.x, d.y, d.z, color);
 
         const Vec inv_yy = 1.0f / s.cov_yy;
         const Vec vc = sqrt(GS_HALF_LOG2E * inv_yy);

@@ -57,7 +57,7 @@ bool GrowingInstances::grow_more(InstanceBuffer *self) {
 }
 
 ProjectArgs gs_raster::project_args(const gs_splats &splats) const {
-    return {&splats, &camera_, &options_, projected_.get(), depth_keys_.get(), nullptr, visible_.get()};
+    return {&splats, &view_, projected_.get(), depth_keys_.get(), nullptr, visible_.get()};
 }
 
 gs_status gs_raster::bin(const BinArgs &args, uint32_t tiles, int threads) {
@@ -148,11 +148,11 @@ int64_t gs_raster::project(const gs_splats &splats, int32_t *radii) {
     spans_.ensure(slots);
     ProjectArgs args = project_args(splats);
     args.radii = radii;
-    parallel_for(size_t(chunks), options_.threads, [&](size_t c, int) {
-        if (!cancelled(options_.cancel))
+    parallel_for(size_t(chunks), host_.threads, [&](size_t c, int) {
+        if (!cancelled(host_.cancel))
             k.project(args, int64_t(c));
     });
-    if (cancelled(options_.cancel))
+    if (cancelled(host_.cancel))
         return 0;
     int64_t visible = 0;
     for (int64_t c = 0; c < chunks; ++c)
@@ -161,7 +161,7 @@ int64_t gs_raster::project(const gs_splats &splats, int32_t *radii) {
 }
 
 void gs_raster::sort(uint32_t tiles) {
-    const int threads = options_.threads;
+    const int threads = host_.threads;
     const uint32_t *const tile_begin = tile_begin_.get();
     uint32_t longest = 0;
     for (uint32_t t = 0; t < tiles; ++t)
@@ -171,7 +171,7 @@ void gs_raster::sort(uint32_t tiles) {
     for (TileSort &sort : sorts_)
         sort.reserve(longest);
     parallel_for(tiles, threads, [&](size_t t, int worker) {
-        if (!cancelled(options_.cancel))
+        if (!cancelled(host_.cancel))
             sorts_[size_t(worker)].run(entries_.get() + tile_begin[t], tile_begin[t + 1] - tile_begin[t]);
     });
 }
@@ -181,19 +181,19 @@ PairCount gs_raster::blend(const gs_image &image, uint32_t tiles) {
     blend_.projected = projected_.get();
     blend_.entries = entries_.get();
     blend_.tile_begin = tile_begin_.get();
-    blend_.width = camera_.width;
-    blend_.height = camera_.height;
-    blend_.tiles_x = ceil_div(camera_.width, kTileWidth);
-    std::copy_n(options_.background, 3, blend_.background);
-    blend_.far_depths = options_.far_depths;
+    blend_.width = view_.width;
+    blend_.height = view_.height;
+    blend_.tiles_x = ceil_div(view_.width, kTileWidth);
+    std::copy_n(view_.background, 3, blend_.background);
+    blend_.far_depths = host_.far_depths;
     blend_.image = image;
     blend_.final_transmittance = final_transmittance_.ensure(size_t(tiles) * kTilePixels);
     blend_.stop_index = stop_index_.ensure(size_t(tiles) * kTilePixels);
     std::atomic<int64_t> pairs{0}, useful{0};
-    parallel_for(tiles, options_.threads, [&](size_t t, int) {
-        if (cancelled(options_.cancel))
+    parallel_for(tiles, host_.threads, [&](size_t t, int) {
+        if (cancelled(host_.cancel))
             return;
-        const PairCount found = k.blend(blend_, options_.outputs, uint32_t(t));
+        const PairCount found = k.blend(blend_, view_.outputs, uint32_t(t));
         pairs += found.evaluated;
         useful += found.useful;
     });
@@ -202,42 +202,41 @@ PairCount gs_raster::blend(const gs_image &image, uint32_t tiles) {
     return {pairs, useful};
 }
 
-gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, const gs_options &options,
-                             const gs_image &image) {
+gs_status gs_raster::forward(const gs_splats &splats, const gs_view &view, const gs_host &host, const gs_image &image) {
     valid_ = false;
     stats = {};
-    camera_ = camera;
-    options_ = options;
-    options_.threads = threads_of(options.threads);
+    view_ = view;
+    host_ = host;
+    host_.threads = threads_of(host.threads);
     splat_count_ = splats.count;
     Timer timer;
 
     const int64_t visible = project(splats, image.radii);
-    if (cancelled(options.cancel))
+    if (cancelled(host.cancel))
         return GS_CANCELLED;
     stats.project_ms = timer.lap_ms();
 
-    const int tiles_x = ceil_div(camera.width, kTileWidth);
-    const int tiles_y = ceil_div(camera.height, kTileHeight);
+    const int tiles_x = ceil_div(view.width, kTileWidth);
+    const int tiles_y = ceil_div(view.height, kTileHeight);
     const uint32_t tiles = uint32_t(tiles_x) * uint32_t(tiles_y);
-    const BinArgs bins = {projected_.get(), visible_.get(),  spans_.get(),   camera.width, camera.height,
-                          tiles_x,          options.disable, options.cancel, options.tiles};
-    if (const gs_status s = bin(bins, tiles, options_.threads))
+    const BinArgs bins = {projected_.get(), visible_.get(), spans_.get(), view.width, view.height,
+                          tiles_x,          host.disable,   host.cancel,  host.tiles};
+    if (const gs_status s = bin(bins, tiles, host_.threads))
         return s;
-    if (cancelled(options.cancel))
+    if (cancelled(host.cancel))
         return GS_CANCELLED;
     stats.bin_ms = timer.lap_ms();
 
     sort(tiles);
-    if (cancelled(options.cancel))
+    if (cancelled(host.cancel))
         return GS_CANCELLED;
     stats.sort_ms = timer.lap_ms();
 
     const PairCount pairs = blend(image, tiles);
-    options_.cancel = nullptr;
-    options_.tiles = nullptr;
-    options_.far_depths = nullptr;
-    if (cancelled(options.cancel))
+    host_.cancel = nullptr;
+    host_.tiles = nullptr;
+    host_.far_depths = nullptr;
+    if (cancelled(host.cancel))
         return GS_CANCELLED;
     stats.blend_ms = timer.lap_ms();
     stats.visible = visible;
@@ -251,20 +250,20 @@ gs_status gs_raster::forward(const gs_splats &splats, const gs_camera &camera, c
 
 gs_status gs_raster::backward(const gs_splats &splats, const gs_image_grads &image_grads, const gs_splat_grads &grads,
                               const volatile int32_t *cancel) {
-    if (!valid_ || splats.count != splat_count_)
+    if (!valid_ || splats.count != splat_count_ || sh_rest_of(view_.sh_degree) > splats.sh_rest)
         return GS_BAD_ARGUMENT;
-    if (camera_.orthographic)
+    if (view_.orthographic)
         return GS_UNSUPPORTED;
     const Kernels &k = kernels();
-    const int threads = options_.threads;
+    const int threads = host_.threads;
     Timer timer;
     const uint32_t tiles = uint32_t(blend_.tiles_x) * uint32_t(ceil_div(blend_.height, kTileHeight));
     const BlendBackwardArgs args = {&blend_, image_grads, moments_.ensure(entry_count_),
-                                    !(options_.disable & GS_NO_ZERO_TILE)};
+                                    !(host_.disable & GS_NO_ZERO_TILE)};
     std::atomic<int64_t> pairs{0};
     parallel_for(tiles, threads, [&](size_t t, int) {
         if (!cancelled(cancel))
-            pairs += k.blend_backward(args, options_.outputs, uint32_t(t));
+            pairs += k.blend_backward(args, view_.outputs, uint32_t(t));
     });
     if (cancelled(cancel))
         return GS_CANCELLED;

@@ -25,7 +25,7 @@ class GrowingInstances : public InstanceBuffer {
 } // namespace gs
 
 struct gs_raster {
-    gs_status forward(const gs_splats &, const gs_camera &, const gs_options &, const gs_image &);
+    gs_status forward(const gs_splats &, const gs_view &, const gs_host &, const gs_image &);
     gs_status backward(const gs_splats &, const gs_image_grads &, const gs_splat_grads &,
                        const volatile int32_t *cancel);
     gs_status image_loss(const gs_loss_args &, gs_loss_result &, float *v_image);
@@ -45,8 +45,8 @@ struct gs_raster {
     // State of the last forward call.
     bool valid_ = false;
     int64_t splat_count_ = 0;
-    gs_camera camera_ = {};
-    gs_options options_ = {};
+    gs_view view_ = {};
+    gs_host host_ = {};
     gs::BlendArgs blend_ = {};
     size_t entry_count_ = 0;
 

@@ -4,7 +4,12 @@
 #include "gscore/raster.h"
 #include "types.h"
 
+// The layout in std140 and std430 blocks.
+static_assert(sizeof(gs_view) == 128 && offsetof(gs_view, background) == 112);
+
 namespace gs {
+
+constexpr int sh_rest_of(int degree) { return (degree + 1) * (degree + 1) - 1; }
 
 constexpr int kTileWidth = GS_LIST_TILE_WIDTH, kTileHeight = GS_LIST_TILE_HEIGHT;
 constexpr int kTilePixels = kTileWidth * kTileHeight;
@@ -70,8 +75,7 @@ struct InstanceBuffer {
 
 struct ProjectArgs {
     const gs_splats *splats;
-    const gs_camera *camera;
-    const gs_options *options;
+    const gs_view *view;
     Projected *projected; // [chunks * kChunk], visible ones packed at the start of each chunk
     uint32_t *depth_keys; // same layout: bits of z
     int32_t *radii;       // [N] or null
@@ -83,9 +87,9 @@ struct BinArgs {
     const int32_t *visible; // [chunks]
     Span *spans;            // [slots]
     int32_t width, height, tiles_x;
-    uint32_t disable;               // bits of gs_options.disable
+    uint32_t disable;               // bits of gs_host.disable
     const volatile int32_t *cancel; // may be null
-    const uint8_t *tiles;           // gs_options.tiles
+    const uint8_t *tiles;           // gs_host.tiles
 };
 
 struct BlendArgs {

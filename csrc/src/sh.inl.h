@@ -115,12 +115,12 @@ static inline void coefficient_rows(const gs_splats &in, const uint32_t *id, uin
 
 // colour = max(0, 0.5 + sum of b_k c_k) of the lanes in `alive`, which is not empty; NaN if that is not finite.
 template <int kMost>
-static inline void sh_colors_of(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
-                                Vec color[3]) {
+static inline void sh_colors_of(const gs_splats &in, int degree, const uint32_t *id, uint32_t alive, Vec x, Vec y,
+                                Vec z, Vec color[3]) {
     constexpr int kMax = sh_count(kMost);
     Vec b[kMax] = {};
-    sh_basis<kMost>(in.sh_degree, x, y, z, b);
-    const int rest = sh_count(in.sh_degree) - 1;
+    sh_basis<kMost>(degree, x, y, z, b);
+    const int rest = sh_count(degree) - 1;
     gather<3>(in.sh0, in.count, id, color);
     for (int c = 0; c < 3; ++c)
         color[c] = color[c] * GS_SH_C0 + 0.5f;
@@ -139,17 +139,17 @@ static inline void sh_colors_of(const gs_splats &in, const uint32_t *id, uint32_
 }
 
 // Degree 4 is separate and not inlined, so that the usual lower degrees do not pay for its registers.
-static __attribute__((noinline)) void sh_colors_4(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y,
-                                                  Vec z, Vec color[3]) {
-    sh_colors_of<4>(in, id, alive, x, y, z, color);
+static __attribute__((noinline)) void sh_colors_4(const gs_splats &in, int degree, const uint32_t *id, uint32_t alive,
+                                                  Vec x, Vec y, Vec z, Vec color[3]) {
+    sh_colors_of<4>(in, degree, id, alive, x, y, z, color);
 }
 
-static inline void sh_colors(const gs_splats &in, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
+static inline void sh_colors(const gs_splats &in, int degree, const uint32_t *id, uint32_t alive, Vec x, Vec y, Vec z,
                              Vec color[3]) {
-    if (in.sh_degree > 3)
-        sh_colors_4(in, id, alive, x, y, z, color);
+    if (degree > 3)
+        sh_colors_4(in, degree, id, alive, x, y, z, color);
     else
-        sh_colors_of<3>(in, id, alive, x, y, z, color);
+        sh_colors_of<3>(in, degree, id, alive, x, y, z, color);
 }
 
 // Prefetches the data of a row for `sh_backward`, which accesses pieces of many rows at a time, a pattern that hardware
@@ -164,12 +164,12 @@ static inline void fetch_coefficients(const gs_splats &in, const gs_splat_grads 
 
 // Writes gradients of the coefficients of the first `lanes` lanes and returns dL/d(x, y, z) of the unit direction.
 template <int kMost>
-static inline void sh_backward_of(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes,
-                                  Vec x, Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
+static inline void sh_backward_of(const gs_splats &in, int degree, const gs_splat_grads &grads, const uint32_t *id,
+                                  int lanes, Vec x, Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
     constexpr int kMax = sh_count(kMost);
     Vec b[kMax] = {}, s[kMax] = {};
-    sh_basis<kMost>(in.sh_degree, x, y, z, b);
-    const int rest = sh_count(in.sh_degree) - 1;
+    sh_basis<kMost>(degree, x, y, z, b);
+    const int rest = sh_count(degree) - 1;
     const Vec v_sh0[3] = {v_color[0] * GS_SH_C0, v_color[1] * GS_SH_C0, v_color[2] * GS_SH_C0};
     scatter<3>(grads.sh0, id, lanes, v_sh0);
     if (rest > 0) {
@@ -206,21 +206,21 @@ static inline void sh_backward_of(const gs_splats &in, const gs_splat_grads &gra
     const Vec most = set1(kSlopeMax);
     for (int k = 1; k <= rest; ++k)
         s[k] = keep(both(ge(most, s[k]), ge(s[k], -most)), s[k]);
-    sh_basis_backward<kMost>(in.sh_degree, x, y, z, s, v_dir);
+    sh_basis_backward<kMost>(degree, x, y, z, s, v_dir);
 }
 
-static __attribute__((noinline)) void sh_backward_4(const gs_splats &in, const gs_splat_grads &grads,
+static __attribute__((noinline)) void sh_backward_4(const gs_splats &in, int degree, const gs_splat_grads &grads,
                                                     const uint32_t *id, int lanes, Vec x, Vec y, Vec z,
                                                     const Vec v_color[3], Vec v_dir[3]) {
-    sh_backward_of<4>(in, grads, id, lanes, x, y, z, v_color, v_dir);
+    sh_backward_of<4>(in, degree, grads, id, lanes, x, y, z, v_color, v_dir);
 }
 
-static inline void sh_backward(const gs_splats &in, const gs_splat_grads &grads, const uint32_t *id, int lanes, Vec x,
-                               Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
-    if (in.sh_degree > 3)
-        sh_backward_4(in, grads, id, lanes, x, y, z, v_color, v_dir);
+static inline void sh_backward(const gs_splats &in, int degree, const gs_splat_grads &grads, const uint32_t *id,
+                               int lanes, Vec x, Vec y, Vec z, const Vec v_color[3], Vec v_dir[3]) {
+    if (degree > 3)
+        sh_backward_4(in, degree, grads, id, lanes, x, y, z, v_color, v_dir);
     else
-        sh_backward_of<3>(in, grads, id, lanes, x, y, z, v_color, v_dir);
+        sh_backward_of<3>(in, degree, grads, id, lanes, x, y, z, v_color, v_dir);
 }
 
 } // namespace gs::GS_NAMESPACE

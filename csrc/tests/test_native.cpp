@@ -14,12 +14,12 @@ namespace {
 
 struct Model {
     std::vector<float> means, quats, scales, opacities, sh0, shN;
-    int sh_rest = 15, sh_degree = 3, raw = 1;
+    int sh_rest = 15, raw = 1;
 
     size_t size() const { return opacities.size(); }
-    gs_splats view() const {
-        return {int64_t(size()), means.data(), quats.data(), scales.data(), opacities.data(),
-                sh0.data(),      shN.data(),   sh_rest,      sh_degree,     raw};
+    gs_splats splats() const {
+        return {int64_t(size()), means.data(), quats.data(), scales.data(), opacities.data(), sh0.data(),
+                shN.data(),      sh_rest,      raw};
     }
 };
 
@@ -44,29 +44,30 @@ Model random_model(size_t n, unsigned seed) {
     return m;
 }
 
-gs_camera make_camera(int width, int height) {
-    gs_camera c = {};
+gs_view make_view(int width, int height) {
+    gs_view v = {};
     for (int i = 0; i < 4; ++i)
-        c.viewmat[5 * i] = 1;
-    c.fx = c.fy = 0.9f * float(width);
-    c.cx = 0.5f * float(width) + 1.25f;
-    c.cy = 0.5f * float(height) - 0.5f;
-    c.width = width;
-    c.height = height;
-    c.near_plane = 0.01f;
-    c.far_plane = 1e10f;
-    return c;
+        v.viewmat[5 * i] = 1;
+    v.fx = v.fy = 0.9f * float(width);
+    v.cx = 0.5f * float(width) + 1.25f;
+    v.cy = 0.5f * float(height) - 0.5f;
+    v.width = width;
+    v.height = height;
+    v.near_plane = 0.01f;
+    v.far_plane = 1e10f;
+    v.eps2d = 0.3f;
+    v.sh_degree = 3;
+    v.background[0] = 0.2f;
+    v.background[1] = 0.4f;
+    v.background[2] = 0.6f;
+    v.outputs = GS_OUT_INVERSE_DEPTH | GS_OUT_DEPTH | GS_OUT_MEDIAN_DEPTH;
+    return v;
 }
 
-gs_options make_options(int threads = 1) {
-    gs_options o = {};
-    o.eps2d = 0.3f;
-    o.background[0] = 0.2f;
-    o.background[1] = 0.4f;
-    o.background[2] = 0.6f;
-    o.outputs = GS_OUT_INVERSE_DEPTH | GS_OUT_DEPTH | GS_OUT_MEDIAN_DEPTH;
-    o.threads = threads;
-    return o;
+gs_host make_host(int threads = 1) {
+    gs_host h = {};
+    h.threads = threads;
+    return h;
 }
 
 struct Result {
@@ -84,9 +85,9 @@ struct Result {
     }
 };
 
-Result run(const Model &m, const gs_camera &camera, const gs_options &options) {
+Result run(const Model &m, const gs_view &view, const gs_host &host) {
     Result r;
-    const size_t pixels = size_t(camera.width) * size_t(camera.height), n = m.size();
+    const size_t pixels = size_t(view.width) * size_t(view.height), n = m.size();
     const float untouched = -777.0f;
     r.image.assign(7 * pixels, untouched);
     gs_image image = {};
@@ -97,8 +98,8 @@ Result run(const Model &m, const gs_camera &camera, const gs_options &options) {
     image.median_depth = image.depth + pixels;
     gs_raster *raster = nullptr;
     CHECK(gs_raster_create(&raster) == GS_OK);
-    const gs_splats splats = m.view();
-    r.forward = gs_raster_forward(raster, &splats, &camera, &options, &image);
+    const gs_splats splats = m.splats();
+    r.forward = gs_raster_forward(raster, &splats, &view, &host, &image);
     if (r.forward == GS_OK) {
         std::vector<float> v(6 * pixels);
         std::mt19937 rng(7);
@@ -120,7 +121,7 @@ Result run(const Model &m, const gs_camera &camera, const gs_options &options) {
         const gs_splat_grads out = {at[0], at[1], at[2], at[3], at[4], at[5], at[6], at[7], 0};
         const int32_t stop = 1;
         CHECK(gs_raster_backward(raster, &splats, &in, &out, &stop) ==
-              (camera.orthographic ? GS_UNSUPPORTED : GS_CANCELLED));
+              (view.orthographic ? GS_UNSUPPORTED : GS_CANCELLED));
         r.backward = gs_raster_backward(raster, &splats, &in, &out, nullptr);
         CHECK(gs_raster_stats(raster, &r.stats) == GS_OK);
         for (const float x : r.image)
@@ -132,7 +133,7 @@ Result run(const Model &m, const gs_camera &camera, const gs_options &options) {
     return r;
 }
 
-double mean_alpha(const Result &r, const gs_camera &c) {
+double mean_alpha(const Result &r, const gs_view &c) {
     const size_t pixels = size_t(c.width) * size_t(c.height);
     double sum = 0;
     for (size_t i = 0; i < pixels; ++i)
@@ -149,11 +150,11 @@ void one_splat_has_its_closed_form() {
     m.opacities = {0.7f};
     m.sh0 = {1, 0, -1};
     m.sh_rest = 0;
-    m.sh_degree = 0;
     m.raw = 0;
-    gs_camera c = make_camera(33, 33);
+    gs_view c = make_view(33, 33);
+    c.sh_degree = 0;
     c.cx = c.cy = 16.5f;
-    const Result r = run(m, c, make_options());
+    const Result r = run(m, c, make_host());
     const size_t pixels = 33 * 33, center = 16 * 33 + 16;
     CHECK(std::fabs(r.image[3 * pixels + center] - 0.7f) < 1e-6f);
     CHECK(std::fabs(r.image[4 * pixels + center] - 0.35f) < 1e-6f);
@@ -169,11 +170,11 @@ void one_splat_has_its_closed_form() {
 // Oracle: one thread.
 void results_do_not_depend_on_threads() {
     const Model m = random_model(6000, 1);
-    const gs_camera c = make_camera(150, 100);
-    const Result one = run(m, c, make_options(1));
+    const gs_view c = make_view(150, 100);
+    const Result one = run(m, c, make_host(1));
     CHECK(mean_alpha(one, c) > 0.1);
     for (const int threads : {2, 3, 5, 16, 64}) {
-        const Result many = run(m, c, make_options(threads));
+        const Result many = run(m, c, make_host(threads));
         CHECK(same_bits(one.image, many.image));
         CHECK(same_bits(one.grads, many.grads));
     }
@@ -186,9 +187,9 @@ void skips_do_not_change_a_bit() {
         if (seed % 2) // needles
             for (size_t i = 0; i < m.size(); ++i)
                 m.scales[3 * i] += 3.0f;
-        const gs_camera c = make_camera(90 + int(seed) * 7, 70 + int(seed) * 3);
-        gs_options o = make_options(2);
-        o.outputs |= GS_COUNT_USEFUL;
+        gs_view c = make_view(90 + int(seed) * 7, 70 + int(seed) * 3);
+        gs_host o = make_host(2);
+        c.outputs |= GS_COUNT_USEFUL;
         const Result fast = run(m, c, o);
         CHECK(mean_alpha(fast, c) > 0.1);
         CHECK(fast.stats.useful_pairs > c.width * c.height);
@@ -212,10 +213,10 @@ void poisoned_rows_do_not_touch_others() {
                          -std::numeric_limits<float>::infinity(), std::numeric_limits<float>::max(),
                          -std::numeric_limits<float>::max()};
     const size_t n = 400, row = 200;
-    const gs_camera c = make_camera(64, 48);
+    const gs_view c = make_view(64, 48);
     Model clean = random_model(n, 3);
     clean.means[3 * row + 2] = -1; // culled
-    const Result expected = run(clean, c, make_options());
+    const Result expected = run(clean, c, make_host());
     for (int field = 0; field < 6; ++field)
         for (const float value : bad) {
             Model m = clean;
@@ -224,7 +225,7 @@ void poisoned_rows_do_not_touch_others() {
                 m.means[3 * row + 2] = 3;
             std::vector<float> &a = *arrays[field];
             a[a.size() / n * row] = value;
-            const Result r = run(m, c, make_options());
+            const Result r = run(m, c, make_host());
             CHECK(r.forward == GS_OK && r.backward == GS_OK);
             if (!std::isfinite(value)) {
                 CHECK(same_bits(r.image, expected.image));
@@ -236,9 +237,9 @@ void poisoned_rows_do_not_touch_others() {
 void odd_sizes_and_empty_models_work() {
     const int sizes[][2] = {{1, 1}, {1, 40}, {15, 17}, {16, 16}, {17, 33}, {300, 16}};
     for (const auto &size : sizes) {
-        const gs_camera c = make_camera(size[0], size[1]);
-        CHECK(run(random_model(300, 5), c, make_options(2)).finite());
-        const Result empty = run(random_model(0, 5), c, make_options(2));
+        const gs_view c = make_view(size[0], size[1]);
+        CHECK(run(random_model(300, 5), c, make_host(2)).finite());
+        const Result empty = run(random_model(0, 5), c, make_host(2));
         CHECK(empty.backward == GS_OK && empty.image[0] == 0.2f && empty.finite());
     }
 }
@@ -246,7 +247,7 @@ void odd_sizes_and_empty_models_work() {
 void extreme_values_stay_finite() {
     std::mt19937 rng(11);
     std::uniform_real_distribution<float> uniform(-1, 1);
-    const gs_camera c = make_camera(40, 30);
+    gs_view c = make_view(40, 30);
     for (int round = 0; round < 200; ++round) {
         Model m = random_model(60, unsigned(round));
         for (size_t i = 0; i < m.size(); ++i) {
@@ -258,9 +259,8 @@ void extreme_values_stay_finite() {
                 for (int k = 0; k < 4; ++k)
                     m.quats[4 * i + size_t(k)] *= std::pow(10.0f, 30 * uniform(rng));
         }
-        gs_options o = make_options(2);
-        o.antialias = round % 2;
-        const Result r = run(m, c, o);
+        c.antialias = round % 2;
+        const Result r = run(m, c, make_host(2));
         CHECK(r.forward == GS_OK && r.backward == GS_OK);
         for (size_t i = 0; i < r.image.size(); ++i)
             if (!std::isfinite(r.image[i])) {
@@ -273,21 +273,25 @@ void extreme_values_stay_finite() {
 
 void bad_arguments_are_named() {
     const Model m = random_model(10, 1);
-    gs_camera c = make_camera(20, 20);
-    gs_options o = make_options();
+    gs_view c = make_view(20, 20);
+    const gs_host o = make_host();
     c.width = 70000;
     CHECK(run(m, c, o).forward == GS_BAD_ARGUMENT);
     CHECK(std::strstr(gs_last_error(), "image size"));
-    c = make_camera(20, 20);
+    c = make_view(20, 20);
     c.fx = -1;
     CHECK(run(m, c, o).forward == GS_BAD_ARGUMENT);
-    c = make_camera(20, 20);
-    o.eps2d = 0;
+    c = make_view(20, 20);
+    c.eps2d = 0;
     CHECK(run(m, c, o).forward == GS_BAD_ARGUMENT);
+    c = make_view(20, 20);
+    c.sh_degree = 4;
+    CHECK(run(m, c, o).forward == GS_BAD_ARGUMENT);
+    CHECK(std::strstr(gs_last_error(), "sh_degree"));
     CHECK(gs_set_isa("vax") == GS_UNSUPPORTED);
     gs_raster *raster = nullptr;
     CHECK(gs_raster_create(&raster) == GS_OK);
-    const gs_splats splats = m.view();
+    const gs_splats splats = m.splats();
     const gs_image_grads in = {};
     std::vector<float> g(64 * m.size());
     const gs_splat_grads out = {g.data(), g.data(), g.data(), g.data(), g.data(), g.data(), nullptr, nullptr, 0};
@@ -301,21 +305,21 @@ void the_environments_threads_are_checked() {
     const char *const given = std::getenv("GSCORE_THREADS");
     const std::string before = given ? given : "";
     const Model m = random_model(10, 1);
-    const gs_camera c = make_camera(20, 20);
+    const gs_view c = make_view(20, 20);
     for (const char *text : {"many", "-2", "4x", "1e3", "0x4", " ", "1025", "99999999999999999999"}) {
         setenv("GSCORE_THREADS", text, 1);
         CHECK(gs_default_threads() == 0);
         CHECK(std::strstr(gs_last_error(), "GSCORE_THREADS") && std::strstr(gs_last_error(), text));
-        CHECK(run(m, c, make_options(0)).forward == GS_BAD_ARGUMENT);
+        CHECK(run(m, c, make_host(0)).forward == GS_BAD_ARGUMENT);
         CHECK(std::strstr(gs_last_error(), "GSCORE_THREADS"));
-        CHECK(run(m, c, make_options(2)).forward == GS_OK);
+        CHECK(run(m, c, make_host(2)).forward == GS_OK);
     }
     setenv("GSCORE_THREADS", before.c_str(), 1);
     CHECK(gs_default_threads() >= 1);
-    CHECK(run(m, c, make_options(0)).forward == GS_OK);
+    CHECK(run(m, c, make_host(0)).forward == GS_OK);
 #endif
     for (const int threads : {-1, GS_THREADS_MAX + 1}) {
-        CHECK(run(random_model(10, 1), make_camera(20, 20), make_options(threads)).forward == GS_BAD_ARGUMENT);
+        CHECK(run(random_model(10, 1), make_view(20, 20), make_host(threads)).forward == GS_BAD_ARGUMENT);
         CHECK(std::strstr(gs_last_error(), "threads must be"));
     }
 }
@@ -323,29 +327,29 @@ void the_environments_threads_are_checked() {
 // Oracle: the header.
 void parallel_rays_have_no_gradients() {
     const Model m = random_model(200, 4);
-    gs_camera c = make_camera(40, 30);
+    gs_view c = make_view(40, 30);
     c.fx = c.fy = 10;
     c.orthographic = 1;
-    const Result r = run(m, c, make_options());
+    const Result r = run(m, c, make_host());
     CHECK(r.forward == GS_OK && r.backward == GS_UNSUPPORTED);
     CHECK(std::strstr(gs_last_error(), "orthographic"));
     CHECK(mean_alpha(r, c) > 0.05);
     c.orthographic = 2;
-    CHECK(run(m, c, make_options()).forward == GS_BAD_ARGUMENT);
+    CHECK(run(m, c, make_host()).forward == GS_BAD_ARGUMENT);
 }
 
 // Oracle: the default state. A host may trap exceptions, keep or flush subnormals, and round as it likes.
 void the_hosts_arithmetic_stays_its_own() {
 #if defined(__x86_64__)
     const Model m = random_model(2000, 9);
-    const gs_camera c = make_camera(64, 48);
-    const Result expected = run(m, c, make_options(2));
+    const gs_view c = make_view(64, 48);
+    const Result expected = run(m, c, make_host(2));
     CHECK(mean_alpha(expected, c) > 0.1);
     const unsigned before = _mm_getcsr();
     // Traps for invalid, division by zero and overflow; subnormals flushed or not; rounding to zero.
     for (const unsigned state : {0x1f80u & ~0x0680u, 0x1f80u | 0x8040u, 0x1f80u | 0x6000u}) {
         _mm_setcsr(state);
-        const Result found = run(m, c, make_options(2));
+        const Result found = run(m, c, make_host(2));
         const unsigned after = _mm_getcsr();
         _mm_setcsr(before);
         CHECK((after & ~0x3fu) == (state & ~0x3fu)); // except for status flags
@@ -370,10 +374,10 @@ void exponentials_are_close() {
 
 void cancelling_stops() {
     const Model m = random_model(5000, 1);
-    gs_options o = make_options(2);
+    gs_host o = make_host(2);
     const int32_t cancel = 1;
     o.cancel = &cancel;
-    CHECK(run(m, make_camera(200, 200), o).forward == GS_CANCELLED);
+    CHECK(run(m, make_view(200, 200), o).forward == GS_CANCELLED);
 }
 
 // Oracle: central differences of the loss itself.
@@ -522,8 +526,8 @@ std::vector<float> learn(int threads) {
     gs_splats splats = {};
     splats.count = 2503;
     const gs_adam_tensor tensor = late.view(GS_ADAM_SEEN, 300);
-    CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, 0.3f, shown.data(), threads) == GS_OK);
-    CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, 0.3f, nullptr, threads) == GS_OK);
+    CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, shown.data(), threads) == GS_OK);
+    CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, nullptr, threads) == GS_OK);
     CHECK(same_bits(shown, late.param));
     for (const uint8_t l : late.lag)
         CHECK(l == 0);
@@ -554,7 +558,7 @@ void adam_skips_rows_for_any_number_of_threads() {
     gs_splats splats = {};
     splats.count = 1;
     const gs_adam_tensor tensor = late.view(GS_ADAM_SEEN, 600);
-    CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, 0.3f, nullptr, 1) == GS_OK);
+    CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, nullptr, 1) == GS_OK);
     CHECK(std::fabs(late.param[0] / dense.param[0] - 1) < 2e-6f);
     CHECK(std::fabs(dense.param[0] - 1) > 0.05f);
 }
@@ -583,11 +587,11 @@ void adam_names_bad_arguments() {
     gs_splats splats = {};
     splats.count = 4;
     t = x.view(GS_ADAM_SEEN, 1);
-    const gs_camera camera = make_camera(8, 8);
-    CHECK(gs_adam_catch_up(&t, &splats, &camera, 0.3f, nullptr, 0) == GS_BAD_ARGUMENT); // without means
-    CHECK(gs_adam_catch_up(&t, nullptr, nullptr, 0.3f, nullptr, 0) == GS_BAD_ARGUMENT);
+    const gs_view view = make_view(8, 8);
+    CHECK(gs_adam_catch_up(&t, &splats, &view, nullptr, 0) == GS_BAD_ARGUMENT); // without means
+    CHECK(gs_adam_catch_up(&t, nullptr, nullptr, nullptr, 0) == GS_BAD_ARGUMENT);
     t.mode = GS_ADAM_ALL;
-    CHECK(gs_adam_catch_up(&t, &splats, nullptr, 0.3f, nullptr, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_adam_catch_up(&t, &splats, nullptr, nullptr, 0) == GS_BAD_ARGUMENT);
     CHECK(gs_add_pull(1, nullptr, nullptr, nullptr, nullptr, 1, 1, 0) == GS_BAD_ARGUMENT);
     CHECK(gs_add_pull(0, nullptr, nullptr, nullptr, nullptr, 1, 1, 0) == GS_OK);
 }

@@ -141,8 +141,8 @@ def _declare(lib: ct.CDLL) -> None:
     lib.gs_raster_forward.argtypes = [
         _pointer,
         ct.POINTER(header.SplatsStruct),
-        ct.POINTER(header.CameraStruct),
-        ct.POINTER(header.OptionsStruct),
+        ct.POINTER(header.ViewStruct),
+        ct.POINTER(header.HostStruct),
         ct.POINTER(header.ImageStruct),
     ]
     lib.gs_raster_backward.argtypes = [
@@ -181,8 +181,7 @@ def _declare(lib: ct.CDLL) -> None:
     lib.gs_adam_catch_up.argtypes = [
         ct.POINTER(header.AdamTensorStruct),
         ct.POINTER(header.SplatsStruct),
-        ct.POINTER(header.CameraStruct),
-        ct.c_float,
+        ct.POINTER(header.ViewStruct),
         _pointer,
         ct.c_int32,
     ]
@@ -309,12 +308,13 @@ class Raster:
             pictures: Output arrays, by the names of gs_image.
         """
         image = arguments.image(pictures, view, settings.outputs, len(splats[0]))
+        degree = arguments.evaluated_degree(splats[5], settings)
         raise_status(
             self._lib.gs_raster_forward(
                 self.handle,
                 ct.byref(arguments.splats(splats, settings)),
-                ct.byref(arguments.camera(view)),
-                ct.byref(arguments.options(view, settings)),
+                ct.byref(arguments.view(view, settings, degree)),
+                ct.byref(arguments.host(view, settings)),
                 ct.byref(image),
             )
         )
@@ -513,8 +513,7 @@ def adam_catch_up(
         library().gs_adam_catch_up(
             ct.byref(tensor),
             ct.byref(splats),
-            None if view is None else ct.byref(arguments.camera(view)),
-            eps2d,
+            None if view is None else ct.byref(arguments.view(view, Settings(eps2d=eps2d), 0)),
             optional("out", out, shape),
             arguments.library_threads(threads),
         )

@@ -41,18 +41,21 @@ def library_threads(threads: int) -> int:
     return int(threads)
 
 
-def splats(arrays: Sequence[Array], settings: Settings) -> header.SplatsStruct:
-    """gs_splats of `PARAMETERS`, in their order."""
-    means, shN = arrays[0], arrays[5]
+def evaluated_degree(shN: Array, settings: Settings) -> int:
+    """SH degree to evaluate of [N, K-1, 3] coefficients; ShapeError if it is not stored."""
     stored = stored_degree(shN)
     degree = stored if settings.sh_degree is None else settings.sh_degree
     if not 0 <= degree <= stored:
         raise ShapeError(f"sh_degree must be 0 to {stored}, the stored degree, got {degree}.")
-    n = len(means)
-    shapes = splat_shapes(n, SH_REST_BY_DEGREE[stored])
+    return degree
+
+
+def splats(arrays: Sequence[Array], settings: Settings) -> header.SplatsStruct:
+    """gs_splats of `PARAMETERS`, in their order."""
+    n, rest = len(arrays[0]), SH_REST_BY_DEGREE[stored_degree(arrays[5])]
+    shapes = splat_shapes(n, rest)
     found = (address(name, a, shapes[name]) for name, a in zip(PARAMETERS, arrays, strict=True))
-    rest = SH_REST_BY_DEGREE[stored]
-    return header.SplatsStruct(n, *found, rest, degree, int(settings.raw))
+    return header.SplatsStruct(n, *found, rest, int(settings.raw))
 
 
 def splat_shapes(n: int, rest: int) -> dict[str, tuple[int, ...]]:
@@ -71,10 +74,10 @@ def placed_splats(means: Array, scales: Array, count: int) -> header.SplatsStruc
     )
 
 
-def camera(view: Frustum) -> header.CameraStruct:
-    """gs_camera; ShapeError if K has skew."""
-    check_size(view.width, view.height)
-    viewmat, K = np.asarray(view.viewmat), np.asarray(view.K)
+def view(frustum: Frustum, settings: Settings, sh_degree: int) -> header.ViewStruct:
+    """gs_view; ShapeError if K has skew."""
+    check_size(frustum.width, frustum.height)
+    viewmat, K = np.asarray(frustum.viewmat), np.asarray(frustum.K)
     if viewmat.shape != (4, 4):
         raise ShapeError(f"viewmat must be [4, 4], got {list(viewmat.shape)}.")
     if K.shape != (3, 3):
@@ -84,32 +87,36 @@ def camera(view: Frustum) -> header.CameraStruct:
             "K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; skew is not supported, "
             f"got {K.tolist()}."
         )
-    found = header.CameraStruct(
-        fx=K[0, 0], fy=K[1, 1], cx=K[0, 2], cy=K[1, 2], width=view.width, height=view.height
+    found = header.ViewStruct(
+        fx=K[0, 0],
+        fy=K[1, 1],
+        cx=K[0, 2],
+        cy=K[1, 2],
+        width=frustum.width,
+        height=frustum.height,
+        near_plane=frustum.near,
+        far_plane=frustum.far,
+        orthographic=int(frustum.orthographic),
+        eps2d=settings.eps2d,
+        antialias=int(settings.antialias),
+        sh_degree=sh_degree,
+        outputs=settings.outputs,
     )
     found.viewmat = (ct.c_float * 16)(*viewmat.ravel().tolist())
-    found.near_plane, found.far_plane = view.near, view.far
-    found.orthographic = int(view.orthographic)
+    found.background = (ct.c_float * 3)(*settings.background)
     return found
 
 
-def options(view: Frustum, settings: Settings) -> header.OptionsStruct:
-    """gs_options."""
-    s = settings
-    found = header.OptionsStruct(
-        eps2d=s.eps2d,
-        antialias=int(s.antialias),
-        outputs=s.outputs,
-        disable=s.disable,
-        threads=library_threads(s.threads),
-    )
-    found.background = (ct.c_float * 3)(*s.background)
-    if s.cancel is not None:
-        found.cancel = ct.pointer(s.cancel.value)
-    if s.tiles is not None:
-        shape = (-(-view.height // header.TILE), -(-view.width // header.TILE))
-        found.tiles = address("tiles", s.tiles, shape, UINT8)
-    found.far_depths = optional("far_depths", s.far_depths, (view.height, view.width))
+def host(frustum: Frustum, settings: Settings) -> header.HostStruct:
+    """gs_host."""
+    found = header.HostStruct(disable=settings.disable, threads=library_threads(settings.threads))
+    if settings.cancel is not None:
+        found.cancel = ct.pointer(settings.cancel.value)
+    if settings.tiles is not None:
+        shape = (-(-frustum.height // header.TILE), -(-frustum.width // header.TILE))
+        found.tiles = address("tiles", settings.tiles, shape, UINT8)
+    size = (frustum.height, frustum.width)
+    found.far_depths = optional("far_depths", settings.far_depths, size)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Constants and structs of `csrc/include/gscore.h`, which documents them, for ctypes.
+"""Constants and structs of csrc/include/gscore and csrc/shared, which document them, for ctypes.
 
 `arguments.py` fills structs with addresses; `stereo.py`, `mesh.py` and `match.py` those of stereo,
 meshes and descriptors. All check the arrays first.
@@ -6,7 +6,7 @@ meshes and descriptors. All check the arrays first.
 
 import ctypes as ct
 
-ABI_VERSION = 8
+ABI_VERSION = 9
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
 DEPTH_OUTPUTS = {
@@ -45,13 +45,12 @@ class SplatsStruct(ct.Structure):
         ("sh0", _pointer),
         ("shN", _pointer),
         ("sh_rest", ct.c_int32),
-        ("sh_degree", ct.c_int32),
         ("raw", ct.c_int32),
     )
 
 
-class CameraStruct(ct.Structure):
-    """gs_camera"""
+class ViewStruct(ct.Structure):
+    """gs_view"""
 
     _fields_ = (
         ("viewmat", ct.c_float * 16),
@@ -64,17 +63,18 @@ class CameraStruct(ct.Structure):
         ("near_plane", ct.c_float),
         ("far_plane", ct.c_float),
         ("orthographic", ct.c_int32),
+        ("eps2d", ct.c_float),
+        ("antialias", ct.c_int32),
+        ("sh_degree", ct.c_int32),
+        ("background", ct.c_float * 3),
+        ("outputs", ct.c_uint32),
     )
 
 
-class OptionsStruct(ct.Structure):
-    """gs_options"""
+class HostStruct(ct.Structure):
+    """gs_host"""
 
     _fields_ = (
-        ("eps2d", ct.c_float),
-        ("antialias", ct.c_int32),
-        ("background", ct.c_float * 3),
-        ("outputs", ct.c_uint32),
         ("disable", ct.c_uint32),
         ("threads", ct.c_int32),
         ("cancel", ct.POINTER(ct.c_int32)),

@@ -49,12 +49,12 @@ typedef struct gs_adam {
  * tensors; in a tensor of another mode, only in that tensor. `bad_rows` (may be null) receives the number of these
  * rows. Gradients are clamped to a magnitude of 1e18. */
 GS_API gs_status gs_adam_step(const gs_adam *adam, int64_t *bad_rows);
-/* Apply the pending steps of a GS_ADAM_SEEN tensor: of all rows, or, if `camera` is not null, at least of those that
- * gs_raster_forward with this camera and eps2d draws, provided that it is rigid and its numbers are below 1e5. `step`
+/* Apply the pending steps of a GS_ADAM_SEEN tensor: of all rows, or, if `view` is not null, at least of those that
+ * gs_raster_forward draws in it, provided that its camera is rigid and its numbers are below 1e5. `step`
  * and `drift` are those after the last step. `splats` gives N, means and scales; its shN is not read. If `out` is not
  * null, it receives the values [N, width], and nothing else changes. */
-GS_API gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats, const gs_camera *camera,
-                                  float eps2d, float *out, int32_t threads);
+GS_API gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats, const gs_view *view,
+                                  float *out, int32_t threads);
 
 /* Accumulate the screen-space gradients of a view, the criterion of densification: where radii [N] is above 0, add the
  * length of (scale_x v_x, scale_y v_y), of v_means2d [N, 2], to pull [N], and 1 to seen [N]. */

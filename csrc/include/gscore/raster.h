@@ -2,6 +2,7 @@
 #pragma once
 
 #include "../../shared/constants.h"
+#include "../../shared/structs.h"
 #include "base.h"
 
 /* Size of the tiles with splat lists, px. */
@@ -19,20 +20,10 @@ typedef struct gs_splats {
     const float *sh0;       /* [N, 1, 3] */
     const float *shN;       /* [N, sh_rest, 3]; may be null if sh_rest is 0 */
     int32_t sh_rest;        /* stored coefficients beyond the constant one: 0, 3, 8, 15 or 24 */
-    int32_t sh_degree;      /* degree to evaluate, 0 to 4, at most the stored one */
     int32_t raw;            /* 1: scales are logs and opacities logits */
 } gs_splats;
 
-/* Pinhole or orthographic camera. */
-typedef struct gs_camera {
-    float viewmat[16];           /* [4, 4] world to camera */
-    float fx, fy, cx, cy;        /* px; fx and fy are px per world unit if `orthographic` */
-    int32_t width, height;       /* 1 to 65536 each */
-    float near_plane, far_plane; /* splats with near < z <= far are drawn; world units */
-    int32_t orthographic; /* 1: parallel rays, x = fx X + cx, view direction +z for colours; forward calls only */
-} gs_camera;
-
-/* Bits of gs_options.outputs. RGB and alpha are always computed. */
+/* Bits of gs_view.outputs. RGB and alpha are always computed. */
 enum {
     GS_OUT_INVERSE_DEPTH = 1, /* sum of w / z, not divided by alpha */
     GS_OUT_DEPTH = 2,         /* sum of w * z, not divided by alpha */
@@ -40,7 +31,7 @@ enum {
     GS_COUNT_USEFUL = 8       /* no output array: counts gs_stats.useful_pairs */
 };
 
-/* Bits of gs_options.disable. Each disables an optimization that leaves the image bit-identical, for tests and
+/* Bits of gs_host.disable. Each disables an optimization that leaves the image bit-identical, for tests and
  * benchmarks. */
 enum {
     GS_NO_EXACT_CULL = 1,     /* use each splat's bounding box instead of its ellipse for tiles and rows */
@@ -49,19 +40,15 @@ enum {
     GS_NO_ROW_RANGE = 8       /* visit all rows of a tile that a splat reaches */
 };
 
-/* Render options. */
-typedef struct gs_options {
-    float eps2d;                    /* added to the diagonal of the 2D covariance, px^2; usually 0.3 */
-    int32_t antialias;              /* 1: opacities are multiplied by max(sqrt(det0 / det), GS_COMPENSATION_MIN) */
-    float background[3];            /* RGB */
-    uint32_t outputs;               /* bits GS_OUT_* and GS_COUNT_USEFUL */
+/* What only this machine has of a draw. */
+typedef struct gs_host {
     uint32_t disable;               /* bits GS_NO_* */
     int32_t threads;                /* up to GS_THREADS_MAX; 0: gs_default_threads() */
     const volatile int32_t *cancel; /* may be null; polled between tiles */
     const uint8_t *tiles; /* [ceil(H / GS_TILE), ceil(W / GS_TILE)]; no splat is drawn in tiles that are 0; null: all */
     const float *far_depths; /* [H, W]; at a pixel only splats with z <= this are drawn, in front of an opaque object;
                                 null, or NaN at a pixel: all */
-} gs_options;
+} gs_host;
 
 /* Outputs of gs_raster_forward. Pointers of outputs that are not requested are ignored. */
 typedef struct gs_image {
@@ -114,10 +101,10 @@ typedef struct gs_raster gs_raster;
 GS_API gs_status gs_raster_create(gs_raster **out);
 GS_API void gs_raster_destroy(gs_raster *raster);
 /* Render. Keeps the state for gs_raster_backward until the next forward call. */
-GS_API gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs_camera *camera,
-                                   const gs_options *options, const gs_image *image);
+GS_API gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs_view *view, const gs_host *host,
+                                   const gs_image *image);
 /* Compute the gradients of the last forward call; `splats` must be unchanged. GS_UNSUPPORTED if that call was
- * orthographic. `cancel` is as in gs_options; after GS_CANCELLED the gradients are incomplete. */
+ * orthographic. `cancel` is as in gs_host; after GS_CANCELLED the gradients are incomplete. */
 GS_API gs_status gs_raster_backward(gs_raster *raster, const gs_splats *splats, const gs_image_grads *image_grads,
                                     const gs_splat_grads *grads, const volatile int32_t *cancel);
 GS_API gs_status gs_raster_stats(const gs_raster *raster, gs_stats *out);
