@@ -10,7 +10,8 @@ from ..histograms.counting import OPACITY, SIZE
 from ..histograms.icons import ICONS
 from ..interface.option_labels import error_words
 from ..live import draw_handler
-from ..splats import edit, live_display, mending, uniform_scale
+from ..splats import edit, lag, live_display, uniform_scale
+from ..splats.mend_operators import outdated
 from ..splats.objects import in_question, is_native, is_splats, meant
 from .widgets import TabPanel, job, limit, rows, sentence
 
@@ -84,14 +85,13 @@ def draw_native(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 
 def draw_outdated(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Draw problems from Blender's Apply or Join in the selected splats, and the repair button."""
-    outdated = mending.behind(context)
-    problems = {ob.name: mending.problem(ob) for ob in outdated}
+    problems = {ob.name: lag.problem(ob.data) for ob in outdated(context)}
     for text in dict.fromkeys(problems.values()):
         names = ", ".join(name for name, own in problems.items() if own == text)
         sentence(layout, context, text.format(names), icon="ERROR")
-    if outdated:
-        stretched = mending.STRETCHED in problems.values()
-        text = "Undo Stretching" if stretched else "Update Shapes and Colors"
+    if problems:
+        kept = set(problems.values()) == {lag.JOINED}
+        text = "Keep as It Is" if kept else "Update Shapes and Colors"
         layout.operator("gscore.mend_splats", text=text, icon="MODIFIER")
 
 

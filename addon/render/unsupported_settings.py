@@ -11,7 +11,7 @@ from ..cameras.panorama import KINDS, kind_of
 from ..compat import matrix_to_numpy
 from ..interface.blocks import first_few
 from ..nodes import display
-from ..splats import mending
+from ..splats import lag
 from ..splats.objects import is_native, is_splats
 from .compositing_scene import SPLAT_SCENE, main_scene
 from .holdout_meshes import is_holdout, may_hide, not_taken_over
@@ -167,10 +167,11 @@ def _changes(ob: bpy.types.Object) -> bool:
 
 
 def _with_problem(sentence: str) -> Callable[[Shown], str]:
-    """A test for splat objects with a given problem of `mending`."""
+    """A test for splat objects with a given problem of `lag`."""
 
     def test(shown: Shown) -> str:
-        return ", ".join(ob.name for ob in shown.splats if mending.problem(ob.original) == sentence)
+        obs = [ob.original for ob in shown.splats]
+        return ", ".join(ob.name for ob in obs if lag.problem(ob.data) == sentence)
 
     return test
 
@@ -208,14 +209,11 @@ CHECKS = (
         lambda s: not_taken_over(main_scene(s.scene), s.scene),
     ),
     Check("Modifiers and shape keys of {} have no effect: only exports apply them.", _modified),
-    *(
-        Check(f"{text} {button} under Result fixes it.", _with_problem(text))
-        for text, button in (
-            (mending.APPLIED, "Update Shapes and Colors"),
-            (mending.JOINED, "Update Shapes and Colors"),
-            (mending.STRETCHED, "Undo Stretching"),
-        )
+    Check(
+        f"{lag.APPLIED} Update Shapes and Colors under Result fixes it.",
+        _with_problem(lag.APPLIED),
     ),
+    Check(lag.JOINED, _with_problem(lag.JOINED)),
     Check(
         "Shadow Catcher of {} has no effect: splats receive no shadows.",
         lambda s: ", ".join(ob.name for ob in s.splats if ob.is_shadow_catcher),

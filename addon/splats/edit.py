@@ -150,7 +150,7 @@ def apply_transform(guard: EditGuard) -> Pieces[None]:
     guard.check_movable()
     matrix = local_matrix(ob)
     objects.moved(attributes.NO_SPLATS, matrix, guard.name)  # raises unless it is a similarity
-    lags, numbers = lag.of(ob.data), lag.parts(ob.data)
+    before = lag.of(ob.data)
     table = yield from ChunkedRead(ob).table(whole=False)
     changed = yield from run_in_thread(
         partial(moved, table, matrix, guard.name), f"Transforming splats of {guard.name}"
@@ -162,9 +162,9 @@ def apply_transform(guard: EditGuard) -> Pieces[None]:
     lag.forget(mesh)
     attributes.leave_points_unselected(mesh)
     swap(ob, mesh)
-    if len(numbers):  # express the remaining lags in the new axes
-        turn = matrix[:3, :3]
-        lag.note(mesh, turn @ lags @ np.linalg.inv(turn), numbers)
+    if before is not None:  # express it in the new axes
+        before = matrix[:3, :3] @ before @ np.linalg.inv(matrix[:3, :3])
+    lag.note(mesh, before)
     ob.matrix_parent_inverse = Matrix.Identity(4)
     ob.matrix_basis = Matrix.Identity(4)
 

@@ -107,7 +107,7 @@ def check_joinable(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None
         objects.check_writable(one)
     if len({bool(one.get(objects.ANTIALIAS)) for one in parts}) > 1:
         raise ValueError("Splats trained with and without anti-aliasing cannot be joined.")
-    behind = ", ".join(one.name for one in parts if lag.is_behind(one.data))
+    behind = ", ".join(one.name for one in parts if lag.problem(one.data))
     if behind:
         raise ValueError(
             f"Shapes and colors of {behind} do not match the positions: press Update Shapes and "

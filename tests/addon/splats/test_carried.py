@@ -259,24 +259,6 @@ def test_turned(ob: bpy.types.Object) -> None:
     check(ob, before, np.arange(COUNT))
 
 
-def test_stretched_parts_are_taken_apart(ob: bpy.types.Object) -> None:
-    """Oracle: the earlier data of each object that Blender's Join has merged."""
-    other = add("other", BEFORE, seed=5)
-    other.scale = (1, 2, 1)
-    for one in (ob, other):
-        give_all(one)
-    befores = [carried(one) for one in (ob, other)]
-    texts_before = others_of(ob)["STRING"]
-    other.select_set(True)
-    bpy.context.view_layer.update()
-    bpy.ops.object.join()
-    bpy.context.view_layer.update()
-    bpy.ops.gscore.mend_splats()
-    for name, before in zip(("splats", "splats part"), befores, strict=True):
-        check(bpy.data.objects[name], before, np.arange(COUNT))
-        assert others_of(bpy.data.objects[name])["STRING"] == texts_before
-
-
 def test_joined(ob: bpy.types.Object) -> None:
     """Oracle: the data of each object, with groups of the same name merged; undo restores all."""
     other, third = add("other", {"tail": (7,), "head": (2, 8)}), add("third", {})
