@@ -1,7 +1,5 @@
 """Depth map operators: predict, check, cancel, show."""
 
-from typing import ClassVar
-
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
@@ -9,34 +7,12 @@ from .. import preferences
 from ..interface.base_operator import BaseOperator
 from ..interface.confirm_operator import ConfirmMixin
 from ..interface.images import show_image
-from ..training.verb_job import FAILED
-from ..training.verb_operators import Cancelling
+from ..training.verb_job import VerbJob
+from ..training.verb_operators import Cancelling, Starting
 from . import networks, predict_depth
-from .job import DepthJob
 
 
-class _DepthWork(BaseOperator):
-    """Base of the operators that start a depth job."""
-
-    bl_options: ClassVar = {"REGISTER"}
-
-    wait: BoolProperty(
-        name="Wait",
-        description="Return when the job has ended; for scripts",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
-
-    def act(self, context: bpy.types.Context) -> str:
-        job = self.start(context.scene)
-        if job.status == FAILED:
-            raise ValueError(job.sentence)
-        return job.sentence if job.ended else ""
-
-    def start(self, scene: bpy.types.Scene) -> DepthJob:
-        raise NotImplementedError
-
-
-class PredictDepth(ConfirmMixin, _DepthWork, bpy.types.Operator):
+class PredictDepth(ConfirmMixin, Starting, bpy.types.Operator):
     """Predict depth maps of all photos with a network, in the background"""
 
     bl_idname = "gscore.predict_depth"
@@ -86,26 +62,30 @@ class PredictDepth(ConfirmMixin, _DepthWork, bpy.types.Operator):
         if not getattr(self, "lines", ()):
             self.layout.prop(self, "overwrite")
 
-    def start(self, scene: bpy.types.Scene) -> DepthJob:
+    def start(self, context: bpy.types.Context) -> VerbJob:
         """Start the job, and store the network in the preferences."""
         chosen = self.filepath
         job = predict_depth.predict(
-            scene, chosen, overwrite=self.overwrite, download=self.download, wait=self.wait
+            context.scene,
+            chosen,
+            overwrite=self.overwrite,
+            download=self.download,
+            wait=self.wait,
         )
         if chosen:
             preferences.get().depth_model = chosen
         return job
 
 
-class CheckDepth(_DepthWork, bpy.types.Operator):
+class CheckDepth(Starting, bpy.types.Operator):
     """Compare the depth maps with the SfM points, as a training does; no files are written"""
 
     bl_idname = "gscore.check_depth"
     bl_label = "Check Maps"
 
-    def start(self, scene: bpy.types.Scene) -> DepthJob:
+    def start(self, context: bpy.types.Context) -> VerbJob:
         """Start the job."""
-        return predict_depth.check(scene, wait=self.wait)
+        return predict_depth.check(context.scene, wait=self.wait)
 
 
 class CancelDepth(Cancelling, bpy.types.Operator):
@@ -115,7 +95,7 @@ class CancelDepth(Cancelling, bpy.types.Operator):
     bl_label = "Cancel"
     none = "No depth job is running."
 
-    def job_of(self, scene: bpy.types.Scene) -> DepthJob | None:
+    def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
         """The depth job of the scene."""
         return predict_depth.job_of(scene)
 

@@ -5,17 +5,41 @@ from pathlib import Path
 import bpy
 
 from .. import preferences
+from ..capture import depth_maps
 from ..capture.depth_maps import DepthReport
+from ..core import DepthDone, DepthProgress
+from ..interface.option_labels import panel_words
 from ..paths import absolute, capture_folder, output_folder
 from ..process import poll_timer
 from ..training import facts, lookups, options
-from ..training.launch import follow, launch
+from ..training.verb_job import Verb, VerbJob
+from ..training.verb_jobs import JOBS
 from . import networks
-from .job import DepthJob
-from .job_registry import JOBS
 
 MAPS, RUN = "MAPS", "RUN"
 """Reports of a scene: of the current maps, of the last training."""
+
+
+def _message(job: VerbJob) -> str:
+    """Read the report; a sentence with the number of maps, and of accepted maps."""
+    done = job.done
+    job.report = depth_maps.from_table(done.table, why=panel_words(done.why))
+    maps = len(job.report.rows) - job.report.counts[depth_maps.MISSING]
+    made = f"{done.predicted} maps predicted. " if done.predicted else ""
+    return f"{made}{done.accepted} of {maps} maps are accepted."
+
+
+VERB = Verb(
+    running="A depth job of {} is running already; cancel it first.",
+    kept="Cancelled; finished maps are kept.",
+    less="choose a smaller network, then predict again",
+    progress=(DepthProgress,),
+    done=DepthDone,
+    message=_message,
+    waits=True,
+    expires=(lookups.captures, lookups.networks),
+)
+"""`gscore depth`, which never leaves a partly written map."""
 
 
 def predict(
@@ -26,7 +50,7 @@ def predict(
     download: bool = False,
     wait: bool = False,
     python: str | Path | None = None,
-) -> DepthJob:
+) -> VerbJob:
     """Predict the depth maps of the scene's capture with a network, and align them.
 
     Args:
@@ -59,7 +83,7 @@ def predict(
         overwrite=overwrite,
     )
     _show(scene, MAPS)
-    return _start(arguments, source, wait=wait, python=python)
+    return JOBS.start(VERB, arguments, source=source, wait=wait, python=python)
 
 
 def replaced(scene: bpy.types.Scene) -> list[str]:
@@ -76,7 +100,7 @@ def replaced(scene: bpy.types.Scene) -> list[str]:
 
 def check(
     scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None
-) -> DepthJob:
+) -> VerbJob:
     """Compare the maps of the scene's capture with its points, as a training would.
 
     No files are written. Arguments and errors as in `predict`.
@@ -84,13 +108,13 @@ def check(
     source = capture_folder(scene)
     arguments = options.depth_run(scene.gscore, source=source, threads=preferences.get().threads)
     _show(scene, MAPS)
-    return _start(arguments, source, wait=wait, python=python)
+    return JOBS.start(VERB, arguments, source=source, wait=wait, python=python)
 
 
-def job_of(scene: bpy.types.Scene) -> DepthJob | None:
+def job_of(scene: bpy.types.Scene) -> VerbJob | None:
     """The last depth job of a scene's capture, running or ended."""
     found = facts.capture(scene)[0]
-    return None if found is None else JOBS.of_source(found.source)
+    return None if found is None else JOBS.of_source(VERB, found.source)
 
 
 def reports(scene: bpy.types.Scene) -> dict[str, DepthReport]:
@@ -98,7 +122,7 @@ def reports(scene: bpy.types.Scene) -> dict[str, DepthReport]:
     known = {}
     found = facts.capture(scene)[0]
     if found is not None and found.kind:
-        job = JOBS.of_source(found.source)
+        job = JOBS.of_source(VERB, found.source)
         if job is not None and job.report is not None:
             known[MAPS] = job.report
         elif found.depths:
@@ -135,23 +159,6 @@ def sheet(scene: bpy.types.Scene) -> Path:
     if not path.is_file():
         raise ValueError(f"There is no {path}; Predict makes it together with the maps.")
     return path
-
-
-def _start(
-    arguments: list[str],
-    source: Path,
-    *,
-    wait: bool,
-    python: str | Path | None,
-) -> DepthJob:
-    other = JOBS.of_source(source)
-    if other is not None and other.busy:
-        raise ValueError(f"A depth job of {source} is running already; cancel it first.")
-    job = launch(lambda program: DepthJob(program, arguments, source=source, after=other), python)
-    JOBS.add(job)
-    poll_timer.ensure()
-    follow(lambda: wait and not job.ended)
-    return job
 
 
 def _show(scene: bpy.types.Scene, which: str) -> None:

@@ -1,5 +1,6 @@
 """Measure errors of a run from scripts and operators: start, and show the result."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
@@ -8,26 +9,48 @@ from .. import preferences, stored_paths
 from ..attributes import NO_SPLATS
 from ..cameras.camera_colors import hide
 from ..cameras.objects import root_of
-from ..capture.figures import MEASURED
+from ..capture.figures import MEASURED, Figures
+from ..core import EvalDone, EvalProgress
 from ..interface import undo
-from ..interface.option_labels import error_words
-from ..nodes import display as display_nodes
-from ..process import poll_timer
+from ..process.incremental_tasks import Pieces
 from ..splats import objects
 from ..splats.error_maps import MAP, drop_maps, is_map, run_of, show_map, siblings
-from ..splats.write_chunked import ChunkedWrite, replace
-from ..training.launch import follow, launch
+from ..splats.write_chunked import replace
+from ..training import lookups
+from ..training.verb_job import Verb, VerbJob
+from ..training.verb_jobs import JOBS, mesh_of
 from . import colors
-from .errors_job import ErrorsJob
-from .job_registry import JOBS
 
 FILE = "errors.ply"
 """Name of the error map in the folder `MEASURED` of the run."""
 
 
+def _message(job: VerbJob) -> str:
+    """Read the figures of all photos; a sentence with the quality of the renders."""
+    views = job.done.views
+    job.report = Figures(path=job.source / MEASURED / "metrics.json", views=views)
+    ranked = job.report.ranked
+    if not ranked:
+        return f"{len(views)} photos are reproduced exactly."
+    return f"{len(views)} photos: {ranked[0][1]:.1f} dB (worst) to {ranked[-1][1]:.1f} dB (best)."
+
+
+VERB = Verb(
+    running="{} is being measured already; wait, or stop it.",
+    kept="Stopped; nothing was measured.",
+    less="close other programs, then measure again",
+    progress=(EvalProgress,),
+    done=EvalDone,
+    message=_message,
+    waits=True,
+    expires=(lookups.figures,),
+)
+"""`gscore eval` of a run, the folder of which is `source`."""
+
+
 def measure(
     ob: bpy.types.Object, *, wait: bool = False, python: str | Path | None = None
-) -> ErrorsJob:
+) -> VerbJob:
     """Measure the run of a splat object on all its photos, training photos included.
 
     Args:
@@ -39,9 +62,7 @@ def measure(
         ValueError: something is missing or in the way; the message says what to do.
     """
     run = run_of(ob)
-    other = JOBS.of_source(run)
-    if other is not None and (other.busy or other.wanted):
-        raise ValueError(f"{run} is being measured already; wait, or stop it.")
+    JOBS.check_free(VERB, run)
     if not (run / "point_cloud.ply").is_file():
         raise ValueError(f"{run} has no finished training; complete the training first.")
     folder = run / MEASURED
@@ -52,17 +73,13 @@ def measure(
         line += ["-s", source]
     if threads := preferences.get().threads:
         line += ["--threads", str(threads)]
-    job = launch(lambda program: ErrorsJob(program, line, source=run, after=other), python)
-    JOBS.add(job)
-    poll_timer.ensure()
-    follow(lambda: wait and (not job.ended or job.wanted))
-    return job
+    return JOBS.start(VERB, line, source=run, arrive=_arriving, wait=wait, python=python)
 
 
-def job_of(ob: bpy.types.Object) -> ErrorsJob | None:
+def job_of(ob: bpy.types.Object) -> VerbJob | None:
     """The last errors job of an object's run, running or ended."""
     try:
-        return JOBS.of_source(run_of(ob))
+        return JOBS.of_source(VERB, run_of(ob))
     except ValueError:
         return None
 
@@ -76,36 +93,19 @@ def remove(ob: bpy.types.Object) -> None:
         hide(root)
 
 
-def bring_in(job: ErrorsJob) -> bool:
-    """Do the next step of importing an error map; return whether there was one."""
-    if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
-        return False
-    if job.filling is None:
-        loaded = job.loader.take()
-        if loaded is None:
-            return False
-        if loaded.problem:
-            job.wanted = False
-            job.warnings.append(loaded.problem)
-            return True
-        job.filling, job.chores = ChunkedWrite(loaded), display_nodes.builders()
-    if job.chores:
-        job.chores.pop(0)()
-        return True
-    mesh = job.filling.step()
-    if mesh is None:
-        return True
-    job.filling, job.wanted = None, False
+def _arriving(job: VerbJob) -> Pieces[Iterable[str]]:
+    """Import the error map."""
+    mesh = yield from mesh_of(Path(job.done.error_map))
     try:
         _show(job, mesh)
-    except ValueError as error:
+    except ValueError:
         bpy.data.meshes.remove(mesh)
-        job.warnings.append(error_words(error))
+        raise
     undo.push("Measure Errors")
-    return True
+    return ()
 
 
-def _show(job: ErrorsJob, mesh: bpy.types.Mesh) -> None:
+def _show(job: VerbJob, mesh: bpy.types.Mesh) -> None:
     """Make the error map's object at the transform of the splats, and color the cameras."""
     found = (o for o in bpy.context.scene.objects if objects.is_splats(o) and not is_map(o))
     ob = next((o for o in found if stored_paths.read(o, stored_paths.RUN) == str(job.source)), None)
@@ -119,7 +119,7 @@ def _show(job: ErrorsJob, mesh: bpy.types.Mesh) -> None:
     show_map(ob, True)
     root = root_of(ob)
     if root is not None:
-        colors.show(root, job.figures)
+        colors.show(root, job.report)
 
 
 def _made(ob: bpy.types.Object) -> bpy.types.Object:

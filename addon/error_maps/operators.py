@@ -11,10 +11,9 @@ from ..capture.figures import measured
 from ..interface.base_operator import BaseOperator
 from ..splats.objects import is_splats, meant
 from ..stored_paths import RUN
-from ..training.verb_job import FAILED
-from ..training.verb_operators import Cancelling
+from ..training.verb_job import VerbJob
+from ..training.verb_operators import Cancelling, Starting
 from . import colors, measure_errors
-from .errors_job import ErrorsJob
 
 
 class _OfRun(BaseOperator):
@@ -29,26 +28,16 @@ class _OfRun(BaseOperator):
         return False
 
 
-class MeasureErrors(_OfRun, bpy.types.Operator):
+class MeasureErrors(_OfRun, Starting, bpy.types.Operator):
     """Compare the result with all its photos, in the background. Colors the cameras by the errors
     of their photos, and adds an object with the splats colored by their errors"""
 
     bl_idname = "gscore.measure_errors"
     bl_label = "Measure Errors"
-    bl_options: ClassVar = {"REGISTER"}
 
-    wait: BoolProperty(
-        name="Wait",
-        description="Return when the job has ended; for scripts",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
-
-    def act(self, context: bpy.types.Context) -> str:
+    def start(self, context: bpy.types.Context) -> VerbJob:
         """Start."""
-        job = measure_errors.measure(meant(context), wait=self.wait)
-        if job.status == FAILED:
-            raise ValueError(job.sentence)
-        return job.sentence
+        return measure_errors.measure(meant(context), wait=self.wait)
 
 
 class StopErrors(Cancelling, bpy.types.Operator):
@@ -58,7 +47,7 @@ class StopErrors(Cancelling, bpy.types.Operator):
     bl_label = "Stop"
     none = "Nothing is being measured."
 
-    def job_of(self, scene: bpy.types.Scene) -> ErrorsJob | None:
+    def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
         """The errors job of the active object's run."""
         ob = meant(bpy.context)
         return measure_errors.job_of(ob) if is_splats(ob) else None

@@ -7,12 +7,11 @@ import bpy
 from .. import preferences
 from ..capture.inspection import ShownFacts
 from ..depth import colors, networks, predict_depth
-from ..depth.job import DepthJob
 from ..interface.option_labels import error_words
-from ..training import verb_job
+from ..training.verb_job import STOPPING, VerbJob
 from .depth_table import draw_counts, draw_table
 from .progress import clock
-from .widgets import TabPanel, found, has_python, root, rows, sentence
+from .widgets import TabPanel, draw_verb, found, has_python, root, rows, sentence
 
 
 class DepthPanel(TabPanel, bpy.types.Panel):
@@ -44,19 +43,12 @@ class DepthPanel(TabPanel, bpy.types.Panel):
 def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: ShownFacts) -> None:
     """Draw the progress of a prediction, or the buttons that start one."""
     job = predict_depth.job_of(context.scene)
-    if job is not None and not job.ended:
-        row = layout.row(align=True)
-        row.progress(factor=job.share, text=bar_text(job))
-        row.operator("gscore.cancel_depth", text="", icon="X")
+    if job is not None:
+        draw_verb(layout, context, job, bar_text(job), "gscore.cancel_depth", icon="X")
         if job.busy:
             return
     if not has_python(layout, context):
         return
-    if job is not None and job.ended:
-        icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"
-        sentence(layout, context, job.sentence, icon=icon)
-        for text in job.warnings[-2:]:
-            sentence(layout, context, text, icon="ERROR")
     column = layout.column(align=True)
     column.prop(preferences.get(), "depth_network", text="Network")
     if draw_network(column, context):
@@ -128,10 +120,10 @@ def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     draw_table(layout, context, report)
 
 
-def bar_text(job: DepthJob) -> str:
+def bar_text(job: VerbJob) -> str:
     """Text of the progress bar."""
     last = job.progress
-    if job.status == verb_job.STOPPING:
+    if job.status == STOPPING:
         return "Ending"
     if last is None:
         return "Starting"

@@ -7,15 +7,18 @@ import bpy
 from ..cameras.objects import cameras_of, root_of
 from ..capture.figures import Figures
 from ..error_maps import colors, measure_errors
-from ..error_maps.errors_job import ErrorsJob
 from ..process import poll_timer
 from ..splats.objects import is_splats, meant
 from ..stored_paths import RUN
-from ..training import lookups, verb_job
-from .widgets import TabPanel, has_python, sentence
+from ..training import lookups
+from .widgets import TabPanel, draw_verb, has_python, sentence
 
 _WORST = 5
 """Number of photos in the list."""
+_COLORS = (
+    "Cameras: dark violet for the best photo, pale yellow for the worst. Splats: black for no "
+    "error, pale yellow for errors of {:.0%} or more, grey for splats that no photo shows."
+)
 
 
 class ErrorsPanel(TabPanel, bpy.types.Panel):
@@ -35,16 +38,13 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
         """Draw the panel."""
         layout, ob = self.layout, meant(context)
         job = measure_errors.job_of(ob)
-        if job is not None and not job.ended:
-            row = layout.row(align=True)
-            last = job.progress
-            text = last.view if last is not None and last.view else "Starting"
-            row.progress(factor=job.share, text=text)
-            row.operator("gscore.stop_errors", text="", icon="SNAP_FACE")
+        if job is not None:
+            text = job.progress.view if job.progress is not None else ""
+            draw_verb(layout, context, job, text or "Starting", "gscore.stop_errors")
             if job.busy:
                 return
-        elif job is not None:
-            draw_end(layout, context, job)
+            if job.done is not None:
+                sentence(layout, context, _COLORS.format(job.done.error_bright))
         if has_python(layout, context):
             layout.operator("gscore.measure_errors", icon="VIEWZOOM")
         figures, problem = lookups.figures.get(measure_errors.run_of(ob))
@@ -54,24 +54,6 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
         draw_switches(layout, ob, figures)
         if figures is not None:
             draw_worst(layout, ob, figures)
-
-
-def draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: ErrorsJob) -> None:
-    """Draw the end of a measurement, and the meaning of the colors."""
-    if job.wanted:
-        layout.label(text="Importing the splats...", icon="TIME")
-    if job.sentence:
-        icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"
-        sentence(layout, context, job.sentence, icon=icon)
-    for text in job.warnings[-2:]:
-        sentence(layout, context, text, icon="ERROR")
-    if job.done is not None:
-        text = (
-            "Cameras: dark violet for the best photo, pale yellow for the worst. Splats: black "
-            f"for no error, pale yellow for errors of {job.done.error_bright:.0%} or more, grey "
-            "for splats that no photo shows."
-        )
-        sentence(layout, context, text)
 
 
 def draw_switches(

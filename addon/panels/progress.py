@@ -5,15 +5,15 @@ from typing import ClassVar
 
 import bpy
 
-from ..core import headline_psnr
+from ..core import FramesDone, headline_psnr
 from ..sfm import find_cameras as search_work
-from ..sfm.job import SearchJob
 from ..splats.objects import is_splats
-from ..training import run_state, verb_job
+from ..training import run_state
 from ..training.curve import Curve
 from ..training.training_job import Job
+from ..training.verb_job import STOPPING, VerbJob
 from . import curve_icon
-from .widgets import TabPanel, job, rows, sentence
+from .widgets import TabPanel, draw_verb, job, rows, sentence
 
 _WARNINGS_SHOWN = 3
 _CURVE_SCALE = 6.0
@@ -74,23 +74,16 @@ class DecisionsPanel(TabPanel, bpy.types.Panel):
             sentence(self.layout, context, text, icon="DOT")
 
 
-def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, search: SearchJob) -> None:
+def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, search: VerbJob) -> None:
     """Draw an SfM job: its bar with *Cancel*, and its end."""
+    draw_verb(layout, context, search, search_text(search), "gscore.cancel_search", icon="X")
     if not search.ended:
-        row = layout.row(align=True)
-        row.progress(factor=search.share, text=search_text(search))
-        row.operator("gscore.cancel_search", text="", icon="X")
         rows(layout, search_numbers(search))
-    if search.sentence:
-        icon = "ERROR" if search.status == verb_job.FAILED else "CHECKMARK"
-        sentence(layout, context, search.sentence, icon=icon)
-    for text in search.warnings[-_WARNINGS_SHOWN:]:
-        sentence(layout, context, text, icon="ERROR")
 
 
-def search_text(search: SearchJob) -> str:
+def search_text(search: VerbJob) -> str:
     """Text of the progress bar of an SfM job."""
-    if search.status == verb_job.STOPPING:
+    if search.status == STOPPING:
         return "Ending"
     if search.progress is None:
         return "Starting"
@@ -98,13 +91,13 @@ def search_text(search: SearchJob) -> str:
     return f"{search.progress.phase.capitalize()}{left}"
 
 
-def search_numbers(search: SearchJob) -> list[tuple[str, str]]:
+def search_numbers(search: VerbJob) -> list[tuple[str, str]]:
     """Labels and values of an SfM job."""
     last, pairs = search.progress, []
     if last is not None and last.total:
         pairs.append(("Done", f"{last.done:,} / {last.total:,}"))
-    if search.frames is not None:
-        pairs.append(("Frames", f"{search.frames.frames:,} of {search.frames.total:,}"))
+    if (frames := search.last(FramesDone)) is not None:
+        pairs.append(("Frames", f"{frames.frames:,} of {frames.total:,}"))
     return [*pairs, ("Time", clock(search.elapsed))]
 
 

@@ -4,13 +4,11 @@ from typing import ClassVar
 
 import bpy
 
+from ..core import Started
 from ..region_training import train_region
-from ..region_training.job import RegionJob
 from ..splats.objects import is_splats, meant
-from ..training import verb_job
-from .widgets import TabPanel, has_python, sentence
-
-_WARNINGS_SHOWN = 3
+from ..training.verb_job import VerbJob
+from .widgets import TabPanel, draw_verb, has_python, sentence
 
 
 class RegionPanel(TabPanel, bpy.types.Panel):
@@ -31,7 +29,10 @@ class RegionPanel(TabPanel, bpy.types.Panel):
         layout, ob = self.layout, meant(context)
         job = train_region.job_of(context.scene)
         if job is not None:
-            draw_job(layout, context, job)
+            draw_verb(layout, context, job, bar_text(job), "gscore.stop_region")
+            started = job.last(Started)
+            if not job.ended and started is not None and (region := started.decision("region")):
+                sentence(layout, context, region)
             if not job.ended:
                 return
         if not context.scene.gscore.capture_path.strip():
@@ -48,26 +49,9 @@ class RegionPanel(TabPanel, bpy.types.Panel):
         layout.operator("gscore.train_region", icon="PLAY")
 
 
-def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: RegionJob) -> None:
-    """Draw the progress of a training, or its end."""
-    if not job.ended:
-        row = layout.row(align=True)
-        row.progress(factor=job.share, text=bar_text(job))
-        row.operator("gscore.stop_region", text="", icon="SNAP_FACE")
-        if job.started is not None and (region := job.started.decision("region")):
-            sentence(layout, context, region)
-    elif job.wanted:
-        layout.label(text="Importing the splats...", icon="TIME")
-    if job.sentence:
-        icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"
-        sentence(layout, context, job.sentence, icon=icon)
-    for text in job.warnings[-_WARNINGS_SHOWN:]:
-        sentence(layout, context, text, icon="ERROR")
-
-
-def bar_text(job: RegionJob) -> str:
+def bar_text(job: VerbJob) -> str:
     """Text of the progress bar."""
-    if job.start is not None:
+    if job.preparing is not None:
         return "Writing the splats"
     last = job.progress
     return "Starting" if last is None or not last.splats else f"Step {last.step:,}"

@@ -5,14 +5,12 @@ from typing import ClassVar
 import bpy
 
 from ..cameras.lookup import root_from
-from ..core import GsError, SequenceFrame, choose_frames
+from ..core import FrameStarted, GsError, SequenceFrame, choose_frames
 from ..interface.option_labels import error_words
 from ..sequence import train_sequence
-from ..sequence.job import SequenceJob
-from ..training import guides, verb_job
-from .widgets import TabPanel, has_python, root, rows, sentence
-
-_WARNINGS_SHOWN = 3
+from ..training import guides
+from ..training.verb_job import STOPPING, VerbJob
+from .widgets import TabPanel, draw_verb, has_python, root, rows, sentence
 
 
 class TrainSequencePanel(TabPanel, bpy.types.Panel):
@@ -74,7 +72,7 @@ def draw_state(
     """Draw the bar of a training, or the buttons that start one, and the trained frames."""
     job = train_sequence.job_of(context.scene)
     if job is not None:
-        draw_job(layout, context, job)
+        draw_verb(layout, context, job, bar_text(job), "gscore.stop_sequence")
         if not job.ended:
             return
     output = train_sequence.output_of(context.scene)
@@ -101,26 +99,14 @@ def draw_state(
     over.overwrite = True
 
 
-def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: SequenceJob) -> None:
-    """Draw the progress of a training, or its end."""
-    if not job.ended:
-        row = layout.row(align=True)
-        row.progress(factor=job.share, text=bar_text(job))
-        row.operator("gscore.stop_sequence", text="", icon="SNAP_FACE")
-    if job.sentence:
-        icon = "ERROR" if job.status == verb_job.FAILED else "CHECKMARK"
-        sentence(layout, context, job.sentence, icon=icon)
-    for text in job.warnings[-_WARNINGS_SHOWN:]:
-        sentence(layout, context, text, icon="ERROR")
-
-
-def bar_text(job: SequenceJob) -> str:
+def bar_text(job: VerbJob) -> str:
     """Text of the progress bar."""
-    if job.status == verb_job.STOPPING:
+    if job.status == STOPPING:
         return "Writing a checkpoint"
-    if job.frame is None:
+    frame = job.last(FrameStarted)
+    if frame is None:
         return "Starting"
-    where = f"Frame {job.frame.frame}, {job.frame.place} of {job.frame.frames}"
+    where = f"Frame {frame.frame}, {frame.place} of {frame.frames}"
     return where if job.progress is None else f"{where}: step {job.progress.step:,}"
 
 

@@ -11,6 +11,9 @@ from ..interface.sidebar import TAB
 from ..trainer_python import setup
 from ..training import facts, start_training
 from ..training.training_job import Job
+from ..training.verb_job import FAILED, VerbJob
+
+_WARNINGS_SHOWN = 3
 
 
 class TabPanel:
@@ -76,3 +79,35 @@ def has_python(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool:
         operator.module = preferences.ROOT
         return False
     return True
+
+
+def draw_verb(
+    layout: bpy.types.UILayout,
+    context: bpy.types.Context,
+    job: VerbJob,
+    text: str,
+    stop: str,
+    *,
+    icon: str = "SNAP_FACE",
+) -> None:
+    """Draw a job: its bar, or its end with warnings.
+
+    Args:
+        layout: Parent.
+        context: As `sentence`.
+        job: The job.
+        text: Text of the bar.
+        stop: Operator that cancels it.
+        icon: Icon of that button.
+    """
+    if not job.ended:
+        row = layout.row(align=True)
+        row.progress(factor=job.share, text=text)
+        row.operator(stop, text="", icon=icon)
+    elif job.wanted:
+        layout.label(text="Importing the result...", icon="TIME")
+    if job.sentence:
+        end = "ERROR" if job.status == FAILED else "CHECKMARK"
+        sentence(layout, context, job.sentence, icon=end)
+    for warning in job.warnings[-_WARNINGS_SHOWN:]:
+        sentence(layout, context, warning, icon="ERROR")

@@ -1,6 +1,8 @@
 """Train a region from scripts and operators: start, and show the result."""
 
 import itertools
+from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,20 +11,39 @@ import numpy as np
 from mathutils import Matrix
 
 from .. import attributes, preferences
+from ..core import Done, Progress, headline_psnr
 from ..interface import undo
-from ..interface.option_labels import error_words
 from ..paths import capture_folder, output_folder
-from ..process import poll_timer
+from ..process.incremental_tasks import Pieces
 from ..splats import objects, splat_files
 from ..splats.error_maps import is_map
-from ..splats.write_chunked import ChunkedWrite, check_replaceable, replace
-from ..training import guides, options, start_training
-from ..training.launch import begin, follow, launch
+from ..splats.write_chunked import check_replaceable, replace
+from ..training import guides, lookups, options, start_training
 from ..training.results import signature
-from .job import RegionJob
-from .job_registry import JOBS
+from ..training.verb_job import Verb, VerbJob
+from ..training.verb_jobs import JOBS, mesh_of
 from .region import region_of
-from .start import Start
+from .start import start_files
+
+
+def _message(job: VerbJob) -> str:
+    """A sentence on the result."""
+    psnr = headline_psnr(job.done.metrics)
+    quality = "" if psnr is None else f", PSNR {psnr:.2f} dB"
+    return f"The region is trained: {job.done.step:,} steps{quality}. Results are in {job.output}."
+
+
+VERB = Verb(
+    running="A region of {} is being trained already; wait, or stop it.",
+    kept="Stopped; the splats stay as they were.",
+    less="choose a smaller region or smaller photos, then train it again",
+    progress=(Progress,),
+    done=Done,
+    message=_message,
+    complete=("finished", "converged", "target"),
+    expires=(lookups.runs,),
+)
+"""`gscore train` of one region of one splat object."""
 
 
 class _Options:
@@ -48,7 +69,7 @@ def train_region(
     *,
     wait: bool = False,
     python: str | Path | None = None,
-) -> RegionJob:
+) -> VerbJob:
     """Train the splats in an object's crop box again; all others are frozen.
 
     The current splats, the box and all results are written to a new folder next to the scene's
@@ -65,8 +86,7 @@ def train_region(
         GsError: the scene's guides cannot be written.
     """
     source = capture_folder(scene)
-    if (other := JOBS.of_source(source)) is not None and not (other.ended and not other.wanted):
-        raise ValueError(f"A region of {source} is being trained already; wait, or stop it.")
+    JOBS.check_free(VERB, source)
     if is_map(ob):
         raise ValueError(f"{ob.name} shows errors, not splats; press Show Splats first.")
     check_replaceable(ob)
@@ -85,74 +105,49 @@ def train_region(
     )
     line += guides.arguments(scene, output)
     line += ["--start-splats", str(start_file), "--region", str(region_file)]
-    known = {"source": source, "output": output, "object_uid": ob.session_uid}
-    before = signature(ob)
-    job = launch(lambda program: RegionJob(program, line, **known, before=before), python)
-    job.start = Start(ob, box, splats_file=start_file, region_file=region_file)
-    JOBS.add(job)
-    poll_timer.ensure()
-    follow(lambda: wait and (not job.ended or job.wanted))
-    return job
+    return JOBS.start(
+        VERB,
+        line,
+        source=source,
+        output=output,
+        prepare=partial(start_files, ob, box, splats_file=start_file, region_file=region_file),
+        arrive=partial(_arriving, ob.session_uid, signature(ob)),
+        wait=wait,
+        python=python,
+    )
 
 
-def job_of(scene: bpy.types.Scene) -> RegionJob | None:
+def job_of(scene: bpy.types.Scene) -> VerbJob | None:
     """The last region training of the scene's capture, running or ended."""
     try:
-        return JOBS.of_source(capture_folder(scene))
+        return JOBS.of_source(VERB, capture_folder(scene))
     except ValueError:
         return None
 
 
-def proceed(job: RegionJob) -> bool:
-    """Do the next step of starting a training or importing its result; return whether panels
-    changed."""
-    if job.start is None:
-        return bring_in(job)
-    try:
-        if job.ended:
-            job.start.drop()
-        elif not job.start.step():
-            return False
-        else:
-            begin(job.python, job.begin)
-    except Exception as error:  # any error: the training cannot begin without its files
-        job.fail(error_words(error) or type(error).__name__)
-    job.start = None
-    return True
+def _arriving(object_uid: int, before: str, job: VerbJob) -> Pieces[Iterable[str]]:
+    """Import the result, with warnings.
 
+    It replaces the splats that the training started from, and undo restores them. If they were
+    edited or deleted meanwhile, the result becomes a new object.
 
-def bring_in(job: RegionJob) -> bool:
-    """Do the next step of importing a result; return whether there was one.
-
-    The result replaces the splats that the training started from, and undo restores them. If
-    they were edited or deleted meanwhile, the result becomes a new object.
+    Args:
+        object_uid: Session uid of the object whose splats are trained.
+        before: Fingerprint of the splats, to detect later edits.
+        job: The finished job.
     """
-    if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
-        return False
-    if job.filling is None:
-        loaded = job.loader.take()
-        if loaded is None:
-            return False
-        if loaded.problem:
-            job.wanted = False
-            job.warnings.append(loaded.problem)
-            return True
-        job.filling = ChunkedWrite(loaded)
-    mesh = job.filling.step()
-    if mesh is None:
-        return True
-    job.filling, job.wanted = None, False
+    mesh = yield from mesh_of(Path(job.done.path))
     try:
-        _show(job, mesh)
-    except ValueError as error:
+        warnings = _show(job, mesh, object_uid, before)
+    except ValueError:
         bpy.data.meshes.remove(mesh)
-        job.warnings.append(error_words(error))
+        raise
     undo.push("Train Region")
-    return True
+    return warnings
 
 
-def _show(job: RegionJob, mesh: bpy.types.Mesh) -> None:
-    found = (ob for ob in bpy.data.objects if ob.session_uid == job.object_uid)
+def _show(job: VerbJob, mesh: bpy.types.Mesh, object_uid: int, before: str) -> list[str]:
+    found = (ob for ob in bpy.data.objects if ob.session_uid == object_uid)
     ob = next(filter(objects.is_splats, found), None)
     if ob is None:
         raise ValueError(f"The splats were removed from the scene; results are in {job.output}.")
@@ -163,14 +158,16 @@ def _show(job: RegionJob, mesh: bpy.types.Mesh) -> None:
             f"The result could not be put into the scene: {error} It is in {job.output}; Result > "
             f"Import adds {Path(job.done.path).name} from there as a new object."
         ) from error
-    if signature(ob) != job.before:
+    warnings = []
+    if signature(ob) != before:
         name = ob.name
         ob = _copy_of(ob)
-        job.warnings.append(f"{name} was edited and is kept; the result is {ob.name}.")
+        warnings.append(f"{name} was edited and is kept; the result is {ob.name}.")
     moved = splat_files.source_matrix_of_data(ob)
     replace(ob, mesh)
     if not np.array_equal(moved, np.eye(4)):
         _move_to_source(ob, moved)
+    return warnings
 
 
 def _move_to_source(ob: bpy.types.Object, moved: np.ndarray) -> None:

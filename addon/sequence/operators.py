@@ -1,25 +1,20 @@
 """Sequence training operators: train, resume, stop."""
 
-from typing import ClassVar
-
 import bpy
 from bpy.props import BoolProperty
 
-from ..interface.base_operator import BaseOperator
 from ..interface.confirm_operator import ConfirmMixin
-from ..training.verb_job import FAILED
-from ..training.verb_operators import Cancelling
+from ..training.verb_job import VerbJob
+from ..training.verb_operators import Cancelling, Starting
 from . import train_sequence
-from .job import SequenceJob
 
 
-class TrainSequence(ConfirmMixin, BaseOperator, bpy.types.Operator):
+class TrainSequence(ConfirmMixin, Starting, bpy.types.Operator):
     """Train the frames of a multi-view video, or of a folder of captures, in the background. Each
     frame starts from the splats of the previous one"""
 
     bl_idname = "gscore.train_sequence"
     bl_label = "Train Sequence"
-    bl_options: ClassVar = {"REGISTER"}
 
     resume: BoolProperty(
         name="Resume",
@@ -30,11 +25,6 @@ class TrainSequence(ConfirmMixin, BaseOperator, bpy.types.Operator):
         name="Start Over",
         description="Replace the sequence in the output folder",
         options={"SKIP_SAVE"},
-    )
-    wait: BoolProperty(
-        name="Wait",
-        description="Return when the training has ended; for scripts",
-        options={"HIDDEN", "SKIP_SAVE"},
     )
     confirm = "Start Over"
 
@@ -47,16 +37,13 @@ class TrainSequence(ConfirmMixin, BaseOperator, bpy.types.Operator):
         self.confirm = "Start Over" if lines else "Train Without"
         return lines if self.resume else lines + train_sequence.not_seen(context.scene)
 
-    def act(self, context: bpy.types.Context) -> str:
+    def start(self, context: bpy.types.Context) -> VerbJob:
         """Start."""
         if not self.resume:
             self.warn(train_sequence.not_seen(context.scene))
-        job = train_sequence.train_sequence(
+        return train_sequence.train_sequence(
             context.scene, resume=self.resume, overwrite=self.overwrite, wait=self.wait
         )
-        if job.status == FAILED:
-            raise ValueError(job.sentence)
-        return job.sentence
 
 
 class StopSequence(Cancelling, bpy.types.Operator):
@@ -66,7 +53,7 @@ class StopSequence(Cancelling, bpy.types.Operator):
     bl_label = "Stop"
     none = "No sequence is being trained."
 
-    def job_of(self, scene: bpy.types.Scene) -> SequenceJob | None:
+    def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
         """The training of the scene's sequence."""
         return train_sequence.job_of(scene)
 

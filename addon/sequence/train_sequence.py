@@ -8,22 +8,47 @@ from .. import preferences
 from ..core import (
     GUIDES,
     DataConfig,
+    Progress,
+    SequenceDone,
     SequenceFrame,
     SequenceIndex,
     choose_frames,
     find_frames,
+    headline_psnr,
 )
 from ..interface.option_labels import error_words
 from ..paths import absolute, output_folder
 from ..process import poll_timer
-from ..training import start_training
+from ..training import lookups, start_training
 from ..training.guides import left_out
-from ..training.launch import follow, launch
-from . import arguments, guide_meshes, job_registry
-from .job import SequenceJob
-from .job_registry import JOBS
+from ..training.verb_job import Verb, VerbJob
+from ..training.verb_jobs import JOBS
+from . import arguments, guide_meshes
 
+_FINISHED = "finished"
+"""Reason of a sequence that was completed."""
 ONLY_WITHIN = "Limit to Object ({}) is only for single trainings, not for sequences."
+
+
+def _message(job: VerbJob) -> str:
+    """A sentence with the number of complete frames."""
+    done, psnr = job.done, headline_psnr(job.done.metrics)
+    quality = "" if psnr is None else f", mean PSNR {psnr:.2f} dB"
+    ended = "" if done.reason == _FINISHED else f" It ended early: {done.reason}."
+    return f"{done.frames:,} frames are complete{quality}.{ended}"
+
+
+VERB = Verb(
+    running="The frames of {} are being trained already.",
+    kept="Stopped; complete frames are kept, and Resume continues from there.",
+    less="choose fewer splats or smaller photos, then press Resume",
+    progress=(Progress,),
+    done=SequenceDone,
+    message=_message,
+    complete=(_FINISHED,),
+    expires=(lookups.sequences,),
+)
+"""`gscore sequence`."""
 
 
 def train_sequence(
@@ -33,7 +58,7 @@ def train_sequence(
     overwrite: bool = False,
     wait: bool = False,
     python: str | Path | None = None,
-) -> SequenceJob:
+) -> VerbJob:
     """Train the frames of the scene's capture, one after the other.
 
     Args:
@@ -47,8 +72,7 @@ def train_sequence(
         GsError, ValueError: something is missing or in the way; the message says what to do.
     """
     source, output = source_of(scene), output_of(scene)
-    if (other := JOBS.of_source(source)) is not None and not other.ended:
-        raise ValueError(f"The frames of {source} are being trained already.")
+    JOBS.check_free(VERB, source)
     if is_started(output) and not (resume or overwrite):
         raise ValueError(
             f"{output} has a sequence; press Resume to continue it, or Start Over to replace it."
@@ -65,18 +89,14 @@ def train_sequence(
             scene, lambda: chosen_frames(scene), output
         )
     line += guide_options
-    places = {"source": source, "output": output}
-    job = launch(lambda program: SequenceJob(program, line, **places, begun=replace_guides), python)
-    JOBS.add(job)
-    poll_timer.ensure()
-    follow(lambda: wait and not job.ended)
-    return job
+    known = {"source": source, "output": output, "begun": replace_guides}
+    return JOBS.start(VERB, line, **known, wait=wait, python=python)
 
 
-def job_of(scene: bpy.types.Scene) -> SequenceJob | None:
+def job_of(scene: bpy.types.Scene) -> VerbJob | None:
     """The last training of the scene's sequence, running or ended."""
     try:
-        return JOBS.of_source(source_of(scene))
+        return JOBS.of_source(VERB, source_of(scene))
     except ValueError:
         return None
 
@@ -131,13 +151,13 @@ def frames_of(scene: bpy.types.Scene) -> tuple[list[SequenceFrame] | None, str]:
         source = source_of(scene)
     except ValueError as error:
         return None, error_words(error)
-    answer = job_registry.frames.get((str(source), scene.gscore.images))
+    answer = lookups.frames.get((str(source), scene.gscore.images))
     poll_timer.ensure()
     return answer
 
 
 def trained_in(output: Path) -> tuple[SequenceIndex | None, str]:
     """The cached index of an output folder, or the reason why it cannot be read."""
-    answer = job_registry.trained.get(output)
+    answer = lookups.sequences.get(output)
     poll_timer.ensure()
     return answer

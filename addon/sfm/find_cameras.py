@@ -1,5 +1,6 @@
 """Find cameras by SfM from scripts and operators: start, cancel, import the result."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,17 +11,38 @@ from ..cameras.importing import importing
 from ..cameras.lookup import chosen_root
 from ..cameras.select_imported import choose
 from ..capture.folders import same_folder
-from ..core import GsError, default_capture_output
+from ..core import FramesProgress, SfmDone, SfmProgress, default_capture_output
 from ..interface import editable_check, undo
-from ..interface.incremental_operator import in_words
-from ..interface.option_labels import error_words
 from ..paths import absolute, capture_folder, relative
-from ..process import poll_timer
-from ..process.incremental_tasks import Pieces, TaskRunner
+from ..process.incremental_tasks import Pieces
 from ..training import facts, lookups, options
-from ..training.launch import follow, launch
-from .job import SearchJob
-from .job_registry import JOBS
+from ..training.verb_job import Verb, VerbJob
+from ..training.verb_jobs import JOBS
+
+
+def _message(job: VerbJob) -> str:
+    """A sentence with the number of photos that have a camera."""
+    done = job.done
+    rest = "" if done.registered == done.photos else "; the others are left out"
+    return (
+        f"{done.registered} of {done.photos} photos have a camera{rest}: {done.points:,} points, "
+        f"mean error {done.reprojection_px:.2f} px."
+    )
+
+
+VERB = Verb(
+    running="The search for the cameras of {} is running already.",
+    kept="Cancelled; the results so far are kept, and Find Cameras continues from there.",
+    less="close other programs, then press Find Cameras again",
+    progress=(SfmProgress, FramesProgress),
+    done=SfmDone,
+    message=_message,
+    waits=True,
+    adopts=True,
+    has_place=lambda job: _scene_of(job) is not None,
+    expires=(lookups.captures,),
+)
+"""`gscore sfm` for the photos of a folder or for a video."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,13 +74,13 @@ def places(scene: bpy.types.Scene) -> Places:
         )
     if errors := [p.text for p in capture.problems if p.is_error]:
         raise ValueError(errors[0])
-    if (other := JOBS.of_source(source)) is not None and other.busy:
-        raise ValueError(f"The search for the cameras of {source} is running already.")
     output = default_capture_output(source)
+    if not output.is_there:
+        JOBS.check_free(VERB, source)
     return Places(source=source, capture=output.capture, is_there=output.is_there)
 
 
-def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> SearchJob:
+def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> VerbJob:
     """Find the cameras of the scene's photos or video, and import them.
 
     Args:
@@ -75,59 +97,38 @@ def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> Search
         capture=where.capture,
         threads=preferences.get().threads,
     )
-    paths = {
-        "source": where.source,
-        "capture": where.capture,
-        "scene_uid": scene.session_uid,
-        "after": JOBS.of_source(where.source),
-    }
-    job = launch(lambda program: SearchJob(program, arguments, **paths), None)
-    JOBS.add(job)
-    poll_timer.ensure()
-    follow(lambda: wait and (not job.ended or job.wanted))
-    return job
+    return JOBS.start(
+        VERB,
+        arguments,
+        source=where.source,
+        output=where.capture,
+        scene_uid=scene.session_uid,
+        arrive=_coming,
+        wait=wait,
+    )
 
 
-def job_of(scene: bpy.types.Scene) -> SearchJob | None:
+def job_of(scene: bpy.types.Scene) -> VerbJob | None:
     """The last SfM job of the scene's photos, video or the capture made from them, running or
     ended."""
     try:
         chosen = absolute(scene.gscore.capture_path, "Capture")
     except ValueError:
         return None
-    by_capture = (job for job in JOBS.jobs() if same_folder(job.capture, chosen))
-    return JOBS.of_source(chosen) or next(by_capture, None)
+    by_capture = (job for job in JOBS.jobs(VERB) if same_folder(job.output, chosen))
+    return JOBS.of_source(VERB, chosen) or next(by_capture, None)
 
 
-def bring_in(job: SearchJob) -> bool:
-    """Run the next step of importing a finished job's result; True if panels changed.
+def _coming(job: VerbJob) -> Pieces[Iterable[str]]:
+    """Import the cameras that a job found."""
+    lookups.captures.expire()
+    return (yield from arriving(_scene_of(job), job.output))
 
-    Does nothing while Blender renders or a mesh is edited. If another capture is chosen or another
-    file is opened before the import is complete, the cameras stay on disk only.
-    """
-    if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
-        return False
+
+def _scene_of(job: VerbJob) -> bpy.types.Scene | None:
+    """The scene that started a job; None if another capture was chosen or another file opened."""
     scenes = (scene for scene in bpy.data.scenes if scene.session_uid == job.scene_uid)
-    scene = next((scene for scene in scenes if job_of(scene) is job), None)
-    if scene is None:
-        if job.coming is not None:
-            job.coming.cancel()
-        job.coming, job.wanted = None, False
-        return True
-    if job.coming is None:
-        lookups.captures.expire()
-        job.coming = TaskRunner(in_words(arriving(scene, job.capture)))
-    ended = True
-    try:
-        ended = job.coming.step()
-        if ended:
-            job.warnings += job.coming.result
-    except (GsError, ValueError, OSError) as error:
-        job.warnings.append(error_words(error))
-    finally:
-        if ended:
-            job.coming, job.wanted = None, False
-    return ended
+    return next((scene for scene in scenes if job_of(scene) is job), None)
 
 
 def arriving(scene: bpy.types.Scene, capture: Path) -> Pieces[tuple[str, ...]]:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import bpy
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import StringProperty
 
 from ..core import VIDEO_ENDINGS
 from ..interface.base_operator import OnScene
@@ -12,10 +12,9 @@ from ..interface.incremental_operator import IncrementalOperator
 from ..interface.sidebar import choose_tab, in_turn, open_sidebar
 from ..paths import relative
 from ..process.incremental_tasks import Pieces
-from ..training.verb_job import FAILED
-from ..training.verb_operators import Cancelling
+from ..training.verb_job import VerbJob
+from ..training.verb_operators import Cancelling, Starting, ended
 from . import find_cameras
-from .job import SearchJob
 
 
 class ChooseVideo(OnScene, bpy.types.Operator):
@@ -56,19 +55,12 @@ class ChooseVideo(OnScene, bpy.types.Operator):
         return ""
 
 
-class FindCameras(IncrementalOperator, OnScene, bpy.types.Operator):
+class FindCameras(IncrementalOperator, OnScene, Starting, bpy.types.Operator):
     """Find the camera of each photo by structure from motion, in the background.
     From a video, sharp frames are extracted first"""
 
     bl_idname = "gscore.find_cameras"
     bl_label = "Find Cameras"
-    bl_options: ClassVar = {"REGISTER"}
-
-    wait: BoolProperty(
-        name="Wait",
-        description="Return when the cameras are in the scene; for scripts",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Start the job, or import an earlier result."""
@@ -77,12 +69,7 @@ class FindCameras(IncrementalOperator, OnScene, bpy.types.Operator):
         if where.is_there:
             self.warn((yield from find_cameras.arriving(scene, where.capture)))
             return "Imported the cameras of an earlier search."
-        job = find_cameras.find(scene, where, wait=self.wait)
-        if not job.ended:
-            return ""
-        if job.status == FAILED:
-            raise ValueError(job.sentence)
-        return job.sentence
+        return ended(find_cameras.find(scene, where, wait=self.wait))
 
 
 class CancelSearch(Cancelling, bpy.types.Operator):
@@ -92,7 +79,7 @@ class CancelSearch(Cancelling, bpy.types.Operator):
     bl_label = "Cancel"
     none = "No search for cameras is running."
 
-    def job_of(self, scene: bpy.types.Scene) -> SearchJob | None:
+    def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
         """The SfM job of the scene's photos."""
         return find_cameras.job_of(scene)
 

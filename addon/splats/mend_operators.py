@@ -80,7 +80,7 @@ def _mended(guards: list[EditGuard]) -> Pieces[None]:
             raise ValueError(f"{ob.name} was scaled to 0: undo the Apply (Ctrl Z).")
         table = yield from ChunkedRead(ob).table(whole=False)
         points = yield from run_in_thread(
-            partial(_turned, table, turn, ob.name), f"Transforming splats of {guard.name}"
+            partial(_turned, table, turn, guard.name), f"Transforming splats of {guard.name}"
         )
         writes.append(ChunkedWrite(points, guard.copied_mesh))
     meshes = yield from filled(writes, partial(all_to_change, guards))

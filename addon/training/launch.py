@@ -9,11 +9,8 @@ from typing import TypeVar
 from .. import preferences
 from ..process import poll_timer
 from ..trainer_python import setup
-from .verb_job import VerbJob
-from .verb_jobs import VerbJobs
 
 JobT = TypeVar("JobT")
-VerbJobT = TypeVar("VerbJobT", bound=VerbJob)
 
 _INTERVAL = 0.02
 """Seconds between two polls of pending work."""
@@ -53,44 +50,6 @@ def follow(waits: Callable[[], bool]) -> None:
     while waits():
         poll_timer.poll()
         time.sleep(_INTERVAL)
-
-
-def following_verb(
-    jobs: VerbJobs[VerbJobT],
-    ended: Callable[[], object],
-    *,
-    bring_in: Callable[[VerbJobT], bool] | None = None,
-    wanted: Callable[[VerbJobT], bool] | None = None,
-    hurries: Callable[[VerbJobT], bool] | None = None,
-) -> "Following":
-    """The poller of the jobs of a verb.
-
-    Args:
-        jobs: Jobs of this Blender session.
-        ended: Called when a job has ended, because cached lookups may be outdated.
-        bring_in: Called in a poll for a job without new events; returns True if panels changed.
-        wanted: True while the result of an ended job is not imported; None: never.
-        hurries: True while its import is running and the next poll is due soon; None: never.
-    """
-
-    def collect() -> bool:
-        stale = False
-        for job in jobs.jobs():
-            if job.poll():
-                stale = True
-                if job.ended:
-                    ended()
-            elif bring_in is not None:
-                stale |= bring_in(job)
-        return stale
-
-    def waits() -> bool:
-        return jobs.waits() or (wanted is not None and any(map(wanted, jobs.jobs())))
-
-    def soon() -> bool:
-        return hurries is not None and any(map(hurries, jobs.jobs()))
-
-    return Following([poll_timer.Poller(collect, waits, soon)], jobs.leave_all)
 
 
 class Following:

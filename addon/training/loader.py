@@ -86,12 +86,13 @@ class Loader:
                     self._busy = False
                     return
                 path, most, final = self._waiting.popleft()
-            loaded = _load(path, most, final)
+            loaded = load(path, most=most, final=final)
             with self._lock:
                 self._ready.append(loaded)
 
 
-def _load(path: Path, most: int, final: bool) -> Loaded:
+def load(path: Path, *, most: int = 0, final: bool = False) -> Loaded:
+    """Read a splat file now; arguments as `Loader.request`."""
     try:
         file = read_splat_file(path)
         splats = file.splats

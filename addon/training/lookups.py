@@ -9,7 +9,14 @@ from pathlib import Path
 from ..capture.depth_maps import DepthReport, read_run_report
 from ..capture.figures import Figures, measured
 from ..capture.inspection import ShownFacts, inspect
-from ..core import Estimate
+from ..core import (
+    DataConfig,
+    Estimate,
+    SequenceFrame,
+    SequenceIndex,
+    find_frames,
+    read_sequence,
+)
 from ..interface.lookup import Lookup
 from ..interface.option_labels import panel_words
 from . import existing_run, forecast
@@ -41,7 +48,13 @@ forecasts: Lookup[forecast.Question, Estimate] = Lookup(forecast.answer, max_age
 """Forecasts of time and memory."""
 networks: Lookup[str, frozenset[str]] = Lookup(networks_here, max_age=300.0)
 """Names of the depth networks on this computer, by the Python that predicts."""
-_ALL = (captures, runs, depth_runs, figures, forecasts, networks)
+frames: Lookup[tuple[str, str], list[SequenceFrame]] = Lookup(
+    lambda key: find_frames(DataConfig(source=Path(key[0]), images=key[1])), max_age=60.0
+)
+"""Frames of sequences, by path of the capture and name of its photo folder."""
+sequences: Lookup[Path, SequenceIndex | None] = Lookup(read_sequence, max_age=3.0)
+"""Trained sequences, by output folder."""
+_ALL = (captures, runs, depth_runs, figures, forecasts, networks, frames, sequences)
 
 
 def collect() -> bool:

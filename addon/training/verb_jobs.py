@@ -1,39 +1,145 @@
-"""Verb jobs: all jobs of one gscore command in this Blender session, of all files; no bpy."""
+"""Verb jobs: all jobs of gscore commands in this Blender session, of all files; start and poll."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any
+
+import bpy
 
 from ..capture.folders import same_folder
-from .verb_job import VerbJob
+from ..interface.incremental_operator import in_words
+from ..nodes import display as display_nodes
+from ..process import poll_timer
+from ..process.incremental_tasks import Pieces, run_in_thread
+from ..splats.write_chunked import ChunkedWrite, filled
+from . import loader
+from .launch import Following, begin, follow, launch
+from .verb_job import Verb, VerbJob
 
-JobT = TypeVar("JobT", bound=VerbJob)
 
-
-class VerbJobs(Generic[JobT]):
-    """The last job of each source."""
+class VerbJobs:
+    """The last job of each verb and source."""
 
     def __init__(self) -> None:
-        self._jobs: list[JobT] = []
+        self._jobs: list[VerbJob] = []
 
-    def add(self, job: JobT) -> None:
-        """Add a job; replaces an earlier one of the same source, which has ended."""
-        self._jobs[:] = [other for other in self._jobs if not same_folder(other.source, job.source)]
-        self._jobs.append(job)
+    def jobs(self, verb: Verb | None = None) -> list[VerbJob]:
+        """All jobs, or those of a verb."""
+        return [job for job in self._jobs if verb in (None, job.verb)]
 
-    def jobs(self) -> list[JobT]:
-        """All jobs."""
-        return list(self._jobs)
-
-    def of_source(self, source: Path) -> JobT | None:
+    def of_source(self, verb: Verb, source: Path) -> VerbJob | None:
         """The last job of a source."""
-        return next((job for job in self._jobs if same_folder(job.source, source)), None)
+        return next((job for job in self.jobs(verb) if same_folder(job.source, source)), None)
 
-    def waits(self) -> bool:
-        """True if a job is running."""
-        return any(not job.ended for job in self._jobs)
+    def check_free(self, verb: Verb, source: Path) -> None:
+        """Raise ValueError if a job of a source prevents another one."""
+        job = self.of_source(verb, source)
+        if job is not None and (job.wanted or (job.busy if verb.waits else not job.ended)):
+            raise ValueError(verb.running.format(source))
+
+    def start(
+        self,
+        verb: Verb,
+        arguments: Sequence[str],
+        *,
+        source: Path,
+        wait: bool = False,
+        python: str | Path | None = None,
+        **more: Any,
+    ) -> VerbJob:
+        """Start a job in the background, and follow it.
+
+        Args:
+            verb: Its command.
+            arguments: As `VerbJob`.
+            source: As `VerbJob`.
+            wait: Return when the job has ended and its result is imported.
+            python: The Python to run; None: the one of the preferences.
+            more: Further arguments of `VerbJob`.
+
+        Raises:
+            ValueError: as `check_free` and `launch`.
+        """
+        self.check_free(verb, source)
+        known = {"source": source, "after": self.of_source(verb, source), **more}
+        job = launch(lambda program: VerbJob(verb, program, arguments, **known), python)
+        self._jobs = [other for other in self._jobs if other is not known["after"]]
+        self._jobs.append(job)
+        poll_timer.ensure()
+        follow(lambda: wait and (not job.ended or job.wanted))
+        return job
 
     def leave_all(self) -> None:
         """Release all jobs: they end soon."""
         for job in self._jobs:
             job.leave()
         self._jobs.clear()
+
+    def kill_all(self) -> None:
+        """Kill all jobs; for tests."""
+        for job in self._jobs:
+            job.kill(wait=60)
+        self._jobs.clear()
+
+
+JOBS = VerbJobs()
+"""Jobs of this Blender session."""
+
+
+def mesh_of(path: Path) -> Pieces[bpy.types.Mesh]:
+    """Import the splats of a file into a mesh, owned by the caller.
+
+    Raises:
+        ValueError: the file cannot be read.
+    """
+    loaded = yield from run_in_thread(
+        lambda check: loader.load(path, final=True), "Importing the splats"
+    )
+    if loaded.problem:
+        raise ValueError(loaded.problem)
+    for build in display_nodes.builders():
+        build()
+        yield "Importing the splats"
+    [mesh] = yield from filled([ChunkedWrite(loaded)])
+    return mesh
+
+
+def _collect() -> bool:
+    """Run a short step of each job; True if panels changed."""
+    stale = False
+    for job in JOBS.jobs():
+        if job.poll():
+            stale = True
+            for lookup in job.verb.expires if job.ended else ():
+                lookup.expire()
+        elif job.preparing is not None:
+            stale |= job.prepare_step(lambda job=job: begin(job.python, job.begin))
+        else:
+            stale |= bring_in(job)
+    return stale
+
+
+def bring_in(job: VerbJob) -> bool:
+    """Run the next step of importing a finished job's result; True if panels changed.
+
+    Does nothing while Blender renders or a mesh is edited.
+    """
+    if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
+        return False
+    if job.verb.has_place(job):
+        return job.arrive_step(in_words)
+    job.give_up()
+    return True
+
+
+_FOLLOWING = Following(
+    [
+        poll_timer.Poller(
+            _collect,
+            lambda: any(not job.ended or job.wanted for job in JOBS.jobs()),
+            lambda: any(job.coming is not None for job in JOBS.jobs()),
+        )
+    ],
+    JOBS.leave_all,
+)
+on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

@@ -1,10 +1,33 @@
-"""Verb operators: shared base of the operators that run gscore commands in the background."""
+"""Verb operators: shared bases of the operators that run gscore commands in the background."""
+
+from typing import ClassVar
 
 import bpy
+from bpy.props import BoolProperty
 
 from ..interface.base_operator import BaseOperator
 from ..process import poll_timer
-from .verb_job import VerbJob
+from .verb_job import FAILED, VerbJob
+
+
+class Starting(BaseOperator):
+    """Mixin before bpy.types.Operator that starts a job."""
+
+    bl_options: ClassVar = {"REGISTER"}
+
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the job has ended and its result is imported; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Start the job."""
+        return ended(self.start(context))
+
+    def start(self, context: bpy.types.Context) -> VerbJob:
+        """Start the job; errors as `act`."""
+        raise NotImplementedError
 
 
 class Cancelling(BaseOperator):
@@ -25,3 +48,14 @@ class Cancelling(BaseOperator):
     def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
         """The scene's job."""
         raise NotImplementedError
+
+
+def ended(job: VerbJob) -> str:
+    """Message on the end of a job; empty while it is running.
+
+    Raises:
+        ValueError: it failed.
+    """
+    if job.status == FAILED:
+        raise ValueError(job.sentence)
+    return job.sentence

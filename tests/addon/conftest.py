@@ -112,6 +112,55 @@ def scene() -> "bpy.types.Scene":
 
 
 @pytest.fixture
+def no_work() -> Iterator[None]:
+    """No job is left when the test ends, and the preferences are those of before."""
+    from addon import preferences
+    from addon.training import registry
+    from addon.training.verb_jobs import JOBS
+
+    prefs = preferences.get()
+    names = ("python_path", "depth_model", "depth_network")
+    names += ("live_seconds", "live_most", "preview_seconds")
+    before = {name: getattr(prefs, name) for name in names}
+    yield
+    JOBS.kill_all()
+    for job in registry.jobs():
+        job.kill()
+        job.wait(60)
+        registry.remove(job)
+    for name, value in before.items():
+        setattr(prefs, name, value)
+
+
+@pytest.fixture
+def play(tmp_path: Path, no_work: None) -> Callable[..., Path]:
+    """Replaces the preferences' Python by a fake that plays a script (`fake_trainer`); returns the
+    file of its arguments."""
+    from addon import preferences
+    from tests.addon.fake_trainer import fake_python
+
+    def choose(*script: dict, name: str = "python") -> Path:
+        python = fake_python(tmp_path / name, list(script))
+        preferences.get().python_path = str(python)
+        return python.with_name("script.args")
+
+    return choose
+
+
+@pytest.fixture
+def studio(scene: "bpy.types.Scene", tmp_path: Path, no_work: None) -> "bpy.types.Scene":
+    """A scene with the inspected studio as capture, and an output folder."""
+    from addon.training import facts
+    from tests.addon.captures import STUDIO
+
+    scene.gscore.capture_path = str(STUDIO)
+    scene.gscore.output_path = str(tmp_path / "out")
+    scene.gscore.preset = "preview"
+    facts.refresh(scene)
+    return scene
+
+
+@pytest.fixture
 def run_blender(tmp_path: Path) -> Callable[..., str]:
     """Run a Python script, its text or its path, in a fresh Blender with an empty profile.
 

@@ -3,7 +3,7 @@
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,42 +11,35 @@ import bpy
 import numpy as np
 import pytest
 
-from addon import preferences, stored_paths
+from addon import stored_paths
 from addon.cameras.lookup import find_root, panel_root
 from addon.core import PRESETS, Splats, write_splats
 from addon.panels.capture import CapturePanel
 from addon.paths import output_folder
 from addon.process import poll_timer
-from addon.training import captures, facts, operators, registry, start_training
+from addon.training import captures, facts, operators, start_training
 from addon.training.training_job import Job
 from gscore.config_file import config_json
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
-from tests.addon.fake_trainer import STARTED, fake_python, finish, step
+from tests.addon.fake_trainer import STARTED, finish, step
 from tests.addon.splat_scenes import error_of
 from tests.addon.trainings import positions, splats, until
 
 
 @pytest.fixture
-def two(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[SimpleNamespace]:
-    """A scene and two captures, plush and studio; trainings end with the test."""
+def two(scene: bpy.types.Scene, tmp_path: Path, play: Callable[..., Path]) -> SimpleNamespace:
+    """A scene and two captures, plush and studio, and `play`."""
     folders = [tmp_path / name for name in ("plush", "studio")]
     for capture in folders:
         shutil.copytree(STUDIO, capture)
-    prefs = preferences.get()
-    before = prefs.python_path
-    yield SimpleNamespace(scene=scene, plush=folders[0], studio=folders[1], tmp=tmp_path)
-    for job in registry.jobs():
-        job.kill()
-        job.wait(60)
-        registry.remove(job)
-    prefs.python_path = before
+    plush, studio = folders
+    return SimpleNamespace(scene=scene, plush=plush, studio=studio, tmp=tmp_path, play=play)
 
 
 def run(two: SimpleNamespace, *script: dict, name: str = "p") -> None:
     """Let the next training play a script."""
-    python = fake_python(two.tmp / name, [{"say": STARTED}, *script])
-    preferences.get().python_path = str(python)
+    two.play({"say": STARTED}, *script, name=name)
 
 
 def trained(two: SimpleNamespace, capture: Path, model: Splats) -> Job:

@@ -5,7 +5,7 @@ import os
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,12 +16,11 @@ from addon import preferences
 from addon.capture import depth_maps
 from addon.core import read_colmap, write_colmap
 from addon.depth import predict_depth
-from addon.depth.job_registry import JOBS
 from addon.panels import depth_table
 from addon.process import poll_timer
 from addon.training import facts, lookups, verb_job
+from addon.training.verb_jobs import JOBS
 from tests.addon.captures import STUDIO
-from tests.addon.fake_trainer import fake_python
 from tests.addon.trainings import until
 from tests.lines_run import lines_run
 
@@ -52,31 +51,14 @@ def progress(done: int, phase: str = "predicting") -> dict:
 
 
 @pytest.fixture
-def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
-    """A scene with the inspected studio as capture; no job is left when the test ends."""
-    scene.gscore.capture_path = str(STUDIO)
-    scene.gscore.output_path = str(tmp_path / "out")
-    prefs = preferences.get()
-    before = (prefs.python_path, prefs.depth_model)
-    facts.refresh(scene)
-    yield scene
-    for job in JOBS.jobs():
-        job.kill(wait=10)
-    JOBS._jobs.clear()
-    prefs.python_path, prefs.depth_model = before
-
-
-@pytest.fixture
-def play(tmp_path: Path) -> Callable[..., Path]:
-    """Replace the preferences' Python by a fake that plays a script; return the file of its
-    arguments."""
+def play(tmp_path: Path, play: Callable[..., Path]) -> Callable[..., Path]:
+    """As `play` of all tests, with a network."""
 
     def choose(*script: dict) -> Path:
-        preferences.get().python_path = str(fake_python(tmp_path / "python", list(script)))
         network = tmp_path / "net.onnx"
         network.write_bytes(b"x")
         preferences.get().depth_model = str(network)
-        return tmp_path / "python" / "script.args"
+        return play(*script)
 
     return choose
 

@@ -1,7 +1,7 @@
 """Oracle: the catalogue's own entries, a scripted gscore, and Blender's switch for going online."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -10,11 +10,9 @@ import pytest
 from addon import preferences
 from addon.core import depth_networks
 from addon.depth import networks, predict_depth
-from addon.depth.job_registry import JOBS
 from addon.panels.depth import DepthPanel
-from addon.training import facts, lookups
+from addon.training import lookups
 from addon.training.networks import networks_here
-from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import fake_python
 
@@ -25,13 +23,10 @@ Play = Callable[..., Path]
 
 
 @pytest.fixture
-def play(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[Play]:
+def play(studio: bpy.types.Scene, tmp_path: Path) -> Play:
     """Use the studio as capture and the small network, and replace gscore by a fake that plays a
     script; return the file of its arguments."""
-    scene.gscore.capture_path = str(STUDIO)
-    facts.refresh(scene)
     prefs = preferences.get()
-    before = prefs.python_path, prefs.depth_model
     prefs.depth_model = ""
     prefs.depth_network = SMALL.name
 
@@ -45,12 +40,7 @@ def play(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[Play]:
         fake_python(tmp_path / "lists", list(script))  # from now on it predicts
         return tmp_path / "lists" / "script.args"
 
-    yield choose
-    for job in JOBS.jobs():
-        job.kill(wait=10)
-    JOBS._jobs.clear()
-    prefs.python_path, prefs.depth_model = before
-    prefs.depth_network = SMALL.name
+    return choose
 
 
 @pytest.fixture

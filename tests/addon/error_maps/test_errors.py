@@ -3,7 +3,6 @@ after."""
 
 import json
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from addon import attributes, preferences, stored_paths
 from addon.cameras.objects import cameras_of
 from addon.core import colorize, write_splats
 from addon.error_maps import colors, measure_errors
-from addon.error_maps.job_registry import JOBS
 from addon.panels.error_maps import ErrorsPanel
 from addon.process.incremental_tasks import run_blocking
 from addon.region_training.train_region import train_region
@@ -24,7 +22,8 @@ from addon.render.compare import PSNR
 from addon.splats import objects
 from addon.splats.error_maps import drop_maps
 from addon.splats.splat_files import import_splats
-from addon.training import facts, lookups, verb_job
+from addon.training import lookups, verb_job
+from addon.training.verb_jobs import JOBS
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import fake_python
@@ -35,12 +34,10 @@ needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names
 
 
 @pytest.fixture
-def result(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Object]:
+def result(studio: bpy.types.Scene, tmp_path: Path) -> bpy.types.Object:
     """Active, moved splats of a run of the studio, with its cameras."""
-    scene.gscore.capture_path = str(STUDIO)
-    facts.refresh(scene)
     bpy.ops.gscore.import_cameras()
-    root = next(ob for ob in scene.objects if ob.get("gs_kind") == "capture")
+    root = next(ob for ob in studio.objects if ob.get("gs_kind") == "capture")
     run = tmp_path / "run"
     (run / "errors").mkdir(parents=True)
     write_splats(run / "point_cloud.ply", splats(50))
@@ -50,12 +47,7 @@ def result(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Object]
     ob.location, ob.rotation_euler = (0.3, 0.1, -0.2), (0.1, 0.2, 0.3)
     bpy.context.view_layer.objects.active = ob
     bpy.context.view_layer.update()
-    before = preferences.get().python_path
-    yield ob
-    for job in JOBS.jobs():
-        job.kill(wait=10)
-    JOBS._jobs.clear()
-    preferences.get().python_path = before
+    return ob
 
 
 def play(tmp_path: Path, ob: bpy.types.Object, views: dict[str, float | None]) -> Path:
@@ -225,7 +217,7 @@ def test_a_real_run(result: bpy.types.Object) -> None:
     (run / "config.json").write_text(json.dumps(config))
     job = measure_errors.measure(result, wait=True)
     assert job.status == verb_job.FINISHED, job.sentence
-    assert len(job.figures.ranked) == 60 and colors.shown(result.parent)
+    assert len(job.report.ranked) == 60 and colors.shown(result.parent)
     (shown,) = measure_errors.siblings(result)[1]
     positions = (attributes.column(ob.data, attributes.POSITION) for ob in (shown, result))
     assert np.array_equal(*positions) and objects.is_splats(shown)

@@ -28,7 +28,6 @@ from addon.panels.depth import DepthPanel
 from addon.panels.error_maps import ErrorsPanel
 from addon.panels.train import TrainPanel
 from addon.panels.train_sequence import TrainSequencePanel
-from addon.sequence import job_registry
 from addon.splats.splat_files import import_splats
 from addon.training import existing_run, facts, lookups
 from tests.addon.captures import STUDIO, write_capture
@@ -45,7 +44,7 @@ def studio(
 ) -> Iterator[bpy.types.Scene]:
     """A scene with the studio as its capture and the active splats of a run; all lookups are
     dropped at the end."""
-    for known in (*lookups._ALL, job_registry.frames, job_registry.trained):
+    for known in lookups._ALL:
         monkeypatch.setattr(known, "_answers", {})
     prefs = preferences.get()
     before = prefs.python_path
@@ -58,7 +57,7 @@ def studio(
     stored_paths.write(ob, stored_paths.RUN, tmp_path / "run")
     bpy.context.view_layer.objects.active = ob
     yield scene
-    until(lambda: not lookups.busy() and not job_registry.busy())
+    until(lambda: not lookups.busy())
     prefs.python_path = before
 
 
@@ -81,8 +80,8 @@ def shows(panel: type, text: str = SHOWN) -> None:
         (lookups.runs, TrainPanel),
         (lookups.depth_runs, DepthPanel),
         (lookups.figures, ErrorsPanel),
-        (job_registry.frames, TrainSequencePanel),
-        (job_registry.trained, TrainSequencePanel),
+        (lookups.frames, TrainSequencePanel),
+        (lookups.sequences, TrainSequencePanel),
     ],
     ids=["captures", "forecasts", "runs", "depth runs", "figures", "frames", "trained"],
 )
@@ -90,10 +89,10 @@ def test_what_cannot_be_looked_up(
     studio: bpy.types.Scene, known: Lookup, panel: type, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Any lookup that raises."""
-    if known is job_registry.trained:
+    if known is lookups.sequences:
         data = PRESETS["preview"](STUDIO)[0]
         frame = SequenceFrame(number=0, data=data)
-        monkeypatch.setattr(job_registry.frames, "_function", lambda _: [frame])
+        monkeypatch.setattr(lookups.frames, "_function", lambda _: [frame])
     monkeypatch.setattr(known, "_answers", {})
     monkeypatch.setattr(known, "_function", refuse)
     shows(panel)

@@ -275,8 +275,9 @@ def test_a_training_that_starts_says_so(
 
 def test_other_work_has_bars_too(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the text of each kind of work, as in its own panel; none after its end."""
-    region = SimpleNamespace(ended=False, share=0.5, start=None, progress=None)
-    frames = SimpleNamespace(ended=False, share=0.1, status="running", frame=None, progress=None)
+    region = SimpleNamespace(ended=False, share=0.5, preparing=None, progress=None)
+    frames = SimpleNamespace(ended=False, share=0.1, status="running", progress=None)
+    frames.last = lambda kind: None
     monkeypatch.setattr(running_work.steer, "job_of", lambda _: region)
     monkeypatch.setattr(running_work.sequence, "job_of", lambda _: frames)
     told = drawn(running_work.NowPanel)

@@ -3,7 +3,7 @@
 import json
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -16,14 +16,12 @@ from addon.core import read_splats, write_splats
 from addon.panels.region_training import RegionPanel
 from addon.process import poll_timer
 from addon.region_training import start, train_region
-from addon.region_training.job_registry import JOBS
 from addon.render.mesh_copies import read_marks
 from addon.splats import edit, objects, point_attributes, read_chunked, splat_files
 from addon.splats.splat_files import import_splats
-from addon.training import facts, verb_job
-from tests.addon.captures import STUDIO
+from addon.training import verb_job
 from tests.addon.drawn import drawn
-from tests.addon.fake_trainer import STARTED, done, fake_python, progress
+from tests.addon.fake_trainer import STARTED, done, progress
 from tests.addon.trainings import positions, splats, until
 
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
@@ -33,30 +31,10 @@ FILES = "start", "point_cloud"
 
 
 @pytest.fixture
-def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
-    """A scene with the studio's cameras; no job is left when the test ends."""
-    scene.gscore.capture_path = str(STUDIO)
-    scene.gscore.output_path = str(tmp_path / "out")
-    facts.refresh(scene)
-    before = preferences.get().python_path
+def studio(studio: bpy.types.Scene) -> bpy.types.Scene:
+    """A scene with the studio's cameras."""
     bpy.ops.gscore.import_cameras()
-    yield scene
-    for job in JOBS.jobs():
-        job.kill(wait=10)
-    JOBS._jobs.clear()
-    preferences.get().python_path = before
-
-
-@pytest.fixture
-def play(tmp_path: Path) -> Play:
-    """Replace the preferences' Python by a fake that plays a script; return the file of its
-    arguments."""
-
-    def choose(*script: dict) -> Path:
-        preferences.get().python_path = str(fake_python(tmp_path / "python", list(script)))
-        return tmp_path / "python" / "script.args"
-
-    return choose
+    return studio
 
 
 def cropped(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
@@ -274,7 +252,7 @@ def test_stopping_before_the_start(studio: bpy.types.Scene, tmp_path: Path, play
     assert bpy.ops.gscore.stop_region() == {"FINISHED"}
     assert job.status == verb_job.CANCELLED
     poll_timer.poll()
-    assert job.start is None and len(bpy.data.meshes) == meshes
+    assert job.preparing is None and len(bpy.data.meshes) == meshes
     assert not told.exists() and not (tmp_path / "out_region_1").exists()
     assert bpy.ops.gscore.train_region() == {"FINISHED"}
 

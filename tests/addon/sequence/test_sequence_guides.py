@@ -21,7 +21,6 @@ from tests.addon.sequence.test_train_sequence import (  # noqa: F401 - fixtures
     Play,
     needs_trainer,
     panel,
-    play,
     two_real_frames,
     video,
 )
@@ -67,7 +66,7 @@ def wall(video: bpy.types.Scene, tmp_path: Path) -> bpy.types.Object:  # noqa: F
 def test_meshes_that_move_are_written_at_each_frame(
     video: bpy.types.Scene,  # noqa: F811
     tmp_path: Path,
-    play: Play,  # noqa: F811
+    play: Play,
 ) -> None:
     """Frames 0, 4 and 12 are 11, 12 and 14 of the timeline; the scene's frame does not change."""
     ob = a_wall(video)
@@ -115,7 +114,7 @@ def test_meshes_that_move_are_written_at_each_frame(
 def test_meshes_that_stand_still_are_one_file(
     wall: bpy.types.Object,
     video: bpy.types.Scene,  # noqa: F811
-    play: Play,  # noqa: F811
+    play: Play,
 ) -> None:
     """Oracle: the file; another shape replaces it; resuming passes none."""
     called = play({"say": DONE})
@@ -138,7 +137,7 @@ def test_meshes_of_a_sequence_stay_until_another_begins(
     wall: bpy.types.Object,
     video: bpy.types.Scene,  # noqa: F811
     tmp_path: Path,
-    play: Play,  # noqa: F811
+    play: Play,
 ) -> None:
     """Oracle: the files, after Start Over without a working Python, with a trainer that fails its
     checks, and with one that trains."""
@@ -170,7 +169,7 @@ def test_folders_of_results_may_hold_braces(
     wall: bpy.types.Object,
     video: bpy.types.Scene,  # noqa: F811
     tmp_path: Path,
-    play: Play,  # noqa: F811
+    play: Play,
     moves: bool,
 ) -> None:
     """Oracle: gscore's value of the option for each frame, and the existing files."""
@@ -189,7 +188,7 @@ def test_folders_of_results_may_hold_braces(
 def test_what_a_sequence_does_not_see_is_told(
     video: bpy.types.Scene,  # noqa: F811
     tmp_path: Path,
-    play: Play,  # noqa: F811
+    play: Play,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     """Oracle: messages about a hidden mesh, one that is missing at a frame, and Limit to Object."""

@@ -3,24 +3,31 @@
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
 import pytest
 
 from addon import preferences
-from addon.core import SequenceIndex, SequenceOptions, options_of, read_splats, write_splats
+from addon.core import (
+    FrameStarted,
+    SequenceIndex,
+    SequenceOptions,
+    options_of,
+    read_splats,
+    write_splats,
+)
 from addon.panels.capture import CapturePanel
 from addon.panels.train_sequence import TrainSequencePanel
 from addon.process import poll_timer
-from addon.sequence import arguments, job_registry, train_sequence
-from addon.training import facts
+from addon.sequence import arguments, train_sequence
+from addon.training import facts, lookups
 from addon.training.options import Machine
 from gscore.io.sequences import write_sequence
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn, labels
-from tests.addon.fake_trainer import fake_python, step
+from tests.addon.fake_trainer import step
 from tests.addon.trainings import splats, until
 
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
@@ -33,32 +40,14 @@ DONE |= {"metrics": {"psnr": 31.234}}
 
 
 @pytest.fixture
-def video(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
-    """A scene whose capture is a folder of four numbered captures; no job is left at the end."""
+def video(scene: bpy.types.Scene, tmp_path: Path, no_work: None) -> bpy.types.Scene:
+    """A scene whose capture is a folder of four numbered captures."""
     for number in (0, 4, 8, 12):
         folder = tmp_path / "video" / f"{number:06d}"
         shutil.copytree(STUDIO / "sparse", folder / "sparse")
         (folder / "images").mkdir()
     scene.gscore.capture_path = str(tmp_path / "video")
-    prefs = preferences.get()
-    before = prefs.python_path
-    yield scene
-    for job in job_registry.JOBS.jobs():
-        job.kill(wait=10)
-    job_registry.JOBS._jobs.clear()
-    prefs.python_path = before
-
-
-@pytest.fixture
-def play(tmp_path: Path) -> Play:
-    """Replace the preferences' Python by a fake that plays a script; return the file of its
-    arguments."""
-
-    def choose(*script: dict) -> Path:
-        preferences.get().python_path = str(fake_python(tmp_path / "python", list(script)))
-        return tmp_path / "python" / "script.args"
-
-    return choose
+    return scene
 
 
 def panel() -> str:
@@ -70,10 +59,10 @@ def panel() -> str:
 
 def settle() -> str:
     """The same, after all lookups have expired."""
-    job_registry.trained.expire()
+    lookups.sequences.expire()
     drawn(TrainSequencePanel)
-    until(lambda: not job_registry.busy())
-    job_registry.collect()
+    until(lambda: not lookups.busy())
+    lookups.collect()
     return drawn(TrainSequencePanel)
 
 
@@ -125,7 +114,7 @@ def test_stop_and_go_on(video, play: Play) -> None:
     panel()
     bpy.ops.gscore.train_sequence()
     job = train_sequence.job_of(video)
-    until(lambda: job.frame is not None)
+    until(lambda: job.last(FrameStarted) is not None)
     leave(train_sequence.output_of(video), (0,))
     assert bpy.ops.gscore.stop_sequence() == {"FINISHED"}
     until(lambda: job.ended)

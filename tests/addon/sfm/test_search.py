@@ -6,7 +6,6 @@ import shutil
 import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -15,16 +14,15 @@ from addon import preferences
 from addon.cameras import importing
 from addon.cameras.lookup import chosen_root
 from addon.cameras.objects import cameras_of, points_of
+from addon.core import FramesDone
 from addon.interface import incremental_removal
 from addon.panels.capture import CapturePanel
 from addon.panels.progress import ProgressPanel
 from addon.panels.train import TrainPanel
 from addon.sfm import find_cameras
-from addon.sfm.job_registry import JOBS
-from addon.training import facts, registry, start_training, verb_job
+from addon.training import facts, start_training, verb_job, verb_jobs
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
-from tests.addon.fake_trainer import fake_python
 from tests.addon.trainings import until
 
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
@@ -39,37 +37,15 @@ DONE |= {"reprojection_px": 0.456, "seconds": 9.0, "path": "p"}
 
 
 @pytest.fixture
-def holiday(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
-    """A scene whose capture is a folder of plain photos; no job is left when the test ends."""
+def holiday(scene: bpy.types.Scene, tmp_path: Path, no_work: None) -> bpy.types.Scene:
+    """A scene whose capture is a folder of plain photos."""
     folder = tmp_path / "holiday"
     folder.mkdir()
     for i in NEAR:
         shutil.copy(STUDIO / f"images/view_{i:03}.jpg", folder)
     scene.gscore.capture_path = str(folder)
     facts.refresh(scene)
-    prefs = preferences.get()
-    before = prefs.python_path, prefs.live_seconds
-    yield scene
-    for job in JOBS.jobs():
-        job.kill(wait=10)
-    JOBS._jobs.clear()
-    for run in registry.jobs():
-        run.kill()
-        run.wait(60)
-        registry.remove(run)
-    prefs.python_path, prefs.live_seconds = before
-
-
-@pytest.fixture
-def play(tmp_path: Path) -> Play:
-    """Replace the preferences' Python by a fake that plays a script; return the file of its
-    arguments."""
-
-    def choose(*script: dict) -> Path:
-        preferences.get().python_path = str(fake_python(tmp_path / "python", list(script)))
-        return tmp_path / "python" / "script.args"
-
-    return choose
+    return scene
 
 
 def _made(capture: Path) -> list[dict]:
@@ -126,7 +102,7 @@ def test_a_video_takes_frames_first(holiday: bpy.types.Scene, tmp_path: Path, pl
     until(lambda: job.progress is not None)
     assert "[25%] Looking at frames, 0:05 left" in drawn(ProgressPanel)
     job._process.send("go")
-    until(lambda: job.frames is not None)
+    until(lambda: job.last(FramesDone) is not None)
     assert "40 of 120" in drawn(ProgressPanel)
     assert str(tmp_path / "walk-capture") in called.read_text()
 
@@ -258,7 +234,7 @@ def test_what_is_done_while_cameras_come(
 
 @pytest.mark.parametrize("error", [MemoryError(), KeyError("ours")])
 def test_cameras_that_fail_to_come_are_not_tried_again(
-    holiday: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch, error: Exception
+    holiday: bpy.types.Scene, play: Play, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     """Oracle: a message without memory, else the error itself, once."""
 
@@ -266,19 +242,21 @@ def test_cameras_that_fail_to_come_are_not_tried_again(
         yield "begun"
         raise error
 
-    job = SimpleNamespace(
-        wanted=True, coming=None, scene_uid=holiday.session_uid, capture=STUDIO, warnings=[]
-    )
+    play({"say": DONE})
+    bpy.ops.gscore.find_cameras()
+    job = find_cameras.job_of(holiday)
+    while not job.ended:
+        job.poll()
     monkeypatch.setattr(find_cameras, "importing", fails)
     monkeypatch.setattr(find_cameras, "job_of", lambda scene: job)
-    assert not find_cameras.bring_in(job)
+    assert not verb_jobs.bring_in(job)
     if isinstance(error, MemoryError):
-        assert find_cameras.bring_in(job)
+        assert verb_jobs.bring_in(job)
         assert "not enough memory" in job.warnings[0]
     else:
         with pytest.raises(KeyError, match="ours"):
-            find_cameras.bring_in(job)
-    assert job.coming is None and not find_cameras.bring_in(job)
+            verb_jobs.bring_in(job)
+    assert job.coming is None and not verb_jobs.bring_in(job)
 
 
 def test_what_cannot_be_searched(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:

@@ -1,7 +1,7 @@
 """The object that limits a training; oracle: Blender's own matrices and the trainer's file."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -9,33 +9,20 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix, Vector
 
-from addon import preferences
 from addon.cameras.captures import import_capture
 from addon.panels.train import TrainPanel
-from addon.training import facts, registry
+from addon.training import registry
 from gscore.io.region_file import read_region
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
-from tests.addon.fake_trainer import STARTED, fake_python, finish
+from tests.addon.fake_trainer import STARTED, finish
 from tests.addon.trainings import until
 
 
-@pytest.fixture
-def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
-    """A scene with the studio's capture, chosen but not imported; the fake trainer ends
-    immediately."""
-    scene.gscore.capture_path = str(STUDIO)
-    scene.gscore.output_path = str(tmp_path / "out")
-    facts.refresh(scene)
-    before = preferences.get().python_path
-    python = fake_python(tmp_path / "python", [{"say": STARTED}, finish()])
-    preferences.get().python_path = str(python)
-    yield scene
-    for job in registry.jobs():
-        job.kill()
-        job.wait(60)
-        registry.remove(job)
-    preferences.get().python_path = before
+@pytest.fixture(autouse=True)
+def ends_at_once(play: Callable[..., Path]) -> None:
+    """The fake trainer ends immediately."""
+    play({"say": STARTED}, finish())
 
 
 def around(scene: bpy.types.Scene, scale: tuple[float, float, float]) -> bpy.types.Object:

@@ -3,7 +3,7 @@
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -34,24 +34,15 @@ needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names
 
 
 @pytest.fixture
-def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
+def studio(studio: bpy.types.Scene, play: Callable[..., Path]) -> bpy.types.Scene:
     """A scene with the cameras of the studio, rotated, moved and scaled; the fake trainer ends
     immediately."""
-    scene.gscore.capture_path = str(STUDIO)
-    scene.gscore.output_path = str(tmp_path / "out")
-    found: Capture = import_capture(bpy.context.scene, STUDIO)
+    found: Capture = import_capture(studio, STUDIO)
     place = Matrix.Translation((3, -2, 1)) @ Euler((0.3, 0.2, 0.9)).to_matrix().to_4x4()
     found.root.matrix_world = place @ Matrix.Scale(2.5, 4) @ found.root.matrix_world
     bpy.context.view_layer.update()
-    before = preferences.get().python_path
-    python = fake_python(tmp_path / "python", [{"say": STARTED}, finish()])
-    preferences.get().python_path = str(python)
-    yield scene
-    for job in registry.jobs():
-        job.kill()
-        job.wait(60)
-        registry.remove(job)
-    preferences.get().python_path = before
+    play({"say": STARTED}, finish())
+    return studio
 
 
 def into(scene: bpy.types.Scene, role: str, *obs: bpy.types.Object) -> bpy.types.Collection:

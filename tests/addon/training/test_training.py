@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -36,34 +36,6 @@ STUDIO = ROOT / "examples" / "studio"
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
 needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names no Python")
 Play = Callable[..., Path]
-
-
-@pytest.fixture
-def studio(scene: bpy.types.Scene, tmp_path: Path) -> Iterator[bpy.types.Scene]:
-    """A scene whose capture is the studio; no training is left when the test ends."""
-    scene.gscore.capture_path = str(STUDIO)
-    scene.gscore.output_path = str(tmp_path / "out")
-    scene.gscore.preset = "preview"
-    prefs = preferences.get()
-    before = (prefs.python_path, prefs.live_seconds, prefs.preview_seconds, prefs.live_most)
-    yield scene
-    for job in registry.jobs():
-        job.kill()
-        job.wait(60)
-        registry.remove(job)
-    prefs.python_path, prefs.live_seconds, prefs.preview_seconds, prefs.live_most = before
-
-
-@pytest.fixture
-def play(tmp_path: Path) -> Play:
-    """Replace the preferences' Python by a fake that plays a script."""
-
-    def choose(*script: dict, name: str = "python") -> Path:
-        python = fake_python(tmp_path / name, list(script))
-        preferences.get().python_path = str(python)
-        return python
-
-    return choose
 
 
 def test_snapshots_then_the_result_reach_one_object(
