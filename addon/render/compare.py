@@ -20,7 +20,7 @@ from . import picture
 from .camera_photo import Target, load_target
 from .engine import final_cache
 from .scene import Placed
-from .snapshot import Snapshot
+from .snapshot import snapshot
 from .world import background_of, world_light
 
 ERROR_GAIN = 4.0
@@ -82,7 +82,8 @@ class Comparing:
         self._options = picture.Options(
             background=background, antialias=scene.gscore_render.antialias
         )
-        self._snapshot = Snapshot(depsgraph)
+        self._snapshot = snapshot(depsgraph)
+        next(self._snapshot)  # takes it
 
     def compared(self) -> Pieces[Comparison]:
         """Render from the camera and compare with its photo.
@@ -99,9 +100,9 @@ class Comparing:
         """
         try:
             target = yield from self._target
-            placed = yield from self._snapshot.read()
+            placed = yield from self._snapshot
         finally:
-            self._snapshot.drop()
+            self._snapshot.close()
         found = yield from run_in_thread(partial(self._drawn, placed, target), "Drawing the splats")
         camera = with_uid(bpy.data.objects, self._camera)
         if camera is None:

@@ -3,18 +3,18 @@
 import sys
 import zlib
 from collections.abc import Hashable, Sized
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from .. import attributes
-from ..attributes import BASE, POSITION, ROTATION, SCALE, SH
+from ..attributes import BASE, POSITION, SCALE
 from ..core import Splats
 from ..process.reserved_memory import Memory
 from ..splats.filters import Filters, mask
+from ..splats.point_attributes import copy_values
 
-_KEYS = {"FLOAT_VECTOR": ("vector", 3), "QUATERNION": ("value", 4), "FLOAT4": ("vector", 4)}
-_KEYS["FLOAT_COLOR"] = ("color", 4)
 SELECTED, HIDDEN = 1, 2
 """Bits of marks: selection and visibility of a point in Edit Mode."""
 AHEAD = 1 << 21
@@ -44,96 +44,48 @@ class Frozen(Protocol):
         """Splats that pass the filters, [N] bool."""
 
 
-class _Data:
-    """Interface of `attribute.data`."""
-
-    def __init__(self, values: np.ndarray, width: int) -> None:
-        self.values, self.width = values, width
-
-    def __len__(self) -> int:
-        return len(self.values) // self.width
-
-    def foreach_get(self, key: str, out: np.ndarray) -> None:
-        """Copy everything to `out`."""
-        out[:] = self.values
-
-
-class _Attribute:
-    """Interface of an attribute, over its own memory."""
-
-    def __init__(self, name: str, domain: str, data_type: str, values: np.ndarray) -> None:
-        self.name, self.domain, self.data_type = name, domain, data_type
-        self.data = _Data(values, _KEYS.get(data_type, ("", 1))[1])
-        self.fingerprint = (name, domain, data_type, zlib.crc32(values))
-
-    def refilled(self, values: np.ndarray) -> "_Attribute":
-        """A copy of the attribute with other values, flat float32."""
-        return _Attribute(self.name, self.domain, self.data_type, values)
-
-
-def _numbers(attribute: Any) -> int:
-    """Number of floats to copy of Blender's attribute; 0 for types that splats do not have, which
-    the reader refuses."""
-    _, width = _KEYS.get(attribute.data_type, ("", 0))
-    return len(attribute.data) * width
-
-
-def _copied(attribute: Any, memory: Memory | None) -> _Attribute:
-    """A copy of Blender's attribute, in the next array of `memory` if given."""
-    values = memory.take() if memory else np.empty(_numbers(attribute), np.float32)
-    if len(values):
-        attribute.data.foreach_get(_KEYS[attribute.data_type][0], values)
-    return _Attribute(attribute.name, attribute.domain, attribute.data_type, values)
-
-
-class _Attributes(dict[str, _Attribute]):
-    """Attributes by name; like Blender's, iteration yields attributes."""
-
-    def __iter__(self) -> Any:
-        return iter(self.values())
-
-
+@dataclass(frozen=True, eq=False)
 class FrozenMesh:
-    """Copied splat attributes of a mesh or point cloud, with the interface of the datablock."""
+    """Copied splat attributes of a mesh or point cloud."""
 
-    def __init__(self, name: str, count: int) -> None:
-        self.name = name
-        self.vertices = range(count)
-        self.attributes = _Attributes()
-        self.marks: np.ndarray | None = None
-        """[N] uint8 of SELECTED and HIDDEN; None: no marks. Not in the fingerprint, because the
-        splats stay the same."""
+    name: str
+    """Object name for messages."""
+    columns: dict[str, np.ndarray]
+    """[N, 3] or [N, 4] float32 by `attributes.names`, not to be changed."""
+    sums: dict[str, int]
+    """CRC of each."""
+    marks: np.ndarray | None = None
+    """[N] uint8 of SELECTED and HIDDEN; None: no marks. Not in the fingerprint, because the splats
+    stay the same."""
 
     @classmethod
     def of(cls, name: str, columns: dict[str, np.ndarray]) -> "FrozenMesh":
-        """The splats of given attributes, which are not copied; without marks.
+        """The splats of given attributes, which are not copied; without marks."""
+        return cls(name, columns, {one: zlib.crc32(columns[one]) for one in columns})
 
-        Args:
-            name: Object name for messages.
-            columns: As for `attributes.as_splats`.
-        """
-        made = cls(name, len(columns[BASE]))
-        for one in sorted(columns):  # as `Freezer` does, so that the fingerprint is the same
-            kind = attributes.kind_of(one)
-            dict.__setitem__(
-                made.attributes, one, _Attribute(one, "POINT", kind, columns[one].reshape(-1))
-            )
-        return made
+    @property
+    def vertices(self) -> range:
+        """One item per splat."""
+        return range(len(self.base))
 
     @property
     def fingerprint(self) -> tuple[Any, ...]:
         """Differs if any value differs, except for one case in 2^32 per attribute (CRC)."""
-        return (len(self.vertices), *(a.fingerprint for a in self.attributes.values()))
+        return (len(self.vertices), *sorted(self.sums.items()))
+
+    @property
+    def unpainted(self) -> tuple[Any, ...]:
+        """Like `fingerprint`, but without the values of `radiance:base`."""
+        return (len(self.vertices), *sorted(i for i in self.sums.items() if i[0] != BASE))
+
+    @property
+    def base(self) -> np.ndarray:
+        """[N, 4] float32, `radiance:base`."""
+        return self.columns[BASE]
 
     def remarked(self, marks: np.ndarray | None) -> "FrozenMesh":
         """The same splats with other marks."""
-        made = FrozenMesh(self.name, len(self.vertices))
-        made.attributes, made.marks = self.attributes, marks
-        return made
-
-    def can_take(self, base: np.ndarray) -> bool:
-        """Whether `base` fits `repainted`."""
-        return BASE in self.attributes and len(base) == len(self.vertices)
+        return replace(self, marks=marks)
 
     def repainted(self, base: np.ndarray) -> "FrozenMesh":
         """The same splats with other colours and opacities.
@@ -141,34 +93,19 @@ class FrozenMesh:
         Args:
             base: `radiance:base`, [N, 4] float32, contiguous; not copied.
         """
-        made = FrozenMesh(self.name, len(self.vertices))
-        made.attributes.update((a.name, a) for a in self.attributes)
-        made.attributes[BASE] = self.attributes[BASE].refilled(base.reshape(-1))
-        made.marks = self.marks
-        return made
-
-    @property
-    def unpainted(self) -> tuple[Any, ...] | None:
-        """Like `fingerprint`, but without the values of `radiance:base`; None: there is no such
-        attribute."""
-        if BASE not in self.attributes:
-            return None
-        found = (a.fingerprint[: 3 if a.name == BASE else 4] for a in self.attributes)
-        return (len(self.vertices), *sorted(found))
-
-    @property
-    def base(self) -> np.ndarray:
-        """[N, 4] float32 view of `radiance:base`."""
-        return self.attributes[BASE].data.values.reshape(-1, 4)
+        sums = {**self.sums, BASE: zlib.crc32(base)}
+        return replace(self, columns={**self.columns, BASE: base}, sums=sums)
 
     def read(self) -> Splats:
-        """The splats; errors as `attributes.read`."""
-        return attributes.read(self)
+        """The splats; ValueError if values are not finite."""
+        for one, values in self.columns.items():
+            attributes.check_finite(values, one, self.name)
+        return attributes.as_splats({one: values.copy() for one, values in self.columns.items()})
 
     def kept(self, filters: Filters) -> np.ndarray:
         """Splats that pass the filters, [N] bool."""
-        means, scales, base = (attributes.column(self, name) for name in (POSITION, SCALE, BASE))
-        return mask(means, scales, base[:, 3], filters)
+        means = self.columns.get(POSITION, attributes.NO_SPLATS.means)
+        return mask(means, self.columns[SCALE], self.base[:, 3], filters)
 
 
 class Freezer:
@@ -181,7 +118,8 @@ class Freezer:
             ahead: Floats of all attributes from which on a thread allocates their memory.
         """
         self._ahead = ahead
-        self._begun: FrozenMesh | None = None
+        self._missing: list[str] | None = None
+        self._copy = FrozenMesh("", {}, {})
         self._memory: Memory | None = None
 
     @property
@@ -195,26 +133,32 @@ class Freezer:
         Args:
             data: Mesh or point cloud; it must not change between the steps of one copy.
             name: Object name for messages.
+
+        Raises:
+            ValueError: attributes are missing.
         """
-        if self._begun is None:
+        if self._missing is None:
             self._begin(data, name)
-        frozen = self._begun
-        missing = sorted(set(_wanted(data)) - frozen.attributes.keys())
-        if missing:
-            if not self.waits:
-                copy = _copied(data.attributes[missing[0]], self._memory)
-                dict.__setitem__(frozen.attributes, missing[0], copy)
-                if len(missing) == 1:
-                    self._memory = None  # all arrays are in use
-            return None
-        self._begun = None
-        frozen.marks = read_marks(data)
-        return frozen
+        if not self._missing:
+            return self._copy.remarked(read_marks(data))
+        if not self.waits:
+            one = self._missing.pop(0)
+            width = attributes.FORMATS[data.attributes[one].data_type][1]
+            shape = len(data.attributes[one].data), width
+            values = np.empty(shape, np.float32)
+            if self._memory is not None:
+                values = self._memory.take().reshape(shape)
+            copy_values(data, one, values)
+            self._copy.columns[one], self._copy.sums[one] = values, zlib.crc32(values)
+            if not self._missing:
+                self._memory = None  # all arrays are in use
+        return None
 
     def _begin(self, data: Any, name: str) -> None:
-        points = data.vertices if hasattr(data, "vertices") else data.points
-        self._begun = FrozenMesh(name, len(points))
-        sizes = [_numbers(data.attributes[n]) for n in sorted(_wanted(data))]
+        self._copy = FrozenMesh(name, {}, {})
+        self._missing = attributes.names(data, called=name)
+        found = [attributes.check_vectors(data, one, called=name) for one in self._missing]
+        sizes = [len(one.data) * attributes.FORMATS[one.data_type][1] for one in found]
         self._memory = Memory(sizes) if sum(sizes) >= self._ahead else None
 
     def repaint(self, base: np.ndarray) -> None:
@@ -222,8 +166,8 @@ class Freezer:
 
         Does nothing if they are not copied yet; their step then copies those of the datablock.
         """
-        if self._begun is not None and self._begun.can_take(base):
-            self._begun = self._begun.repainted(base)
+        if len(self._copy.columns.get(BASE, ())) == len(base):
+            self._copy = self._copy.repainted(base)
 
 
 def freeze(data: Any, name: str) -> FrozenMesh:
@@ -234,9 +178,38 @@ def freeze(data: Any, name: str) -> FrozenMesh:
     return frozen
 
 
-def _wanted(data: Any) -> list[str]:
-    names = [a.name for a in data.attributes]
-    return [n for n in names if n in (POSITION, SCALE, ROTATION, BASE) or n.startswith(SH)]
+class Trace(NamedTuple):
+    """What is kept of a decoded copy, in a fraction of its memory: data that show whether another
+    copy differs and, if only in paint, in which splats."""
+
+    fingerprint: Hashable
+    """`Frozen.fingerprint`."""
+    unpainted: Hashable
+    """`FrozenMesh.unpainted`; None: the splats come from a file and cannot be painted."""
+    base: np.ndarray | None
+    """`radiance:base`, [N, 4]; None: the splats come from a file."""
+    kept: np.ndarray | None
+    """[N] bool, splats that passed the filters; None: no filters."""
+
+
+def trace_of(frozen: Frozen, kept: np.ndarray | None = None) -> Trace:
+    """The trace of a copy whose `kept` splats were decoded."""
+    if isinstance(frozen, FrozenMesh):
+        return Trace(frozen.fingerprint, frozen.unpainted, frozen.base, kept)
+    return Trace(frozen.fingerprint, None, None, kept)
+
+
+def repainted_rows(before: Trace, after: Frozen) -> np.ndarray | None:
+    """Indices [K] of splats that differ in colour or opacity only.
+
+    None if the copies differ otherwise, or if new values are not finite, which decoding refuses.
+    """
+    if before.base is None or not isinstance(after, FrozenMesh):
+        return None
+    if before.unpainted != after.unpainted:
+        return None
+    rows = np.flatnonzero((before.base != after.base).any(axis=1))
+    return rows if np.isfinite(after.base[rows]).all() else None
 
 
 def read_marks(data: Any) -> np.ndarray | None:

@@ -9,9 +9,8 @@ import numpy as np
 from .. import attributes
 from ..core import Splats, transform_splats
 from ..interface.option_labels import error_words
-from .copy_fingerprint import Trace, repainted_rows, trace_of
 from .holdout import apply_holdout
-from .mesh_copies import FrozenMesh
+from .mesh_copies import FrozenMesh, Trace, repainted_rows, trace_of
 from .scene import Identity, Placed
 
 

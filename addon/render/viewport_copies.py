@@ -103,7 +103,7 @@ class Copies:
             base: `radiance:base`, [N, 4] float32, contiguous; not copied.
         """
         for kept in (self._frozen, self._stale):
-            if uid in kept and kept[uid].can_take(base):
+            if uid in kept and len(kept[uid].vertices) == len(base):
                 kept[uid] = kept[uid].repainted(base)
         if uid in self._freezers:
             self._freezers[uid].repaint(base)

@@ -41,7 +41,7 @@ class Views:
         placed, _ = self.made.copied(found)
         self.now += 0.001
         bpy.context.view_layer.update()
-        return float(placed[0].frozen.attributes["position"].data.values[0])
+        return float(placed[0].frozen.columns["position"][0, 0])
 
     def move(self, x: float) -> None:
         """Move the first splat, as a user does, a while after the last redraw."""

@@ -3,6 +3,7 @@ new decoding of everything."""
 
 import weakref
 from collections.abc import Iterator
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -12,8 +13,7 @@ from addon import attributes
 from addon.attributes import BASE
 from addon.core import Splats
 from addon.render import viewport_copies
-from addon.render.copy_fingerprint import repainted_rows, trace_of
-from addon.render.mesh_copies import FrozenMesh, freeze
+from addon.render.mesh_copies import freeze, repainted_rows, trace_of
 from addon.render.model import SplatCache
 from addon.render.scene import Placed, place, sources
 from tests.addon import splat_scenes as lab
@@ -72,7 +72,7 @@ def test_paint_shows_before_and_after_it_is_written(ob, made) -> None:
     made.repaint(ob.data.session_uid, base.copy())
     shown = look(made).frozen
     np.testing.assert_array_equal(shown.base, base)
-    assert shown.attributes[attributes.POSITION] is before.attributes[attributes.POSITION]
+    assert shown.columns[attributes.POSITION] is before.columns[attributes.POSITION]
     assert (before.base != base).any()
     attributes.fill(ob.data, BASE, "FLOAT_COLOR", base.ravel())
     ob.data.update()
@@ -135,7 +135,7 @@ def test_only_paint_is_remembered_of_a_copy(ob) -> None:
     frozen, cache = freeze(ob.data, ob.name), SplatCache()
     first = frozen.repainted(painted(ob, np.arange(3, 60)))
     second = frozen.repainted(painted(ob, np.arange(90, 150)))
-    arrays = [weakref.ref(a.data.values) for a in first.attributes if a.name != BASE]
+    arrays = [weakref.ref(values) for one, values in first.columns.items() if one != BASE]
     cache.parts([place(source, first)])
     (got,) = cache.parts([place(source, second)])
     same(got, second.read())
@@ -155,7 +155,7 @@ def test_what_makes_copies_differ(ob) -> None:
     assert repainted_rows(trace_of(one), one.repainted(base.copy())) is None
     ob.data.attributes[attributes.SCALE].data[0].vector = (1, 1, 1)
     assert repainted_rows(trace_of(one), freeze(ob.data, "one")) is None
-    assert repainted_rows(trace_of(one), FrozenMesh("one", 200)) is None
+    assert repainted_rows(trace_of(one), replace(one, sums={})) is None
 
 
 def test_selections_show_before_they_are_written(ob, made) -> None:

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from addon.cameras.render_camera import render_camera
-from addon.compat import matrix_to_numpy
+from addon.compat import TEXTURES_ARE_ENCODED, matrix_to_numpy
 from addon.core import CancelFlag, Cancelled, Splats, render
 from addon.process.reserved_memory import Memory
 from addon.render import mesh_copies, picture, viewport, viewport_copies
+from addon.render.color import EXPONENT, over_view
 from addon.render.mesh_copies import HIDDEN, SELECTED
 from addon.render.model import SplatCache
 from addon.render.scene import Placed, sources
@@ -186,7 +187,7 @@ def test_a_copy_waits_for_memory(scene, monkeypatch):
     monkeypatch.setattr(mesh_copies, "Memory", _SlowMemory)
     freezer, had, waits = mesh_copies.Freezer(ahead=0), 0, 0
     while (copy := freezer.step(ob.data, ob.name)) is None:
-        has = len(freezer._begun.attributes)
+        has = len(freezer._copy.columns)
         waits += has == had
         had = has
     assert waits >= 12  # once an attribute: position, scale, rotation, base and 8 of SH
@@ -214,7 +215,7 @@ def test_what_is_selected_reaches_the_drawing(scene: bpy.types.Scene, filtered: 
 
     def look() -> np.ndarray | None:
         placed = copied()
-        seen.append(placed.frozen.attributes["position"] is before)
+        seen.append(placed.frozen.columns["position"] is before)
         return marks_of(placed, Tinted.ALL)
 
     def changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
@@ -231,7 +232,7 @@ def test_what_is_selected_reaches_the_drawing(scene: bpy.types.Scene, filtered: 
         bpy.context.scene.tool_settings.mesh_select_mode = (True, False, False)
         bpy.context.view_layer.update()
         look()
-        before = copied().frozen.attributes["position"]
+        before = copied().frozen.columns["position"]
         bpy.app.handlers.depsgraph_update_post.remove(changed)
         bpy.context.view_layer.update()  # changed by reading in Edit Mode
         bpy.app.handlers.depsgraph_update_post.append(changed)
@@ -317,3 +318,17 @@ def test_what_is_hidden_cuts_no_hole(scene: bpy.types.Scene) -> None:
     model = SplatCache().model(whole.placed)
     every = whole.shoot(model, asked.camera, lambda: False, CancelFlag())
     assert (every[..., 3] < want[..., 3] - 0.1).mean() > 0.02
+
+
+def test_what_lies_over_a_view_shows_its_colours() -> None:
+    """Oracle: Blender's processing of overlays, by IEC 61966-2-1 and its exponent."""
+    rgb = np.float32([[[0.4, 0.2, 0.1], [0.0, 0.0, 0.0]]])
+    alpha = np.float32([[0.5, 0.0]])
+    held = over_view(rgb, alpha)
+    decoded = np.where(held <= 0.04045, held / 12.92, ((held + 0.055) / 1.055) ** 2.4)
+    light = decoded if TEXTURES_ARE_ENCODED else held
+    behind = 0.3**EXPONENT
+    mixed = (light[..., :3] + behind * (1 - alpha[..., None])) ** (1 / EXPONENT)
+    want = (0.5 * np.array([0.8, 0.4, 0.2]) ** EXPONENT + 0.5 * behind) ** (1 / EXPONENT)
+    np.testing.assert_allclose(mixed[0, 0], want, atol=1e-5)
+    np.testing.assert_allclose(mixed[0, 1], 0.3, atol=1e-5)
