@@ -1,4 +1,4 @@
-"""Clipping of a view: far end and planes, and depth buffer values as camera depths; no gpu."""
+"""Clipping of a view: far end and planes, and depth buffer values; no gpu."""
 
 from dataclasses import dataclass, field
 
@@ -27,21 +27,6 @@ class Cuts:
         """The planes in a camera's space, [P, 4] float64."""
         return self.planes @ np.linalg.inv(camera.viewmat)
 
-    def kept(self, places: np.ndarray, camera: RenderCamera, window: np.ndarray) -> np.ndarray:
-        """Splats that are not clipped, [N] bool.
-
-        Args:
-            places: Their centers in the camera's space, [N, 3].
-            camera: The view's camera.
-            window: As for `depth_of_z`.
-        """
-        there = np.ones(len(places), bool)
-        if self.far:
-            there &= places[:, 2] <= z_of(np.ones((), np.float32), camera, window)
-        for plane in self.in_front_of(camera):
-            there &= places @ plane[:3].astype(places.dtype) + plane[3] >= 0
-        return there
-
 
 def depth_of_z(camera: RenderCamera, window: np.ndarray) -> tuple[float, float]:
     """Factor and offset of 2 x depth - 1 = (offset - factor z) / z, without the division for
@@ -57,12 +42,3 @@ def depth_of_z(camera: RenderCamera, window: np.ndarray) -> tuple[float, float]:
         own_near = (offset + 1) / factor
         offset += factor * (camera.near - own_near)
     return factor, offset
-
-
-def z_of(depths: np.ndarray, camera: RenderCamera, window: np.ndarray) -> np.ndarray:
-    """The z in camera space of depths in [0, 1], of any shape; arguments as `depth_of_z`."""
-    factor, offset = depth_of_z(camera, window)
-    place = 2 * depths.astype(np.float64) - 1
-    if camera.orthographic:
-        return (offset - place) / factor
-    return offset / np.where(place + factor == 0, np.nan, place + factor)

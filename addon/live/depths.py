@@ -8,29 +8,19 @@ from .texture_upload import texture
 
 
 class Depths:
-    """Depths of one view. Array and texture stay the same objects until the depths change, so that
-    pictures drawn with them stay valid."""
+    """Depths of one view. The texture stays the same object until the depths change, so that
+    pictures drawn with it stay valid."""
 
     def __init__(self) -> None:
         self._size = (0, 0)
         self._read: list[np.ndarray] = []
-        self._values: np.ndarray | None = None
         self._texture: gpu.types.GPUTexture | None = None
 
     def read(
         self, left: int, bottom: int, width: int, height: int, *, front: bool = False
     ) -> gpu.types.GPUTexture:
-        """As `values`, as a texture."""
-        shown = self.values(left, bottom, width, height, front=front)
-        if self._texture is None:
-            self._texture = texture(shown[..., None])
-        return self._texture
-
-    def values(
-        self, left: int, bottom: int, width: int, height: int, *, front: bool = False
-    ) -> np.ndarray:
-        """Depths of a part of the current target, [H, W] float32 in [0, 1], the bottom row first;
-        waits until the card has drawn it.
+        """Depths of a part of the current target in [0, 1], the bottom row first; waits until the
+        card has drawn it.
 
         Args:
             left: Pixels.
@@ -41,13 +31,13 @@ class Depths:
         """
         part = left, bottom, width, height
         found = [_read_depths(*part), *([_read_alphas(*part)] if front else [])]
-        if self._values is None or not self._same((width, height), found):
+        if self._texture is None or not self._same((width, height), found):
             shown = found[0].view(np.float32).reshape(height, width)
             if front:
                 shown = np.where(in_front(shown, found[1].reshape(height, width)), 0, shown)
-            self._values, self._texture = shown.astype(np.float32, copy=False), None
+            self._texture = texture(shown.astype(np.float32, copy=False)[..., None])
             self._size, self._read = (width, height), found
-        return self._values
+        return self._texture
 
     def _same(self, size: tuple[int, int], found: list[np.ndarray]) -> bool:
         """Whether the same was read before."""

@@ -24,14 +24,18 @@ from ..splats.live_display import SESSION
 from ..splats.objects import is_splats
 from . import photos
 from .card import Card
-from .engine_view import EngineView
 from .fallback import StandIn
-from .retry_limit import Attempts
 from .view_context import cuts_of, has_lines_in_front, is_hidden_by_others, is_own, keeps_colors
 from .views import View
 
 POLL = 0.02
 """Seconds between two checks whether a view must be redrawn."""
+_TRIES = 3
+"""Attempts after a failure of the graphics card."""
+_PAUSE = 1.0
+"""Seconds before each."""
+_FORGIVEN = 60.0
+"""Seconds without a failure after which the count starts again."""
 _log = logging.getLogger(__name__)
 
 
@@ -40,9 +44,12 @@ class _State:
     """State of the session."""
 
     card: Card | None = None
-    views: dict[int, View | EngineView] = field(default_factory=dict)
-    """Views by the pointer of their region; all of one kind."""
-    attempts: Attempts = field(default_factory=Attempts)
+    views: dict[int, View] = field(default_factory=dict)
+    """Views by the pointer of their region."""
+    failures: int = 0
+    """Consecutive failures of the graphics card."""
+    rests_until: float = float("-inf")
+    """Monotonic seconds before which nothing is drawn."""
     handles: list[object] = field(default_factory=list)
     scene: gpu.types.GPUFrameBuffer | None = None
     """Blender's target of the view being drawn, valid during its drawing only."""
@@ -60,7 +67,7 @@ _state = _State()
 _STAND_IN = StandIn(_state.views)
 
 
-def view_of(region: bpy.types.Region) -> View | EngineView | None:
+def view_of(region: bpy.types.Region) -> View | None:
     """The live view of a region, if there is one."""
     return _state.views.get(region.as_pointer())
 
@@ -95,7 +102,7 @@ def draw(context: bpy.types.Context) -> None:
     over = viewport.OVER.get(pointer) if is_own(context) else None
     if over is None and pointer in viewport.EXACT and is_own(context):
         return
-    if _state.attempts.rests(time.monotonic()):
+    if time.monotonic() < _state.rests_until:
         return
     try:
         if over is None:
@@ -128,12 +135,11 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
         _ensure()
     if not placed:
         return
-    if not SESSION.by_engine and _state.card is None:
+    if _state.card is None:
         _state.card = Card()
     view = _state.views.get(pointer)
     if view is None:
-        view = EngineView(final_cache) if SESSION.by_engine else View(final_cache)
-        _state.views[pointer] = view
+        view = _state.views[pointer] = View(final_cache)
     try:
         _show(context, depsgraph, view, placed)
     finally:  # a missing picture may be ready soon
@@ -144,7 +150,7 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
 def _show(
     context: bpy.types.Context,
     depsgraph: bpy.types.Depsgraph,
-    view: View | EngineView,
+    view: View,
     placed: list[Placed],
 ) -> None:
     rv3d = context.region_data
@@ -157,54 +163,47 @@ def _show(
     cuts = cuts_of(context)
     tinted = tinted_in(context.space_data, own=is_own(context))
     region = drawn_window(context, window, *part[2:])
-    if isinstance(view, EngineView):
-        values = partial(view.depths.values, *part, front=front) if hides else None
-        view.draw(placed, camera, window, antialias, values, cuts=cuts, tinted=tinted, clip=region)
-    else:
-        read = partial(view.depths.read, *part, front=front) if hides else None
-        picture = view.draw(
-            *(_state.card, placed, camera, window, antialias, read),
-            front=front,
-            cuts=cuts,
-            tinted=tinted,
-            spare=_state.pace.spare,
-        )
-        if picture is not None:
-            photo = photos.in_front(context, window, *part[2:])
-            rests = photo is None and picture.nearness is None and not view.level.moving
-            within = _state.scene if rests and keeps_colors(context) else None
-            _state.card.show(picture, part, photo, within, region)
+    read = partial(view.depths.read, *part, front=front) if hides else None
+    picture = view.draw(
+        *(_state.card, placed, camera, window, antialias, read),
+        front=front,
+        cuts=cuts,
+        tinted=tinted,
+        spare=_state.pace.spare,
+    )
+    if picture is not None:
+        photo = photos.in_front(context, window, *part[2:])
+        rests = photo is None and picture.nearness is None and not view.level.moving
+        within = _state.scene if rests and keeps_colors(context) else None
+        _state.card.show(picture, part, photo, within, region)
 
 
 def _failed(error: Exception, pointer: int) -> None:
-    """Release everything on the graphics card and try again later. If that is hopeless, continue
-    with the engine's pictures; if not even those can be drawn, with points."""
-    reason = error_words(error)
-    refused = _state.card is None and not _state.attempts.count
+    """Release everything on the graphics card and try again later; if that is hopeless, show
+    points."""
+    reason, now = error_words(error), time.monotonic()
+    if now - _state.rests_until > _FORGIVEN:
+        _state.failures = 0
+    refused = _state.card is None and not _state.failures
+    _state.failures += 1
     _close_views()
     _state.card = None
     _calm()
-    if SESSION.by_engine:
-        _log.exception("Views cannot show pictures of splats.")
-        SESSION.by_engine = False
-        SESSION.problem = f"Views cannot draw splats ({reason}); they are shown as points."
-        _soon(_show_points, 0.0)  # data must not change during drawing
-        return
-    pause = None if refused else _state.attempts.failed(time.monotonic())
-    if refused or _state.attempts.count == 1:
+    if _state.failures == 1:
         _log.exception("Splats cannot be drawn live.")
-    if pause is None:
-        SESSION.by_engine = True
+    if refused or _state.failures > _TRIES:
         SESSION.problem = (
-            f"The graphics card cannot draw splats ({reason}); views show pictures of the render "
-            "engine instead, which appear when a view rests."
+            f"The graphics card cannot draw splats ({reason}); views show points. Rendered shading "
+            "of the engine Gaussian Splats shows splats."
         )
         _log.warning(SESSION.problem)
-    else:
-        _state.problems[pointer] = (
-            f"The graphics card failed to draw splats ({reason}); the add-on tries again."
-        )
-    _soon(redraw_views, pause or 0.0)
+        _soon(_show_points, 0.0)  # data must not change during drawing
+        return
+    _state.rests_until = now + _PAUSE
+    _state.problems[pointer] = (
+        f"The graphics card failed to draw splats ({reason}); the add-on tries again."
+    )
+    _soon(redraw_views, _PAUSE)
 
 
 def _calm() -> None:
@@ -280,7 +279,7 @@ def _close_views() -> None:
 
 def _before_handler() -> None:
     _state.scene = None
-    if not SESSION.works or SESSION.by_engine:
+    if not SESSION.works:
         return
     try:
         if draws_into_views():
@@ -320,5 +319,5 @@ def on_unregister() -> None:
     for handle in _state.handles:
         bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")
     _close_views()
-    _state.card, _state.handles, _state.attempts = None, [], Attempts()
-    SESSION.there, SESSION.problem, SESSION.by_engine = False, "", False
+    _state.card, _state.handles, _state.failures = None, [], 0
+    SESSION.there, SESSION.problem = False, ""

@@ -7,28 +7,26 @@ import bpy
 from ..render.operators import changes_colors
 from ..splats.live_display import SESSION
 from . import photos
-from .engine_view import EngineView
 from .views import View
 
 
 class StandIn:
     """Live drawing as a `render.viewport.StandIn`."""
 
-    def __init__(self, views: Mapping[int, View | EngineView]) -> None:
+    def __init__(self, views: Mapping[int, View]) -> None:
         """Keep the known views, by the pointer of their region."""
         self._views = views
 
     def stands_in(self, context: bpy.types.Context) -> bool:
         """Whether splats are drawn live there. Their colours must match the picture's, except with
         a photo behind them, which shows its own colours too."""
-        drawn = SESSION.works and not SESSION.by_engine
-        wanted = drawn and context.scene.gscore_render.live
+        wanted = SESSION.works and context.scene.gscore_render.live
         return wanted and (not changes_colors(context.scene) or self.stays(context))
 
     def moves(self, context: bpy.types.Context) -> bool:
         """Whether its view has just changed."""
         view = self._views.get(context.region.as_pointer())
-        return isinstance(view, View) and view.level.moving
+        return view is not None and view.level.moving
 
     def stays(self, context: bpy.types.Context) -> bool:
         """Whether there is a photo behind the splats, which Blender would draw over a picture."""

@@ -125,7 +125,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         if complete and not stays and view.painter.shows(request):
             EXACT.add(pointer)
         made = view.painter.made
-        is_meant = isinstance(made, Request) and made.over_view == over
+        is_meant = made is not None and made.over_view == over
         pixels, window = view.painter.pixels if is_meant else None, view.window
         waits = live is not None and pointer not in EXACT
         if over and pixels is not None and not waits:

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 from weakref import WeakValueDictionary
 
 import bpy
@@ -36,37 +36,6 @@ COARSEST = 8
 """Largest factor of the reduction of smaller pictures."""
 _POLL = 0.02
 """Seconds between two checks for a finished picture."""
-
-
-class ViewRequest(Protocol):
-    """A picture requested from a painter."""
-
-    @property
-    def placed(self) -> list[Placed]:
-        """The objects."""
-        ...
-
-    @property
-    def camera(self) -> RenderCamera:
-        """The view's camera."""
-        ...
-
-    def same(self, other: Any) -> bool:
-        """Whether another request, or None, is for the same picture."""
-        ...
-
-    def shoot(
-        self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
-    ) -> np.ndarray:
-        """The picture, [H, W, 4] float32, premultiplied, the bottom row first.
-
-        Args:
-            model: Model of `placed`.
-            camera: The request's, or one with fewer pixels.
-            stop: As for `picture.draw`, also for errors.
-            cancel: As for `picture.draw`.
-        """
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +73,15 @@ class Request:
     def shoot(
         self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
     ) -> np.ndarray:
-        """As `ViewRequest`; scene-linear unless `over_view`."""
+        """The picture, [H, W, 4] float32, premultiplied, the bottom row first; scene-linear unless
+        `over_view`.
+
+        Args:
+            model: Model of `placed`.
+            camera: The request's, or one with fewer pixels.
+            stop: As for `picture.draw`, also for errors.
+            cancel: As for `picture.draw`.
+        """
         options = self.options
         if options.window is not None:
             camera, window = _scaled(self.camera, options.window, camera)
@@ -126,13 +103,13 @@ class ViewPainter:
     def __init__(self, cache: SplatCache) -> None:
         self._cache = cache
         self._changed = threading.Condition()
-        self._request: ViewRequest | None = None
+        self._request: Request | None = None
         self._cancel = CancelFlag()
         self._thread: threading.Thread | None = None
         self._factor = 1
         self.pixels: np.ndarray | None = None
         """The last finished picture, [H, W, 4], bottom row first."""
-        self.made: ViewRequest | None = None
+        self.made: Request | None = None
         """Its request."""
         self.problem = ""
         """Why there is no picture; empty: no problem."""
@@ -140,13 +117,13 @@ class ViewPainter:
         """Whether a picture was finished since this was last set to False."""
         self.busy = False
         """Whether a picture is being drawn."""
-        self._finished: ViewRequest | None = None
+        self._finished: Request | None = None
 
-    def shows(self, request: ViewRequest) -> bool:
+    def shows(self, request: Request) -> bool:
         """Whether `pixels` are the requested picture in full size."""
         return self.pixels is not None and request.same(self._finished)
 
-    def ask(self, request: ViewRequest) -> None:
+    def ask(self, request: Request) -> None:
         """Draw a picture, instead of earlier requests.
 
         An earlier picture in full size is cancelled if it takes long. Its small picture is
@@ -170,7 +147,7 @@ class ViewPainter:
     _closed = False
 
     def _run(self) -> None:
-        done: ViewRequest | None = None
+        done: Request | None = None
         while True:
             with self._changed:
                 self.busy = self._request is not None and self._request is not done
@@ -188,7 +165,7 @@ class ViewPainter:
                 self.problem = error_words(error) or "Out of memory."
                 self.pixels, done, self.fresh = None, request, True
 
-    def _paint(self, request: ViewRequest) -> None:
+    def _paint(self, request: Request) -> None:
         """Draw at a small, quick size, then at full size."""
         model = self._cache.model(request.placed)
         for factor in dict.fromkeys((self._factor, 1)):
@@ -210,7 +187,7 @@ class ViewPainter:
         factor = (took / QUICK) ** 0.5  # the last picture had full size
         self._factor = min(COARSEST, max(1, int(np.ceil(factor))))
 
-    def _is_old(self, request: ViewRequest) -> bool:
+    def _is_old(self, request: Request) -> bool:
         return self._request is not request
 
 
@@ -225,7 +202,7 @@ class Viewport:
     def window(self) -> picture.Window | None:
         """The part of the view in the painter's last picture; None: all of it."""
         made = self.painter.made
-        return made.options.window if isinstance(made, Request) else None
+        return None if made is None else made.options.window
 
     def draw(
         self, pixels: np.ndarray, width: int, height: int, window: picture.Window | None = None
@@ -247,19 +224,16 @@ class Viewport:
         draw_texture_2d(self._texture[1], (left, height - top - high), wide, high)
         gpu.state.blend_set("NONE")
 
-    def draw_over(self, pixels: np.ndarray, clip: picture.Window | None = None) -> None:
+    def draw_over(self, pixels: np.ndarray) -> None:
         """Draw a picture over everything that Blender has drawn of a view, in a draw handler.
 
         Args:
             pixels: As for `draw`.
-            clip: The part of the view to draw to; None: all.
         """
         view = gpu.state.viewport_get()
-        part = part_of(view, clip)
-        low = part[0] - view[0], part[1] - view[1]
-        with drawn_to(part), gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
+        with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
             gpu.matrix.load_identity()
-            gpu.matrix.load_projection_matrix(_from(*low, *part[2:]))
+            gpu.matrix.load_projection_matrix(_from(*view[2:]))
             gpu.state.depth_test_set("NONE")
             gpu.state.depth_mask_set(False)
             self.draw(pixels, *view[2:], self.window)
@@ -301,17 +275,9 @@ def bound(target: gpu.types.GPUFrameBuffer) -> Iterator[None]:
         gpu.state.scissor_set(*scissor)
 
 
-def _from(left: int, bottom: int, width: int, height: int) -> Matrix:
-    """The projection from pixels in which a part fills the target."""
-    right, up = 2 / width, 2 / height
-    return Matrix(
-        (
-            (right, 0, 0, -1 - left * right),
-            (0, up, 0, -1 - bottom * up),
-            (0, 0, 1, 0),
-            (0, 0, 0, 1),
-        )
-    )
+def _from(width: int, height: int) -> Matrix:
+    """The projection from the pixels of a target."""
+    return Matrix(((2 / width, 0, 0, -1), (0, 2 / height, 0, -1), (0, 0, 1, 0), (0, 0, 0, 1)))
 
 
 class StandIn(Protocol):

@@ -171,7 +171,7 @@ def apply(ob: bpy.types.Object) -> None:
     mode = settings.display or "SOFT"  # empty: a display that only newer Blender versions have
     if mode in {"SPLATS", "NATIVE"} or is_of_another_blender(modifier.node_group):
         modifier.node_group = display.group()  # one from a file may lack this display
-    if mode == "SPLATS" and live_display.SESSION.as_points:
+    if mode == "SPLATS" and live_display.SESSION.problem:
         mode = "POINTS"
     _leave_points_unselected(ob.data)
     values = {

@@ -15,14 +15,12 @@ sys.path[:0] = [str(ROOT), *map(str, PACKAGES)]
 
 import addon_utils  # noqa: E402 - the path comes first
 import bpy  # noqa: E402
-from mathutils import Quaternion  # noqa: E402
 
 addon_utils.enable("addon", default_set=True, persistent=True)
 
-from addon.live import draw_handler, retry_limit  # noqa: E402
+from addon.live import draw_handler  # noqa: E402
 from addon.live.card import Card  # noqa: E402
 from addon.nodes import display  # noqa: E402
-from addon.render.viewport import Viewport  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot, space  # noqa: E402
 
@@ -58,13 +56,6 @@ class Failing:
         seen["calls"][name] = self.calls
 
 
-def turned(view: bpy.types.RegionView3D, angle: float) -> Iterator[object]:
-    """A view from another side, at rest."""
-    view.view_rotation = Quaternion((0, 1, 0), angle)
-    yield 0.5
-    yield at_rest
-
-
 def spoiled(name: str, wall: bpy.types.Object) -> Iterator[object]:
     """Make a splat invalid, then restore it; no other change meanwhile."""
     before = tuple(wall.data.attributes["scale"].data[7].vector)
@@ -79,7 +70,7 @@ def story() -> Iterator[object]:
     """The events; a yield returns control to Blender (`Teller`)."""
     scene = bpy.context.scene
     clear()
-    view = look_down()
+    look_down()
     wall = lab.add(scene, lab.wall(0.0, COLOR), "wall")
     lab.add(scene, lab.blob(2000, center=(0.5, 0.3, 0.3)), "blob")
     mesh = bpy.data.meshes.new("plate")
@@ -95,9 +86,6 @@ def story() -> Iterator[object]:
     seen["middle"] = [found.x + found.width // 2, found.y + found.height // 2]
     shot("live")
     yield from spoiled("live", wall)
-    yield from turned(view, 0.4)
-    shot("live_turned")
-    yield from turned(view, 0.0)
     before = draw_handler.view_of(region())
     failing = Failing(Card, "show", 1)
     area().tag_redraw()
@@ -108,30 +96,19 @@ def story() -> Iterator[object]:
     failing.end("once")
     yield 0.5
     shot("again")
-    retry_limit.PAUSES = (0.1, 0.2, 0.3)
+    draw_handler._PAUSE = 0.2
     failing = Failing(Card, "show", 1e9)
     area().tag_redraw()
-    yield lambda: draw_handler.SESSION.by_engine
-    yield at_rest
-    yield 0.5
+    yield lambda: draw_handler.SESSION.problem
+    yield 1.0
     failing.end("for_good")
-    shot("by_engine")
-    yield from turned(view, 0.4)
-    shot("by_engine_turned")
-    yield from turned(view, 0.0)
-    wall.data.attributes["radiance:base"].data.foreach_set("color", [0.5, 0.0, 0.0, 6.0] * 1681)
-    wall.data.update()
-    yield 0.5
-    yield at_rest
-    shot("by_engine_painted")
-    yield from spoiled("by_engine", wall)
+    shot("points")
     addon_utils.disable("addon")
     addon_utils.enable("addon", persistent=True)
     failing = Failing(Card, "__init__", 1e9)
     area().tag_redraw()
-    yield lambda: draw_handler.SESSION.by_engine
-    yield at_rest
-    yield 0.5
+    yield lambda: draw_handler.SESSION.problem
+    yield 1.0
     failing.end("refused")
     shot("refused")
     space().overlay.show_text = True
@@ -139,12 +116,6 @@ def story() -> Iterator[object]:
     area().tag_redraw()
     yield 0.5
     shot("said")
-    failing = Failing(Viewport, "draw", 1e9)
-    area().tag_redraw()
-    yield lambda: draw_handler.SESSION.as_points
-    yield 1.0
-    failing.end("no_pictures")
-    shot("points")
     modifier = display.modifier_of(wall)
     seen["vertices"] = [len(ob.data.vertices) for ob in scene.objects if ob.type == "MESH"]
     seen["modifier"] = modifier is not None
