@@ -13,7 +13,7 @@ from ..interface.sidebar import choose_tab, in_turn, open_sidebar
 from ..paths import relative
 from ..process.incremental_tasks import Pieces
 from ..training.verb_job import VerbJob
-from ..training.verb_operators import Cancelling, Starting, ended
+from ..training.verb_operators import Cancelling, Waiting, ended
 from . import find_cameras
 
 
@@ -55,7 +55,7 @@ class ChooseVideo(OnScene, bpy.types.Operator):
         return ""
 
 
-class FindCameras(IncrementalOperator, OnScene, Starting, bpy.types.Operator):
+class FindCameras(IncrementalOperator, OnScene, Waiting, bpy.types.Operator):
     """Find the camera of each photo by structure from motion, in the background.
     From a video, sharp frames are extracted first"""
 

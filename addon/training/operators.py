@@ -12,6 +12,7 @@ from ..process import poll_timer
 from . import facts, registry, run_state, start_training
 from .options import BY_WIDTH
 from .training_job import Job
+from .verb_operators import Waiting
 
 
 class _OnJob(BaseOperator):
@@ -47,24 +48,17 @@ class _OnJob(BaseOperator):
         raise NotImplementedError
 
 
-class Train(ConfirmMixin, OnScene, bpy.types.Operator):
+class Train(ConfirmMixin, OnScene, Waiting, bpy.types.Operator):
     """Train splats from the capture in the background"""
 
     bl_idname = "gscore.train"
     bl_label = "Train"
-    bl_options: ClassVar = {"REGISTER"}
 
     overwrite: BoolProperty(
         name="Start Over",
         description="Replace another run in the output folder",
         options={"SKIP_SAVE"},
     )
-    wait: BoolProperty(
-        name="Wait",
-        description="Return when the training has ended; for scripts",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
-
     confirm = "Start Over"
 
     def question(self, context: bpy.types.Context) -> list[str]:
@@ -112,18 +106,11 @@ class FitTraining(OnScene, bpy.types.Operator):
         return ""
 
 
-class ResumeTraining(OnScene, bpy.types.Operator):
+class ResumeTraining(OnScene, Waiting, bpy.types.Operator):
     """Resume the run in the output folder from its last checkpoint"""
 
     bl_idname = "gscore.resume_training"
     bl_label = "Resume"
-    bl_options: ClassVar = {"REGISTER"}
-
-    wait: BoolProperty(
-        name="Wait",
-        description="Return when the training has ended; for scripts",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
 
     def act(self, context: bpy.types.Context) -> str:
         """Resume the training."""

@@ -10,16 +10,20 @@ from ..process import poll_timer
 from .verb_job import FAILED, VerbJob
 
 
-class Starting(BaseOperator):
-    """Mixin before bpy.types.Operator that starts a job."""
+class Waiting(BaseOperator):
+    """Mixin before bpy.types.Operator that starts work in the background."""
 
     bl_options: ClassVar = {"REGISTER"}
 
     wait: BoolProperty(
         name="Wait",
-        description="Return when the job has ended and its result is imported; for scripts",
+        description="Return when the work has ended and its result is imported; for scripts",
         options={"HIDDEN", "SKIP_SAVE"},
     )
+
+
+class Starting(Waiting):
+    """Mixin before bpy.types.Operator that starts a job."""
 
     def act(self, context: bpy.types.Context) -> str:
         """Start the job."""

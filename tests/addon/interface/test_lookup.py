@@ -2,7 +2,7 @@
 lookup."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 
-from addon import preferences, stored_paths
+from addon import stored_paths
 from addon.cameras import camera_path_import, captures, export_colmap, reading, undistorted_photos
 from addon.cameras import objects as co
 from addon.core import (
@@ -32,7 +32,6 @@ from addon.splats.splat_files import import_splats
 from addon.training import existing_run, facts, lookups
 from tests.addon.captures import STUDIO, write_capture
 from tests.addon.drawn import drawn
-from tests.addon.fake_trainer import fake_python
 from tests.addon.trainings import splats, until
 
 SAID, SHOWN = "Needs fewer `--max-splats`.", 'Needs fewer "Max Splats".'
@@ -40,25 +39,23 @@ SAID, SHOWN = "Needs fewer `--max-splats`.", 'Needs fewer "Max Splats".'
 
 @pytest.fixture
 def studio(
-    scene: bpy.types.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    studio: bpy.types.Scene,
+    play: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> Iterator[bpy.types.Scene]:
-    """A scene with the studio as its capture and the active splats of a run; all lookups are
-    dropped at the end."""
+    """The studio with the active splats of a run; all lookups are dropped at the end."""
     for known in lookups._ALL:
         monkeypatch.setattr(known, "_answers", {})
-    prefs = preferences.get()
-    before = prefs.python_path
-    prefs.python_path = str(fake_python(tmp_path / "python", []))
-    scene.gscore.capture_path = str(STUDIO)
-    scene.gscore.output_path = str(tmp_path / "run")
-    facts.refresh(scene)
+    play()
+    studio.gscore.output_path = str(tmp_path / "run")
+    facts.refresh(studio)
     write_splats(tmp_path / "a.ply", splats(50))
     ob = import_splats(bpy.context, tmp_path / "a.ply")
     stored_paths.write(ob, stored_paths.RUN, tmp_path / "run")
     bpy.context.view_layer.objects.active = ob
-    yield scene
+    yield studio
     until(lambda: not lookups.busy())
-    prefs.python_path = before
 
 
 def refuse(*_: object, **__: object) -> None:
