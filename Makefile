@@ -18,6 +18,10 @@ endif
 BLENDER ?= newest
 # The Blender that ends `make demo`: a version, newest, or none; older ones may not open what it saves.
 DEMO_BLENDER ?= newest
+# How pytest-xdist distributes tests: `make test WORKERS="-n logical --dist worksteal"` uses a process per core, each with
+# one thread (tests/conftest.py); empty: one process.
+WORKERS ?=
+export WORKERS
 # Platforms of `make extension`: empty for this machine, all, or names like windows-x64.
 PLATFORMS ?=
 
@@ -82,14 +86,14 @@ endif
 	@echo "Open out/demo/report.html"
 
 test: $(DEVELOPED) $(NATIVE_TESTS)  ## everything quick; BLENDER=none leaves the add-on out
-	$(BIN)/python -m pytest -q -m "not slow and not window"
+	$(BIN)/python -m pytest -q $(WORKERS) -m "not slow and not window"
 	$(BIN)/ctest --test-dir build/native --output-on-failure
 ifneq ($(BLENDER),none)
 	$(BIN)/python tools/build/test_blender.py $(BLENDER) -- -m "not slow"
 endif
 
 test-slow: $(DEVELOPED) $(NATIVE_TESTS)  ## the tests that take minutes
-	$(BIN)/python -m pytest -q -m slow
+	$(BIN)/python -m pytest -q $(WORKERS) -m "slow and not window"
 
 # The add-on's tests, the slow ones too, in every Blender of tools/build/bpy_venvs.py: 350 MB and half a minute each at first.
 test-blender: $(LIBRARY)  ## the add-on's tests in every Blender known

@@ -17,6 +17,8 @@ FOLDER = ROOT / ".venv-blender"
 PYTHONS = {"4.2.23": "3.11", "4.5.15": "3.11", "5.0.1": "3.11", "5.2.3": "3.13", "5.3.0": "3.13"}
 """Tested Blender versions, oldest first, with the Python version of each."""
 PACKAGES = ("plyfile>=1.0", "pytest>=8")
+_ALSO = ("pytest-xdist>=3.6",)
+"""Further packages of the bpy module; a Blender program runs its tests in one process."""
 NO_PYTHON = 3
 """Exit status: this machine has no Python for the requested Blender."""
 
@@ -77,15 +79,18 @@ def ensure(version: str) -> Path:
         subprocess.CalledProcessError: the packages do not install.
     """
     python, ready = interpreter(version), FOLDER / version / ".installed"
-    if ready.exists():
+    packages = [f"bpy=={version}", *PACKAGES, *_ALSO]
+    wanted = "\n".join(packages)
+    if not ready.exists():
+        base = find_python(version)
+        print(f"Making .venv-blender/{version} (downloads 350 MB)", file=sys.stderr)
+        shutil.rmtree(FOLDER / version, ignore_errors=True)
+        subprocess.run([base, "-m", "venv", FOLDER / version], check=True)
+    elif ready.read_text(encoding="utf-8") == wanted:
         return python
-    base = find_python(version)
-    print(f"Making .venv-blender/{version} (downloads 350 MB)", file=sys.stderr)
-    shutil.rmtree(FOLDER / version, ignore_errors=True)
-    subprocess.run([base, "-m", "venv", FOLDER / version], check=True)
     pip = [python, "-m", "pip", "install", "-qq", "--disable-pip-version-check"]
-    subprocess.run([*pip, f"bpy=={version}", *PACKAGES], check=True)
-    ready.touch()
+    subprocess.run([*pip, *packages], check=True)
+    ready.write_text(wanted, encoding="utf-8")
     return python
 
 

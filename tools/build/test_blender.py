@@ -6,6 +6,7 @@ program on PATH; `newest`, `oldest` or versions test fewer. Arguments after `--`
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -23,6 +24,8 @@ _BACKENDS = (None,) if sys.platform == "darwin" else ("opengl", "vulkan")
 """Blender's graphics backends; None: its default, which is Metal."""
 _DRAWING = ("-m", "graphics")
 """Pytest's arguments for tests that draw; they override an earlier `-m`."""
+_WORKERS = shlex.split(os.environ.get("WORKERS", ""))
+"""Pytest's arguments in the bpy module, for pytest-xdist; each process has a Blender."""
 _NOTHING_CHOSEN = 5
 """Pytest's exit status if no test was selected, such as with `-k`."""
 _TAIL = re.compile(r"\d+ (?:passed|failed|error|skipped|deselected).* in [\d.]+s")
@@ -96,7 +99,7 @@ def test_version(version: str, backend: str | None, arguments: Sequence[str]) ->
         python = bpy_venvs.ensure(version)
     except bpy_venvs.NoPythonError as error:
         return True, f"skipped: {error}"
-    return run([python, "-m", "pytest", *chosen(backend, arguments)], backend)
+    return run([python, "-m", "pytest", *_WORKERS, *chosen(backend, arguments)], backend)
 
 
 def test_program(program: str, backend: str | None, arguments: Sequence[str]) -> tuple[bool, str]:

@@ -77,7 +77,7 @@ FILTERS = [
 ]
 
 
-@pytest.mark.parametrize("chosen", FILTERS, ids=str)
+@pytest.mark.parametrize("chosen", FILTERS, ids=lambda chosen: " ".join(chosen) or "none")
 def test_filters_equal_their_twin(
     ob: bpy.types.Object, scene: bpy.types.Scene, make_splats: Make, chosen: dict
 ) -> None:

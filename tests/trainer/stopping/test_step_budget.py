@@ -53,7 +53,9 @@ def pixels_only(plan: Plan, step: int, splats: int) -> float:
 
 @pytest.mark.parametrize("growth", [0.1, 0.5, 1.0])
 @pytest.mark.parametrize(
-    "seconds", [steady(0.3), steady(1.0), steady(4.0), slowing, pixels_only], ids=str
+    "seconds",
+    [steady(0.3), steady(1.0), steady(4.0), slowing, pixels_only],
+    ids=["quick", "as predicted", "slow", "slowing", "pixels only"],
 )
 def test_budget_is_met(seconds: Callable[[Plan, int, int], float], growth: float) -> None:
     """Oracle: the sum of the times of all steps; the end of all schedules."""
