@@ -25,7 +25,7 @@ export WORKERS
 # Platforms of `make extension`: empty for this machine, all, or names like windows-x64.
 PLATFORMS ?=
 
-.PHONY: help demo install test test-slow stress test-blender test-window extension test-native test-widths test-neon sanitize fuzz faults lint format bench experiment-depth docs wheel clean
+.PHONY: help demo install test test-slow stress test-blender test-window extension test-native test-widths test-scalar test-neon sanitize fuzz faults lint format bench experiment-depth docs wheel clean
 
 # Lists what follows the two # of each target.
 help:  ## this list
@@ -118,6 +118,9 @@ test-widths: $(INSTALLED)  ## the portable kernels at the vector widths of AVX2 
 		GSCORE_ISA=scalar $(BIN)/ctest --test-dir build/lanes-$$n --output-on-failure || exit 1; \
 	done
 
+test-scalar: $(DEVELOPED) $(LIBRARY)  ## the raster and unit tests with the portable kernels
+	GSCORE_ISA=scalar $(BIN)/python -m pytest -q $(WORKERS) -m "not slow" tests/raster tests/unit
+
 test-neon: $(INSTALLED)  ## NEON, emulated (Debian's g++-aarch64-linux-gnu and qemu-user-static)
 	$(CMAKE) -B build/neon -DGS_TESTS=ON -DCMAKE_SYSTEM_NAME=Linux -DCMAKE_SYSTEM_PROCESSOR=aarch64 \
 		-DCMAKE_CXX_COMPILER=aarch64-linux-gnu-g++ > /dev/null
@@ -154,8 +157,10 @@ lint: $(DEVELOPED)  ## ruff, pyright, clang-format, and checks of the workflows
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	$(BIN)/pyright -p tools/build/addon_pyright.json
 	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'csrc/*.h' 'csrc/*.cpp')
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/*.yml
 	$(BIN)/zizmor --offline --quiet --min-severity medium .github/workflows
 
 format: $(DEVELOPED)  ## clang-format, ruff's formatter and safe fixes, and text wrapped at 120 columns
