@@ -154,7 +154,9 @@ class Player:
             self.play(value[1], i)
 
     def do_await(self, command: str, index: int) -> None:
-        line = self.orders.get(timeout=60)
+        line = self.orders.get(timeout=600)
+        while line == "snapshot" != command:  # which Blender asks for on its own after a while
+            line = self.orders.get(timeout=600)
         say(json.dumps({"event": "warning", "message": f"got {line}", "code": ""}))
         if line != command:
             sys.exit(9)

@@ -23,9 +23,14 @@ from tests.addon.trainings import positions, splats, until
 
 def look_again(scene: bpy.types.Scene) -> None:
     """Refresh the panel's facts about the run."""
+
+    def idle() -> bool:
+        return not (lookups.collect() or lookups.busy())
+
+    until(idle)  # what was begun before may be of before
     lookups.runs.expire()
     facts.run(scene)
-    until(lambda: lookups.collect() or not lookups.busy())
+    until(idle)
 
 
 @pytest.fixture
