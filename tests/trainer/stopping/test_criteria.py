@@ -138,20 +138,21 @@ def test_early_stop_resumes_to_the_same_end(capture: Path, tmp_path: Path) -> No
 def test_time_budget_of_a_run(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: a clock with 5 ms for every step; a resumed run has the rest of the budget."""
+    """Oracle: a clock with 5 ms for every step; a resumed run has the rest of the budget. Lengths
+    are planned from few steps, so they meet it to a tenth or so."""
     ticks = itertools.count()
     clock = SimpleNamespace(perf_counter=lambda: next(ticks) * 0.005)
     monkeypatch.setattr("gscore.trainer.session.time", clock)
     config = replace(CONFIG, time_budget=1.0)
     result, _ = run(capture, tmp_path / "out", config)
     assert result.reason == "finished"
-    assert result.train_seconds == pytest.approx(1.0, abs=0.05)
+    assert result.train_seconds == pytest.approx(1.0, abs=0.1)
     assert result.steps == round(result.train_seconds / 0.005)
     info = read_run(tmp_path / "out")
     assert info is not None
     assert info.finished
     longer, _ = run(capture, tmp_path / "out", replace(config, time_budget=1.5), resume=True)
-    assert longer.train_seconds == pytest.approx(1.5, abs=0.05)
+    assert longer.train_seconds == pytest.approx(1.5, abs=0.1)
     assert longer.steps == round(longer.train_seconds / 0.005)
     few, _ = run(capture, tmp_path / "few", replace(config, iterations=3))
-    assert few.train_seconds == pytest.approx(1.0, abs=0.05), "a budget knows no number of steps"
+    assert few.train_seconds == pytest.approx(1.0, abs=0.1), "a budget knows no number of steps"
