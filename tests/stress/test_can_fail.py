@@ -179,7 +179,7 @@ def test_a_wrong_loss_is_found(monkeypatch):
 def test_wrong_metrics_are_found(monkeypatch):
     from gscore.metrics import image
 
-    monkeypatch.setattr(image, "C2", 0.031**2)
+    monkeypatch.setattr(image, "SSIM_C2", 0.031**2)
     assert fails("S34")
 
 
@@ -199,7 +199,7 @@ def test_wrong_alignment_is_found(monkeypatch):
 def test_a_worn_optimizer_is_found(monkeypatch):
     from gscore.stress import optimizer
 
-    monkeypatch.setattr(optimizer, "BETA2", 0.9991)
+    monkeypatch.setattr(optimizer, "ADAM_BETA2", 0.9991)
     assert fails("S23")
 
 
