@@ -5,6 +5,7 @@ meshes and descriptors. All check the arrays first.
 """
 
 import ctypes as ct
+from typing import Any
 
 ABI_VERSION = 9
 
@@ -30,115 +31,90 @@ STEREO_PLANES_MIN, STEREO_PLANES_MAX = 3, 1024
 DESCRIPTOR_SIZE, DESCRIPTORS_MAX = 128, 1 << 20
 OK, BAD_ARGUMENT, OUT_OF_MEMORY, CANCELLED = 0, 1, 2, 3
 
-_pointer = ct.c_void_p
+_KINDS = {
+    "int32": ct.c_int32,
+    "uint32": ct.c_uint32,
+    "int64": ct.c_int64,
+    "float": ct.c_float,
+    "double": ct.c_double,
+    "pointer": ct.c_void_p,
+    "int32*": ct.POINTER(ct.c_int32),
+}
+
+
+def _fields(*declarations: str | tuple[str, Any]) -> list[tuple[str, Any]]:
+    """Fields of a struct: a type, such as `float[3]` for an array, and names; or name and type."""
+    found: list[tuple[str, Any]] = []
+    for declaration in declarations:
+        if isinstance(declaration, tuple):
+            found.append(declaration)
+            continue
+        stated, *names = declaration.split()
+        kind, _, length = stated.rstrip("]").partition("[")
+        of = _KINDS[kind] * int(length) if length else _KINDS[kind]
+        found += [(name, of) for name in names]
+    return found
 
 
 class SplatsStruct(ct.Structure):
     """gs_splats"""
 
-    _fields_ = (
-        ("count", ct.c_int64),
-        ("means", _pointer),
-        ("quats", _pointer),
-        ("scales", _pointer),
-        ("opacities", _pointer),
-        ("sh0", _pointer),
-        ("shN", _pointer),
-        ("sh_rest", ct.c_int32),
-        ("raw", ct.c_int32),
+    _fields_ = _fields(
+        "int64 count", "pointer means quats scales opacities sh0 shN", "int32 sh_rest raw"
     )
 
 
 class ViewStruct(ct.Structure):
     """gs_view"""
 
-    _fields_ = (
-        ("viewmat", ct.c_float * 16),
-        ("fx", ct.c_float),
-        ("fy", ct.c_float),
-        ("cx", ct.c_float),
-        ("cy", ct.c_float),
-        ("width", ct.c_int32),
-        ("height", ct.c_int32),
-        ("near_plane", ct.c_float),
-        ("far_plane", ct.c_float),
-        ("orthographic", ct.c_int32),
-        ("eps2d", ct.c_float),
-        ("antialias", ct.c_int32),
-        ("sh_degree", ct.c_int32),
-        ("background", ct.c_float * 3),
-        ("outputs", ct.c_uint32),
+    _fields_ = _fields(
+        "float[16] viewmat",
+        "float fx fy cx cy",
+        "int32 width height",
+        "float near_plane far_plane",
+        "int32 orthographic",
+        "float eps2d",
+        "int32 antialias sh_degree",
+        "float[3] background",
+        "uint32 outputs",
     )
 
 
 class HostStruct(ct.Structure):
     """gs_host"""
 
-    _fields_ = (
-        ("disable", ct.c_uint32),
-        ("threads", ct.c_int32),
-        ("cancel", ct.POINTER(ct.c_int32)),
-        ("tiles", _pointer),
-        ("far_depths", _pointer),
+    _fields_ = _fields(
+        "uint32 disable", "int32 threads", "int32* cancel", "pointer tiles far_depths"
     )
 
 
 class ImageStruct(ct.Structure):
     """gs_image"""
 
-    _fields_ = (
-        ("rgb", _pointer),
-        ("alpha", _pointer),
-        ("inverse_depth", _pointer),
-        ("depth", _pointer),
-        ("median_depth", _pointer),
-        ("radii", _pointer),
-    )
+    _fields_ = _fields("pointer rgb alpha inverse_depth depth median_depth radii")
 
 
 class ImageGradsStruct(ct.Structure):
     """gs_image_grads"""
 
-    _fields_ = (
-        ("rgb", _pointer),
-        ("alpha", _pointer),
-        ("inverse_depth", _pointer),
-        ("depth", _pointer),
-    )
+    _fields_ = _fields("pointer rgb alpha inverse_depth depth")
 
 
 class SplatGradsStruct(ct.Structure):
     """gs_splat_grads"""
 
-    _fields_ = (
-        ("means", _pointer),
-        ("quats", _pointer),
-        ("scales", _pointer),
-        ("opacities", _pointer),
-        ("sh0", _pointer),
-        ("shN", _pointer),
-        ("means2d", _pointer),
-        ("viewmat", _pointer),
-        ("add_shN", ct.c_int32),
+    _fields_ = _fields(
+        "pointer means quats scales opacities sh0 shN means2d viewmat", "int32 add_shN"
     )
 
 
 class StatsStruct(ct.Structure):
     """gs_stats"""
 
-    _fields_ = (
-        ("visible", ct.c_int64),
-        ("entries", ct.c_int64),
-        ("forward_pairs", ct.c_int64),
-        ("useful_pairs", ct.c_int64),
-        ("backward_pairs", ct.c_int64),
-        ("project_ms", ct.c_double),
-        ("sort_ms", ct.c_double),
-        ("bin_ms", ct.c_double),
-        ("blend_ms", ct.c_double),
-        ("blend_backward_ms", ct.c_double),
-        ("project_backward_ms", ct.c_double),
-        ("workspace_bytes", ct.c_int64),
+    _fields_ = _fields(
+        "int64 visible entries forward_pairs useful_pairs backward_pairs",
+        "double project_ms sort_ms bin_ms blend_ms blend_backward_ms project_backward_ms",
+        "int64 workspace_bytes",
     )
 
     def as_dict(self) -> dict[str, float]:
@@ -149,129 +125,94 @@ class StatsStruct(ct.Structure):
 class LossArgsStruct(ct.Structure):
     """gs_loss_args"""
 
-    _fields_ = (
-        ("width", ct.c_int32),
-        ("height", ct.c_int32),
-        ("image", _pointer),
-        ("target", _pointer),
-        ("mask", _pointer),
-        ("mask_mode", ct.c_int32),
-        ("background", ct.c_float * 3),
-        ("ssim_weight", ct.c_float),
-        ("threads", ct.c_int32),
-        ("gain", _pointer),
+    _fields_ = _fields(
+        "int32 width height",
+        "pointer image target mask",
+        "int32 mask_mode",
+        "float[3] background",
+        "float ssim_weight",
+        "int32 threads",
+        "pointer gain",
     )
 
 
 class LossResultStruct(ct.Structure):
     """gs_loss_result"""
 
-    _fields_ = (
-        ("loss", ct.c_double),
-        ("l1", ct.c_double),
-        ("ssim", ct.c_double),
-        ("mse", ct.c_double),
-        ("v_log_gain", ct.c_double * 3),
-    )
+    _fields_ = _fields("double loss l1 ssim mse", "double[3] v_log_gain")
 
 
 class RowTableStruct(ct.Structure):
     """gs_row_table"""
 
-    _fields_ = (
-        ("data", _pointer),
-        ("width", ct.c_int32),
-        ("adds", ct.c_int32),
-        ("divisor", ct.c_float),
-    )
+    _fields_ = _fields("pointer data", "int32 width adds", "float divisor")
 
 
 class AdamTensorStruct(ct.Structure):
     """gs_adam_tensor"""
 
-    _fields_ = (
-        ("param", _pointer),
-        ("grad", _pointer),
-        ("moment1", _pointer),
-        ("moment2", _pointer),
-        ("width", ct.c_int32),
-        ("mode", ct.c_int32),
-        ("lr", ct.c_float),
-        ("step", ct.c_int64),
-        ("seen", _pointer),
-        ("lag", _pointer),
-        ("drift", _pointer),
-        ("photos", ct.c_int32),
+    _fields_ = _fields(
+        "pointer param grad moment1 moment2",
+        "int32 width mode",
+        "float lr",
+        "int64 step",
+        "pointer seen lag drift",
+        "int32 photos",
     )
 
 
 class AdamStruct(ct.Structure):
     """gs_adam"""
 
-    _fields_ = (
-        ("count", ct.c_int64),
-        ("tensor_count", ct.c_int32),
+    _fields_ = _fields(
+        "int64 count",
+        "int32 tensor_count",
         ("tensors", ct.POINTER(AdamTensorStruct)),
-        ("radii", _pointer),
-        ("threads", ct.c_int32),
+        "pointer radii",
+        "int32 threads",
     )
 
 
 class StereoWarpStruct(ct.Structure):
     """gs_stereo_warp"""
 
-    _fields_ = (("rotation", ct.c_float * 9), ("translation", ct.c_float * 3))
+    _fields_ = _fields("float[9] rotation", "float[3] translation")
 
 
 class StereoSourceStruct(ct.Structure):
     """gs_stereo_source"""
 
-    _fields_ = (
-        ("width", ct.c_int32),
-        ("height", ct.c_int32),
-        ("grey", _pointer),
-        ("warp", StereoWarpStruct),
-    )
+    _fields_ = _fields("int32 width height", "pointer grey", ("warp", StereoWarpStruct))
 
 
 class StereoSweepArgsStruct(ct.Structure):
     """gs_stereo_sweep_args"""
 
-    _fields_ = (
-        ("width", ct.c_int32),
-        ("height", ct.c_int32),
-        ("grey", _pointer),
-        ("source_count", ct.c_int32),
+    _fields_ = _fields(
+        "int32 width height",
+        "pointer grey",
+        "int32 source_count",
         ("sources", ct.POINTER(StereoSourceStruct)),
-        ("farthest", ct.c_float),
-        ("nearest", ct.c_float),
-        ("planes", ct.c_int32),
-        ("radius", ct.c_int32),
-        ("best", ct.c_int32),
-        ("noise", ct.c_float),
-        ("threads", ct.c_int32),
-        ("cancel", ct.POINTER(ct.c_int32)),
+        "float farthest nearest",
+        "int32 planes radius best",
+        "float noise",
+        "int32 threads",
+        "int32* cancel",
     )
 
 
 class StereoFoundStruct(ct.Structure):
     """gs_stereo_found"""
 
-    _fields_ = (
-        ("inverse_depth", _pointer),
-        ("score", _pointer),
-        ("rival", _pointer),
-        ("contrast", _pointer),
-    )
+    _fields_ = _fields("pointer inverse_depth score rival contrast")
 
 
 class StereoWitnessStruct(ct.Structure):
     """gs_stereo_witness"""
 
-    _fields_ = (
-        ("width", ct.c_int32),
-        ("height", ct.c_int32),
-        ("inverse_depth", _pointer),
+    _fields_ = _fields(
+        "int32 width height",
+        "pointer inverse_depth",
         ("warp", StereoWarpStruct),
         ("back", StereoWarpStruct),
     )
@@ -280,34 +221,25 @@ class StereoWitnessStruct(ct.Structure):
 class StereoCheckArgsStruct(ct.Structure):
     """gs_stereo_check_args"""
 
-    _fields_ = (
-        ("width", ct.c_int32),
-        ("height", ct.c_int32),
-        ("inverse_depth", _pointer),
-        ("witness_count", ct.c_int32),
+    _fields_ = _fields(
+        "int32 width height",
+        "pointer inverse_depth",
+        "int32 witness_count",
         ("witnesses", ct.POINTER(StereoWitnessStruct)),
-        ("pixels", ct.c_float),
-        ("relative", ct.c_float),
-        ("passed", ct.c_float),
-        ("threads", ct.c_int32),
+        "float pixels relative passed",
+        "int32 threads",
     )
 
 
 class MeshStruct(ct.Structure):
     """gs_mesh"""
 
-    _fields_ = (
-        ("corner_count", ct.c_int64),
-        ("corners", _pointer),
-        ("triangle_count", ct.c_int64),
-        ("triangles", _pointer),
+    _fields_ = _fields(
+        "int64 corner_count", "pointer corners", "int64 triangle_count", "pointer triangles"
     )
 
 
 class DescriptorsStruct(ct.Structure):
     """gs_descriptors"""
 
-    _fields_ = (
-        ("count", ct.c_int32),
-        ("values", _pointer),
-    )
+    _fields_ = _fields("int32 count", "pointer values")
