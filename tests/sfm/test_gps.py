@@ -88,7 +88,7 @@ def test_gps_of_a_small_or_a_contradicting_capture_is_not_used() -> None:
     for enu, noise in ((LINE / 30, 0.2), (LINE / 5, 40.0)):
         found = read_gps(_model(enu), _places(enu, noise))
         assert found.metres is None and found.up is None
-    assert read_gps(_model(LINE), {}) == Gps()
+    assert vars(read_gps(_model(LINE), {})) == vars(Gps())  # Python 3.13 compares nan by value
 
 
 @pytest.mark.parametrize("seed", range(8))
