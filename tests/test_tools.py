@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 SCRIPTS = sorted(
     path
-    for folder in ("tools", "experiments", "examples")
+    for folder in ("tools", "experiments", "examples", "tests/window")
     for path in (ROOT / folder).rglob("*.py")
 )
 
@@ -29,6 +29,29 @@ def test_what_scripts_take_from_gscore_is_there(path: Path) -> None:
         for alias in node.names:
             there = hasattr(module, alias.name) or find_spec(f"{node.module}.{alias.name}")
             assert there, f"line {node.lineno}: {node.module} has no {alias.name}"
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=lambda p: str(p.relative_to(ROOT)))
+def test_what_scripts_take_from_the_addon_is_there(path: Path) -> None:
+    """Oracle: the syntax trees of the add-on, which only Blender can import."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("addon"):
+            continue
+        module = ROOT / (node.module or "").replace(".", "/")
+        source = module / "__init__.py" if module.is_dir() else module.with_suffix(".py")
+        names = _names(ast.parse(source.read_text(encoding="utf-8")))
+        if module.is_dir():
+            names |= {entry.stem for entry in module.iterdir()}
+        missing = {alias.name for alias in node.names} - names
+        assert not missing, f"line {node.lineno}: {node.module} has no {', '.join(missing)}"
+
+
+def _names(tree: ast.AST) -> set[str]:
+    """All names that a module defines or imports."""
+    found = {n.name for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.ClassDef)}
+    found |= {n.asname or n.name for n in ast.walk(tree) if isinstance(n, ast.alias)}
+    stored = (n for n in ast.walk(tree) if isinstance(n, ast.Name))
+    return found | {n.id for n in stored if isinstance(n.ctx, ast.Store)}
 
 
 def test_each_script_has_one_place() -> None:

@@ -156,7 +156,7 @@ def test_who_can_watch_from_elsewhere_is_told(capture, tmp_path, gscore):  # noq
     _, text, _ = gscore(*line, "-o", tmp_path / "a", "--ip", "0.0.0.0")
     assert "Any computer that reaches 0.0.0.0" in text
     _, text, _ = gscore(*line, "-o", tmp_path / "b")
-    assert "Whoever" not in text and "Viewers can connect to 127.0.0.1, port" in text
+    assert "Any computer" not in text and "Viewers can connect to 127.0.0.1, port" in text
 
 
 def test_the_port_is_no_part_of_a_run(capture, tmp_path, gscore):  # noqa: F811

@@ -24,7 +24,7 @@ from mathutils import Quaternion  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.core import read_splats  # noqa: E402
-from addon.live import card, depths, draw_handler, uploads, view_picture  # noqa: E402
+from addon.live import card, depths, draw_handler, texture_upload, view_picture  # noqa: E402
 from addon.live.program import QUADS  # noqa: E402
 from addon.splats import objects  # noqa: E402
 from tools.window import desk  # noqa: E402
@@ -61,9 +61,9 @@ class Meter:
 
     def __init__(self) -> None:
         self.redraws: list[Redraw] = []
-        draw, texture, wait = draw_handler.draw, uploads.texture, view_picture._wait
+        draw, texture, wait = draw_handler.draw, texture_upload.texture, view_picture._wait
         read = depths._read_depths
-        init, reserve = card.Card.__init__, uploads.Texels.__init__
+        init, reserve = card.Card.__init__, texture_upload.Texels.__init__
 
         def timed(context: bpy.types.Context) -> None:
             now = Redraw(began=time.perf_counter())
@@ -81,9 +81,9 @@ class Meter:
             this._quads, this._screen = (_Batch(b, self) for b in (this._quads, this._screen))
 
         draw_handler.draw, card.Card.__init__ = timed, made
-        uploads.texture = card.texture = counted
+        texture_upload.texture = card.texture = counted
         # Allocation of an atlas, which software rendering clears on the CPU.
-        uploads.Texels.__init__ = lambda this, values: self.time(reserve, this, values)
+        texture_upload.Texels.__init__ = lambda this, values: self.time(reserve, this, values)
         view_picture._wait = lambda target: self.time(wait, target)
         depths._read_depths = lambda *given: self.time(
             read, *given
