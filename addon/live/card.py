@@ -1,6 +1,7 @@
 """Graphics card resources: textures and shaders in its memory, and draws; for draw handlers."""
 
 import logging
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
@@ -79,17 +80,42 @@ class Card:
     """Shader programs and their geometry."""
 
     def __init__(self) -> None:
-        """Compile the programs.
-
-        Raises:
-            Exception: the driver cannot compile a program.
-        """
-        self._splats, self._view, self._rows = program.splats(), program.view(), program.rows()
+        """Prepare; `step` compiles."""
         self.nears = shaders_write_depth()
         """Whether it supports nearness."""
+        self.ready = False
+        """Whether all programs are compiled."""
+        self._compiling = self._compile()
+        self._shut = False
+        """Whether drawing to views' own pictures has failed."""
+
+    def step(self) -> bool:
+        """Compile the next program, which takes a driver up to some tens of milliseconds; return
+        whether all are compiled.
+
+        Raises:
+            Exception: the driver cannot compile it.
+        """
+        if not self.ready:
+            next(self._compiling)
+        return self.ready
+
+    def _compile(self) -> Iterator[None]:
+        self._splats = program.splats()
+        yield
+        self._view = program.view()
+        yield
         if self.nears:
             self._near_splats = program.splats(nearness=True)
+            yield
             self._near_view = program.view(nearness=True)
+            yield
+        self._rows = program.rows()
+        self._build_geometry()
+        self.ready = True
+        yield
+
+    def _build_geometry(self) -> None:
         corners, indices = [], []
         for k in range(QUADS):
             corners += [(x, y, float(k)) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
@@ -101,8 +127,6 @@ class Card:
         self._screen = batch_for_shader(self._view, "TRIS", {"corner": big})
         self._piece = batch_for_shader(self._rows, "TRIS", {"corner": big})
         self._nothing = texture(np.full((1, 1, 1), 2, np.float32))
-        self._shut = False
-        """Whether drawing to views' own pictures has failed."""
 
     def draw(
         self,

@@ -55,8 +55,8 @@ class _State:
     """Blender's target of the view being drawn, valid during its drawing only."""
     problems: dict[int, str] = field(default_factory=dict)
     """Messages of views, by the pointer of their region."""
-    copying: set[int] = field(default_factory=set)
-    """Pointers of regions whose last redraw copied some of the splats, but not all."""
+    unfinished: set[int] = field(default_factory=set)
+    """Pointers of regions whose last redraw compiled or copied a part, but not all."""
     pace: Pace = field(default_factory=Pace)
     """Pace of `_poll`: the slower redraws are, the more each may copy and upload."""
 
@@ -130,13 +130,12 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
     placed, _ = viewport_copies.SHARED.copied(
         found, always_filtered=not is_own(context), spare=_state.pace.spare
     )
-    if viewport_copies.SHARED.under_way(found):
-        _state.copying.add(pointer)
+    compiled = not found or _compiled()
+    if not compiled or viewport_copies.SHARED.under_way(found):
+        _state.unfinished.add(pointer)
         _ensure()
-    if not placed:
+    if not placed or not compiled:
         return
-    if _state.card is None:
-        _state.card = Card()
     view = _state.views.get(pointer)
     if view is None:
         view = _state.views[pointer] = View(final_cache)
@@ -145,6 +144,16 @@ def _draw(context: bpy.types.Context, pointer: int) -> None:
     finally:  # a missing picture may be ready soon
         if view.waits:
             _ensure()
+
+
+def _compiled() -> bool:
+    """Compile a program, or more where redraws are slow; return whether all are compiled."""
+    until = time.perf_counter() + _state.pace.spare
+    if _state.card is None:
+        _state.card = Card()
+    while not _state.card.step() and time.perf_counter() < until:
+        pass
+    return _state.card.ready
 
 
 def _show(
@@ -184,7 +193,8 @@ def _failed(error: Exception, pointer: int) -> None:
     reason, now = error_words(error), time.monotonic()
     if now - _state.rests_until > _FORGIVEN:
         _state.failures = 0
-    refused = _state.card is None and not _state.failures
+    compiled = _state.card is not None and _state.card.ready
+    refused = not compiled and not _state.failures
     _state.failures += 1
     _close_views()
     _state.card = None
@@ -247,11 +257,11 @@ def _redraw_stale() -> bool:
                 regions |= {r.as_pointer(): r for r in area.regions if r.type == "WINDOW"}
     for pointer in _state.views.keys() - regions.keys():
         _state.views.pop(pointer).close()
-    copying = _state.copying & regions.keys()
-    for pointer in copying:
+    unfinished = _state.unfinished & regions.keys()
+    for pointer in unfinished:
         regions[pointer].tag_redraw()
-    _state.copying.clear()  # a minimised window is not drawn and needs no more
-    waiting = bool(copying)
+    _state.unfinished.clear()  # a minimised window is not drawn and needs no more
+    waiting = bool(unfinished)
     for pointer, view in _state.views.items():
         if view.stale(time.monotonic()):
             regions[pointer].tag_redraw()
@@ -273,7 +283,7 @@ def _file_loaded(*_: object) -> None:
 def _close_views() -> None:
     for view in _state.views.values():
         view.close()
-    for kept in (_state.views, _state.problems, _state.copying):
+    for kept in (_state.views, _state.problems, _state.unfinished):
         kept.clear()
 
 

@@ -63,7 +63,7 @@ class Meter:
         self.redraws: list[Redraw] = []
         draw, texture, wait = draw_handler.draw, texture_upload.texture, view_picture._wait
         read = depths._read_depths
-        init, reserve = card.Card.__init__, texture_upload.Texels.__init__
+        step, reserve = card.Card.step, texture_upload.Texels.__init__
 
         def timed(context: bpy.types.Context) -> None:
             now = Redraw(began=time.perf_counter())
@@ -76,11 +76,13 @@ class Meter:
                 self.redraws[-1].uploaded += values.nbytes
             return texture(values)
 
-        def made(this: card.Card) -> None:
-            init(this)
-            this._quads, this._screen = (_Batch(b, self) for b in (this._quads, this._screen))
+        def stepped(this: card.Card) -> bool:
+            was, ready = this.ready, step(this)
+            if ready and not was:
+                this._quads, this._screen = (_Batch(b, self) for b in (this._quads, this._screen))
+            return ready
 
-        draw_handler.draw, card.Card.__init__ = timed, made
+        draw_handler.draw, card.Card.step = timed, stepped
         texture_upload.texture = card.texture = counted
         # Allocation of an atlas, which software rendering clears on the CPU.
         texture_upload.Texels.__init__ = lambda this, values: self.time(reserve, this, values)

@@ -23,6 +23,8 @@ def card():
     from addon.live.card import Card
 
     made = Card()
+    while not made.step():
+        pass
     yield made
 
 

@@ -54,6 +54,8 @@ class Screen:
         from addon.live.views import View
 
         self.card, self.view = Card(), View(SplatCache())
+        while not self.card.step():
+            pass
 
     def draw(self, one: Placed) -> object:
         """A redraw."""
