@@ -28,7 +28,7 @@ class Question:
     cloud: int
     """Number of SfM points."""
     stored: int
-    """Number of pixels of all photos as stored."""
+    """Number of pixels of all photos as stored, in the time of JPEG."""
     masks: bool
     subject: bool
     """True if masks are opacity, as far as known without decoding a photo."""
@@ -74,7 +74,7 @@ def question(settings: Settings, facts: CaptureFacts, *, threads: int) -> Questi
         sizes=tuple(sorted(sizes.items())),
         points=expected_points(train, facts.points),
         cloud=facts.points,
-        stored=sum(width * height * n for (width, height), n in facts.sizes.items()),
+        stored=facts.decoding_pixels,
         masks=settings.use_masks and bool(facts.masks or facts.alphas),
         subject=subject,
         depths=bool(facts.depths) and settings.depth_mode != "off",

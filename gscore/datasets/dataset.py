@@ -13,6 +13,7 @@ import numpy as np
 
 from ..config import checked_threads
 from ..errors import BackendError, Cancelled
+from ..io.images.read_image import decoding_pixels
 from ..scene import Scene
 from .changed_files import ChangeDetector, changed_error
 from .decode import DECODED_AT_ONCE, ViewFile, decode_view
@@ -83,9 +84,9 @@ class Dataset:
         return sum(file.nbytes for file in self._files)
 
     @property
-    def stored_pixels(self) -> int:
-        """Number of pixels of all photos as stored."""
-        return sum(width * height for width, height in (file.photo_size for file in self._files))
+    def decoding_pixels(self) -> int:
+        """Number of pixels of all photos as stored; see `decoding_pixels` of their files."""
+        return sum(decoding_pixels(file.image, file.photo_size) for file in self._files)
 
     def decoding_bytes(self, threads: int = 0) -> int:
         """Most bytes that `threads` threads (0: one per core) take while decoding photos, in

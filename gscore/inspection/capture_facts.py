@@ -46,6 +46,9 @@ class CaptureFacts:
     sizes: dict[tuple[int, int], int] = field(default_factory=dict)
     """Number of photos by width and height, px, in the orientation of their cameras. A photo whose
     header cannot be read here counts with the size of its camera."""
+    decoding_pixels: int = 0
+    """Number of pixels of all photos as stored, in the time of JPEG (`Dataset.decoding_pixels`); 0
+    without cameras."""
     sideways: int = 0
     """Photos that are rotated according to EXIF."""
     distorted: dict[str, int] = field(default_factory=dict)

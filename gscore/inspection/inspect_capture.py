@@ -22,7 +22,7 @@ from ..depth.stated import StatedDepth, stated_depth
 from ..errors import BackendError, DatasetError, GsError
 from ..io.colmap.camera_models import NO_PINHOLE
 from ..io.images.image_header import ImageInfo
-from ..io.images.read_image import read_info
+from ..io.images.read_image import decoding_pixels, read_info
 from ..scene import Cameras, PointCloud, Scene, within_reach
 from ..sfm.output_path import has_no_cameras
 from ..text_format import count_words
@@ -265,6 +265,7 @@ def _facts(
     for view in views:
         camera = view.camera
         cameras[camera.model].add((camera.width, camera.height, camera.params.tobytes()))
+    sizes = _sizes(seen)
     aspects = [_aspect(view) for view in views if view.camera.model not in NO_PINHOLE]
     return CaptureFacts(
         source=source,
@@ -277,7 +278,10 @@ def _facts(
         error_px=capture.error_px,
         cameras={name: len(found) for name, found in cameras.items()},
         camera_models=dict(Counter(view.camera.model for view in views)),
-        sizes=_sizes(seen),
+        sizes=dict(Counter(sizes)),
+        decoding_pixels=sum(
+            decoding_pixels(view.image, size) for view, size in zip(seen.views, sizes, strict=True)
+        ),
         sideways=sum(seen.fit.upright),
         distorted=dict(Counter(v.camera.model for v in views if not v.camera.is_pinhole)),
         not_square=sum(1 for aspect in aspects if aspect > SQUARE),
@@ -289,10 +293,11 @@ def _facts(
     )
 
 
-def _sizes(seen: _Seen) -> dict[tuple[int, int], int]:
+def _sizes(seen: _Seen) -> list[tuple[int, int]]:
+    """Width and height of each photo, px."""
     known = dict(zip((view.name for view in seen.known[0]), seen.fit.sizes, strict=True))
     own = ((view.camera.width, view.camera.height) for view in seen.views)
-    return dict(Counter(known.get(v.name, o) for v, o in zip(seen.views, own, strict=True)))
+    return [known.get(v.name, o) for v, o in zip(seen.views, own, strict=True)]
 
 
 def _aspect(view: View) -> float:

@@ -18,6 +18,20 @@ from .raw import is_raw, raw_info
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".tga")
 """Endings tried if a name has none or that of another kind of file, lower case."""
 
+_SLOWNESS = {".png": 3.0, ".webp": 2.0}
+"""Time to decode and reduce a pixel relative to JPEG, by ending; measured on photos of 800 x 600 px
+(17 ns of JPEG, 41 to 46 of PNG, 25 to 34 of WebP)."""
+
+
+def decoding_pixels(path: Path, size: tuple[int, int]) -> int:
+    """The number of JPEG pixels that take as long to decode as an image.
+
+    Args:
+        path: The file, whose ending counts.
+        size: Its width and height, pixels.
+    """
+    return round(size[0] * size[1] * _SLOWNESS.get(path.suffix.lower(), 1.0))
+
 
 def read_info(path: str | Path) -> ImageInfo:
     """Size, transparency and orientation of an image, without decoding it.

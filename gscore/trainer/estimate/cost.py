@@ -17,7 +17,7 @@ _SECONDS_A_NUMBER = 5.7e-10
 _SECONDS_A_POINT = 2e-6
 """Seconds per SfM point to read it and to look for its neighbours."""
 _SECONDS_A_PHOTO_PIXEL = 1.5e-8
-"""Seconds per stored pixel to decode photos, on one core."""
+"""Seconds per stored pixel to decode JPEG photos and reduce them, on one core."""
 _GROWTH = 0.5
 """Largest expected growth of `default` at a refinement, relative to the number of splats."""
 _LATER_GROWTH = 2.2e-4
@@ -32,7 +32,8 @@ def reading_seconds(points: int, pixels: int, threads: int) -> float:
 
     Args:
         points: Number of SfM points.
-        pixels: Number of pixels of all photos as stored.
+        pixels: Number of pixels of all photos as stored, in the time of JPEG
+            (`Dataset.decoding_pixels`).
         threads: Number of photos that are decoded at once; 0: one per core.
     """
     at_once = threads or os.cpu_count() or 1

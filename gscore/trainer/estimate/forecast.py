@@ -100,7 +100,8 @@ def estimate(
         depths: Whether the photos have depth maps.
         cloud: Number of SfM points; None: `points`.
         decoding: Bytes used while photos are decoded, see `Dataset.decoding_bytes`.
-        stored: Number of pixels of all photos as stored; None: as many as in `sizes`.
+        stored: Number of pixels of all photos as stored, in the time of JPEG
+            (`Dataset.decoding_pixels`); None: as many as in `sizes`.
         free: Bytes of memory that may be used; None: those available now.
         pace: Time on this machine relative to the reference machine; None: measured once by
             rendering a few images, within a tenth of a second.

@@ -89,7 +89,7 @@ def _estimate(photos: Dataset, config: TrainConfig, points: int, depths: bool) -
         depths=depths,
         cloud=len(photos.scene.points),
         decoding=photos.decoding_bytes(config.threads),
-        stored=photos.stored_pixels,
+        stored=photos.decoding_pixels,
     )
 
 

@@ -1,19 +1,24 @@
 """Predicted time and memory of a run; oracles: sums over its steps, and measured memory."""
 
+import json
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from gscore.commands.terminal.display import estimate_text
-from gscore.config import Stereo, TrainConfig
+from gscore.config import DataConfig, Stereo, TrainConfig
+from gscore.datasets.load import load_dataset
 from gscore.errors import GsError
 from gscore.events import Estimated
+from gscore.inspection import inspect
 from gscore.presets import PRESETS
 from gscore.trainer.estimate import forecast
-from gscore.trainer.estimate.cost import Cost
+from gscore.trainer.estimate.cost import Cost, reading_seconds
 from gscore.trainer.estimate.forecast import Estimate, check_fits, estimate, machine_pace, pace_now
 from gscore.trainer.estimate.memory import cache_bytes
 from gscore.trainer.schedule.plan import Plan
@@ -53,6 +58,25 @@ def test_reading_counts_by_points_and_stored_pixels() -> None:
     assert estimate_text(event).startswith("About 1 s of training after 40 s of reading and 1.0 GB")
     plain = replace(event, reading_seconds=few.reading_seconds)
     assert estimate_text(plain).startswith("About 1 s of training and 1.0 GB")
+
+
+def test_formats_that_decode_slowly_count_more(tmp_path: Path) -> None:
+    """Oracle: 60 photos of 800 x 600 px on one core of the reference machine: 0.48 s as JPEG, 1.17
+    s as PNG, 0.72 s as WebP; the same number of pixels for the panel, which decodes nothing."""
+    matrix = np.eye(4).tolist()
+    for kind, seconds in {"jpg": 0.48, "PNG": 1.17, "webp": 0.72}.items():
+        folder = tmp_path / kind
+        folder.mkdir()
+        names = [f"{number}.{kind}" for number in range(4)]
+        for number, name in enumerate(names):
+            Image.fromarray(np.full((30, 40, 3), 60 * number, np.uint8)).save(folder / name)
+        frames = [{"file_path": name, "transform_matrix": matrix} for name in names]
+        content = {"fl_x": 40, "w": 40, "h": 30, "frames": frames}
+        (folder / "transforms.json").write_text(json.dumps(content))
+        stored = load_dataset(DataConfig(source=folder)).decoding_pixels
+        assert inspect(DataConfig(source=folder)).decoding_pixels == stored
+        photos = 60 * 800 * 600 * stored // (4 * 40 * 30)
+        assert reading_seconds(0, photos, 1) == pytest.approx(seconds, rel=0.25)
 
 
 def test_presets_take_more_and_more() -> None:
