@@ -40,7 +40,8 @@ def splat_near(means: np.ndarray) -> float:
     """
     if not len(means):
         return NEAR
-    extent = float(np.median(distances(means, np.median(means, axis=0))))
+    with np.errstate(over="ignore"):
+        extent = float(np.median(distances(means, np.median(means, axis=0))))
     return near_plane(NEAR, extent) if extent > 0 else NEAR
 
 

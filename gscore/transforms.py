@@ -21,6 +21,17 @@ _BLOCK = 1 << 11
 """Splats per block when SH coefficients are rotated."""
 
 
+def unit_quats(quats: np.ndarray) -> np.ndarray:
+    """Quaternions [..., 4] of any finite non-zero length at length 1, of the same dtype.
+
+    They are scaled by a power of two first, which is exact: squares of very large or small
+    components are out of range.
+    """
+    exponents = np.frexp(np.abs(quats).max(axis=-1, keepdims=True, initial=0))[1]
+    scaled = np.ldexp(quats, -exponents)
+    return scaled / np.linalg.norm(scaled, axis=-1, keepdims=True)
+
+
 @np.errstate(under="ignore")  # underflow to zero is exact enough
 def quat_to_rotmat(quats: np.ndarray) -> np.ndarray:
     """Rotation matrices of quaternions of any non-zero length.
@@ -31,7 +42,7 @@ def quat_to_rotmat(quats: np.ndarray) -> np.ndarray:
     Returns:
         [..., 3, 3] of the same dtype.
     """
-    w, x, y, z = np.moveaxis(quats / np.linalg.norm(quats, axis=-1, keepdims=True), -1, 0)
+    w, x, y, z = np.moveaxis(unit_quats(quats), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],

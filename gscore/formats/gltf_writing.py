@@ -14,6 +14,7 @@ from ..io.files import atomic_write
 from ..io.splat_rows import linear_scales, opacities_of
 from ..sh import sh0_to_rgb
 from ..splats import Splats
+from ..transforms import unit_quats
 from . import spz
 from .axes import Z, half_turn
 from .gltf import CHECK, GltfBuffer, buffers_in, escaped, write_glb
@@ -77,13 +78,14 @@ def write_packed_gltf(path: Path, splats: Splats, options: WriteOptions) -> list
     return notes
 
 
+@np.errstate(over="ignore")  # colours beyond the range are clipped
 def _attributes(buffer: GltfBuffer, splats: Splats) -> dict[str, int]:
     """Accessors of all parameters, for splats in the axes of glTF."""
     opacities = opacities_of(splats.opacities)
     colors = np.empty((len(splats), 4), np.uint8)
     colors[:, :3] = np.clip(np.rint(sh0_to_rgb(splats.sh0[:, 0]) * 255), 0, 255)
     colors[:, 3] = np.rint(opacities * 255)
-    unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
+    unit = unit_quats(splats.quats)
     out = {
         "POSITION": buffer.add(splats.means, "VEC3", **_bounds(splats.means)),
         "COLOR_0": buffer.add(colors, "VEC4", normalized=True),

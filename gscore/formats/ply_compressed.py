@@ -22,6 +22,7 @@ from ..sh import SH_C0, sh0_to_rgb
 from ..smallest_three import smallest_three
 from ..splats import Splats
 from ..text_format import count_words
+from ..transforms import unit_quats
 from . import ply
 from .far_splats import FAR, cut_extremes, moved_within
 from .splat_file import Decoded, SplatFormat, WriteOptions
@@ -165,7 +166,8 @@ def _pack(part: Splats) -> tuple[bytes, bytes, bytes]:
     rows[:, 3] = _fields(colors, (8, 8, 8)) << np.uint32(8) | opacity_bytes(part.opacities)
     bounds = np.concatenate([place_ends, size_ends, color_ends], axis=1).astype("<f4")
     by_channel = part.shN.transpose(0, 2, 1).reshape(count, -1)
-    rest = np.clip((by_channel / (2 * _REACH) + 0.5) * 256, 0, 255).astype(np.uint8)
+    with np.errstate(over="ignore"):
+        rest = np.clip((by_channel / (2 * _REACH) + 0.5) * 256, 0, 255).astype(np.uint8)
     return bounds.tobytes(), rows.tobytes(), rest.tobytes()
 
 
@@ -192,8 +194,7 @@ def _fields(values: np.ndarray, bits: tuple[int, int, int]) -> np.ndarray:
 
 def _pack_rotations(quats: np.ndarray) -> np.ndarray:
     """[N] uint32: 2 bits for the index of the largest of w, x, y, z, 10 bits for each other."""
-    unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-    largest, three = smallest_three(unit)
+    largest, three = smallest_three(unit_quats(quats))
     parts = three * np.sqrt(0.5) + 0.5
     fields = _fields(np.clip(parts, 0, 1), (10, 10, 10))
     return largest.astype(np.uint32) << np.uint32(30) | fields

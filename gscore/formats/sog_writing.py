@@ -19,6 +19,7 @@ from ..morton import morton_order
 from ..smallest_three import smallest_three
 from ..splats import Splats
 from ..text_format import count_words
+from ..transforms import unit_quats
 from . import textures
 from .codebook import codebook, nearest_entries, palette
 from .far_splats import cut_extremes, without_far
@@ -146,8 +147,7 @@ def _step(low: np.ndarray, high: np.ndarray, middle: np.ndarray) -> float:
 
 def _pack_quats(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Three bytes [N, 3] and a tag [N] per quaternion, as `sog._quats` reads them."""
-    unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-    largest, three = smallest_three(unit)
+    largest, three = smallest_three(unit_quats(quats))
     parts = three * np.sqrt(0.5) + 0.5
     return np.rint(np.clip(parts, 0, 1) * 255).astype(np.uint8), (FIRST_TAG + largest).astype(
         np.uint8

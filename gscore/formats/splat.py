@@ -14,6 +14,7 @@ from ..io.files import atomic_write, read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, linear_scales, log_scales, opacity_bytes
 from ..sh import rgb_to_sh0, sh0_to_rgb
 from ..splats import Splats
+from ..transforms import unit_quats
 from .splat_file import Decoded, SplatFormat, WriteOptions, colors_note
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
@@ -69,10 +70,10 @@ def _rows(splats: Splats, part: slice) -> bytes:
     rows = np.empty(len(quats), _ROW)
     rows["mean"] = splats.means[part]
     rows["scale"] = linear_scales(splats.scales[part])
-    rows["rgba"][:, :3] = np.clip(np.rint(255 * sh0_to_rgb(splats.sh0[part, 0])), 0, 255)
+    with np.errstate(over="ignore"):
+        rows["rgba"][:, :3] = np.clip(np.rint(255 * sh0_to_rgb(splats.sh0[part, 0])), 0, 255)
     rows["rgba"][:, 3] = opacity_bytes(splats.opacities[part])
-    unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
-    rows["quat"] = np.clip(np.rint(unit * 128 + 128), 0, 255)
+    rows["quat"] = np.clip(np.rint(unit_quats(quats) * 128 + 128), 0, 255)
     return rows.tobytes()
 
 

@@ -18,7 +18,7 @@ from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes
 from ..smallest_three import smallest_three, with_largest
 from ..splats import SH_REST_BY_DEGREE, Splats
 from ..text_format import count_words, number
-from ..transforms import transform_splats
+from ..transforms import transform_splats, unit_quats
 from .axes import X, harmonic_signs
 from .far_splats import without_far
 from .packed_bytes import (
@@ -299,6 +299,7 @@ def _clamped(splats: Splats) -> list[str]:
     return notes
 
 
+@np.errstate(over="ignore")  # values beyond the range of a byte are clipped
 def _pack(splats: Splats, bits: int) -> list[bytes]:
     """The arrays in order, packed in blocks."""
     blocks = [slice(at, at + _BLOCK) for at in range(0, len(splats), _BLOCK)]
@@ -327,8 +328,7 @@ def _pack_places(means: np.ndarray, bits: int) -> np.ndarray:
 
 def _pack_rotations(quats: np.ndarray) -> np.ndarray:
     """[N] uint32, as `_smallest_three` reads them."""
-    unit = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).astype(np.float32)
-    unit = unit[:, [1, 2, 3, 0]] * np.append(_SIGNS, np.float32(1))
+    unit = unit_quats(quats.astype(np.float32))[:, [1, 2, 3, 0]] * np.append(_SIGNS, np.float32(1))
     largest, parts = smallest_three(unit)
     sizes = np.rint(np.abs(parts) * (_ROTATION_STEPS * np.sqrt(2)))
     sizes = np.minimum(sizes, _ROTATION_STEPS).astype(np.uint32)

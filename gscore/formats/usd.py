@@ -24,6 +24,7 @@ from ..io.splat_rows import linear_scales, opacities_of
 from ..json_text import parse_json
 from ..sh import sh_count
 from ..splats import Splats, cut_degree
+from ..transforms import unit_quats
 from . import usd_reading
 from .axes import X, half_turn, harmonic_signs
 from .splat_file import ORIGIN, Decoded, SplatFormat, WriteOptions
@@ -117,7 +118,7 @@ def _stage(splats: Splats, options: WriteOptions) -> Any:
     prim.CreateRadianceSphericalHarmonicsDegreeAttr(splats.sh_degree)
     prim.CreateRadianceSphericalHarmonicsCoefficientsAttr(vectors(_turned_harmonics(splats)))
     splats = half_turn(cut_degree(splats, 0), X)
-    unit = splats.quats / np.linalg.norm(splats.quats, axis=1, keepdims=True)
+    unit = unit_quats(splats.quats)
     scales = linear_scales(splats.scales)
     prim.CreatePositionsAttr(vectors(splats.means))
     prim.CreateOrientationsAttr(Vt.QuatfArray.FromNumpy(unit[:, [1, 2, 3, 0]]))
@@ -144,8 +145,8 @@ def _extent(means: np.ndarray, scales: np.ndarray) -> np.ndarray:
     """[2, 3]: corners of a box around all splats."""
     if not len(means):
         return np.zeros((2, 3), np.float32)
-    reach = _REACH * scales.max(axis=1, keepdims=True)
     with np.errstate(over="ignore"):
+        reach = _REACH * scales.max(axis=1, keepdims=True)
         ends = [(means - reach).min(axis=0), (means + reach).max(axis=0)]
     return np.stack(ends).astype(np.float32)
 

@@ -15,6 +15,7 @@ from ..sh import rgb_to_sh0, sh0_to_rgb
 from ..shared_constants import ALPHA_MIN
 from ..smallest_three import smallest_three, with_largest
 from ..splats import PARAMETERS, Splats, cut_degree, sigmoid
+from ..transforms import unit_quats
 from . import ascii85
 from .blocks import BLOCK, blocks_of
 
@@ -45,6 +46,8 @@ _STEPS = 0.004 * 1.15 ** np.arange(64)
 """Possible steps of higher SH coefficients; the last one removes nearly all of them."""
 _SAMPLE = 256
 """Number of blocks for the first estimate of the step."""
+_BRIGHTEST = np.float32(1e30)
+"""Largest higher coefficient of which sums stay in range."""
 _MOST = 127
 """Largest quantised value of a higher coefficient."""
 
@@ -177,7 +180,8 @@ def _geometry(splats: Splats, lengths: np.ndarray) -> bytes:
     within = (exact - np.repeat(low, lengths, axis=0)) / side
     places = _rounded(within * (PLACE_LEVELS - 1), PLACE_LEVELS - 1)
     largest, three = _three_of(splats.quats)
-    sizes = _rounded((splats.scales - splats.scales.min(initial=0.0)) / SIZE_STEP, 0xFFFF)
+    with np.errstate(over="ignore"):
+        sizes = _rounded((splats.scales - splats.scales.min(initial=0.0)) / SIZE_STEP, 0xFFFF)
     turns = largest.astype(np.uint8).tobytes() + three.T.tobytes()
     blocks = (lengths - 1).astype(np.uint8).tobytes() + boxes.tobytes()
     return blocks + _bytes_of(places) + turns + _bytes_of(sizes)
@@ -201,9 +205,7 @@ def _bytes_of(whole: np.ndarray) -> bytes:
 
 def _three_of(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Index [N] of the largest component, made positive, and the others [N, 3] uint8."""
-    scaled = quats / np.abs(quats).max(axis=1, keepdims=True, initial=1e-18)
-    unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
-    largest, three = smallest_three(unit)
+    largest, three = smallest_three(unit_quats(quats))
     whole = np.round((three * 2**0.5 * 0.5 + 0.5) * (TURN_LEVELS - 1))
     return largest, np.clip(whole, 0, TURN_LEVELS - 1).astype(np.uint8)
 
@@ -216,7 +218,8 @@ def _quats(largest: np.ndarray, three: np.ndarray, levels: int) -> np.ndarray:
 
 def _rest_along_axes(splats: Splats) -> np.ndarray:
     """[N, 3 (K - 1)] higher coefficients along `COLOR_AXES`."""
-    turned = splats.shN @ COLOR_AXES.T.astype(np.float32)
+    shN = np.clip(splats.shN, -_BRIGHTEST, _BRIGHTEST)
+    turned = shN @ COLOR_AXES.T.astype(np.float32)
     return turned.reshape(len(splats), 3 * splats.shN.shape[1])
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from ..depth.observations import SeenPoints
 from ..raster.stereo_depth import MOST_PLANES, StereoView
 from ..scene import Cameras
+from ..transforms import SMALLEST
 
 SOURCES = 4
 """Source views of each photo."""
@@ -162,7 +163,7 @@ def _worth(cosines: np.ndarray) -> np.ndarray:
 def _range(points: np.ndarray, viewmat: np.ndarray) -> tuple[float, float] | None:
     """Inverse depth range of a view from its points [P, 3]; None: too few."""
     z = points @ viewmat[2, :3] + viewmat[2, 3]
-    z = z[z > 0]
+    z = z[z > SMALLEST]
     if len(z) < _FEWEST_POINTS:
         return None
     far, near = np.quantile(1 / z, _ENDS)
@@ -179,4 +180,4 @@ def _range_by_axes(
         return None
     focus = np.linalg.solve(matrix, np.einsum("cij,cj->i", across, centers))
     z = float((focus - centers[place]) @ axes[place])
-    return (farthest / z, _AROUND[1] / z) if z > 0 else None
+    return (farthest / z, _AROUND[1] / z) if z > SMALLEST else None

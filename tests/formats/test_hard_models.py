@@ -1,6 +1,7 @@
 """Models that are hard to pack, and files next to the output; oracle: the models."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -206,3 +207,42 @@ def test_compressed_plys_of_ordinary_models_need_no_note(
         found = read_splat_file(tmp_path / "a.compressed.ply").splats
         side = np.ptp(model.means, axis=0).max()
         assert KDTree(found.means).query(model.means)[0].max() <= max(side / 1000, 1e-6)
+
+
+WRITTEN = ["a.compressed.ply", "a.sog", "a.spz", "a.splat", "a.glb", "a.spz.glb", "a.usda"]
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+@pytest.mark.parametrize("power", [-135, -70, 70, 125])
+@pytest.mark.filterwarnings("error")
+def test_quaternions_of_any_length_turn_alike(
+    make_model: MakeModel, tmp_path: Path, name: str, power: int
+) -> None:
+    """Oracle: the file of the same rotations at lengths about 1, of which a power of two takes no
+    digit; squares of the others are out of float32's range."""
+    if "usd" in name:
+        pytest.importorskip("pxr")
+    model = make_model(300)
+    model.quats[:] = np.round(model.quats * 256) / 256  # few digits
+    long = replace(model, quats=np.ldexp(model.quats, power))
+    assert np.array_equal(np.ldexp(long.quats, -power), model.quats)
+    (tmp_path / "long").mkdir()
+    write_splat_file(tmp_path / name, model)
+    write_splat_file(tmp_path / "long" / name, long)
+    assert (tmp_path / "long" / name).read_bytes() == (tmp_path / name).read_bytes()
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+@pytest.mark.parametrize("part", ["means", "scales", "opacities", "sh0", "shN"])
+@pytest.mark.filterwarnings("error")
+def test_numbers_at_the_ends_of_float32_are_written(
+    make_model: MakeModel, tmp_path: Path, name: str, part: str
+) -> None:
+    """Oracle: no warning of numpy, and as many splats as were written."""
+    if "usd" in name:
+        pytest.importorskip("pxr")
+    model = make_model(300)
+    values = getattr(model, part).reshape(300, -1)
+    values[::50], values[1::50] = 3e38, -3e38
+    write_splat_file(tmp_path / name, model)
+    assert len(read_splat_file(tmp_path / name).splats) == 300

@@ -174,3 +174,11 @@ def test_similarity_refuses(scale: float) -> None:
     """Oracle: the refusal of a scale that is not positive and finite."""
     with pytest.raises(ShapeError, match="scale"):
         Similarity(scale=scale, shift=np.zeros(3))
+
+
+@pytest.mark.parametrize("power", [-135, 0, 120])
+@pytest.mark.filterwarnings("error")
+def test_quaternions_of_any_length_have_rotations(power: int) -> None:
+    """Oracle: the rotations of the same quaternions at lengths about 1."""
+    quats = np.random.default_rng(0).integers(-99, 99, (200, 4)).astype(np.float32) / 64
+    assert np.array_equal(quat_to_rotmat(np.ldexp(quats, power)), quat_to_rotmat(quats))

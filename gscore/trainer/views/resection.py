@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...transforms import SMALLEST
 from .pose_math import cross_matrix, moved_pose
 
 _ROUNDS = 15
@@ -64,7 +65,8 @@ def resection_pose(viewmat: np.ndarray, observed: PointObservations) -> np.ndarr
 def _step(pose: np.ndarray, observed: PointObservations) -> np.ndarray | None:
     """Motion [6] of one Gauss-Newton step; None without a solution."""
     off = residuals(pose, observed)
-    good = np.isfinite(off).all(axis=1)
+    depths = observed.points @ pose[2, :3] + pose[2, 3]
+    good = np.isfinite(off).all(axis=1) & (np.abs(depths) > SMALLEST)
     if good.sum() < _LEAST:
         return None
     local = observed.points[good] @ pose[:3, :3].T + pose[:3, 3]
