@@ -13,7 +13,7 @@ from ._version import __version__
 from .config import DataConfig, TrainConfig
 from .errors import ConfigError
 from .json_text import parse_json
-from .quoting import quoted
+from .quoting import brief, quoted
 
 ConfigT = TypeVar("ConfigT", DataConfig, TrainConfig)
 AnyT = TypeVar("AnyT")
@@ -77,18 +77,19 @@ def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
     Raises:
         ConfigError: no such file, not JSON, an unknown option or an invalid value.
     """
+    name = brief(path)
     try:
         if path.exists() and not path.is_file():  # opening a named pipe would wait for its writer
-            raise ConfigError(f"{path}: expected a config file, but this is not a regular file.")
+            raise ConfigError(f"{name}: expected a config file, but this is not a regular file.")
         content = parse_json(path.read_bytes())
     except FileNotFoundError:
-        raise ConfigError(f"{path}: there is no such config file.") from None
+        raise ConfigError(f"{name}: there is no such config file.") from None
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror or error}).") from None
+        raise ConfigError(f"{name}: cannot be read ({error.strerror or error}).") from None
     except ValueError as error:
-        raise ConfigError(f"{path}: not a JSON config file ({error}).") from None
+        raise ConfigError(f"{name}: not a JSON config file ({error}).") from None
     if not isinstance(content, dict) or not {"data", "train"} <= content.keys():
-        raise ConfigError(f"{path}: expected an object with 'data' and 'train', as in a run.")
+        raise ConfigError(f"{name}: expected an object with 'data' and 'train', as in a run.")
     return (
         from_dict(DataConfig, content["data"], where=f"{path}: data"),
         from_dict(TrainConfig, content["train"], where=f"{path}: train"),

@@ -14,7 +14,7 @@ from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.output_paths import check_output_path
 from ..io.runs import options_of_run, others_in_run
 from ..presets import PRESETS
-from ..quoting import as_typed
+from ..quoting import as_typed, brief
 from ..text_format import (
     colour_words,
     count_words,
@@ -141,7 +141,9 @@ def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
     """The options of a preset, a config file or the resumed run, overridden by the given ones."""
     source = args.source or args.source_option
     if args.source and args.source_option and args.source != args.source_option:
-        raise ConfigError(f"Two captures were given: {args.source} and {args.source_option}.")
+        raise ConfigError(
+            f"Two captures were given: {brief(args.source)} and {brief(args.source_option)}."
+        )
     if args.config and args.preset:
         raise ConfigError(
             "Give either `--preset` or `--config`: a config file contains all options."

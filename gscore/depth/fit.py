@@ -124,10 +124,11 @@ def fit_of(
     )
     if not inside.any():
         return fit
-    with np.errstate(over="ignore"):  # of captures smaller than 1e-150 units
-        noise = float(np.sqrt((difference[inside] ** 2).mean()))
     return replace(
-        fit, center=float(mono[inside].mean()), deviation=float(mono[inside].std()), noise=noise
+        fit,
+        center=float(mono[inside].mean()),
+        deviation=float(mono[inside].std()),
+        noise=float(np.sqrt((difference[inside] ** 2).mean())),
     )
 
 

@@ -372,3 +372,24 @@ print(*sorted(set(sys.modules) - before))
     found = subprocess.run(line, capture_output=True, text=True, check=True)
     mine = ["gscore", "gscore.__main__", "gscore._version", "gscore.ending_signals"]
     assert found.stdout.split() == mine
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["train", "photos", "-o", "out", "--source-path"],
+        ["train", "photos", "-o", "out", "--config"],
+        ["sequence", "case", "-o", "out", "--config"],
+        ["eval", "run", "--model-path"],
+        ["render", "run", "-o", "out", "--model-path"],
+        ["view", "run", "-o", "out.html", "--model-path"],
+    ],
+)
+def test_long_arguments_are_not_repeated_whole(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Oracle: the length of the message, and an argument of 400 digits in it."""
+    number = "9" * 400
+    assert commands.main([*words, number]) == 2
+    text = capsys.readouterr().err
+    assert number[:100] in text and number not in text and len(text) < 400

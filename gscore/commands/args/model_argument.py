@@ -19,7 +19,7 @@ from ...io.ply.near_comment import stated_near
 from ...io.ply.splats import header_comments
 from ...io.runs import options_of_run
 from ...io.unsupported_formats import describe_unsupported
-from ...quoting import as_typed
+from ...quoting import as_typed, brief
 from ...raster.api import Rendered, render, render_camera
 from ...scene import Cameras, splat_near
 from ...splats import Splats
@@ -152,7 +152,7 @@ def model_path(args: argparse.Namespace) -> Path:
     if len(given) != 1:
         raise ConfigError(
             "Give one model: the folder of a run, or a splat file."
-            + (f" Got {given[0]} and {given[1]}." if given else "")
+            + (f" Got {brief(given[0])} and {brief(given[1])}." if given else "")
         )
     return given[0]
 
