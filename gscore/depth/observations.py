@@ -9,6 +9,7 @@ from ..datasets import Dataset, read_capture
 from ..datasets.tracks import model_of, tracks_of
 from ..io.colmap.folder import ColmapImage, ColmapModel
 from ..io.colmap.model import PointIndex
+from ..transforms import SMALLEST
 
 _LONG_TRACK = 10
 """Track length above which the weight of a point no longer grows."""
@@ -135,4 +136,5 @@ def _projected(dataset: Dataset, points: np.ndarray, index: int) -> Observations
 
 
 def _inverse(z: np.ndarray) -> np.ndarray:
-    return np.divide(1.0, z, out=np.zeros_like(z), where=z != 0)
+    """1 / z; 0, which counts as behind the camera, where it is too close for float32."""
+    return np.divide(1.0, z, out=np.zeros_like(z), where=np.abs(z) > SMALLEST)

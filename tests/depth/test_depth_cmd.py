@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from gscore.config import DataConfig, Switch
 from gscore.datasets import load_dataset
 from gscore.depth import load_priors
 from gscore.events import DepthDone, DepthProgress, Failed, from_line
+from gscore.frontend import read_colmap, write_colmap
 from gscore.io.images.read_image import write_png
 from gscore.trainer.depth.rule import coverage, decide
 
@@ -350,3 +352,21 @@ def test_photos_are_never_replaced_by_maps(planes, networks, gscore, tmp_path, f
     )
     assert code == 2 and "where results would mix with" in err
     assert {p: p.read_bytes() for p in planes.folder.rglob("*.*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize("power", [-160, -300])
+@pytest.mark.parametrize("method", ["network", "stereo"])
+def test_captures_of_any_size(planes, gscore, recwarn, method, power):
+    """Oracle: a capture scaled to 1e-160 units: maps are aligned without a warning of numpy;
+    stereo, whose inverse depths no float32 holds, finds none, in a sentence."""
+    model = read_colmap(planes.folder / "sparse" / "0")
+    size = 10.0**power
+    points = replace(model.points, xyz=model.points.xyz * size)
+    images = [replace(image, tvec=image.tvec * size) for image in model.images]
+    write_colmap(replace(model, images=images, points=points), planes.folder / "sparse" / "0")
+    planes.write_maps(lambda path, s: np.save(path, s))
+    options = ("--method", "stereo", "--overwrite") if method == "stereo" else ()
+    code, _, err = gscore("depth", planes.folder, *options)
+    assert code == (2 if options else 0)
+    assert "inverse depths must be" not in err and ("found no depth" in err) == bool(options)
+    assert not [str(one) for one in recwarn if issubclass(one.category, RuntimeWarning)]

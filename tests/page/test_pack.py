@@ -170,3 +170,15 @@ def test_letters_mean_the_same_to_others(length: int) -> None:
     mine = text.translate(str.maketrans(ascii85.ALPHABET, theirs.decode()))
     assert base64.b85decode(mine)[:length] == raw
     assert not set(ascii85.ALPHABET) & set("<>&\"'\\` ") and len(set(ascii85.ALPHABET)) == 85
+
+
+@pytest.mark.parametrize("part", ["means", "quats", "scales", "opacities", "sh0", "shN"])
+@pytest.mark.filterwarnings("error")
+def test_numbers_at_the_ends_of_float32(part: str) -> None:
+    """Oracle: no warning of numpy; rotations as of quaternions of usual length."""
+    splats = cloud(600, 3)
+    wild = replace(splats, quats=np.ldexp(splats.quats, 100))
+    values = getattr(wild, part).reshape(600, -1)
+    values[::50], values[1::50] = 3e38, -3e38
+    found = unpack(pack(wild))
+    assert len(found) > 0

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gscore.errors import ShapeError
-from gscore.scene import Cameras
+from gscore.scene import NEAR, Cameras, splat_near
 from gscore.splats import Splats
 from gscore.transforms import (
     Similarity,
@@ -182,3 +182,10 @@ def test_quaternions_of_any_length_have_rotations(power: int) -> None:
     """Oracle: the rotations of the same quaternions at lengths about 1."""
     quats = np.random.default_rng(0).integers(-99, 99, (200, 4)).astype(np.float32) / 64
     assert np.array_equal(quat_to_rotmat(np.ldexp(quats, power)), quat_to_rotmat(quats))
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_near_plane_of_splats_at_the_end_of_float32() -> None:
+    """Oracle: no warning of numpy, and the default."""
+    means = np.full((10, 3), -3e38, np.float32)
+    assert splat_near(means) == NEAR
