@@ -84,6 +84,8 @@ class FolderLock:
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 check_regular(self._path)
+                if self._path.is_symlink() and not self._path.exists():
+                    raise DatasetError(f"{self._path} is a link to nowhere.")
                 file = self._path.open("a+", encoding="utf-8")
             except FileExistsError:
                 raise ConfigError(

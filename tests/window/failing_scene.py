@@ -105,7 +105,7 @@ def story() -> Iterator[object]:
     shot("points")
     addon_utils.disable("addon")
     addon_utils.enable("addon", persistent=True)
-    failing = Failing(Card, "__init__", 1e9)
+    failing = Failing(Card, "step", 1e9)
     area().tag_redraw()
     yield lambda: draw_handler.SESSION.problem
     yield 1.0

@@ -405,13 +405,21 @@ def test_other_names_are_no_checkpoints(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="named pipes of POSIX")
-def test_a_lock_that_is_no_file_is_named(tmp_path: Path) -> None:
-    """Oracle: the pipe, which stays, without waiting for its other end; one sentence."""
-    os.mkfifo(tmp_path / ".gscore.lock")
+@pytest.mark.parametrize("kind", ["pipe", "link", "folder"])
+def test_a_lock_that_is_no_file_is_named(tmp_path: Path, kind: str) -> None:
+    """Oracle: what is there, which stays, without waiting for a pipe's other end; one sentence."""
+    lock = tmp_path / ".gscore.lock"
+    if kind == "pipe":
+        os.mkfifo(lock)
+    elif kind == "link":
+        lock.symlink_to("/nowhere/at/all")
+    else:
+        lock.mkdir()
+    before = lock.lstat()
     with (
         pytest.raises(ConfigError, match=r"is no regular file\. Remove it") as told,
         open_folder(tmp_path, resume=False, overwrite=False),
     ):
         pass
     assert ".." not in str(told.value).replace(str(tmp_path), "")
-    assert (tmp_path / ".gscore.lock").is_fifo()
+    assert os.path.samestat(lock.lstat(), before)
