@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
+from tests.for_each import for_each
 
 ROOT = Path(__file__).parent.parent
 FILES = sorted([*(ROOT / "gscore").rglob("*.py"), *(ROOT / "addon").rglob("*.py")])
@@ -31,7 +31,7 @@ def _public(tree: ast.Module) -> Iterator[str]:
             yield node.name
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+@for_each(FILES)
 def test_public_names_avoid_stopped_words(path: Path) -> None:
     """Oracle: STOPPED."""
     names = [path.stem, path.parent.name, *_public(ast.parse(path.read_text(encoding="utf-8")))]

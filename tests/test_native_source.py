@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
+from tests.for_each import for_each
 
 CSRC = Path(__file__).parents[1] / "csrc"
 LONGEST = 80
@@ -44,11 +44,7 @@ def _blank(pattern: re.Pattern[str], text: str) -> str:
     return pattern.sub(lambda found: re.sub(r"[^\n]", " ", found.group()), text)
 
 
-@pytest.mark.parametrize(
-    "path",
-    sorted(p for p in CSRC.rglob("*") if p.suffix in {".cpp", ".h"}),
-    ids=lambda p: str(p.relative_to(CSRC)),
-)
+@for_each(sorted(p for p in CSRC.rglob("*") if p.suffix in {".cpp", ".h"}))
 def test_no_function_is_long(path: Path) -> None:
     """Oracle: `LONGEST`."""
     long = [

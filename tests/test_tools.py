@@ -9,6 +9,8 @@ from runpy import run_path
 
 import pytest
 
+from tests.for_each import for_each
+
 ROOT = Path(__file__).parent.parent
 SCRIPTS = sorted(
     path
@@ -17,7 +19,7 @@ SCRIPTS = sorted(
 )
 
 
-@pytest.mark.parametrize("path", SCRIPTS, ids=lambda p: str(p.relative_to(ROOT)))
+@for_each(SCRIPTS)
 def test_what_scripts_take_from_gscore_is_there(path: Path) -> None:
     """Oracle: gscore itself; nobody notices otherwise when a name of it moves."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -7,8 +7,7 @@ comes out of a factory without a word.
 import ast
 from pathlib import Path
 
-import pytest
-
+from tests.for_each import for_each
 from tests.source_rules import Source
 
 PACKAGE = Path(__file__).parent.parent / "gscore"
@@ -34,7 +33,7 @@ def _unnamed(path: Path) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("path", _files(), ids=lambda p: str(p.relative_to(PACKAGE)))
+@for_each(_files())
 def test_no_tensor_is_made_by_torchs_defaults(path: Path) -> None:
     """Oracle: the keywords of every call of a factory."""
     assert _unnamed(path) == []

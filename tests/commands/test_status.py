@@ -6,18 +6,19 @@ import os
 import pty
 import re
 import sys
+from itertools import product
 
 import pytest
 
 from gscore.commands.terminal import status
 from gscore.commands.terminal.status import Counted, Status, cells, line_within, wrapped
 from tests.commands.screen import drawn, gscore, resize, run_in_terminal
+from tests.for_each import for_each
 
 PARTS = ["1:02:03 left", "step 14,878 of 15,000", "PSNR 28.8 dB", "431,526 splats", "53.4 steps/s"]
 
 
-@pytest.mark.parametrize("width", [*range(1, 121), 200, 300])
-@pytest.mark.parametrize("share", [None, 0.0, 0.597, 1.0])
+@for_each(product([*range(1, 121), 200, 300], [None, 0.0, 0.597, 1.0]))
 def test_a_line_of_any_width(width: int, share: float | None) -> None:
     """Oracle: the width; the first parts, each in full."""
     text = line_within(PARTS, share, width)

@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 from urllib.parse import unquote
 
-import pytest
+from tests.for_each import for_each
 
 ROOT = Path(__file__).parents[2]
 _FOLDERS = ("", "docs", "docs/experiments", "examples", "addon", "csrc", "tests", "tests/raster")
@@ -75,17 +75,13 @@ def _unlinked(line: str) -> str:
     return re.sub(r"\]\([^)]*\)", "]", re.sub(r"<?https?://\S+", "", line))
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@for_each(PAGES)
 def test_links_lead_somewhere(page: Path) -> None:
     """Oracle: the files, and the names GitHub gives to headings."""
     assert broken(page) == []
 
 
-@pytest.mark.parametrize(
-    "page",
-    PAGES,
-    ids=lambda page: str(page.relative_to(ROOT)),
-)
+@for_each(PAGES)
 def test_text_is_wrapped(page: Path) -> None:
     """Oracle: the length of the lines."""
     assert too_wide(page.read_text(encoding="utf-8")) == []

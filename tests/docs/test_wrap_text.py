@@ -11,6 +11,8 @@ sys.path.insert(0, str(ROOT / "tools" / "build"))
 
 from wrap_text import wrap
 
+from tests.for_each import for_each
+
 LONG = "word " * 30
 
 
@@ -45,7 +47,7 @@ def test_no_line_begins_with_what_markdown_would_read_otherwise(tail: str) -> No
     assert not starts & {"-", "#", "1.", "%", "dB,", "y", "z`"} and len(starts) > 1
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@for_each(PAGES)
 def test_our_pages_keep_their_words(page: Path) -> None:
     """Oracle: the words in their order; what is wrapped once stays."""
     text = page.read_text(encoding="utf-8")
@@ -54,7 +56,7 @@ def test_our_pages_keep_their_words(page: Path) -> None:
     assert [line for line in too_wide(wrapped) if "`" not in line] == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@for_each(PAGES)
 def test_no_line_of_a_paragraph_becomes_a_quote(page: Path) -> None:
     """Oracle: a quote that is meant begins after an empty line."""
     lines = page.read_text(encoding="utf-8").splitlines()

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from gscore.text_format import count_words, number
+from tests.for_each import for_each
 
 PACKAGE = Path(__file__).parents[2] / "gscore"
 _LARGE = re.compile(r" (splats|steps|points|threads|photos|cameras|frames)\b")
@@ -40,9 +41,7 @@ def test_numbers() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    "path", sorted(PACKAGE.rglob("*.py")), ids=lambda p: str(p.relative_to(PACKAGE))
-)
+@for_each(sorted(PACKAGE.rglob("*.py")))
 def test_counts_are_written_by_the_helpers(path: Path) -> None:
     """Oracle: the syntax tree: no thousands separator, and no bare number before a plural."""
     if path.name == "text_format.py":
