@@ -20,7 +20,7 @@ from ..io.lod_file import is_lod_file, open_lod_file
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.runs import checkpoints_in, read_run, training_in
 from ..io.sequences import read_sequence
-from ..quoting import as_typed
+from ..quoting import as_typed, brief
 from ..sfm.photo_folders import check_no_cameras_above, is_photo_folder
 from ..splats import Splats, sigmoid
 from ..text_format import (
@@ -278,8 +278,9 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
     if metrics and (worth := quality_words(metrics)):
         models = f", {metrics['models']} models as one" if metrics["models"] else ""
         lines.append(
-            f"  {metrics['split']} views: {worth}; {count_words(metrics['steps'], 'step')} in "
-            f"{time_words(metrics['train_seconds'])}{models}"
+            f"  {brief(metrics['split'])} views: {worth}; "
+            f"{count_words(metrics['steps'], 'step')} in {time_words(metrics['train_seconds'])}"
+            f"{models}"
         )
     count = facts["checkpoints"]
     if facts["in_training"]:

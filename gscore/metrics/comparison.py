@@ -121,10 +121,14 @@ def _views(run: ComparedRun) -> dict[str, dict[str, Any]]:
     return found
 
 
+_LONGEST = 20
+"""Most letters of a value of metrics.json that are repeated."""
+
+
 def _check_masks(runs: Sequence[ComparedRun]) -> None:
-    modes = [run.metrics.get("mask_mode") for run in runs]
+    modes = [str(run.metrics.get("mask_mode"))[:_LONGEST] for run in runs]
     if modes[0] != modes[1]:
-        advice = _measure_again(runs, ("--mask-mode", str(modes[0])), f"masks-{modes[0]}")
+        advice = _measure_again(runs, ("--mask-mode", modes[0]), f"masks-{modes[0]}")
         if "composite" in modes:
             advice = (
                 "With composite masks splats show the subject only, else its surroundings too, so "
@@ -140,13 +144,13 @@ def _check_masks(runs: Sequence[ComparedRun]) -> None:
 def _check_sizes(
     runs: Sequence[ComparedRun], name: str, views: Sequence[Mapping[str, Any]]
 ) -> None:
-    sizes = [f"{view.get('width')} x {view.get('height')} px" for view in views]
-    if sizes[0] != sizes[1]:
-        width = views[0].get("width")
+    sides = [[str(view.get(key))[:_LONGEST] for key in ("width", "height")] for view in views]
+    if sides[0] != sides[1]:
+        sizes, width = [f"{w} x {h} px" for w, h in sides], sides[0][0]
         raise ConfigError(
             f"{brief(runs[0].label)} was scored at {sizes[0]}, {brief(runs[1].label)} at "
             f"{sizes[1]} (view {brief(name)}): their numbers cannot be compared. "
-            + _measure_again(runs, ("-r", str(width)), f"{width}px")
+            + _measure_again(runs, ("-r", width), f"{width}px")
         )
 
 

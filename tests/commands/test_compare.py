@@ -128,3 +128,16 @@ def test_somebody_elses_page_stays(gscore, two_runs, tmp_path):
     assert code == 2 and "never have" not in err  # the message about formats without comments
     assert "without a mark of" in err and page.read_text() == "mine"
     assert gscore("compare", *two_runs, "-o", page, "--overwrite")[0] == 0
+
+
+@pytest.mark.parametrize("value", ["x" * 400, int("9" * 400)])
+@pytest.mark.parametrize("key", ["mask_mode", "width", "height"])
+def test_long_values_of_metrics_are_not_repeated_whole(gscore, two_runs, tmp_path, key, value):
+    """Oracle: the refusal of runs that differ, and its length."""
+    path = two_runs[1] / "metrics.json"
+    content = json.loads(path.read_text())
+    (content if key == "mask_mode" else content["views"][0])[key] = value
+    path.write_text(json.dumps(content))
+    code, _, err = gscore("compare", *reversed(two_runs), "-o", tmp_path / "c.html")
+    assert code == 2 and "was scored" in " ".join(err.split())
+    assert str(value)[:21] not in err.replace("\n", "")
