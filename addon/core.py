@@ -137,7 +137,7 @@ from gscore.frontend import (
     stated_depth,
     stated_up,
     target_size,
-    up_as_held,
+    up_from_exif,
     write_cameras,
     write_colmap,
     write_mesh,

@@ -77,7 +77,7 @@ def holders(scene: bpy.types.Scene) -> Iterator[Any]:
     yield from scene.gscore.outcomes
 
 
-def holds(holder: Any, source: Path) -> bool:
+def belongs_to(holder: Any, source: Path) -> bool:
     """True if a holder belongs to a capture, or to no particular one; reads nothing from disk."""
     if not holder.capture_path.strip():
         return True

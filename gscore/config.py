@@ -836,32 +836,32 @@ LIFTED_BY = {
 """Limits derived from the photos, by the option that disables them when given explicitly."""
 
 
-def unlimited(train: TrainConfig, asked: Mapping[str, int]) -> TrainConfig:
+def unlimited(train: TrainConfig, requested: Mapping[str, int]) -> TrainConfig:
     """Options without the limits derived from the photos, which will be applied again.
 
     Args:
         train: Options of a run.
-        asked: Requested value of each option that was limited.
+        requested: Requested value of each option that was limited.
     """
     was = {
-        option: asked[option]
+        option: requested[option]
         for option, limit in LIFTED_BY.items()
-        if getattr(train, option) < asked.get(option, 0) and getattr(train, limit)
+        if getattr(train, option) < requested.get(option, 0) and getattr(train, limit)
     }
     return replace(train, **was)
 
 
-def limited_as(train: TrainConfig, asked: Mapping[str, int], run: TrainConfig) -> TrainConfig:
+def limited_as(train: TrainConfig, requested: Mapping[str, int], run: TrainConfig) -> TrainConfig:
     """The options with the limited values of a `run`, where the same values were requested.
 
     Args:
         train: Options given again.
-        asked: As in `unlimited`, of the run.
+        requested: As in `unlimited`, of the run.
         run: Options of the run.
     """
     same = {
         option: getattr(run, option)
         for option, limit in LIFTED_BY.items()
-        if getattr(train, option) == asked.get(option) and getattr(train, limit)
+        if getattr(train, option) == requested.get(option) and getattr(train, limit)
     }
     return replace(train, **same)

@@ -36,14 +36,18 @@ def preset_words(data: DataConfig, train: TrainConfig) -> str:
 
 
 def train_command(
-    data: DataConfig, train: TrainConfig, output: Path, *, asked: Mapping[str, int] | None = None
+    data: DataConfig,
+    train: TrainConfig,
+    output: Path,
+    *,
+    requested: Mapping[str, int] | None = None,
 ) -> str:
     """The `gscore train` command with these options, for a shell; empty if there is none.
 
     Args:
         data, train: The options.
         output: Folder for the results.
-        asked: Requested value of each option that the photos limited. The same photos limit it
+        requested: Requested value of each option that the photos limited. The same photos limit it
             again, so the command omits it.
     """
     preset = preset_of(data)
@@ -55,7 +59,7 @@ def train_command(
     for name, value in _differences(plain_data, data):
         if name not in _OF_THE_SPLIT:
             words += _option(name, value)
-    for name, value in _given(plain_train, unlimited(train, asked or {})).items():
+    for name, value in _given(plain_train, unlimited(train, requested or {})).items():
         words += _option(name, value)
     return shlex.join(words)
 

@@ -33,7 +33,7 @@ _CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 """torch without CUDA, for Linux, where the default package includes gigabytes of it."""
 
 
-def how_to_install(*modules: str) -> str:
+def install_hint(*modules: str) -> str:
     """The command that installs the extras of optional modules; empty if none is optional."""
     known = (_EXTRAS.get(module.partition(".")[0]) for module in modules)
     extras = list(dict.fromkeys(extra for extra in known if extra))
@@ -54,7 +54,7 @@ def missing(module: str, purpose: str) -> str:
     """
     package = module.partition(".")[0]
     package = _PACKAGES.get(package, package)
-    return f"{purpose} needs the package {package}; install it with: {how_to_install(module)}"
+    return f"{purpose} needs the package {package}; install it with: {install_hint(module)}"
 
 
 def need(module: str, purpose: str) -> Any:
@@ -81,7 +81,7 @@ def _is_loading(module: Any) -> bool:
     return bool(getattr(getattr(module, "__spec__", None), "_initializing", False))
 
 
-def offered(door: str, name: str, homes: Mapping[str, str]) -> Any:
+def offered(door: str, name: str, modules: Mapping[str, str]) -> Any:
     """Load a name that a module re-exports lazily, for that module's `__getattr__`.
 
     Args:
@@ -94,7 +94,7 @@ def offered(door: str, name: str, homes: Mapping[str, str]) -> Any:
         AttributeError: the module does not export the name.
         ModuleNotFoundError: a required package is not installed; the message names it.
     """
-    home = homes.get(name)
+    home = modules.get(name)
     if home is None:
         raise AttributeError(f"module {door!r} has no attribute {name!r}")
     module, _, inner = home.partition(":")
@@ -102,7 +102,7 @@ def offered(door: str, name: str, homes: Mapping[str, str]) -> Any:
         return getattr(import_module(f".{module}", __package__), inner or name)
     except ModuleNotFoundError as error:
         needed = error.name or ""
-        if not how_to_install(needed):
+        if not install_hint(needed):
             raise
         sentence = missing(needed, f"{door}.{name}")
         raise ModuleNotFoundError(sentence, name=error.name) from error

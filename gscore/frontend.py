@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from .datasets.frames import SequenceFrame, choose_frames, find_frames, frame_pattern
     from .datasets.mask_meaning import are_mattes
     from .datasets.masks import masks_inside
-    from .datasets.photo_headers import up_as_held
+    from .datasets.photo_headers import up_from_exif
     from .datasets.resolution import target_size
     from .datasets.undistort import Undistortion, plan_undistortion
     from .depth.catalogue import KnownNetwork
@@ -222,7 +222,7 @@ _HOME = {
     "stated_depth": "depth.stated",
     "stated_up": "io.ply.up_axis",
     "target_size": "datasets.resolution",
-    "up_as_held": "datasets.photo_headers",
+    "up_from_exif": "datasets.photo_headers",
     "write_cameras": "io.cameras_json",
     "write_colmap": "io.colmap.folder:write_model",
     "write_mesh": "io.mesh.ply",
@@ -353,7 +353,7 @@ __all__ = [
     "stated_depth",
     "stated_up",
     "target_size",
-    "up_as_held",
+    "up_from_exif",
     "write_cameras",
     "write_colmap",
     "write_mesh",

@@ -96,7 +96,7 @@ def checked_origin(values: object) -> np.ndarray:
     return origin.astype(np.float64)
 
 
-def lie_about(places: np.ndarray, origin: np.ndarray | None) -> bool:
+def are_relative_to(places: np.ndarray, origin: np.ndarray | None) -> bool:
     """Whether positions [P, 3] from a file without a stated origin are relative to this local one:
     their median is nearer to zero than to `origin`."""
     if origin is None or not len(places):
@@ -158,8 +158,8 @@ class Cameras:
 
     def of_splats(self, origin: np.ndarray | None) -> "Cameras":
         """The cameras in the world of splats with a local origin. Cameras of a file that states no
-        origin already have it where `lie_about` is true."""
-        if self.origin is None and lie_about(self.centers, origin):
+        origin already have it where `are_relative_to` is true."""
+        if self.origin is None and are_relative_to(self.centers, origin):
             return replace(self, origin=origin)
         return self.about(origin)
 

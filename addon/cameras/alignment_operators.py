@@ -62,7 +62,7 @@ class AlignCapture(_Aligning, bpy.types.Operator):
         if self.up == "CAPTURE":
             return capture_transform.stated_up(root)
         if self.up == "CAMERAS":
-            return capture_transform.stated_up(root, capture_transform.HELD_UP)
+            return capture_transform.stated_up(root, capture_transform.PHOTO_UP)
         if self.up == "CURRENT":
             return current_up(root)
         if self.up == "VIEW":

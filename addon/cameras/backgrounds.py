@@ -21,7 +21,7 @@ _BATCH = 50
 
 
 @dataclass(frozen=True, kw_only=True)
-class StraightBackground:
+class UndistortedBackground:
     """Background of a camera with an undistorted photo; no bpy data."""
 
     own: PhotoCamera
@@ -31,7 +31,7 @@ class StraightBackground:
     can_change: bool
     """True if the image can be replaced."""
 
-    def lacks(self) -> Path | None:
+    def missing_copy(self) -> Path | None:
         """The undistorted copy that is missing or not displayed; None: nothing to do, or the photo
         is missing."""
         photo = Path(self.own.photo)
@@ -145,8 +145,8 @@ def shows_photo(ob: bpy.types.Object, photo: Photo) -> bool:
     return slot is not None and file_of(slot.image) == photo.shown
 
 
-def lead_to(ob: bpy.types.Object, copy: Path, known: KnownImages) -> None:
-    """Show another copy of the photo in the background that `straight_background` returned.
+def show_copy(ob: bpy.types.Object, copy: Path, known: KnownImages) -> None:
+    """Show another copy of the photo in the background that `undistorted_background` returned.
 
     Args:
         ob: The camera.
@@ -158,7 +158,7 @@ def lead_to(ob: bpy.types.Object, copy: Path, known: KnownImages) -> None:
         slot.image = known.of(copy, Path(stored_paths.read(ob, stored_paths.PHOTO)))
 
 
-def straight_background(ob: bpy.types.Object) -> StraightBackground | None:
+def undistorted_background(ob: bpy.types.Object) -> UndistortedBackground | None:
     """The background of a camera with an undistorted photo; None: the photo has no distortion, or
     the user chose another image.
 
@@ -170,7 +170,7 @@ def straight_background(ob: bpy.types.Object) -> StraightBackground | None:
     slot = _own_slot(ob)
     if slot is None:
         return None
-    return StraightBackground(
+    return UndistortedBackground(
         own=stated(ob), file=file_of(slot.image), can_change=editable_check.keeps(ob.data)
     )
 

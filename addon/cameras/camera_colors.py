@@ -19,7 +19,7 @@ def own_cameras(root: bpy.types.Object) -> list[bpy.types.Object]:
     return [ob for ob in cameras_of(root) if ob.library is None and ob.override_library is None]
 
 
-def give(ob: bpy.types.Object, mark: str, color: tuple[float, ...]) -> None:
+def set_color(ob: bpy.types.Object, mark: str, color: tuple[float, ...]) -> None:
     """Color a camera, linear RGBA; `mark` names the purpose."""
     take(ob)
     own = [float(v) for v in ob.color]

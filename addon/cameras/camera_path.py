@@ -16,7 +16,7 @@ from ..process.incremental_tasks import BUDGET, Check, Pieces, run_blocking, run
 from . import objects as co
 from .capture_transform import origin_of
 from .export_transforms import transforms_text
-from .export_views import ExportView, Tracked, about_none, collect
+from .export_views import ExportView, Tracked, collect, in_file_coordinates
 
 CAMERAS, TRANSFORMS, NERFSTUDIO = "CAMERAS", "TRANSFORMS", "NERFSTUDIO"
 """File formats: cameras.json, transforms.json, nerfstudio's camera_path.json."""
@@ -69,7 +69,7 @@ def exporting_path(
     path = Path(path)
     origin = origin_of(root)
     pace = scene.render.fps / scene.render.fps_base / scene.frame_step
-    with garbage.put_off():
+    with garbage.defer_collections():
         views = yield from _reading(camera, scene, root)
         write = partial(_write, path, views, kind, pace, origin)
         yield from run_in_thread(write, f"Writing {path}")
@@ -87,7 +87,7 @@ def _reading(
         if len(views) == len(numbers):
             return views
         yield f"Reading frames: {len(views)} of {len(numbers)}"
-        tracked.look_again()
+        tracked.refresh()
         if co.frame_of(tracked.scene) != raster:
             raise ValueError(
                 "The resolution was changed while the camera was exported: export it again."
@@ -130,7 +130,7 @@ def _write(
 ) -> None:
     """Write the file; no bpy. Only a cameras.json can store a local origin."""
     if kind != CAMERAS:
-        views = about_none(views, origin)
+        views = in_file_coordinates(views, origin)
     with file_errors(check):
         if kind == TRANSFORMS:
             times = np.linspace(0, 1, len(views)).tolist()

@@ -78,7 +78,7 @@ def importing_path(
     path, uid = Path(path), scene.session_uid
     origin = None if root is None else offset_between(origin_of(root), None)
     root_uid = None if root is None else root.session_uid
-    with garbage.put_off():
+    with garbage.defer_collections():
         read = yield from run_in_thread(
             partial(_read, path, start, numbered, origin), f"Reading {path}"
         )
@@ -191,7 +191,7 @@ class _PendingCamera:
         self._temporary = Temporary(outer)
         ob = bpy.data.objects.new(path.name, bpy.data.cameras.new(path.name))
         outer.objects.link(ob)
-        self._temporary.hold(ob)
+        self._temporary.mark(ob)
         ob.rotation_mode = "QUATERNION"
         co.set_lens(ob.data, path.lens)
         for column in path.columns:

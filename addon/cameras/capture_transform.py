@@ -16,7 +16,7 @@ from .objects import cameras_of
 
 UP = "gs_up"
 """Property of the empty: up direction in the capture's world, if its files or EXIF state it."""
-HELD_UP = "gs_held_up"
+PHOTO_UP = "gs_held_up"
 """Property of the empty: up direction by its cameras, if EXIF has rotated photos."""
 ORIGIN = "gs_origin"
 """Property of an empty, and of splats: the local origin of their world, in the coordinates of the
@@ -28,7 +28,7 @@ DISPLAY = 0.2
 
 
 def stated_up(root: bpy.types.Object, key: str = UP) -> np.ndarray | None:
-    """[3], up in the world of a capture, stored as `UP` or `HELD_UP`; None: estimate it from the
+    """[3], up in the world of a capture, stored as `UP` or `PHOTO_UP`; None: estimate it from the
     cameras."""
     return np.array(root[key][:], np.float64) if key in root else None
 

@@ -41,7 +41,7 @@ def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
     before, own = scene.camera, co.stated(ob)
     notes = scene_camera.use_photo(scene, ob)
     if not bpy.app.background:
-        undistort_jobs.ask([ob])
+        undistort_jobs.queue_copies([ob])
     photo = photo_of(ob)
     if editable_check.keeps(ob.data):
         ob.data.show_background_images = True
@@ -101,5 +101,5 @@ def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> 
         if found[ob.name] is not None:
             set_photo(ob, photo_on_disk(co.stated(ob), found[ob.name]), known)
     if not bpy.app.background:
-        undistort_jobs.ask(cameras)
+        undistort_jobs.queue_copies(cameras)
     return sum(1 for file in found.values() if file), len(cameras)

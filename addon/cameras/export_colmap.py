@@ -23,7 +23,7 @@ from ..core import (
 )
 from ..interface.option_labels import error_words
 from ..process.incremental_tasks import Check, Pieces, run_blocking, run_in_thread
-from .export_sources import Gathered, gathering, points_to_export
+from .export_sources import ExportInputs, points_to_export, reading_inputs
 from .export_views import Exported, ExportView, Graph, all_or_none, kept_lenses
 
 
@@ -66,14 +66,14 @@ def exporting_colmap(
             file.
     """
     folder = Path(path) / "sparse" / "0"
-    inputs = yield from gathering(cameras, scene, root, depsgraph)
+    inputs = yield from reading_inputs(cameras, scene, root, depsgraph)
     write = partial(_write, folder, inputs, binary)
     return (yield from run_in_thread(write, f"Writing {folder}"))
 
 
 def _write(
     folder: Path,
-    inputs: Gathered,
+    inputs: ExportInputs,
     binary: bool,
     check: Check,
 ) -> Exported:
@@ -89,7 +89,7 @@ def _write(
     model, warnings = _source_model(source, inputs.origin)
     check()
     warnings += kept_lenses(views)
-    cloud, more = points_to_export(inputs.held, source, model, origin=inputs.origin)
+    cloud, more = points_to_export(inputs.capture_points, source, model, origin=inputs.origin)
     ids, table = _camera_table(views, model)
     images = _images(views, ids, model)
     other = _restated(views, model)

@@ -82,11 +82,11 @@ def reading_points(root: int | None) -> Pieces[ExportPoints | None]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gathered:
+class ExportInputs:
     """Inputs of an export, read from Blender; later steps need no bpy."""
 
     views: list[ExportView]
-    held: ExportPoints | None
+    capture_points: ExportPoints | None
     """Points of the capture whose world is written; None: there are none."""
     source: Path | None
     """Files of that capture, if they exist."""
@@ -96,22 +96,24 @@ class Gathered:
     """[3] local origin of views and points; None: there is none."""
 
 
-def gathering(
+def reading_inputs(
     cameras: Sequence[bpy.types.Object],
     scene: bpy.types.Scene,
     root: bpy.types.Object | None,
     depsgraph: Graph,
-) -> Pieces[Gathered]:
+) -> Pieces[ExportInputs]:
     """Read the inputs; arguments and errors as `collecting` and `reading_points`."""
     source, captures, origin = source_of(root), known_captures(), origin_of(root)
     uid = None if root is None else root.session_uid
     views = yield from collecting(cameras, scene, root, depsgraph)
-    held = yield from reading_points(uid)
-    return Gathered(views=views, held=held, source=source, captures=captures, origin=origin)
+    capture_points = yield from reading_points(uid)
+    return ExportInputs(
+        views=views, capture_points=capture_points, source=source, captures=captures, origin=origin
+    )
 
 
 def points_to_export(
-    held: ExportPoints | None,
+    capture_points: ExportPoints | None,
     source: Path | None,
     model: ColmapModel | None = None,
     *,
@@ -120,7 +122,7 @@ def points_to_export(
     """The points of the Blender object: without deleted ones, unmoved ones in float64. No bpy.
 
     Args:
-        held: Points of the object; None: the points of the capture's files.
+        capture_points: Points of the object; None: the points of the capture's files.
         source: The capture's files, if they exist.
         model: Their COLMAP model, if already read.
         origin: [3] local origin of points and model; None: there is none.
@@ -132,12 +134,12 @@ def points_to_export(
         ValueError: the object has no colours.
     """
     exact = model.points if model is not None else _points_without_tracks(source, origin)
-    if held is None:
+    if capture_points is None:
         return (ColmapPoints.none() if exact is None else exact), []
-    now, places = held.positions, held.indices
+    now, places = capture_points.positions, capture_points.indices
     if exact is None:
         note = "The capture's files are missing; points are written in single precision."
-        return _new_points(now, held.colors), [note]
+        return _new_points(now, capture_points.colors), [note]
     own = (places >= 0) & (places < len(exact))
     rows = places[own]
     then = exact.xyz[rows]
@@ -152,7 +154,7 @@ def points_to_export(
     if own.all():
         return kept, []
     first = int(exact.ids.max(initial=0)) + 1
-    added = _new_points(now[~own], held.colors[~own], first)
+    added = _new_points(now[~own], capture_points.colors[~own], first)
     return _joined(kept, added), []
 
 

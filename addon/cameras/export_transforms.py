@@ -13,8 +13,8 @@ import numpy as np
 from ..core import ColmapPoints, atomic_write, offset_between
 from ..process.incremental_tasks import Check, Pieces, run_blocking, run_in_thread
 from . import camera_math as cm
-from .export_sources import Gathered, gathering, points_to_export
-from .export_views import Exported, ExportView, Graph, about_none, all_or_none, kept_lenses
+from .export_sources import ExportInputs, points_to_export, reading_inputs
+from .export_views import Exported, ExportView, Graph, all_or_none, in_file_coordinates, kept_lenses
 
 POINTS = "sparse_pc.ply"
 """nerfstudio's file name of the points."""
@@ -59,14 +59,14 @@ def exporting_transforms(
         ValueError: a camera cannot be written, or the file belongs to a capture of the open file.
     """
     path = Path(path)
-    inputs = yield from gathering(cameras, scene, root, depsgraph)
+    inputs = yield from reading_inputs(cameras, scene, root, depsgraph)
     write = partial(_write, path, inputs)
     return (yield from run_in_thread(write, f"Writing {path}"))
 
 
 def _write(
     path: Path,
-    inputs: Gathered,
+    inputs: ExportInputs,
     check: Check,
 ) -> Exported:
     """Write the files; no bpy."""
@@ -75,7 +75,7 @@ def _write(
         own = known if known.is_file() else known / path.name
         if own.exists() and own.resolve() == path.resolve():
             raise ValueError(f"{path} is the own file of {known}. Choose another name.")
-    points, warnings = points_to_export(inputs.held, source, origin=inputs.origin)
+    points, warnings = points_to_export(inputs.capture_points, source, origin=inputs.origin)
     points = replace(points, xyz=points.xyz + offset_between(inputs.origin, None))
     warnings += kept_lenses(views)
     away = sum(1 for view in views if view.photo and not _is_below(view.photo, path.parent))
@@ -85,7 +85,7 @@ def _write(
             f"the file expects them."
         )
     further = {"ply_file_path": POINTS} if len(points) else {}
-    text = transforms_text(about_none(views, inputs.origin), path.parent, further)
+    text = transforms_text(in_file_coordinates(views, inputs.origin), path.parent, further)
     ply = _ply(points) if len(points) else b""
     with all_or_none(check):
         if ply:

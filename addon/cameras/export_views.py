@@ -103,7 +103,7 @@ def collecting(
     for done in range(len(cameras)):
         if time.perf_counter() > until:
             yield f"Reading cameras: {done} of {len(cameras)}"
-            tracked.look_again()
+            tracked.refresh()
             if tracked.scene.frame_current_final != frame:
                 raise ValueError(
                     "The frame was changed while cameras were exported: export them again."
@@ -123,7 +123,7 @@ def collecting(
     return views
 
 
-def about_none(views: Sequence[ExportView], origin: np.ndarray | None) -> list[ExportView]:
+def in_file_coordinates(views: Sequence[ExportView], origin: np.ndarray | None) -> list[ExportView]:
     """Views about a local origin, converted to the coordinates of the capture's files."""
     shift = offset_between(None, origin)
     return [replace(view, viewmat=moved_viewmats(view.viewmat, shift)) for view in views]
@@ -143,7 +143,7 @@ class Tracked:
         self._uids = [ob.session_uid for ob in cameras]
         self._others = scene.session_uid, None if root is None else root.session_uid
 
-    def look_again(self) -> None:
+    def refresh(self) -> None:
         """Look up all objects; ValueError if one was removed."""
         obs = {ob.session_uid: ob for ob in bpy.data.objects}
         scenes = {scene.session_uid: scene for scene in bpy.data.scenes}

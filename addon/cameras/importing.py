@@ -25,7 +25,7 @@ from ..process.incremental_tasks import BUDGET, Pieces, run_in_thread
 from . import footprint, sfm_points, undistort_jobs
 from . import objects as co
 from .backgrounds import KnownImages, set_photo, shows_photo
-from .capture_transform import HELD_UP, UP, note_origin, root_scale, set_root_matrix, size_drawing
+from .capture_transform import PHOTO_UP, UP, note_origin, root_scale, set_root_matrix, size_drawing
 from .find_imported import (
     Present,
     constrained_warning,
@@ -92,7 +92,7 @@ def importing(
     there = 0 if into is None else into.session_uid
     choices = {"images": images, "photos": photos, "points": points, "align": align}
     origins = known_origins(scene, there)
-    with garbage.put_off():
+    with garbage.defer_collections():
         capture = yield from run_in_thread(
             partial(read, place, **choices, origins=origins), f"Reading {place}"
         )
@@ -117,7 +117,7 @@ class _Compared:
 
     state: tuple[Any, ...]
     """`_state_of` the object."""
-    lacking: co.Lacking | None
+    changes: co.CameraChanges | None
     """Changes to write; None: none."""
     has_photo: bool
     """True if it shows the photo named in the files."""
@@ -148,7 +148,7 @@ class _PendingCapture:
         set_root_matrix(root, read.matrix)
         outer.objects.link(root)
         for one in (inner, root):
-            self._temporary.hold(one)
+            self._temporary.mark(one)
 
     def fill(self, there: Present | None) -> Pieces[None]:
         """Create everything that `there` lacks."""
@@ -190,7 +190,7 @@ class _PendingCapture:
             warnings += more
         root = there.root
         root["gs_images"] = read.images
-        for key, up in ((UP, read.up), (HELD_UP, read.held_up)):
+        for key, up in ((UP, read.up), (PHOTO_UP, read.photo_up)):
             root.pop(key, None)
             if up is not None:
                 root[key] = up.tolist()
@@ -213,7 +213,7 @@ class _PendingCapture:
 
     def _make(self, one: ReadCamera, outer: bpy.types.Collection) -> bpy.types.Object:
         ob = co.make(one.setup, one.name, outer.children[0])
-        self._temporary.hold(ob)
+        self._temporary.mark(ob)
         size_drawing(ob.data, self._read.drawing, 1.0)
         self._set_photo(ob, one)
         return ob
@@ -227,10 +227,10 @@ class _PendingCapture:
     def _compare(self, one: ReadCamera, ob: bpy.types.Object) -> None:
         """Collect the changes that the final step writes."""
         image, same = one.setup.own.image, co.is_as_stated(ob, one.setup)
-        lacking = None if same else co.lacking(ob, one.setup)
+        changes = None if same else co.changes_of(ob, one.setup)
         self._compared[image] = _Compared(
             state=_state_of(ob),
-            lacking=lacking,
+            changes=changes,
             has_photo=one.photo is not None and shows_photo(ob, one.photo),
         )
 
@@ -241,13 +241,13 @@ class _PendingCapture:
         ob = bpy.data.objects.new(name, bpy.data.meshes.new(name))
         ob[co.KIND] = "points"
         outer.objects.link(ob)
-        self._temporary.hold(ob)
+        self._temporary.mark(ob)
         attributes.add_points(ob.data, points.count)
         for step in _steps(points):
             yield f"Importing {points.count:,} points"
             if (outer := self._temporary.found()) is None:
                 return
-            step(co.points_among(outer.objects))
+            step(co.find_points(outer.objects))
 
     def _add(self, outer: bpy.types.Collection, scene: bpy.types.Scene) -> Present:
         """Link the collection to the scene."""
@@ -255,7 +255,7 @@ class _PendingCapture:
         for ob in outer.all_objects:
             if ob != root:
                 ob.parent = root
-        cameras, points = co.by_image(outer.children[0].objects), co.points_among(outer.objects)
+        cameras, points = co.by_image(outer.children[0].objects), co.find_points(outer.objects)
         if self._align and (others := roots_of(scene)):
             matrix = self._read.matrix
             reach = footprint.reach_of(matrix, cameras, points)
@@ -270,8 +270,8 @@ class _PendingCapture:
         if compared is None or compared.state != _state_of(ob):  # changed meanwhile
             self._compare(one, ob)
             compared = self._compared[image]
-        if compared.lacking is not None:
-            co.give(ob, compared.lacking)
+        if compared.changes is not None:
+            co.apply_changes(ob, compared.changes)
             _parent(ob, root)
         if not compared.has_photo:
             self._set_photo(ob, one)
@@ -285,14 +285,14 @@ class _PendingCapture:
         for ob in gone:
             ob.parent = None
             outer.children[0].objects.link(ob)
-            self._temporary.hold(ob)
+            self._temporary.mark(ob)
 
     def _renew(
         self, capture: Present, outer: bpy.types.Collection, scene: bpy.types.Scene
     ) -> tuple[Present, tuple[str, ...]]:
         """Update a capture to the read state; returns the result with warnings."""
         root, cameras = capture.root, capture.cameras
-        old, new = capture.points, co.points_among(outer.objects)
+        old, new = capture.points, co.find_points(outer.objects)
         if new is not None and old is not None and old.mode == "EDIT":
             raise ValueError(
                 f"{old.name} is in Edit Mode: leave it before its capture is imported."

@@ -12,7 +12,7 @@ import bpy
 from ..interface.lookup import Lookup
 from ..interface.option_labels import error_words
 from ..process import poll_timer
-from .backgrounds import StraightBackground, straight_background
+from .backgrounds import UndistortedBackground, undistorted_background
 
 _AGE = 3.0
 """Lifetime of a cached result, seconds."""
@@ -21,7 +21,7 @@ _NEVER = 1e9
 
 
 @dataclass(frozen=True)
-class Lack:
+class MissingCopies:
     """Missing copies of some cameras."""
 
     copies: tuple[Path, ...] = ()
@@ -30,28 +30,28 @@ class Lack:
     """Errors of unreadable cameras, sentences."""
 
 
-def lack_of(cameras: Iterable[bpy.types.Object]) -> Lack:
+def missing_copies(cameras: Iterable[bpy.types.Object]) -> MissingCopies:
     """Missing copies of cameras; reads the disk."""
     return _check(*_backgrounds(cameras))
 
 
-class Lacking:
+class MissingCopiesCache:
     """Missing copies of captures by session uid of their empty; main thread only."""
 
     def __init__(self) -> None:
-        self._inputs: dict[int, tuple[list[StraightBackground], list[str]]] = {}
+        self._inputs: dict[int, tuple[list[UndistortedBackground], list[str]]] = {}
         self._times: dict[int, float] = {}
-        self._lookup: Lookup[int, Lack] = Lookup(
+        self._lookup: Lookup[int, MissingCopies] = Lookup(
             lambda uid: _check(*self._inputs.get(uid, ((), ()))), max_age=_NEVER
         )
 
-    def of(self, root: bpy.types.Object, cameras: Iterable[bpy.types.Object]) -> Lack:
+    def of(self, root: bpy.types.Object, cameras: Iterable[bpy.types.Object]) -> MissingCopies:
         """Cached result for the cameras of a capture."""
         uid, now = root.session_uid, time.monotonic()
         if not self.busy and now - self._times.get(uid, float("-inf")) > _AGE:
             self._inputs[uid], self._times[uid] = _backgrounds(cameras), now
             self._lookup.expire()
-        lack = self._lookup.get(uid)[0] or Lack()
+        lack = self._lookup.get(uid)[0] or MissingCopies()
         poll_timer.ensure()
         return lack
 
@@ -74,12 +74,14 @@ class Lacking:
         return self._lookup.busy
 
 
-def _backgrounds(cameras: Iterable[bpy.types.Object]) -> tuple[list[StraightBackground], list[str]]:
+def _backgrounds(
+    cameras: Iterable[bpy.types.Object],
+) -> tuple[list[UndistortedBackground], list[str]]:
     """Backgrounds of cameras as read from bpy, and errors."""
     backgrounds, problems = [], []
     for ob in cameras:
         try:
-            background = straight_background(ob)
+            background = undistorted_background(ob)
         except ValueError as error:
             problems.append(error_words(error))
             continue
@@ -88,7 +90,7 @@ def _backgrounds(cameras: Iterable[bpy.types.Object]) -> tuple[list[StraightBack
     return backgrounds, problems
 
 
-def _check(backgrounds: Iterable[StraightBackground], problems: Iterable[str]) -> Lack:
+def _check(backgrounds: Iterable[UndistortedBackground], problems: Iterable[str]) -> MissingCopies:
     """Missing copies on disk; no bpy."""
-    copies = (background.lacks() for background in backgrounds)
-    return Lack(tuple(copy for copy in copies if copy is not None), tuple(problems))
+    copies = (background.missing_copy() for background in backgrounds)
+    return MissingCopies(tuple(copy for copy in copies if copy is not None), tuple(problems))

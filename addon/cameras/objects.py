@@ -89,7 +89,7 @@ def by_image(cameras: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
 
 def points_of(root: bpy.types.Object) -> bpy.types.Object | None:
     """The object of a capture's points, or None."""
-    return points_among(root.children)
+    return find_points(root.children)
 
 
 def parts_of(
@@ -98,11 +98,11 @@ def parts_of(
     """`cameras_of` and `points_of` with a single search, because Blender scans all objects for the
     children of one."""
     below = root.children_recursive
-    points = points_among(ob for ob in below if ob.parent == root)
+    points = find_points(ob for ob in below if ob.parent == root)
     return by_image(filter(is_camera, below)), points
 
 
-def points_among(obs: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
+def find_points(obs: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
     """The first object of a capture's points, or None."""
     return next((ob for ob in obs if is_kind(ob, "points") and ob.type == "MESH"), None)
 
@@ -137,11 +137,11 @@ def make(setup: Setup, name: str, collection: bpy.types.Collection) -> bpy.types
 
 def state(ob: bpy.types.Object, setup: Setup) -> None:
     """Write a photo's pose, intrinsics and custom properties to a camera, except `gs_photo`."""
-    give(ob, lacking(ob, setup))
+    apply_changes(ob, changes_of(ob, setup))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lacking:
+class CameraChanges:
     """Changes to write to a camera; no bpy."""
 
     lens: dict[str, Any]
@@ -152,7 +152,7 @@ class Lacking:
     """Custom properties; None: the object has an extra one."""
 
 
-def lacking(ob: bpy.types.Object, setup: Setup) -> Lacking:
+def changes_of(ob: bpy.types.Object, setup: Setup) -> CameraChanges:
     """Changes for `state`; Blender writes several times slower than it compares."""
     own, size = setup.own, setup.own.photo_size
     properties = {
@@ -165,14 +165,14 @@ def lacking(ob: bpy.types.Object, setup: Setup) -> Lacking:
         "gs_params": list(own.params),
         "gs_photo_size": None if size is None else list(size),
     }
-    return Lacking(
-        lens=_lacking_lens(ob.data, setup.lens),
-        place=_lacking_place(ob, setup.location, setup.rotation),
+    return CameraChanges(
+        lens=_lens_changes(ob.data, setup.lens),
+        place=_place_changes(ob, setup.location, setup.rotation),
         properties={key: v for key, v in properties.items() if _as_list(ob.get(key)) != v},
     )
 
 
-def give(ob: bpy.types.Object, changes: Lacking) -> None:
+def apply_changes(ob: bpy.types.Object, changes: CameraChanges) -> None:
     """Write the changes."""
     for owner, values in ((ob.data, changes.lens), (ob, changes.place)):
         for name, value in values.items():
@@ -245,11 +245,11 @@ def note_moves(root: bpy.types.Object, moves: Mapping[str, tuple[float, float]])
 
 def set_lens(data: bpy.types.Camera, lens: cm.Lens) -> None:
     """Set the lens of a camera datablock."""
-    for name, value in _lacking_lens(data, lens).items():
+    for name, value in _lens_changes(data, lens).items():
         setattr(data, name, value)
 
 
-def _lacking_lens(data: bpy.types.Camera, lens: cm.Lens) -> dict[str, Any]:
+def _lens_changes(data: bpy.types.Camera, lens: cm.Lens) -> dict[str, Any]:
     values = {"lens_unit": "MILLIMETERS", **vars(lens)}
     single = {k: float(np.float32(v)) if isinstance(v, float) else v for k, v in values.items()}
     return {name: value for name, value in single.items() if getattr(data, name) != value}
@@ -355,7 +355,7 @@ def _pose(viewmat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return matrix[:3, 3], rotmat_to_quat(matrix[:3, :3])
 
 
-def _lacking_place(
+def _place_changes(
     ob: bpy.types.Object, location: np.ndarray, rotation: np.ndarray
 ) -> dict[str, Any]:
     """Properties to change for a pose, as exact as Blender's single precision allows."""

@@ -18,7 +18,7 @@ from ..core import (
     find_capture,
     plan_undistortion,
     read_capture,
-    up_as_held,
+    up_from_exif,
 )
 from ..interface.option_labels import error_words, panel_words
 from ..process.incremental_tasks import Check
@@ -64,7 +64,7 @@ class ReadCapture:
     """Folder of the photos."""
     up: np.ndarray | None
     """[3] up direction from its files, or from the EXIF orientation of photos; None: unknown."""
-    held_up: np.ndarray | None
+    photo_up: np.ndarray | None
     """[3] up direction from the EXIF orientation of photos; None: unknown."""
     origin: np.ndarray | None
     """[3] local origin of its world; None: there is none."""
@@ -122,8 +122,8 @@ def read(
     viewmats = np.stack([view.viewmat for view in usable])
     finite = np.isfinite(capture.points.points).all(axis=1)
     cloud = capture.points.points[finite]
-    held_up = up_as_held(usable)
-    up = held_up if capture.up is None else capture.up
+    photo_up = up_from_exif(usable)
+    up = photo_up if capture.up is None else capture.up
     matrix = alignment.align(viewmats, cloud, up).matrix if align else np.eye(4)
     check()
     lenses, cameras, copies = _Lenses(), [], []
@@ -146,7 +146,7 @@ def read(
         source=source,
         images=images,
         up=up,
-        held_up=held_up,
+        photo_up=photo_up,
         origin=capture.origin,
         matrix=matrix,
         cameras=tuple(cameras),

@@ -14,21 +14,21 @@ from bpy.app.handlers import persistent
 
 from ..interface.views import redraw_views
 from ..process import poll_timer
-from .backgrounds import KnownImages, file_of, lead_to, straight_background
-from .missing_undistorted import Lack, Lacking
+from .backgrounds import KnownImages, file_of, show_copy, undistorted_background
+from .missing_undistorted import MissingCopies, MissingCopiesCache
 from .objects import is_camera
 from .undistort_program import task_of
 from .undistort_queue import UndistortQueue
 
 QUEUE = UndistortQueue()
 """Undistortion queue of this Blender session."""
-LACKING = Lacking()
+MISSING_COPIES = MissingCopiesCache()
 """Cache of missing undistorted copies, for panels."""
 _PAUSE = 0.05
 """Polling interval of a waiting script, seconds."""
 
 
-def ask(cameras: Iterable[bpy.types.Object]) -> int:
+def queue_copies(cameras: Iterable[bpy.types.Object]) -> int:
     """Queue the missing copies of the cameras' backgrounds, in this order; returns their number.
 
     Backgrounds are set to their copies. Without a window nothing starts until `wait` is called.
@@ -37,8 +37,8 @@ def ask(cameras: Iterable[bpy.types.Object]) -> int:
     tasks, outdated = [], []
     for ob in cameras:
         with suppress(ValueError):
-            background = straight_background(ob)
-            copy = None if background is None else background.lacks()
+            background = undistorted_background(ob)
+            copy = None if background is None else background.missing_copy()
             if copy is None:
                 continue
             if background.file != copy:
@@ -48,7 +48,7 @@ def ask(cameras: Iterable[bpy.types.Object]) -> int:
     if outdated:
         known = KnownImages()
         for ob, copy in outdated:
-            lead_to(ob, copy, known)
+            show_copy(ob, copy, known)
     begin(tasks)
     return len(tasks)
 
@@ -56,9 +56,9 @@ def ask(cameras: Iterable[bpy.types.Object]) -> int:
 def begin(tasks: Sequence[dict[str, Any]]) -> None:
     """Queue tasks (`undistort_program.task_of`), in this order."""
     if tasks:
-        QUEUE.ask(tasks)
+        QUEUE.queue_copies(tasks)
         poll_timer.ensure()
-    LACKING.expire()
+    MISSING_COPIES.expire()
 
 
 def wait() -> None:
@@ -68,7 +68,7 @@ def wait() -> None:
         time.sleep(_PAUSE)
 
 
-def problems_of(lack: Lack) -> list[str]:
+def problems_of(lack: MissingCopies) -> list[str]:
     """Errors of missing copies, as sentences."""
     problems = (QUEUE.problems.get(str(copy)) for copy in lack.copies)
     return [*lack.problems, *filter(None, problems)]
@@ -85,7 +85,7 @@ def collect() -> bool:
                 image.reload()
         redraw_views()
     if made or not QUEUE.busy:
-        LACKING.expire()
+        MISSING_COPIES.expire()
     return bool(made) or not QUEUE.busy
 
 
@@ -107,14 +107,14 @@ def _program() -> tuple[list[str], Mapping[str, str]]:
 @persistent
 def _file_loaded(*_: object) -> None:
     """Queue copies that are missing on this computer or outdated."""
-    LACKING.clear()
+    MISSING_COPIES.clear()
     if not bpy.app.background:
-        ask(ob for ob in bpy.data.objects if is_camera(ob) and ob.library is None)
+        queue_copies(ob for ob in bpy.data.objects if is_camera(ob) and ob.library is None)
 
 
 _POLLERS = (
     poll_timer.Poller(collect, lambda: QUEUE.busy),
-    poll_timer.Poller(LACKING.collect, lambda: LACKING.busy),
+    poll_timer.Poller(MISSING_COPIES.collect, lambda: MISSING_COPIES.busy),
 )
 
 

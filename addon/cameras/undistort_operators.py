@@ -14,7 +14,7 @@ from ..preferences import SECTIONS, Preferences
 from ..process import poll_timer
 from . import undistort_jobs, undistorted_photos
 from .lookup import find_root
-from .missing_undistorted import lack_of
+from .missing_undistorted import missing_copies
 from .objects import cameras_of
 
 _SIZES: Lookup[Path, tuple[int, int]] = Lookup(undistorted_photos.size_of, max_age=5.0)
@@ -38,12 +38,12 @@ class UndistortPhotos(BaseOperator, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Queue the copies; without a window, wait for them."""
         cameras = cameras_of(find_root(context, self.capture))
-        count = undistort_jobs.ask(cameras)
+        count = undistort_jobs.queue_copies(cameras)
         if bpy.app.background:
             undistort_jobs.wait()
         elif count:
             return f"Undistorting {count} photos in the background."
-        problems = undistort_jobs.problems_of(lack_of(cameras))
+        problems = undistort_jobs.problems_of(missing_copies(cameras))
         if problems:
             raise ValueError(problems[0])
         if not count:
@@ -92,7 +92,7 @@ class RemoveUndistortedPhotos(ConfirmMixin, BaseOperator, bpy.types.Operator):
         """Number, size and folder of the copies."""
         folder = undistorted_photos.copies_folder()
         count, size = undistorted_photos.size_of(folder)
-        if not count and not undistorted_photos.left_over(folder):
+        if not count and not undistorted_photos.partial_files(folder):
             raise ValueError(f"There are no undistorted photos in {folder}.")
         return [f"{count} undistorted copies, {size / 1e6:.0f} MB, in {folder}. The photos stay."]
 
@@ -100,7 +100,7 @@ class RemoveUndistortedPhotos(ConfirmMixin, BaseOperator, bpy.types.Operator):
         """Remove the copies."""
         folder = undistorted_photos.copies_folder()
         files = undistorted_photos.copies(folder)
-        undistorted_photos.remove(files + undistorted_photos.left_over(folder))
+        undistorted_photos.remove(files + undistorted_photos.partial_files(folder))
         _SIZES.expire()
         return f"Removed {len(files)} undistorted copies from {folder}."
 

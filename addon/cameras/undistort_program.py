@@ -86,7 +86,7 @@ def _camera(task: dict[str, Any]) -> PhotoCamera:
 
 def _write(file: Path, photo: np.ndarray, plan: Undistortion, *, jpeg: bool) -> None:
     """Undistort [H, W, 4] uint8, and encode the result with Blender."""
-    pixels = plan.straighten(photo[..., :3] if jpeg else photo)
+    pixels = plan.undistort_photo(photo[..., :3] if jpeg else photo)
     height, width = pixels.shape[:2]
     rgba = np.ones((height, width, 4), np.float32)
     rgba[..., : pixels.shape[2]] = pixels[::-1] / np.float32(255)

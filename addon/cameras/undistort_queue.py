@@ -44,7 +44,7 @@ class UndistortQueue:
         """Copies requested since the queue was last idle."""
         return self.done + len(self._tasks)
 
-    def ask(self, tasks: Iterable[dict[str, Any]]) -> None:
+    def enqueue_first(self, tasks: Iterable[dict[str, Any]]) -> None:
         """Queue these copies first, after the current one."""
         if not self.busy:
             self.done = 0

@@ -96,7 +96,7 @@ def part_of(copy: Path) -> Path:
     return copy.with_name(f".{copy.name}{_PART}")
 
 
-def left_over(folder: Path) -> list[Path]:
+def partial_files(folder: Path) -> list[Path]:
     """Partial files of killed programs in a folder."""
     return sorted(folder.glob(f".*{_PART}"))
 

@@ -5,7 +5,7 @@ from typing import ClassVar
 import bpy
 from bpy.props import BoolProperty
 
-from ..cameras.camera_colors import give, hide, mark_of, marks, own_cameras, take
+from ..cameras.camera_colors import hide, mark_of, marks, own_cameras, set_color, take
 from ..cameras.lookup import panel_root
 from ..capture.depth_maps import ACCEPTED, MISSING, REFUSED, DepthReport
 from ..interface import undo
@@ -34,7 +34,7 @@ def show(root: bpy.types.Object, report: DepthReport) -> int:
         if verdict is None:
             take(ob)
         else:
-            give(ob, verdict, PALETTE[verdict])
+            set_color(ob, verdict, PALETTE[verdict])
             known += 1
     return known
 

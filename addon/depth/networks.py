@@ -29,7 +29,7 @@ def chosen() -> KnownNetwork | None:
     return known(preferences.get().depth_network)
 
 
-def is_here(network: KnownNetwork) -> bool | None:
+def is_installed(network: KnownNetwork) -> bool | None:
     """True if the network is installed; None: not known yet.
 
     Raises:
@@ -47,7 +47,7 @@ def check_download(network: KnownNetwork, download: bool) -> None:
     """Raise ValueError if a download is not allowed, or is needed and not requested."""
     if download and not may_go_online():
         raise ValueError(OFFLINE)
-    if not download and is_here(network) is False:
+    if not download and is_installed(network) is False:
         raise ValueError(f"{network.name} is not on this computer; press Download and Predict.")
 
 

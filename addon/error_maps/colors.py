@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 
-from ..cameras.camera_colors import give, marks, own_cameras, take
+from ..cameras.camera_colors import marks, own_cameras, set_color, take
 from ..capture.figures import Figures
 from ..core import colorize
 
@@ -24,7 +24,7 @@ def show(root: bpy.types.Object, figures: Figures) -> int:
             continue
         psnr = known[name]
         place = 0.0 if psnr is None or high <= low else (high - psnr) / (high - low)
-        give(ob, _MARK, color_at(place))
+        set_color(ob, _MARK, color_at(place))
         shown += 1
     return shown
 

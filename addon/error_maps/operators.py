@@ -9,7 +9,7 @@ from ..cameras.camera_colors import hide
 from ..cameras.objects import root_of
 from ..capture.figures import measured
 from ..interface.base_operator import BaseOperator
-from ..splats.objects import is_splats, meant
+from ..splats.objects import active_splats, is_splats
 from ..stored_paths import RUN
 from ..training.verb_job import VerbJob
 from ..training.verb_operators import Cancelling, Starting
@@ -22,7 +22,7 @@ class _OfRun(BaseOperator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether splats of a training are active."""
-        if is_splats(ob := meant(context)) and RUN in ob:
+        if is_splats(ob := active_splats(context)) and RUN in ob:
             return True
         cls.poll_message_set("Select splats that come from a training")
         return False
@@ -37,7 +37,7 @@ class MeasureErrors(_OfRun, Starting, bpy.types.Operator):
 
     def start(self, context: bpy.types.Context) -> VerbJob:
         """Start."""
-        return measure_errors.measure(meant(context), wait=self.wait)
+        return measure_errors.measure(active_splats(context), wait=self.wait)
 
 
 class StopErrors(Cancelling, bpy.types.Operator):
@@ -49,7 +49,7 @@ class StopErrors(Cancelling, bpy.types.Operator):
 
     def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
         """The errors job of the active object's run."""
-        ob = meant(bpy.context)
+        ob = active_splats(bpy.context)
         return measure_errors.job_of(ob) if is_splats(ob) else None
 
 
@@ -69,7 +69,7 @@ class ColorByError(_OfRun, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Color the cameras, or restore their colors."""
-        ob = meant(context)
+        ob = active_splats(context)
         root = root_of(ob)
         if root is None:
             raise ValueError(f"{ob.name} has no cameras here: use Import Cameras first.")
@@ -100,7 +100,7 @@ class ShowErrorMap(_OfRun, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Show the error map or the splats."""
-        measure_errors.show_map(meant(context), self.show)
+        measure_errors.show_map(active_splats(context), self.show)
         return ""
 
 
@@ -113,7 +113,7 @@ class RemoveErrors(_OfRun, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Remove."""
-        measure_errors.remove(meant(context))
+        measure_errors.remove(active_splats(context))
         return ""
 
 

@@ -38,7 +38,7 @@ class Box:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Over:
+class OverlappingRegions:
     """Regions over a view."""
 
     left: Sequence[Box] = ()
@@ -48,7 +48,7 @@ class Over:
     floating: Sequence[Box] = ()
 
 
-def placed(view: Box, over: Over, count: int, scale: float) -> list[Box]:
+def placed(view: Box, over: OverlappingRegions, count: int, scale: float) -> list[Box]:
     """Boxes of one size at the view's lower right, away from the settings of the last operator:
     side by side if they fit, else stacked, as many as fit; above overlapping regions.
 

@@ -50,7 +50,7 @@ class _Entry:
     """True if requested since it became stale."""
     changed: float = float("-inf")
     """Monotonic seconds."""
-    going: TaskRunner | None = None
+    task: TaskRunner | None = None
 
 
 class Counted:
@@ -107,27 +107,27 @@ class Counted:
 
     def waits(self) -> bool:
         """True if a count runs, or is due when its mesh stops changing."""
-        return any(entry.wanted or entry.going for entry in self._entries.values())
+        return any(entry.wanted or entry.task for entry in self._entries.values())
 
 
 def _give_up(entry: _Entry) -> None:
-    if entry.going is not None:
-        entry.going.cancel()
-    entry.going, entry.wanted = None, False
+    if entry.task is not None:
+        entry.task.cancel()
+    entry.task, entry.wanted = None, False
 
 
 def _step(entry: _Entry) -> bool:
     """Start or continue a count; true if there are new results."""
-    if entry.going is None:
+    if entry.task is None:
         if entry.wanted and time.monotonic() - entry.changed >= QUIET:
             entry.stale = entry.wanted = False
-            entry.going = TaskRunner(_counting(entry.mesh, entry.count))
+            entry.task = TaskRunner(_counting(entry.mesh, entry.count))
         return False
-    going, entry.going = entry.going, None
-    if not going.step():  # may raise MemoryError
-        entry.going = going
+    task, entry.task = entry.task, None
+    if not task.step():  # may raise MemoryError
+        entry.task = task
         return False
-    before, entry.count = entry.count, going.result
+    before, entry.count = entry.count, task.result
     return entry.count is not before
 
 

@@ -8,7 +8,7 @@ from ..interface import editable_check, undo
 from ..interface.blocks import with_uid
 from ..interface.views import redraw_views
 from ..splats.objects import in_question
-from .boxes import Box, Over, placed
+from .boxes import Box, OverlappingRegions, placed
 from .counted import COUNTED
 from .counting import OPACITY, SIZE, Histogram
 from .drawing import draw
@@ -65,7 +65,7 @@ def _boxes(context: bpy.types.Context, view: bpy.types.Region) -> list[Box]:
             over.setdefault(one.alignment, []).append(box)
     return placed(
         Box(0, 0, view.width, view.height),
-        Over(
+        OverlappingRegions(
             left=over.get("LEFT", ()),
             right=over.get("RIGHT", ()),
             above=over.get("TOP", ()),

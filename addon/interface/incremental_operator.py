@@ -29,7 +29,7 @@ class IncrementalOperator(BaseOperator):
     def act(self, context: bpy.types.Context) -> str:
         """Run all steps in one call."""
         try:
-            return run_blocking(in_words(self.pieces(context)))
+            return run_blocking(with_readable_errors(self.pieces(context)))
         finally:
             finish()
 
@@ -46,7 +46,7 @@ class IncrementalOperator(BaseOperator):
             return super().execute(context)
         try:
             editable_check.check(*self.changes(context))
-            runner = TaskRunner(in_words(self.pieces(context)))
+            runner = TaskRunner(with_readable_errors(self.pieces(context)))
             done = runner.step()
         except (GsError, ValueError, OSError) as error:
             return self.refuse(error)
@@ -60,7 +60,7 @@ class IncrementalOperator(BaseOperator):
         """Run a step at a timer event; pass other events through."""
         own = self._modal_run
         if event.type == "ESC" and event.value == "PRESS":
-            own.give_up()
+            own.cancel()
             self.report({"INFO"}, f"{self.bl_label} was cancelled.")
             return {"CANCELLED"}
         if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
@@ -68,10 +68,10 @@ class IncrementalOperator(BaseOperator):
         try:
             done = own.step()
         except (GsError, ValueError, OSError) as error:
-            own.give_up()
+            own.cancel()
             return self.refuse(error)
         except Exception:
-            own.give_up()  # else its timer would keep running
+            own.cancel()  # else its timer would keep running
             raise
         if not done:
             own.status.show(own.runner.sentence)
@@ -82,7 +82,7 @@ class IncrementalOperator(BaseOperator):
     def cancel(self, context: bpy.types.Context) -> None:
         """Clean up; called by Blender before a file load or its end."""
         if (own := getattr(self, "_modal_run", None)) is not None:  # None: from the file browser
-            own.give_up()
+            own.cancel()
 
     def _finished(self, runner: TaskRunner) -> set[str]:
         if runner.result:
@@ -115,7 +115,7 @@ class _ModalRun:
         _MODAL_RUNS.discard(self)
         self.status.end()
 
-    def give_up(self) -> None:
+    def cancel(self) -> None:
         """Cancel before the end."""
         try:
             self.runner.cancel()
@@ -126,7 +126,7 @@ class _ModalRun:
 _MODAL_RUNS: set[_ModalRun] = set()
 
 
-def in_words(pieces: Pieces[ResultT]) -> Pieces[ResultT]:
+def with_readable_errors(pieces: Pieces[ResultT]) -> Pieces[ResultT]:
     """The same steps, with a readable error if memory runs out."""
     try:
         return (yield from pieces)
@@ -139,4 +139,4 @@ def in_words(pieces: Pieces[ResultT]) -> Pieces[ResultT]:
 def on_unregister() -> None:
     """Cancel running operators, because Blender drops them without calling `cancel`."""
     for own in list(_MODAL_RUNS):
-        own.give_up()
+        own.cancel()

@@ -31,7 +31,7 @@ class Temporary:
         block = _all(self._kind).get(self._name)
         return block if block is not None and block.get(_MARK) == self._mark else None
 
-    def hold(self, block: bpy.types.Collection | bpy.types.Object) -> None:
+    def mark(self, block: bpy.types.Collection | bpy.types.Object) -> None:
         """Mark a datablock that was put into it, which a file saved meanwhile contains too."""
         block[_MARK] = self._mark
 

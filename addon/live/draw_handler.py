@@ -24,7 +24,7 @@ from ..splats.live_display import SESSION
 from ..splats.objects import is_splats
 from . import photos
 from .card import Card
-from .fallback import StandIn
+from .fallback import LiveFallback
 from .view_context import cuts_of, has_lines_in_front, is_hidden_by_others, is_own, keeps_colors
 from .views import View
 
@@ -48,7 +48,7 @@ class _State:
     """Views by the pointer of their region."""
     failures: int = 0
     """Consecutive failures of the graphics card."""
-    rests_until: float = float("-inf")
+    paused_until: float = float("-inf")
     """Monotonic seconds before which nothing is drawn."""
     handles: list[object] = field(default_factory=list)
     scene: gpu.types.GPUFrameBuffer | None = None
@@ -64,7 +64,7 @@ class _State:
 _state = _State()
 
 
-_STAND_IN = StandIn(_state.views)
+_STAND_IN = LiveFallback(_state.views)
 
 
 def view_of(region: bpy.types.Region) -> View | None:
@@ -82,7 +82,7 @@ def shown(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> list[So
     """The splat objects drawn live in the view of a context."""
     space = context.space_data
     own = is_own(context)
-    if space.shading.type == "WIREFRAME" or (own and not _STAND_IN.stands_in(context)):
+    if space.shading.type == "WIREFRAME" or (own and not _STAND_IN.draws_live(context)):
         return []
     found = sources(depsgraph)
     viewport_copies.SHARED.keep_only(found)
@@ -102,7 +102,7 @@ def draw(context: bpy.types.Context) -> None:
     over = viewport.OVER.get(pointer) if is_own(context) else None
     if over is None and pointer in viewport.EXACT and is_own(context):
         return
-    if time.monotonic() < _state.rests_until:
+    if time.monotonic() < _state.paused_until:
         return
     try:
         if over is None:
@@ -191,7 +191,7 @@ def _failed(error: Exception, pointer: int) -> None:
     """Release everything on the graphics card and try again later; if that is hopeless, show
     points."""
     reason, now = error_words(error), time.monotonic()
-    if now - _state.rests_until > _FORGIVEN:
+    if now - _state.paused_until > _FORGIVEN:
         _state.failures = 0
     compiled = _state.card is not None and _state.card.ready
     refused = not compiled and not _state.failures
@@ -209,7 +209,7 @@ def _failed(error: Exception, pointer: int) -> None:
         _log.warning(SESSION.problem)
         _soon(_show_points, 0.0)  # data must not change during drawing
         return
-    _state.rests_until = now + _PAUSE
+    _state.paused_until = now + _PAUSE
     _state.problems[pointer] = (
         f"The graphics card failed to draw splats ({reason}); the add-on tries again."
     )
@@ -313,7 +313,7 @@ def on_register() -> None:
         _state.handles.append(handle)
     bpy.app.handlers.depsgraph_update_post.append(_changed)
     bpy.app.handlers.load_post.append(_file_loaded)
-    viewport.STAND_INS.append(_STAND_IN)
+    viewport.FALLBACKS.append(_STAND_IN)
 
 
 def on_unregister() -> None:
@@ -323,7 +323,7 @@ def on_unregister() -> None:
     for timer in (_poll, redraw_views, _show_points):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
-    viewport.STAND_INS.remove(_STAND_IN)
+    viewport.FALLBACKS.remove(_STAND_IN)
     bpy.app.handlers.load_post.remove(_file_loaded)
     bpy.app.handlers.depsgraph_update_post.remove(_changed)
     for handle in _state.handles:

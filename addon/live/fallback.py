@@ -10,14 +10,14 @@ from . import photos
 from .views import View
 
 
-class StandIn:
-    """Live drawing as a `render.viewport.StandIn`."""
+class LiveFallback:
+    """Live drawing as a `render.viewport.LiveFallback`."""
 
     def __init__(self, views: Mapping[int, View]) -> None:
         """Keep the known views, by the pointer of their region."""
         self._views = views
 
-    def stands_in(self, context: bpy.types.Context) -> bool:
+    def draws_live(self, context: bpy.types.Context) -> bool:
         """Whether splats are drawn live there. Their colours must match the picture's, except with
         a photo behind them, which shows its own colours too."""
         wanted = SESSION.works and context.scene.gscore_render.live
@@ -32,6 +32,6 @@ class StandIn:
         """Whether there is a photo behind the splats, which Blender would draw over a picture."""
         return photos.is_behind(context)
 
-    def lays_over(self, context: bpy.types.Context) -> bool:
+    def covers_photos(self, context: bpy.types.Context) -> bool:
         """Whether there are pictures behind the splats and none in front, which it would cover."""
         return SESSION.works and photos.are_behind(context)

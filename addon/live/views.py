@@ -243,7 +243,7 @@ class View:
             check_similar(one)
         if not request.same(self._requested):
             self._requested = request
-            self.sorter.ask(request)
+            self.sorter.submit(request)
         if self.sorter.problem:
             raise ValueError(self.sorter.problem)
         if self._shown is None:

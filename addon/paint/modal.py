@@ -68,7 +68,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The points."""
-        return (objects.meant(context).data,)
+        return (objects.active_splats(context).data,)
 
     def act(self, context: bpy.types.Context) -> str:
         """Raise ValueError: painting needs a 3D view."""
@@ -85,7 +85,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
             return self.execute(context)
         self._edited = ""
         try:
-            edited = objects.meant(context).mode == "EDIT"
+            edited = objects.active_splats(context).mode == "EDIT"
             ob = paintable(context)
         except (GsError, ValueError) as error:
             return self.refuse(error)

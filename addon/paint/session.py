@@ -318,7 +318,7 @@ class Session:
         self._step_search(wait=bpy.app.background)
 
     def _show_undone(self, context: bpy.types.Context) -> None:
-        ob = objects.meant(context)
+        ob = objects.active_splats(context)
         if objects.is_splats(ob):
             paint_target.show_as_kept(ob)
             redraw_views()
@@ -364,7 +364,7 @@ def paintable(context: bpy.types.Context) -> bpy.types.Object:
     Raises:
         GsError, ValueError: there is none, it is hidden, or Blender would not save the changes.
     """
-    ob = objects.meant(context)
+    ob = objects.active_splats(context)
     if not objects.is_splats(ob):
         raise ValueError("Select a splat object to paint on.")
     check_shown(ob)

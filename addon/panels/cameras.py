@@ -85,7 +85,7 @@ def draw_undistortion(
         row.progress(factor=queue.done / total, text=text)
         row.operator("gscore.stop_straightening", text="", icon="X")
         return
-    lack = undistort_jobs.LACKING.of(empty, cameras)
+    lack = undistort_jobs.MISSING_COPIES.of(empty, cameras)
     for problem in undistort_jobs.problems_of(lack)[:1]:
         sentence(layout, context, problem, icon="ERROR")
     if lack.copies:

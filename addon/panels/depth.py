@@ -66,7 +66,7 @@ def draw_network(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool
         layout.prop(preferences.get(), "depth_model", text="File")
         return True
     try:
-        here = networks.is_here(network)
+        here = networks.is_installed(network)
     except ValueError as error:
         sentence(layout, context, error_words(error), icon="ERROR")
         return False

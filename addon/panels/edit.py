@@ -5,7 +5,7 @@ from typing import ClassVar
 import bpy
 
 from ..render.viewport_copies import EDITED_AT_ONCE
-from ..splats.objects import is_splats, meant
+from ..splats.objects import active_splats, is_splats
 from .widgets import TabPanel
 
 
@@ -25,11 +25,11 @@ class EditPanel(TabPanel, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """True if a splat object or its crop object is active."""
-        return is_splats(meant(context))
+        return is_splats(active_splats(context))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout, ob = self.layout, meant(context)
+        layout, ob = self.layout, active_splats(context)
         if ob.mode == "EDIT" and ob.gscore.display == "SPLATS" and _is_large(ob):
             layout.prop_enum(ob.gscore, "display", "POINTS", text="Show Edits Live")
         layout.label(text="Select", icon="RESTRICT_SELECT_OFF")

@@ -8,7 +8,7 @@ from ..cameras.objects import cameras_of, root_of
 from ..capture.figures import Figures
 from ..error_maps import colors, measure_errors
 from ..process import poll_timer
-from ..splats.objects import is_splats, meant
+from ..splats.objects import active_splats, is_splats
 from ..stored_paths import RUN
 from ..training import lookups
 from .widgets import TabPanel, draw_verb, has_python, sentence
@@ -32,11 +32,11 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """True if splats of a training are active."""
-        return is_splats(ob := meant(context)) and RUN in ob
+        return is_splats(ob := active_splats(context)) and RUN in ob
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout, ob = self.layout, meant(context)
+        layout, ob = self.layout, active_splats(context)
         job = measure_errors.job_of(ob)
         if job is not None:
             text = job.progress.view if job.progress is not None else ""

@@ -7,7 +7,7 @@ import bpy
 from ..paint.brush import COLOR, OPACITY
 from ..paint.modal import RUNNING
 from ..paint.settings import BrushSettings
-from ..splats.objects import is_splats, meant
+from ..splats.objects import active_splats, is_splats
 from .widgets import TabPanel
 
 
@@ -22,7 +22,7 @@ class PaintPanel(TabPanel, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """True if a splat object or its crop object is active."""
-        return is_splats(meant(context))
+        return is_splats(active_splats(context))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

@@ -6,7 +6,7 @@ import bpy
 
 from ..core import Started
 from ..region_training import train_region
-from ..splats.objects import is_splats, meant
+from ..splats.objects import active_splats, is_splats
 from ..training.verb_job import VerbJob
 from .widgets import TabPanel, draw_verb, has_python, sentence
 
@@ -22,11 +22,11 @@ class RegionPanel(TabPanel, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """True if a splat object or its crop object is active."""
-        return is_splats(meant(context))
+        return is_splats(active_splats(context))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout, ob = self.layout, meant(context)
+        layout, ob = self.layout, active_splats(context)
         job = train_region.job_of(context.scene)
         if job is not None:
             draw_verb(layout, context, job, bar_text(job), "gscore.stop_region")

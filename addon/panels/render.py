@@ -7,10 +7,10 @@ from ..render import transparent_bounces, video_size
 from ..render.composite_nodes import combine_node, is_older
 from ..render.compositing_scene import SPLAT_SCENE
 from ..render.engine import NAME
-from ..render.holdout_meshes import not_taken_over
+from ..render.holdout_meshes import missing_holdouts
 from ..render.panels import draw_render
 from ..render.unsupported_settings import NOT_TAKEN_OVER
-from ..splats.objects import meant
+from ..splats.objects import active_splats
 from ..stored_paths import RUN
 from .widgets import TabPanel, root, sentence
 
@@ -49,7 +49,7 @@ class RenderPanel(TabPanel, bpy.types.Panel):
             row = layout.row()
             row.enabled = is_camera(context.object) or is_camera(scene.camera)
             row.operator("gscore.compare_photo", icon="IMAGE_REFERENCE")
-        if RUN in (meant(context) or ()):
+        if RUN in (active_splats(context) or ()):
             layout.operator("gscore.compare_worst_photo")
         draw_compositing(layout, context)
 
@@ -64,7 +64,7 @@ def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     elif is_older(scene):
         text = "Compositing was set up by an earlier version: press the button again to update it."
         sentence(layout, context, text, icon="INFO")
-    elif names := not_taken_over(scene, scene.get(SPLAT_SCENE)):
+    elif names := missing_holdouts(scene, scene.get(SPLAT_SCENE)):
         sentence(layout, context, NOT_TAKEN_OVER.format(names), icon="INFO")
     row = layout.row(align=True)
     row.operator("gscore.set_up_compositing", icon="NODE_COMPOSITING")

@@ -12,7 +12,7 @@ from ..interface.option_labels import error_words
 from ..live import draw_handler
 from ..splats import edit, lag, live_display, uniform_scale
 from ..splats.mend_operators import outdated
-from ..splats.objects import in_question, is_native, is_splats, meant
+from ..splats.objects import active_splats, in_question, is_native, is_splats
 from .widgets import TabPanel, job, limit, rows, sentence
 
 _HISTOGRAM_SCALE = 4.0
@@ -39,7 +39,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
             return
         row = layout.row(align=True)
         row.label(text=ob.name, icon="OUTLINER_OB_POINTCLOUD")
-        if ob != meant(context):
+        if ob != active_splats(context):
             row.operator("gscore.select_result", text="Select")
         draw_counts(layout, context, ob)
         draw_outdated(layout, context)
@@ -54,7 +54,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
             draw_live(layout, context)
         else:
             layout.prop(settings, "colour_by")
-            draw_seen_from(layout, context, ob)
+            draw_viewpoint(layout, context, ob)
         shading = context.space_data.shading
         if shading.type in {"WIREFRAME", "SOLID"} and not is_live:  # these color only faces
             layout.prop_enum(shading, "type", "MATERIAL", text="Show Colors in This View")
@@ -124,7 +124,7 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
                 text = "The crop object was deleted, but still crops; press Reset to end that."
                 sentence(layout, context, text, icon="INFO")
         layout.prop(settings, "apply_filters_to_render")
-        if ob != meant(context):
+        if ob != active_splats(context):
             return
         if settings.crop_object is None:
             layout.operator("gscore.add_crop_box", icon="CUBE")
@@ -145,7 +145,7 @@ class MorePanel(TabPanel, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """True if a splat object is active."""
-        return is_splats(meant(context))
+        return is_splats(active_splats(context))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -189,7 +189,7 @@ def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         sentence(layout, context, "Splats are drawn live only in a window.", icon="INFO")
 
 
-def draw_seen_from(
+def draw_viewpoint(
     layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
 ) -> None:
     """Draw a note on the viewpoint of soft splats' colors: a modifier's nodes know only the scene

@@ -16,7 +16,7 @@ from .progress import bar_text
 from .widgets import TabPanel, job
 
 
-class NowPanel(TabPanel, bpy.types.Panel):
+class RunningWorkPanel(TabPanel, bpy.types.Panel):
     """Progress bars of running jobs, above all panels"""
 
     bl_idname = "GSCORE_PT_now"
@@ -64,4 +64,4 @@ def other_work(scene: bpy.types.Scene) -> Iterator[tuple[float, str, str]]:
         yield frames.share, f"Sequence: {train_sequence.bar_text(frames)}", "gscore.stop_sequence"
 
 
-CLASSES = (NowPanel,)
+CLASSES = (RunningWorkPanel,)

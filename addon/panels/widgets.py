@@ -104,7 +104,7 @@ def draw_verb(
         row = layout.row(align=True)
         row.progress(factor=job.share, text=text)
         row.operator(stop, text="", icon=icon)
-    elif job.wanted:
+    elif job.awaits_import:
         layout.label(text="Importing the result...", icon="TIME")
     if job.sentence:
         end = "ERROR" if job.status == FAILED else "CHECKMARK"

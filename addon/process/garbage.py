@@ -10,7 +10,7 @@ _before: list[int] = []
 
 
 @contextmanager
-def put_off() -> Iterator[None]:
+def defer_collections() -> Iterator[None]:
     """Disable full garbage collections; collections of younger objects continue.
 
     After many allocations Python scans all objects, including those of Blender and other add-ons,

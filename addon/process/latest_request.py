@@ -34,7 +34,7 @@ class Latest(Generic[RequestT, AnswerT]):
         self.busy = False
         """True while an answer is pending."""
 
-    def ask(self, request: RequestT) -> None:
+    def submit(self, request: RequestT) -> None:
         """Request an answer; replaces a pending request."""
         with self._changed:
             if self._closed:

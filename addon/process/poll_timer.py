@@ -38,7 +38,7 @@ class Poller:
     """Runs a short step; returns True if panels need a redraw."""
     waits: Callable[[], bool] = _no
     """True while work is pending."""
-    hurries: Callable[[], bool] = _no
+    is_urgent: Callable[[], bool] = _no
     """True if the next step should follow soon."""
 
 
@@ -103,15 +103,15 @@ def _poll_within_pace() -> float | None:
     """Poll as often as the pace allows; seconds to the next call, None: none."""
     try:
         while True:
-            waits, hurries = poll(), any(poller.hurries() for poller in POLLERS)
-            if not (waits and hurries and _pace.more(did=_screen.changed)):
+            waits, is_urgent = poll(), any(poller.is_urgent() for poller in POLLERS)
+            if not (waits and is_urgent and _pace.more(did=_screen.changed)):
                 break
     except Exception:  # else Blender drops the timer, and a training would seem to hang
         _log.exception("An error in the add-on; please report it.")
         return AFTER_ERROR
     if not waits:
         return None
-    return FAST if hurries else INTERVAL
+    return FAST if is_urgent else INTERVAL
 
 
 @persistent

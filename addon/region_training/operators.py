@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..splats.objects import is_splats, meant
+from ..splats.objects import active_splats, is_splats
 from ..training import start_training
 from ..training.verb_job import VerbJob
 from ..training.verb_operators import Cancelling, Starting
@@ -19,7 +19,7 @@ class TrainRegion(Starting, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether a splat object or its crop object is active."""
-        if is_splats(meant(context)):
+        if is_splats(active_splats(context)):
             return True
         cls.poll_message_set("Select splats, or their crop box")
         return False
@@ -27,7 +27,7 @@ class TrainRegion(Starting, bpy.types.Operator):
     def start(self, context: bpy.types.Context) -> VerbJob:
         """Start."""
         self.warn(start_training.unsaved(context.scene))
-        return train_region.train_region(context.scene, meant(context), wait=self.wait)
+        return train_region.train_region(context.scene, active_splats(context), wait=self.wait)
 
 
 class StopRegion(Cancelling, bpy.types.Operator):

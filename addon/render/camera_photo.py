@@ -152,9 +152,9 @@ def _undistorted(
     """
     photo, mask = levels_of(colors), levels_of(opacity)
     if cut_out:
-        rgba = plan.straighten(np.dstack([photo, mask])) / np.float32(255)
+        rgba = plan.undistort_photo(np.dstack([photo, mask])) / np.float32(255)
         return rgba, rgba[..., 3]
-    straight = plan.straighten(photo)
+    straight = plan.undistort_photo(photo)
     height, width = straight.shape[:2]
     scale = (mask.shape[1] / plan.camera.width, mask.shape[0] / plan.camera.height)
     # Interpolation would give a binary mask half-transparent rims.

@@ -52,7 +52,7 @@ def group() -> bpy.types.NodeTree:
     """
     for tree in bpy.data.node_groups:
         ours = tree.name.startswith(GROUP) and tree.bl_idname == "CompositorNodeTree"
-        if ours and is_of_now(tree):
+        if ours and is_current(tree):
             return tree
     tree = bpy.data.node_groups.new(GROUP, "CompositorNodeTree")
     tree[_FORM] = _OF_NOW
@@ -68,7 +68,7 @@ def group() -> bpy.types.NodeTree:
     return tree
 
 
-def is_of_now(tree: bpy.types.NodeTree) -> bool:
+def is_current(tree: bpy.types.NodeTree) -> bool:
     """Whether a group has the current sockets and formula."""
     return tree.get(_FORM) == _OF_NOW
 

@@ -4,7 +4,7 @@ import bpy
 
 from .. import compat
 from . import holdout_passes
-from .composite_group import group, is_of_now
+from .composite_group import group, is_current
 
 LAYER_NODE, COMBINE_NODE, WORLD_NODE = "GS Splats", "GS Combine by Depth", "GS World"
 """Names of the nodes in the scene's tree."""
@@ -46,7 +46,7 @@ def insert(
 
 
 def _is_renewed(combine: bpy.types.Node) -> bool:
-    return combine.node_tree is not None and is_of_now(combine.node_tree)
+    return combine.node_tree is not None and is_current(combine.node_tree)
 
 
 def _renew(tree: bpy.types.NodeTree, combine: bpy.types.Node, layers: bpy.types.Node) -> None:

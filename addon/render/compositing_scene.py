@@ -18,7 +18,7 @@ def main_scene(scene: bpy.types.Scene) -> bpy.types.Scene | None:
     return main if isinstance(main, bpy.types.Scene) else None
 
 
-def is_seen(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+def is_camera_visible(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
     """Whether collections leave an original object visible to the camera."""
     main = main_scene(depsgraph.scene)
     if main is None:

@@ -97,7 +97,7 @@ class DecimateSplats(Editing, bpy.types.Operator):
         total = len(ob.data.vertices)
         if total <= count:
             return f"{ob.name} has {total:,} splats; none were deleted."
-        guard.check_points_alone()
+        guard.check_only_points()
         views, antialias = views_of(ob), bool(ob.get(objects.ANTIALIAS))
         table = yield from ChunkedRead(ob).table()
 

@@ -28,8 +28,8 @@ from .shutter_lens import Stage
 from .stereo import eye_of, refusal, views_of
 from .viewport import (
     EXACT,
+    FALLBACKS,
     OVER,
-    STAND_INS,
     Request,
     ViewPainter,
     Viewport,
@@ -104,12 +104,12 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         except ValueError as error:
             self.update_stats("", error_words(error))
             return
-        live = next((one for one in STAND_INS if one.stands_in(context)), None)
-        held = holdout_meshes.SHARED.of(depsgraph)
-        holds = bool(held) or any(one.holdout for one in placed)
+        live = next((one for one in FALLBACKS if one.draws_live(context)), None)
+        meshes = holdout_meshes.SHARED.of(depsgraph)
+        holds = bool(meshes) or any(one.holdout for one in placed)
         stays = live is not None and not holds and live.stays(context)
-        over = not stays and any(one.lays_over(context) for one in STAND_INS)
-        request = self._request(context, depsgraph, placed, held, over=over)
+        over = not stays and any(one.covers_photos(context) for one in FALLBACKS)
+        request = self._request(context, depsgraph, placed, meshes, over=over)
         status = ""
         if not complete:
             status = "Reading splats"
@@ -154,7 +154,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         context: bpy.types.Context,
         depsgraph: bpy.types.Depsgraph,
         placed: list[Placed],
-        held: tuple[holdout_meshes.HoldoutMesh, ...],
+        meshes: tuple[holdout_meshes.HoldoutMesh, ...],
         *,
         over: bool,
     ) -> Request:
@@ -166,7 +166,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         light = np.zeros(3) if transparent else _light(depsgraph)
         return Request(
             placed=placed,
-            held=held,
+            holdout_meshes=meshes,
             camera=view_camera(*matrices, *size, perspective=rv3d.is_perspective),
             options=picture.Options(
                 background=background_of(light),
@@ -182,7 +182,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
     def _request_picture(self, view: Viewport, request: Request) -> str:
         """Start drawing a picture; return why there is none, or an empty string."""
         painter = view.painter
-        painter.ask(request)
+        painter.submit(request)
         if painter.busy:
             redraw_when_ready(painter)
         return painter.problem
@@ -223,12 +223,16 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             count = scene.gscore_render.blur_samples
             passes, covered, blocked = self._mean(film, stage, requested, count)
             if requested.depth:  # at the frame, through the lens's middle: mean depths are useless
-                passes["Depth"] = film.shoot(still, self.test_break)["Depth"]
+                passes["Depth"] = film.render(still, self.test_break)["Depth"]
         else:
-            passes = film.shoot(still, self.test_break)
+            passes = film.render(still, self.test_break)
             covered = film.coverage(still, self.test_break) if requested.mattes else {}
-            blocked = holdout_passes.blocked(film, still, self.test_break) if requested.held else {}
-        if requested.held:
+            blocked = (
+                holdout_passes.blocked(film, still, self.test_break)
+                if requested.holdout_depth
+                else {}
+            )
+        if requested.holdout_depth:
             blocked |= holdout_passes.depths(film, still, self.test_break)
             passes |= holdout_passes.completed(blocked, passes)
         else:
@@ -267,11 +271,11 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             for i, view in enumerate(views):
                 self.update_stats("", f"Sample {i + 1} of {count}")
                 if last is None or not view.same(last):
-                    last, shot = view, plain.shoot(view, self.test_break)
+                    last, shot = view, plain.render(view, self.test_break)
                     parts = plain.coverage(view, self.test_break) if requested.mattes else {}
                     light = (
                         holdout_passes.blocked(plain, view, self.test_break)
-                        if requested.held
+                        if requested.holdout_depth
                         else {}
                     )
                 if self.test_break():

@@ -31,7 +31,7 @@ def always_grows(ob: bpy.types.Object) -> bool:
     return ob.instance_type in {"VERTS", "FACES"} or len(ob.particle_systems) > 0
 
 
-def has_to_be_walked(ob: bpy.types.Object) -> bool:
+def needs_walk(ob: bpy.types.Object) -> bool:
     """Whether only `walked` finds the geometry of an evaluated object."""
     return always_grows(ob) or (_has_nodes(ob) and not HAS_GEOMETRY_SETS)
 
@@ -41,24 +41,24 @@ def generated_instances(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) ->
     return list(_of_object(ob, np.eye(4)[None], depsgraph, 0, itself=False))
 
 
-Walker = tuple[int, Path]
+InstancerKey = tuple[int, Path]
 """Uid of an object that a depsgraph shows, and the path from it to the instancer."""
 
 
 def walked(
-    depsgraph: bpy.types.Depsgraph, walkers: set[Walker], elsewhere: set[Walker]
-) -> dict[Walker, list[Part]]:
+    depsgraph: bpy.types.Depsgraph, instancers: set[InstancerKey], elsewhere: set[InstancerKey]
+) -> dict[InstancerKey, list[Part]]:
     """All instances that some objects generate, in world space.
 
     Args:
         depsgraph: Its visible instances.
-        walkers: The objects.
+        instancers: The objects.
         elsewhere: Instances to leave out, because they are found otherwise.
     """
     # The iterator must run to its end, and its items are valid for one step only.
     known: dict[tuple[int, bool], Triangles] = {}
-    places: dict[tuple[Walker, tuple[int, bool]], list[np.ndarray]] = {}
-    owners = {uid for uid, _ in walkers}
+    places: dict[tuple[InstancerKey, tuple[int, bool]], list[np.ndarray]] = {}
+    owners = {uid for uid, _ in instancers}
     for instance in depsgraph.object_instances:
         if not (instance.is_instance and instance.show_self) or instance.parent is None:
             continue
@@ -67,7 +67,7 @@ def walked(
             continue
         path = path_of(instance)
         before = ((owner, path[:length]) for length in reversed(range(len(path))))
-        walker = next((one for one in before if one in walkers), None)
+        walker = next((one for one in before if one in instancers), None)
         ob = instance.object
         if walker is None or (owner, path) in elsewhere or not _counts(ob, depsgraph):
             continue
@@ -77,7 +77,7 @@ def walked(
         if key not in known:
             known[key] = triangles_of(ob)
         places.setdefault((walker, key), []).append(matrix_to_numpy(instance.matrix_world))
-    found: dict[Walker, list[Part]] = {walker: [] for walker in walkers}
+    found: dict[InstancerKey, list[Part]] = {walker: [] for walker in instancers}
     for (walker, key), matrices in places.items():
         if len(known[key].triangles):
             found[walker].append((known[key], np.array(matrices)))

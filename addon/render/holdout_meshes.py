@@ -61,7 +61,7 @@ def holdouts_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return list(dict.fromkeys([*found, *shown]))
 
 
-def not_taken_over(main: bpy.types.Scene | None, apart: bpy.types.Scene | None) -> str:
+def missing_holdouts(main: bpy.types.Scene | None, apart: bpy.types.Scene | None) -> str:
     """Names of holdout objects of a main scene that its splat-only scene does not have."""
     if main is None or apart is None:
         return ""
@@ -76,7 +76,7 @@ class HoldoutMeshes:
         self._known: dict[int, Triangles] = {}
         self._grown: dict[int, list[generated_instances.Part]] = {}
         """In the space of their instancers."""
-        self._walked: dict[generated_instances.Walker, list[generated_instances.Part]] = {}
+        self._walked: dict[generated_instances.InstancerKey, list[generated_instances.Part]] = {}
         """In world space."""
 
     def clear(self) -> None:
@@ -105,8 +105,8 @@ class HoldoutMeshes:
             wanted: Predicate of an evaluated object and the object that shows it, possibly itself.
         """
         found, uids = [], set()
-        walkers: set[generated_instances.Walker] = set()
-        paths: set[generated_instances.Walker] = set()
+        instancers: set[generated_instances.InstancerKey] = set()
+        paths: set[generated_instances.InstancerKey] = set()
         for shown_by, is_shown in _owners(depsgraph):
             for ob, matrix, path in instances_with_paths(shown_by, depsgraph, may_hide):
                 if not (_cuts(ob, shown_by, depsgraph) and wanted(ob, shown_by)):
@@ -116,8 +116,8 @@ class HoldoutMeshes:
                 walker = shown_by.original.session_uid, path
                 paths.add(walker)
                 parts = []
-                if generated_instances.has_to_be_walked(ob):
-                    walkers.add(walker)
+                if generated_instances.needs_walk(ob):
+                    instancers.add(walker)
                 elif generated_instances.may_grow(ob):
                     if uid not in self._grown:
                         self._grown[uid] = generated_instances.generated_instances(ob, depsgraph)
@@ -128,9 +128,9 @@ class HoldoutMeshes:
                 for triangles, places in parts:
                     if len(triangles.triangles):
                         found.append(HoldoutMesh(triangles=triangles, matrices=matrix @ places))
-        if walkers - self._walked.keys():
-            self._walked = generated_instances.walked(depsgraph, walkers, paths)
-        for walker in walkers:
+        if instancers - self._walked.keys():
+            self._walked = generated_instances.walked(depsgraph, instancers, paths)
+        for walker in instancers:
             found += [HoldoutMesh(triangles=t, matrices=m) for t, m in self._walked[walker]]
         for uid in self._known.keys() - uids:
             del self._known[uid]
@@ -194,7 +194,7 @@ def _cuts(ob: bpy.types.Object, shown_by: bpy.types.Object, depsgraph: bpy.types
     if depsgraph.mode != "RENDER":
         return True
     visible = ob.visible_camera and shown_by.visible_camera
-    return visible and compositing_scene.is_seen(shown_by.original, depsgraph)
+    return visible and compositing_scene.is_camera_visible(shown_by.original, depsgraph)
 
 
 SHARED = HoldoutMeshes()

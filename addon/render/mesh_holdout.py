@@ -50,19 +50,19 @@ class Hidden:
         return left, top, int(columns.max()) - left + 1, int(rows.max()) - top + 1
 
 
-def hidden(held: Sequence[HoldoutMesh], camera: RenderCamera) -> Hidden:
+def hidden(meshes: Sequence[HoldoutMesh], camera: RenderCamera) -> Hidden:
     """The parts of a camera's picture that meshes hide, by 4 x 4 samples per pixel.
 
     Raises:
         ValueError: there are too many triangles.
     """
-    count = sum(len(m.triangles.triangles) * len(m.matrices) for m in held)
+    count = sum(len(m.triangles.triangles) * len(m.matrices) for m in meshes)
     if count > MOST_TRIANGLES:
         raise ValueError(
             f"Holdout meshes have {count:,} triangles with all instances; the limit is "
             f"{MOST_TRIANGLES:,}. Use a simpler mesh as holdout."
         )
-    mesh, height = joined([repeated(m.triangles, m.matrices) for m in held]), camera.height
+    mesh, height = joined([repeated(m.triangles, m.matrices) for m in meshes]), camera.height
     rows = max(1, _AT_ONCE // (_SAMPLES**2 * camera.width))
     bands = [slice(first, min(first + rows, height)) for first in range(0, height, rows)]
     share = np.zeros((height, camera.width), np.float32)

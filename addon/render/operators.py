@@ -10,7 +10,7 @@ from ..interface.images import show_soon
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Pieces
 from ..splats.error_maps import splats_in_view
-from ..splats.objects import is_splats, meant
+from ..splats.objects import active_splats, is_splats
 from ..stored_paths import RUN
 from . import compare as comparing
 from . import compositor
@@ -106,14 +106,14 @@ class CompareWorstPhoto(IncrementalOperator, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether splats of a training are active."""
-        if is_splats(ob := meant(context)) and RUN in ob:
+        if is_splats(ob := active_splats(context)) and RUN in ob:
             return True
         cls.poll_message_set("Select splats that were trained with this add-on")
         return False
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Find the camera, compare from it, and make it the active object."""
-        found = worst_of(context.scene, meant(context))
+        found = worst_of(context.scene, active_splats(context))
         name = found.camera.name
         report = yield from compared(context, found.camera)
         if context.mode == "OBJECT" and (camera := context.view_layer.objects.get(name)):

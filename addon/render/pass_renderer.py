@@ -41,7 +41,7 @@ class Film:
         """The film without the pass Depth."""
         return replace(self, options=replace(self.options, depths=False))
 
-    def shoot(
+    def render(
         self, view: View, stop: Callable[[], bool], cancel: CancelFlag | None = None
     ) -> dict[str, np.ndarray]:
         """The passes by name, float32, the bottom row first: "Combined" [H, W, 4], "Depth" [H, W],
@@ -84,7 +84,7 @@ class Film:
     def coverage(self, view: View, stop: Callable[[], bool]) -> dict[Identity, np.ndarray]:
         """Coverage of each pixel by each object, [H, W] float32, the bottom row first.
 
-        Draws one more picture per three objects; errors as `shoot`.
+        Draws one more picture per three objects; errors as `render`.
         """
         found = {}
         for three, model in one_hot(view.model):
@@ -115,7 +115,7 @@ class Film:
     ) -> dict[str, np.ndarray]:
         def side(camera: RenderCamera, window: Window) -> dict[str, np.ndarray]:
             film = replace(self, options=replace(self.options, window=window))
-            return film.shoot(replace(view, model=distant, camera=camera), stop)
+            return film.render(replace(view, model=distant, camera=camera), stop)
 
         distant = beyond(view.model, camera)
         passes = unfold(camera, self.options.window, side)

@@ -30,7 +30,7 @@ class RequestedPasses:
     """The passes of a view layer in addition to the picture."""
 
     depth: bool
-    held: bool
+    holdout_depth: bool
     """Passes with which the compositor cuts meshes at holdout splats."""
     index: bool
     kinds: tuple[str, ...]
@@ -50,7 +50,7 @@ class RequestedPasses:
         found = [("Combined", 4, "RGBA", "COLOR")]
         if self.depth:
             found.append(("Depth", 1, "Z", "VALUE"))
-        if self.held:
+        if self.holdout_depth:
             found += [(name, 1, "Z", "VALUE") for name in holdout_passes.NAMES]
         if self.index:
             found.append((index_pass_name(), 1, "X", "VALUE"))
@@ -106,7 +106,7 @@ def requested_passes(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Requ
     }
     return RequestedPasses(
         depth=layer.use_pass_z,
-        held=layer.use_pass_z and main_scene(scene) is not None,
+        holdout_depth=layer.use_pass_z and main_scene(scene) is not None,
         index=layer.use_pass_object_index,
         kinds=tuple(kind for kind, on in kinds.items() if on),
         levels=layer.pass_cryptomatte_depth,

@@ -40,9 +40,9 @@ class Source:
     """The shown frame of a sequence; None: its own data are shown."""
 
     @property
-    def is_seen(self) -> bool:
+    def is_camera_visible(self) -> bool:
         """Whether it is visible to camera rays."""
-        return self.ob.visible_camera and compositing_scene.is_seen(
+        return self.ob.visible_camera and compositing_scene.is_camera_visible(
             self.shown_by.original, self._depsgraph
         )
 
@@ -156,7 +156,7 @@ def sources(depsgraph: bpy.types.Depsgraph) -> list[Source]:
     for ob in depsgraph.objects:  # without objects hidden or excluded in the depsgraph's mode
         found += [_source(o, m, ob, depsgraph) for o, m in instances(ob, depsgraph, _may_show)]
     if depsgraph.mode == "RENDER":
-        return [source for source in found if source.is_seen]
+        return [source for source in found if source.is_camera_visible]
     return found
 
 

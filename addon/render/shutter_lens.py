@@ -21,7 +21,7 @@ from .mesh_holdout import Hidden, hidden
 from .model import Model, SplatCache
 from .samples import Aperture, Sample, Shutter, samples
 from .scene import NO_SPLATS, Placed, Source, place, sources
-from .stereo import Eye, seen_by
+from .stereo import Eye, eye_camera
 
 _OPENINGS = {"START": 0.0, "CENTER": -0.5, "END": -1.0}
 """Opening time relative to the frame, in exposure times, by Blender's names."""
@@ -204,7 +204,7 @@ class Stage:
         camera = render_camera(
             self._camera, scene, depsgraph=self._depsgraph, width=width, height=height
         )
-        return camera if self._eye is None else seen_by(self._eye, camera, own, scene)
+        return camera if self._eye is None else eye_camera(self._eye, camera, own, scene)
 
     def _go(self, frame: float) -> None:
         whole = math.floor(frame)
@@ -212,7 +212,7 @@ class Stage:
 
     @contextmanager
     def _other_moments(self) -> Iterator[None]:
-        with frame_sync.left_alone():
+        with frame_sync.suspended_sync():
             try:
                 yield
             finally:

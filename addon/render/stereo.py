@@ -49,7 +49,7 @@ def eye_of(engine: bpy.types.RenderEngine, view: str) -> Eye | None:
     )
 
 
-def seen_by(
+def eye_camera(
     eye: Eye, camera: RenderCamera, ob: bpy.types.Object, scene: bpy.types.Scene
 ) -> RenderCamera:
     """The camera of an eye.

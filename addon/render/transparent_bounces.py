@@ -26,7 +26,7 @@ def ends_early(scene: bpy.types.Scene) -> bool:
     )
 
 
-class SeeThroughSplats(OnScene, bpy.types.Operator):
+class RaiseTransparentBounces(OnScene, bpy.types.Operator):
     """Raise the limit of transparent bounces in Cycles (Light Paths > Transparent) to the number of
     soft splats behind each other"""
 
@@ -45,4 +45,4 @@ class SeeThroughSplats(OnScene, bpy.types.Operator):
         return ""
 
 
-CLASSES = (SeeThroughSplats,)
+CLASSES = (RaiseTransparentBounces,)

@@ -14,7 +14,7 @@ from ..nodes import display
 from ..splats import lag
 from ..splats.objects import is_native, is_splats
 from .compositing_scene import SPLAT_SCENE, main_scene
-from .holdout_meshes import is_holdout, may_hide, not_taken_over
+from .holdout_meshes import is_holdout, may_hide, missing_holdouts
 from .passes import SWITCHES
 from .stereo import refusal
 from .world import world_light, world_of
@@ -206,7 +206,7 @@ CHECKS = (
     Check("Holdout of {} hides no splats: only faces do.", _holdouts_without_faces),
     Check(
         NOT_TAKEN_OVER,
-        lambda s: not_taken_over(main_scene(s.scene), s.scene),
+        lambda s: missing_holdouts(main_scene(s.scene), s.scene),
     ),
     Check("Modifiers and shape keys of {} have no effect: only exports apply them.", _modified),
     Check(

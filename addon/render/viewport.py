@@ -43,7 +43,7 @@ class Request:
     """A picture requested for Rendered shading."""
 
     placed: list[Placed]
-    held: tuple[HoldoutMesh, ...]
+    holdout_meshes: tuple[HoldoutMesh, ...]
     camera: RenderCamera
     options: picture.Options
     transparent: bool
@@ -63,14 +63,14 @@ class Request:
                 a.frozen is b.frozen and np.array_equal(a.matrix, b.matrix)
                 for a, b in zip(self.placed, other.placed, strict=True)
             )
-            and same_meshes(self.held, other.held)
+            and same_meshes(self.holdout_meshes, other.holdout_meshes)
             and self.camera.same(other.camera)
             and (self.options, self.transparent) == (other.options, other.transparent)
             and (self.over_view, self.tinted) == (other.over_view, other.tinted)
             and np.array_equal(self.to_scene, other.to_scene)
         )
 
-    def shoot(
+    def render(
         self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
     ) -> np.ndarray:
         """The picture, [H, W, 4] float32, premultiplied, the bottom row first; scene-linear unless
@@ -93,8 +93,8 @@ class Request:
             over_view=self.over_view,
         )
         visible = marked(model, self.placed, self.tinted)
-        view = View(model=visible, camera=camera, holdouts=self.held)
-        return film.shoot(view, stop, cancel)["Combined"]
+        view = View(model=visible, camera=camera, holdouts=self.holdout_meshes)
+        return film.render(view, stop, cancel)["Combined"]
 
 
 class ViewPainter:
@@ -123,7 +123,7 @@ class ViewPainter:
         """Whether `pixels` are the requested picture in full size."""
         return self.pixels is not None and request.same(self._finished)
 
-    def ask(self, request: Request) -> None:
+    def submit(self, request: Request) -> None:
         """Draw a picture, instead of earlier requests.
 
         An earlier picture in full size is cancelled if it takes long. Its small picture is
@@ -172,7 +172,7 @@ class ViewPainter:
             began = time.perf_counter()
             camera = smaller(request.camera, factor)
             until = began + PATIENCE if factor == 1 else float("inf")
-            pixels = request.shoot(
+            pixels = request.render(
                 model,
                 camera,
                 lambda until=until: self._is_old(request) and time.perf_counter() > until,
@@ -280,10 +280,10 @@ def _from(width: int, height: int) -> Matrix:
     return Matrix(((2 / width, 0, 0, -1), (0, 2 / height, 0, -1), (0, 0, 1, 0), (0, 0, 0, 1)))
 
 
-class StandIn(Protocol):
+class Fallback(Protocol):
     """Draws splats over views whose picture is not ready (live drawing)."""
 
-    def stands_in(self, context: bpy.types.Context) -> bool:
+    def draws_live(self, context: bpy.types.Context) -> bool:
         """Whether it draws the view of a context."""
 
     def moves(self, context: bpy.types.Context) -> bool:
@@ -293,11 +293,11 @@ class StandIn(Protocol):
         """Whether it always draws the view of a context, unless there are holdouts, so that no
         picture is needed."""
 
-    def lays_over(self, context: bpy.types.Context) -> bool:
+    def covers_photos(self, context: bpy.types.Context) -> bool:
         """Whether it draws the picture in `OVER` of a context's view over Blender's drawing."""
 
 
-STAND_INS: list[StandIn] = []
+FALLBACKS: list[Fallback] = []
 """Registered live drawing."""
 EXACT: set[int] = set()
 """Pointers of regions that show a finished, current picture."""

@@ -80,7 +80,7 @@ def _meshes_at(
     place: int,
 ) -> Triangles:
     try:
-        return guides.gathered(scene, collection, root)
+        return guides.merged_mesh(scene, collection, root)
     except ValueError as error:
         where = f"At frame {place} of the timeline, for frame {frame.number} of the sequence"
         raise ValueError(f"{where}: {error}") from error
@@ -142,7 +142,7 @@ class _Files:
 def _other_frames(scene: bpy.types.Scene) -> Iterator[None]:
     """Step through the timeline and return; sequences of splats are not updated meanwhile."""
     frame, subframe = scene.frame_current, scene.frame_subframe
-    with frame_sync.left_alone():
+    with frame_sync.suspended_sync():
         try:
             yield
         finally:

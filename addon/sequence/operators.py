@@ -35,12 +35,12 @@ class TrainSequence(ConfirmMixin, Starting, bpy.types.Operator):
         if self.overwrite and train_sequence.is_started(output):
             lines = [f"The frames in {output} are replaced. This cannot be undone."]
         self.confirm = "Start Over" if lines else "Train Without"
-        return lines if self.resume else lines + train_sequence.not_seen(context.scene)
+        return lines if self.resume else lines + train_sequence.unsupported_parts(context.scene)
 
     def start(self, context: bpy.types.Context) -> VerbJob:
         """Start."""
         if not self.resume:
-            self.warn(train_sequence.not_seen(context.scene))
+            self.warn(train_sequence.unsupported_parts(context.scene))
         return train_sequence.train_sequence(
             context.scene, resume=self.resume, overwrite=self.overwrite, wait=self.wait
         )

@@ -20,7 +20,7 @@ from ..interface.option_labels import error_words
 from ..paths import absolute, output_folder
 from ..process import poll_timer
 from ..training import lookups, start_training
-from ..training.guides import left_out
+from ..training.guides import unused_objects
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS
 from . import arguments, guide_meshes
@@ -138,11 +138,11 @@ def chosen_frames(scene: bpy.types.Scene) -> list[SequenceFrame]:
     return choose_frames(found, scene.gscore_train_sequence.frames.strip() or ":")
 
 
-def not_seen(scene: bpy.types.Scene) -> list[str]:
+def unsupported_parts(scene: bpy.types.Scene) -> list[str]:
     """Sentences on parts of the scene that the training of a sequence would not use."""
     within = scene.gscore.train_within
     lines = [] if within is None else [ONLY_WITHIN.format(within.name)]
-    return lines + left_out(scene)
+    return lines + unused_objects(scene)
 
 
 def frames_of(scene: bpy.types.Scene) -> tuple[list[SequenceFrame] | None, str]:

@@ -53,7 +53,7 @@ class Places:
     """The photos or the video."""
     capture: Path
     """The capture made from them, in the same parent folder."""
-    is_there: bool
+    exists: bool
     """True if the capture exists already."""
 
 
@@ -75,9 +75,9 @@ def places(scene: bpy.types.Scene) -> Places:
     if errors := [p.text for p in capture.problems if p.is_error]:
         raise ValueError(errors[0])
     output = default_capture_output(source)
-    if not output.is_there:
+    if not output.exists:
         JOBS.check_free(VERB, source)
-    return Places(source=source, capture=output.capture, is_there=output.is_there)
+    return Places(source=source, capture=output.capture, exists=output.exists)
 
 
 def find(scene: bpy.types.Scene, where: Places, *, wait: bool = False) -> VerbJob:
@@ -122,7 +122,7 @@ def job_of(scene: bpy.types.Scene) -> VerbJob | None:
 def _coming(job: VerbJob) -> Pieces[Iterable[str]]:
     """Import the cameras that a job found."""
     lookups.captures.expire()
-    return (yield from arriving(_scene_of(job), job.output))
+    return (yield from importing_capture(_scene_of(job), job.output))
 
 
 def _scene_of(job: VerbJob) -> bpy.types.Scene | None:
@@ -131,7 +131,7 @@ def _scene_of(job: VerbJob) -> bpy.types.Scene | None:
     return next((scene for scene in scenes if job_of(scene) is job), None)
 
 
-def arriving(scene: bpy.types.Scene, capture: Path) -> Pieces[tuple[str, ...]]:
+def importing_capture(scene: bpy.types.Scene, capture: Path) -> Pieces[tuple[str, ...]]:
     """Choose the capture, and import its cameras, points and photos unless the scene has them.
 
     Returns warnings for the user.

@@ -66,8 +66,8 @@ class FindCameras(IncrementalOperator, OnScene, Waiting, bpy.types.Operator):
         """Start the job, or import an earlier result."""
         scene = context.scene
         where = find_cameras.places(scene)
-        if where.is_there:
-            self.warn((yield from find_cameras.arriving(scene, where.capture)))
+        if where.exists:
+            self.warn((yield from find_cameras.importing_capture(scene, where.capture)))
             return "Imported the cameras of an earlier search."
         return ended(find_cameras.find(scene, where, wait=self.wait))
 

@@ -19,7 +19,7 @@ from ..nodes import display
 from ..process.background_task import BackgroundTask
 from ..process.incremental_tasks import BUDGET
 from . import objects, splat_files
-from .splat_files import Wanted
+from .splat_files import ImportRequest
 from .write_chunked import ChunkedWrite
 
 Columns = Sequence[tuple[str, str, np.ndarray]]
@@ -30,7 +30,7 @@ Columns = Sequence[tuple[str, str, np.ndarray]]
 class _Read:
     """Contents of a read file."""
 
-    wanted: Wanted
+    wanted: ImportRequest
     count: int
     columns: tuple[tuple[str, str, np.ndarray], ...]
     size: float
@@ -47,9 +47,9 @@ class AsyncImport:
     def __init__(
         self,
         context: bpy.types.Context,
-        wanted: Sequence[Wanted],
+        wanted: Sequence[ImportRequest],
         *,
-        find: Callable[[Wanted], Wanted] = lambda wanted: wanted,
+        find: Callable[[ImportRequest], ImportRequest] = lambda wanted: wanted,
         note: Callable[[Columns], str] = lambda columns: "",
     ) -> None:
         """Start reading.

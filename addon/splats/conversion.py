@@ -30,7 +30,7 @@ _PERIOD = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class Other:
+class OtherPython:
     """Another Python, and its temporary folder."""
 
     python: Path | None
@@ -39,16 +39,16 @@ class Other:
     """Folder of temporary files."""
 
 
-def other() -> Other:
+def other_python() -> OtherPython:
     """The trainer's Python; call on Blender's main thread."""
     try:
         python = setup.trainer_python(preferences.get())
     except ValueError:
         python = None
-    return Other(python=python, folder=bpy.app.tempdir)
+    return OtherPython(python=python, folder=bpy.app.tempdir)
 
 
-def read(path: Path, by: Other, check: Check) -> SplatFile:
+def read(path: Path, by: OtherPython, check: Check) -> SplatFile:
     """As `read_splat_file`, by another Python if this one lacks a package; in any thread.
 
     Args:
@@ -62,10 +62,10 @@ def read(path: Path, by: Other, check: Check) -> SplatFile:
     try:
         return read_splat_file(path)
     except BackendError as error:
-        lacking = error
+        missing = error
     with tempfile.TemporaryDirectory(prefix="gscore-", dir=by.folder) as folder:
         made = Path(folder, f"{path.stem}.ply")
-        warnings = _convert(path, made, by.python, check, lacking)
+        warnings = _convert(path, made, by.python, check, missing)
         file = read_splat_file(made)
     return replace(file, path=path, notes=(*file.notes, *warnings))
 
@@ -73,12 +73,12 @@ def read(path: Path, by: Other, check: Check) -> SplatFile:
 def write(
     path: Path,
     splats: Splats,
-    by: Other,
+    by: OtherPython,
     check: Check,
     *,
     antialiased: bool,
     origin: np.ndarray | None,
-    lacking: BackendError,
+    missing: BackendError,
 ) -> Sequence[str]:
     """Write a file by another Python, completely or not at all; in any thread.
 
@@ -89,7 +89,7 @@ def write(
         check: As in `read`; `path` is then unchanged.
         antialiased: As in `write_splat_file`.
         origin: As in `write_splat_file`.
-        lacking: Error of this Python.
+        missing: Error of this Python.
 
     Returns:
         Sentences on data that the format cannot store.
@@ -102,7 +102,7 @@ def write(
         write_splat_file(whole, splats, antialiased=antialiased, origin=origin)
         made = Path(folder, "made", path.name)
         made.parent.mkdir()
-        notes = _convert(whole, made, by.python, check, lacking)
+        notes = _convert(whole, made, by.python, check, missing)
         # Referenced files first.
         for part in sorted(made.parent.iterdir(), key=lambda one: one.name == path.name):
             with part.open("rb") as source:
@@ -112,14 +112,14 @@ def write(
 
 
 def _convert(
-    source: Path, target: Path, python: Path | None, check: Check, lacking: BackendError
+    source: Path, target: Path, python: Path | None, check: Check, missing: BackendError
 ) -> list[str]:
     """Convert a file by another Python; returns the warnings of `gscore convert`."""
     if python is None:
         raise GsError(
-            f"{lacking} Or set up a Python for training that has it: press Find or Make "
+            f"{missing} Or set up a Python for training that has it: press Find or Make "
             "Environment in the add-on's preferences."
-        ) from lacking
+        ) from missing
     command = [python, "-m", "gscore", "convert", source, target, "--json"]
     try:
         process = Process([str(word) for word in command])
@@ -141,5 +141,5 @@ def _convert(
         raise GsError(
             f"{source.name} could not be converted to {target.name} by {python}: "
             f"{text.rpartition('error: ')[2] or f'exit code {process.returncode}'}"
-        ) from lacking
+        ) from missing
     return json.loads("\n".join(output))["warnings"]

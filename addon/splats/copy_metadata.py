@@ -25,7 +25,7 @@ def check_movable(mesh: bpy.types.Mesh, called: str) -> None:
         )
 
 
-def check_points_alone(mesh: bpy.types.Mesh, called: str) -> None:
+def check_only_points(mesh: bpy.types.Mesh, called: str) -> None:
     """As `check_movable`, for a changed number of points: edges and faces are errors too."""
     check_movable(mesh, called)
     if mesh.edges or mesh.polygons:
@@ -36,9 +36,9 @@ def check_points_alone(mesh: bpy.types.Mesh, called: str) -> None:
 
 
 def check_replaceable(mesh: bpy.types.Mesh, called: str) -> None:
-    """As `check_points_alone`, for replacement by a new mesh, to which `hand_over` copies all but
-    NLA tracks."""
-    check_points_alone(mesh, called)
+    """As `check_only_points`, for replacement by a new mesh, to which `copy_user_data` copies all
+    but NLA tracks."""
+    check_only_points(mesh, called)
     if mesh.animation_data is not None and mesh.animation_data.nla_tracks:
         raise ValueError(
             f"The mesh of {called} has NLA tracks, which would be lost: delete them first, in the "
@@ -59,7 +59,7 @@ def empty(mesh: bpy.types.Mesh) -> None:
     vertex_groups.clear(mesh)
 
 
-def hand_over(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
+def copy_user_data(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
     """Copy materials, custom properties and animation of a mesh to a new one."""
     for material in old.materials:
         mesh.materials.append(material)

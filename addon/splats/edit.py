@@ -87,7 +87,7 @@ def apply_filters(guard: EditGuard) -> Pieces[int]:
             nothing is changed then.
     """
     ob = guard.there()
-    guard.check_points_alone()
+    guard.check_only_points()
     limits = filters.filters_of(ob)
     table = yield from ChunkedRead(ob).table()
     keep = yield from run_in_thread(partial(_passing, table, limits), f"Filtering {guard.name}")

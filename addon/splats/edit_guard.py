@@ -67,9 +67,9 @@ class EditGuard:
         """Raise ValueError if the splats cannot be replaced, before any reading."""
         copy_metadata.check_movable(self.there().data, self.name)
 
-    def check_points_alone(self) -> None:
+    def check_only_points(self) -> None:
         """`check_movable` for a changed number of splats."""
-        copy_metadata.check_points_alone(self.there().data, self.name)
+        copy_metadata.check_only_points(self.there().data, self.name)
 
     def copied_mesh(self) -> bpy.types.Mesh:
         """A copy of its mesh as its replacement; it shares memory until it is written.
@@ -84,9 +84,9 @@ class EditGuard:
         """`copied_mesh` without points and vertex groups.
 
         Raises:
-            ValueError: as `there` and `check_points_alone`.
+            ValueError: as `there` and `check_only_points`.
         """
-        self.check_points_alone()
+        self.check_only_points()
         mesh = self.there().data
         copy = mesh.copy()
         copy_metadata.empty(copy)

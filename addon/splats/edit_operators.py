@@ -25,11 +25,11 @@ class Editing(IncrementalOperator, OnSplats):
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The points."""
-        return (objects.meant(context).data,)
+        return (objects.active_splats(context).data,)
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Leave Edit Mode, edit, and enter it again."""
-        ob = objects.meant(context)
+        ob = objects.active_splats(context)
         objects.catch_up(ob)
         if not self.leaves_edit_mode:
             objects.check_writable(ob)
@@ -133,7 +133,7 @@ class SeparateSplats(Editing, bpy.types.Operator):
 
 def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
     """The selected splat objects other than the active one."""
-    own = objects.meant(context)
+    own = objects.active_splats(context)
     return [o for o in context.selected_objects if objects.is_splats(o) and o != own]
 
 
@@ -176,7 +176,7 @@ class ApplyFilters(Editing, bpy.types.Operator):
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The points, and the object's filters."""
-        ob = objects.meant(context)
+        ob = objects.active_splats(context)
         return ob.data, ob
 
     def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
@@ -194,7 +194,7 @@ class ApplySplatTransform(Editing, bpy.types.Operator):
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The points, and the object's transform."""
-        ob = objects.meant(context)
+        ob = objects.active_splats(context)
         return ob.data, ob
 
     def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:

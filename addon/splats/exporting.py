@@ -99,8 +99,8 @@ def exporting(
     try:
         notes = yield from run_in_thread(_in_words(write), f"Writing {path.name}")
     except BackendError as error:
-        options = {"antialiased": antialiased, "origin": origin, "lacking": error}
-        convert = partial(conversion.write, path, splats, conversion.other(), **options)
+        options = {"antialiased": antialiased, "origin": origin, "missing": error}
+        convert = partial(conversion.write, path, splats, conversion.other_python(), **options)
         notes = yield from run_in_thread(
             _in_words(convert), f"Writing {path.name} in the trainer's Python"
         )

@@ -21,7 +21,7 @@ from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Pieces
 from . import exporting, framed, splat_files
 from .import_operator import ImportOperator
-from .objects import can_export, hide_points, is_splats, meant
+from .objects import active_splats, can_export, hide_points, is_splats
 
 _GLOB = ";".join(f"*{ending}" for ending in SPLAT_ENDINGS)
 _ENDINGS = [
@@ -113,11 +113,11 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
         """Open the file browser, or the options for a dropped file."""
         return self.invoke_popup(context)
 
-    def wanted(self, context: bpy.types.Context) -> list[splat_files.Wanted]:
+    def import_requests(self, context: bpy.types.Context) -> list[splat_files.ImportRequest]:
         """Requested files of the properties; raises ValueError for impossible requests."""
         paths = [Path(self.directory, file.name) for file in self.files if file.name]
         active = root_of(context.object) if self.under_capture else None
-        cropped = meant(context) if self.in_crop else None
+        cropped = active_splats(context) if self.in_crop else None
         if self.in_crop and not is_splats(cropped):
             raise ValueError("Select the splat object whose crop limits the import.")
         level = None if self.level < 0 else self.level
@@ -127,7 +127,9 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
             if self.under_capture and parent is None:
                 parent = root_of_run(context.scene, path)
             requests.append(
-                splat_files.want(path, parent=parent, up=self.up, level=level, cropped=cropped)
+                splat_files.import_request(
+                    path, parent=parent, up=self.up, level=level, cropped=cropped
+                )
             )
         return requests
 
@@ -219,7 +221,7 @@ def _chosen(context: bpy.types.Context, collection: str) -> list[bpy.types.Objec
     Raises:
         ValueError: there is no such collection.
     """
-    obs = [context.object, meant(context), *context.selected_objects]
+    obs = [context.object, active_splats(context), *context.selected_objects]
     if collection:
         block = bpy.data.collections.get(collection)
         if block is None:

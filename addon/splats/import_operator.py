@@ -13,7 +13,7 @@ from .async_import import AsyncImport
 class ImportOperator(IncrementalOperator, OnScene):
     """Base of import operators, which define the files and the handling of the objects."""
 
-    def wanted(self, context: bpy.types.Context) -> list[splat_files.Wanted]:
+    def import_requests(self, context: bpy.types.Context) -> list[splat_files.ImportRequest]:
         """Files to import; raises ValueError if there are none."""
         raise NotImplementedError
 
@@ -25,7 +25,7 @@ class ImportOperator(IncrementalOperator, OnScene):
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Read in a thread, then write to Blender."""
-        coming = AsyncImport(context, self.wanted(context))
+        coming = AsyncImport(context, self.import_requests(context))
         made = yield from stepped(coming)
         return self.show(context, made, coming.warnings)
 
@@ -34,8 +34,8 @@ class ImportOperator(IncrementalOperator, OnScene):
         made: list[bpy.types.Object] = []
         try:
             with collected_warnings() as warnings:
-                for wanted in self.wanted(context):
-                    made.append(splat_files.import_wanted(context, wanted))
+                for wanted in self.import_requests(context):
+                    made.append(splat_files.import_requested(context, wanted))
         except (GsError, ValueError, OSError):
             for ob in made:
                 bpy.data.meshes.remove(ob.data)

@@ -21,7 +21,7 @@ from .write_chunked import ChunkedWrite, filled, swap
 
 def outdated(context: bpy.types.Context) -> list[bpy.types.Object]:
     """The splat objects with a problem: the one that the user works on, and the selected ones."""
-    obs = dict.fromkeys([objects.meant(context), *context.selected_objects])
+    obs = dict.fromkeys([objects.active_splats(context), *context.selected_objects])
     return [ob for ob in obs if objects.is_splats(ob) and lag.problem(ob.data)]
 
 

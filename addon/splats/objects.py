@@ -91,7 +91,7 @@ def check_refreshable(ob: bpy.types.Object) -> None:
     """Raise ValueError unless all splats of an object can be replaced without losing other data of
     its mesh."""
     check_writable(ob)
-    copy_metadata.check_points_alone(ob.data, ob.name)
+    copy_metadata.check_only_points(ob.data, ob.name)
 
 
 def catch_up(ob: bpy.types.Object) -> None:
@@ -165,7 +165,7 @@ def is_splats(ob: bpy.types.Object | None) -> bool:
     return ob is not None and ob.type == "MESH" and ob.get("gs_kind") == KIND
 
 
-def meant(context: bpy.types.Context) -> bpy.types.Object | None:
+def active_splats(context: bpy.types.Context) -> bpy.types.Object | None:
     """The active object, or the splat object that it crops."""
     active = context.object
     if active is None or is_splats(active):
@@ -177,7 +177,7 @@ def meant(context: bpy.types.Context) -> bpy.types.Object | None:
 def in_question(context: bpy.types.Context) -> bpy.types.Object | None:
     """The splat object of the panels: the one that the user works on, else the scene's result, else
     the first in the scene."""
-    if is_splats(ob := meant(context)):
+    if is_splats(ob := active_splats(context)):
         return ob
     result, objects = context.scene.gscore.result, context.scene.objects
     if is_splats(result) and objects.get(result.name) == result:  # else it was deleted

@@ -11,7 +11,7 @@ from ..interface.blocks import with_uid
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Pieces
 from . import edit, native_splats, settings, uniform_scale
-from .objects import is_native, is_splats, meant
+from .objects import active_splats, is_native, is_splats
 
 
 class OnSplats(BaseOperator):
@@ -22,12 +22,12 @@ class OnSplats(BaseOperator):
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The object."""
-        return (meant(context),)
+        return (active_splats(context),)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """True if the active object is a splat object."""
-        if is_splats(meant(context)):
+        if is_splats(active_splats(context)):
             return True
         cls.poll_message_set("Select a splat object: import a splat PLY or train one")
         return False
@@ -41,7 +41,7 @@ class ResetFilters(OnSplats, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Reset."""
-        settings.reset_filters(meant(context))
+        settings.reset_filters(active_splats(context))
         return ""
 
 
@@ -53,7 +53,7 @@ class AddCropBox(OnSplats, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Add."""
-        make_active(context, edit.add_crop_box(context, meant(context)))
+        make_active(context, edit.add_crop_box(context, active_splats(context)))
         return ""
 
 
@@ -66,11 +66,11 @@ class MakeScaleEven(OnSplats, bpy.types.Operator):
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The objects with a changed scale."""
-        return uniform_scale.uneven(meant(context))
+        return uniform_scale.uneven(active_splats(context))
 
     def act(self, context: bpy.types.Context) -> str:
         """Change the scales."""
-        changed = uniform_scale.make_even(context, meant(context))
+        changed = uniform_scale.make_even(context, active_splats(context))
         if changed:
             return f"Made the scale uniform: {', '.join(changed)}."
         return "The scale is uniform already."
@@ -84,7 +84,7 @@ class ResetDisplay(IncrementalOperator, OnSplats, bpy.types.Operator):
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Build the display if the file has none, then attach it."""
-        ob = meant(context)
+        ob = active_splats(context)
         name, uid = ob.name, ob.session_uid
         yield from settings.building()
         ob = with_uid(bpy.data.objects, uid)

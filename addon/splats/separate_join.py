@@ -32,7 +32,7 @@ def separated(guard: EditGuard, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
     if chosen.all() or not chosen.any():
         many = "all" if len(chosen) and chosen.all() else "none"
         raise ValueError(f"{guard.name}: select some splats to separate; {many} of them are.")
-    guard.check_points_alone()
+    guard.check_only_points()
     table = yield from ChunkedRead(guard.there()).table()
     split = yield from run_in_thread(
         partial(_split, table, chosen), f"Separating splats of {guard.name}"
@@ -130,7 +130,7 @@ def joined(guard: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object
     ob, obs = guard.there(), [other.there() for other in others]
     check_joinable(ob, obs)
     for one in (guard, *others):
-        one.check_points_alone()
+        one.check_only_points()
     world = compat.matrix_to_numpy(ob.matrix_world)
     if not abs(np.linalg.det(world[:3, :3])) > 1e-30:
         raise ValueError(f"{ob.name} has a scale of 0: set its scale to 1 first.")

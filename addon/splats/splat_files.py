@@ -47,7 +47,7 @@ _NOISE = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wanted:
+class ImportRequest:
     """Import request of a file, with the transform of its splats; read without bpy."""
 
     path: Path
@@ -65,7 +65,7 @@ class Wanted:
     stored: tuple[float, ...]
     """Import matrix of the cropped object; empty: none."""
     up: str
-    by: conversion.Other
+    by: conversion.OtherPython
     """Python for formats whose packages Blender's Python lacks."""
 
 
@@ -96,25 +96,27 @@ def import_splats(
         GsError: the file is missing, corrupt or holds no splats; the scene is unchanged.
         ValueError: there is no such level, or no splat in the box.
     """
-    return import_wanted(context, want(path, parent=parent, up=up, level=level, cropped=cropped))
+    return import_requested(
+        context, import_request(path, parent=parent, up=up, level=level, cropped=cropped)
+    )
 
 
-def import_wanted(context: bpy.types.Context, wanted: Wanted) -> bpy.types.Object:
-    """As `import_splats`, for a request of `want`."""
+def import_requested(context: bpy.types.Context, wanted: ImportRequest) -> bpy.types.Object:
+    """As `import_splats`, for a request of `import_request`."""
     file = read(wanted)
     ob = objects.create(file.splats, wanted.path.stem, collection=context.collection)
     settle(ob, wanted, file)
     return ob
 
 
-def want(
+def import_request(
     path: str | Path,
     *,
     parent: bpy.types.Object | None = None,
     up: str = FROM_FILE,
     level: int | None = None,
     cropped: bpy.types.Object | None = None,
-) -> Wanted:
+) -> ImportRequest:
     """Import request with the arguments of `import_splats`, for `read` in another thread.
 
     Raises:
@@ -131,7 +133,7 @@ def want(
         to_unit = crop_matrix(cropped, cropped.gscore.crop_object)
         basis = cropped.matrix_basis.copy(), cropped.matrix_parent_inverse.copy()
         stored = tuple(cropped.get(_IMPORT_MATRIX, ()))
-    return Wanted(
+    return ImportRequest(
         path=path,
         level=level,
         to_unit=to_unit,
@@ -141,11 +143,11 @@ def want(
         origin=origin_of(parent),
         stored=stored,
         up=up,
-        by=conversion.other(),
+        by=conversion.other_python(),
     )
 
 
-def read(wanted: Wanted, check: Check = lambda: None) -> SplatFile:
+def read(wanted: ImportRequest, check: Check = lambda: None) -> SplatFile:
     """Read an import request, in any thread. `check` raises after cancellation.
 
     Raises:
@@ -162,7 +164,7 @@ def read(wanted: Wanted, check: Check = lambda: None) -> SplatFile:
     return file
 
 
-class Said(Protocol):
+class FileMetadata(Protocol):
     """Metadata of a splat file."""
 
     @property
@@ -173,7 +175,7 @@ class Said(Protocol):
     def comments(self) -> Sequence[str]: ...
 
 
-def settle(ob: bpy.types.Object, wanted: Wanted, metadata: Said) -> None:
+def settle(ob: bpy.types.Object, wanted: ImportRequest, metadata: FileMetadata) -> None:
     """Place the object of a file as requested; without a parent if that was removed."""
     if metadata.antialiased:
         ob[ANTIALIAS] = True
@@ -187,7 +189,7 @@ def settle(ob: bpy.types.Object, wanted: Wanted, metadata: Said) -> None:
         return
     is_of_blender = wanted.up == FROM_FILE and _BLENDER_NOTE in metadata.comments
     if not is_of_blender:
-        stand(ob, metadata.origin)
+        match_capture_origin(ob, metadata.origin)
     if ob.parent is None:
         stated = stated_up(metadata.comments) if wanted.up == FROM_FILE else wanted.up
         turn_up(ob, stated if stated in UP_AXES else _USUAL_UP)
@@ -195,7 +197,7 @@ def settle(ob: bpy.types.Object, wanted: Wanted, metadata: Said) -> None:
         ob.matrix_parent_inverse = ob.parent.matrix_world.inverted_safe()
 
 
-def stand(ob: bpy.types.Object, origin: np.ndarray | None) -> None:
+def match_capture_origin(ob: bpy.types.Object, origin: np.ndarray | None) -> None:
     """Shift an object whose splats now have a local origin, so that they match its capture, or the
     positions of its earlier splats with another origin."""
     root, before = root_of(ob), origin

@@ -119,7 +119,7 @@ def replace(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
         ValueError: the object's mesh is being edited, is linked, or has data that would be lost.
     """
     check_replaceable(ob)
-    copy_metadata.hand_over(ob.data, mesh)
+    copy_metadata.copy_user_data(ob.data, mesh)
     swap(ob, mesh)
 
 

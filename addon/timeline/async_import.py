@@ -7,13 +7,13 @@ import bpy
 
 from ..splats import splat_files
 from ..splats.async_import import AsyncImport
-from ..splats.splat_files import Wanted
+from ..splats.splat_files import ImportRequest
 from . import mesh
 from .frames import Series, find_series
-from .importing import let_play
+from .importing import set_up_playback
 
 
-class SequenceComing:
+class SequenceImport:
     """Import of a sequence: a thread finds the frames and reads the first, which is then written to
     Blender in chunks."""
 
@@ -34,7 +34,7 @@ class SequenceComing:
         """
         self._folder, self._called, self._start = folder, called, start
         self._series: Series | None = None
-        wanted = splat_files.want(folder, parent=parent, up=up)
+        wanted = splat_files.import_request(folder, parent=parent, up=up)
         self._arrival = AsyncImport(context, [wanted], find=self._first, note=mesh.mark_of)
 
     @property
@@ -63,14 +63,14 @@ class SequenceComing:
         for ob, mark in zip(made or (), self._arrival.notes, strict=False):
             ob.name = ob.data.name = self._folder.name
             mesh.note(ob.data, self.series.files[0], mark)
-            let_play(ob, self._folder, called=self._called, start=self._start)
+            set_up_playback(ob, self._folder, called=self._called, start=self._start)
         return made
 
     def cancel(self) -> None:
         """Remove all partial results."""
         self._arrival.cancel()
 
-    def _first(self, wanted: Wanted) -> Wanted:
+    def _first(self, wanted: ImportRequest) -> ImportRequest:
         """Find the frames and the first one; runs in the thread."""
         self._series = find_series(self._folder, self._called)
         return replace(wanted, path=self._series.files[0].path)

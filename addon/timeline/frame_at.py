@@ -46,7 +46,7 @@ class Moment:
         return found
 
     @property
-    def holds(self) -> str:
+    def file_label(self) -> str:
         """`FrameFile.label` of the current frame; empty if unknown."""
         if self.hidden:
             return NOTHING.file.label

@@ -55,7 +55,7 @@ class _State:
     """Errors already printed to the console."""
     problems: dict[int, str] = field(default_factory=dict)
     """Sync errors by session uid of the object."""
-    left_alone: int = 0
+    suspended_sync: int = 0
     """Number of renderers that sample several times within a frame."""
 
 
@@ -67,7 +67,7 @@ def problem_of(ob: bpy.types.Object) -> str:
     return _state.problems.get(ob.session_uid, "")
 
 
-def bring(scene: bpy.types.Scene) -> None:
+def update_meshes(scene: bpy.types.Scene) -> None:
     """Write the current frames of a scene to its objects' meshes, synchronously."""
     for ob in _players(scene):
         try:
@@ -100,13 +100,13 @@ def _drop_coming() -> None:
 
 
 @contextmanager
-def left_alone() -> Iterator[None]:
+def suspended_sync() -> Iterator[None]:
     """Suspend mesh updates while a renderer that needs no meshes samples a frame's times."""
-    _state.left_alone += 1
+    _state.suspended_sync += 1
     try:
         yield
     finally:
-        _state.left_alone -= 1
+        _state.suspended_sync -= 1
 
 
 def note_edits(obs: list[bpy.types.Object]) -> None:
@@ -123,7 +123,7 @@ def settings_changed(ob: bpy.types.Object) -> None:
     """Apply changed settings of an object."""
     for scene in bpy.data.scenes:
         if bpy.app.background and scene.objects.get(ob.name) is ob:
-            bring(scene)
+            update_meshes(scene)
     redraw_views()
     poll_timer.ensure()
 
@@ -137,12 +137,12 @@ def _bring_one(ob: bpy.types.Object, scene: bpy.types.Scene) -> None:
     if moment is None:
         return
     if not _is_there(ob, moment):
-        mesh.fill_at_once(ob, moment.frame())
+        mesh.fill_mesh(ob, moment.frame())
     _state.problems.pop(ob.session_uid, None)
 
 
 def _is_there(ob: bpy.types.Object, moment: Moment) -> bool:
-    return mesh.holds(ob) == moment.holds
+    return mesh.file_label(ob) == moment.file_label
 
 
 def _report(ob: bpy.types.Object, problem: str) -> None:
@@ -159,7 +159,7 @@ def _behind() -> Iterator[tuple[bpy.types.Object, Moment]]:
             moment = moment_of(ob, scene.frame_current_final)
             if moment is None or not _may_follow(ob):
                 continue
-            done = _is_there(ob, moment) or moment.failed() or moment.holds == _state.refused
+            done = _is_there(ob, moment) or moment.failed() or moment.file_label == _state.refused
             if not done:
                 yield ob, moment
 
@@ -186,7 +186,7 @@ def _needs_mesh(ob: bpy.types.Object) -> bool:
 
 def _collect() -> bool:
     """Run a short step; True if panels need a redraw."""
-    came = LIBRARY.take_news()
+    came = LIBRARY.take_change()
     if came:
         redraw_views()
     if bpy.app.is_job_running("RENDER"):
@@ -265,10 +265,10 @@ _FOLLOWER = poll_timer.Poller(_collect, _waits, _hurries)
 
 @persistent
 def _frame_changed(scene: bpy.types.Scene, *_: object) -> None:
-    if _state.left_alone:
+    if _state.suspended_sync:
         return
     if _at_once(scene):
-        bring(scene)
+        update_meshes(scene)
     elif not bpy.app.is_job_running("RENDER") and _players(scene):  # else another thread draws
         poll_timer.ensure()
 
@@ -276,7 +276,7 @@ def _frame_changed(scene: bpy.types.Scene, *_: object) -> None:
 @persistent
 def _render_begins(scene: bpy.types.Scene, *_: object) -> None:
     if scene.render.engine not in TAKE_FRAMES:
-        bring(scene)
+        update_meshes(scene)
 
 
 def _at_once(scene: bpy.types.Scene) -> bool:

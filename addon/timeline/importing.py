@@ -47,15 +47,15 @@ def import_sequence(
     ob = objects.create(read.splats, folder.name, collection=context.collection, parent=parent)
     if read.antialiased:
         ob[ANTIALIAS] = True
-    splat_files.stand(ob, read.origin)
+    splat_files.match_capture_origin(ob, read.origin)
     if parent is None:
         splat_files.turn_up(ob, up)
     mesh.note(ob.data, first)
-    let_play(ob, folder, called=called, start=start)
+    set_up_playback(ob, folder, called=called, start=start)
     return ob, series
 
 
-def let_play(ob: bpy.types.Object, folder: Path, *, called: str, start: int) -> None:
+def set_up_playback(ob: bpy.types.Object, folder: Path, *, called: str, start: int) -> None:
     """Set up playback of a folder on an object whose mesh has its first frame.
 
     Args:
@@ -67,7 +67,7 @@ def let_play(ob: bpy.types.Object, folder: Path, *, called: str, start: int) -> 
     own.folder = relative(folder)  # last, because setting it starts playback
 
 
-def play_again(ob: bpy.types.Object) -> None:
+def resume_playback(ob: bpy.types.Object) -> None:
     """Resume playback of an object with edited splats; the edits are dropped."""
     mesh.forget(ob.data)
     ob.gscore_sequence.edited = False

@@ -126,11 +126,11 @@ class Library:
         self.most = _GB
         """Memory limit of frames, bytes; the current frames are kept in any case."""
         self.fresh = False
-        """True if something was loaded since the last `take_news`."""
+        """True if something was loaded since the last `take_change`."""
         self.reads = 0
         """Number of files read, for measurements."""
 
-    def take_news(self) -> bool:
+    def take_change(self) -> bool:
         """True if something was loaded since the last call."""
         with self._changed:
             came, self.fresh = self.fresh, False

@@ -24,12 +24,12 @@ _KEYS = {"FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("color", 4), "FLOAT4": (
 """Key for foreach_get and width in floats, by data type."""
 
 
-def holds(ob: bpy.types.Object) -> str:
+def file_label(ob: bpy.types.Object) -> str:
     """`FrameFile.label` of the frame in an object's mesh; empty if unknown."""
     return str(ob.data.get(_HOLDS, ""))
 
 
-def fill_at_once(ob: bpy.types.Object, frame: Frame) -> None:
+def fill_mesh(ob: bpy.types.Object, frame: Frame) -> None:
     """Write a frame to an object's own mesh.
 
     Raises:
@@ -75,7 +75,7 @@ def exchange(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
         replace(ob, mesh)
         return
     check_replaceable(ob)
-    copy_metadata.hand_over(old, mesh)
+    copy_metadata.copy_user_data(old, mesh)
     ob.data = mesh
     mesh.name = old.name
 

@@ -15,9 +15,9 @@ from ..interface.incremental_operator import IncrementalOperator
 from ..process import poll_timer
 from ..process.incremental_tasks import Pieces, stepped
 from ..splats.file_operators import AXIS_ITEMS
-from ..splats.objects import hide_points, is_splats, meant
+from ..splats.objects import active_splats, hide_points, is_splats
 from . import frame_sync, importing
-from .async_import import SequenceComing
+from .async_import import SequenceImport
 from .frame_at import folder_of, moment_of
 from .frames import Series, name_of_file
 from .library import LIBRARY
@@ -32,7 +32,7 @@ class OnSequence(BaseOperator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """True if the active object has a sequence."""
-        ob = meant(context)
+        ob = active_splats(context)
         if is_splats(ob) and is_sequence(ob):
             return True
         cls.poll_message_set("Select a splat object that plays a sequence")
@@ -97,7 +97,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Find the frames and read the first in a thread, then write it to Blender."""
         folder, options = self._options(context)
-        coming = SequenceComing(context, folder, **options)
+        coming = SequenceImport(context, folder, **options)
         made = yield from stepped(coming)
         return self._settle(context, made[0], coming.series, coming.warnings)
 
@@ -162,13 +162,13 @@ class PlayAgain(OnSequence, bpy.types.Operator):
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """Its points and playback state."""
-        ob = meant(context)
+        ob = active_splats(context)
         return ob.data, ob
 
     def act(self, context: bpy.types.Context) -> str:
         """Resume playback."""
-        importing.play_again(meant(context))
-        frame_sync.settings_changed(meant(context))
+        importing.resume_playback(active_splats(context))
+        frame_sync.settings_changed(active_splats(context))
         return ""
 
 
@@ -180,8 +180,8 @@ class KeepFrame(OnSequence, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Make the object."""
-        ob, scene = meant(context), context.scene
-        frame_sync.bring(scene)
+        ob, scene = active_splats(context), context.scene
+        frame_sync.update_meshes(scene)
         if problem := frame_sync.problem_of(ob):
             raise ValueError(problem)
         moment = moment_of(ob, scene.frame_current_final, wait=True)
@@ -202,8 +202,8 @@ class RescanFrames(OnSequence, bpy.types.Operator):
 
     def act(self, context: bpy.types.Context) -> str:
         """Scan."""
-        LIBRARY.forget(folder_of(meant(context)))
-        frame_sync.settings_changed(meant(context))
+        LIBRARY.forget(folder_of(active_splats(context)))
+        frame_sync.settings_changed(active_splats(context))
         return ""
 
 

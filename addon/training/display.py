@@ -14,7 +14,7 @@ from ..nodes import display as display_nodes
 from ..paths import absolute, output_folder
 from ..splats.error_maps import drop_maps
 from ..splats.objects import hide_points
-from ..splats.splat_files import stand
+from ..splats.splat_files import match_capture_origin
 from ..splats.write_chunked import ChunkedWrite, replace
 from . import registry, run_state
 from .loader import Loaded
@@ -50,20 +50,20 @@ def _leads_to(scene: bpy.types.Scene, holder: Any, job: Job) -> bool:
     except ValueError:
         return False
     mine = same_folder(folder, job.output)
-    return mine and any(run_links.holds(holder, source) for source in job.sources)
+    return mine and any(run_links.belongs_to(holder, source) for source in job.sources)
 
 
 def waits(job: Job) -> bool:
     """True while work is pending: a running trainer, or splats to show here."""
     if not job.state.ended or job.loader.busy:
         return True
-    return job.result_wanted and place_of(job) is not None
+    return job.awaits_import and place_of(job) is not None
 
 
 def is_importing() -> bool:
     """True while splats or their node groups are being created, so that the next poll is due
     soon."""
-    return any(job.filling is not None or job.chores for job in registry.jobs())
+    return any(job.filling is not None or job.preparations for job in registry.jobs())
 
 
 def update(job: Job) -> bool:
@@ -77,8 +77,8 @@ def update(job: Job) -> bool:
     if place is None:
         job.live_seconds = 0.0
         return False
-    if job.chores:
-        job.chores.pop(0)()
+    if job.preparations:
+        job.preparations.pop(0)()
         return True
     prefs = preferences.get()
     job.live_seconds = prefs.live_seconds if place.scene.gscore.live_splats else 0.0
@@ -123,7 +123,7 @@ def _remove_discarded(job: Job, place: Place) -> bool:
 def _update_splats(job: Job, place: Place) -> bool:
     """Run the next step of importing splats into the scene; True if there was one."""
     result = job.state.result
-    if job.result_wanted and not job.result_requested and result is not None:
+    if job.awaits_import and not job.result_requested and result is not None:
         job.result_requested = True
         job.loader.request(result, final=True)
     ob = place.holder.result
@@ -138,7 +138,9 @@ def _update_splats(job: Job, place: Place) -> bool:
             return True
         job.filling = ChunkedWrite(loaded)
         if ob is None:
-            job.chores = display_nodes.builders()  # another file may be open than at the start
+            job.preparations = (
+                display_nodes.builders()
+            )  # another file may be open than at the start
             return True
     filling = job.filling
     if not filling.loaded.final and (job.result_requested or not place.scene.gscore.live_splats):
@@ -153,9 +155,9 @@ def _update_splats(job: Job, place: Place) -> bool:
         before = place.holder.result
         ob = result_object(place, job, filling.loaded)
         replace(ob, mesh)
-        stand(ob, filling.loaded.origin)
+        match_capture_origin(ob, filling.loaded.origin)
         note_filled(ob, job, filling.loaded)
-        job.result_wanted = job.result_wanted and not filling.loaded.final
+        job.awaits_import = job.awaits_import and not filling.loaded.final
         if (root := capture_of(place.scene, job.source)) is not None:
             if filling.loaded.final:
                 note_moves(root, filling.loaded.moves)
@@ -175,5 +177,5 @@ def _give_up(job: Job, loaded: Loaded, problem: str) -> None:
     """Report why splats are not shown; a final result is not tried again."""
     job.state.warn(problem)
     if loaded.final:
-        job.result_wanted = False
+        job.awaits_import = False
         job.state.sentence += " The splats could not be shown."

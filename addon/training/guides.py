@@ -35,7 +35,7 @@ def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
     """
     line: list[str] = []
     for role, collection in chosen(scene):
-        mesh = gathered(scene, collection)
+        mesh = merged_mesh(scene, collection)
         path = output / GUIDES / f"{role}-{digest(mesh)}.ply"
         if not path.is_file():
             write_mesh(path, mesh.vertices, mesh.triangles)
@@ -48,7 +48,7 @@ def digest(mesh: Triangles) -> str:
     return hashlib.sha256(mesh.vertices.tobytes() + mesh.triangles.tobytes()).hexdigest()[:8]
 
 
-def left_out(scene: bpy.types.Scene) -> list[str]:
+def unused_objects(scene: bpy.types.Scene) -> list[str]:
     """Sentences on unused objects in the guide collections."""
     lines = []
     for _, collection in chosen(scene):
@@ -67,7 +67,7 @@ def left_out(scene: bpy.types.Scene) -> list[str]:
     return lines
 
 
-def gathered(
+def merged_mesh(
     scene: bpy.types.Scene,
     collection: bpy.types.Collection,
     root: bpy.types.Object | None = None,

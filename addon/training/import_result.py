@@ -17,7 +17,7 @@ class ImportResult(ImportOperator, bpy.types.Operator):
     bl_label = "Show Trained Splats"
     bl_options: ClassVar = {"REGISTER", "UNDO"}
 
-    def wanted(self, context: bpy.types.Context) -> list[splat_files.Wanted]:
+    def import_requests(self, context: bpy.types.Context) -> list[splat_files.ImportRequest]:
         """The splats of the run."""
         # Read now, because the panel may name another run during the import.
         self._source, self._run = start_training.run_of(context.scene)
@@ -25,7 +25,9 @@ class ImportResult(ImportOperator, bpy.types.Operator):
         if info.splats is None:
             raise ValueError(f"{info.path} holds no splats yet: continue its training.")
         return [
-            splat_files.want(info.splats, parent=results.capture_of(context.scene, self._source))
+            splat_files.import_request(
+                info.splats, parent=results.capture_of(context.scene, self._source)
+            )
         ]
 
     def show(

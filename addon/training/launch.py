@@ -56,7 +56,7 @@ class Following:
     """Registration of a folder's pollers, and the end of its jobs when Blender quits."""
 
     def __init__(
-        self, pollers: Sequence[poll_timer.Poller], leave_all: Callable[[], object]
+        self, pollers: Sequence[poll_timer.Poller], release_all: Callable[[], object]
     ) -> None:
         """Store the pollers; `on_register` starts them.
 
@@ -64,7 +64,7 @@ class Following:
             pollers: Pollers, in order.
             leave_all: Releases all jobs, which then end on their own.
         """
-        self._pollers, self._leave_all = tuple(pollers), leave_all
+        self._pollers, self._leave_all = tuple(pollers), release_all
 
     def on_register(self) -> None:
         """Start the pollers."""

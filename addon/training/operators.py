@@ -40,11 +40,11 @@ class _OnJob(BaseOperator):
         job = self.job(context)
         if job is None or job.state.status not in self.allowed:
             raise ValueError("This scene has no training in a state that allows this.")
-        self.ask(job)
+        self.send(job)
         poll_timer.redraw()
         return ""
 
-    def ask(self, job: Job) -> None:
+    def send(self, job: Job) -> None:
         raise NotImplementedError
 
 
@@ -124,7 +124,7 @@ class PauseTraining(_OnJob, bpy.types.Operator):
     bl_label = "Pause"
     allowed = (run_state.STARTING, run_state.RUNNING)
 
-    def ask(self, job: Job) -> None:
+    def send(self, job: Job) -> None:
         """Send the command."""
         job.pause()
 
@@ -136,7 +136,7 @@ class ContinueTraining(_OnJob, bpy.types.Operator):
     bl_label = "Continue"
     allowed = (run_state.PAUSED,)
 
-    def ask(self, job: Job) -> None:
+    def send(self, job: Job) -> None:
         """Send the command."""
         job.unpause()
 
@@ -147,7 +147,7 @@ class StopTraining(_OnJob, bpy.types.Operator):
     bl_idname = "gscore.stop_training"
     bl_label = "Stop"
 
-    def ask(self, job: Job) -> None:
+    def send(self, job: Job) -> None:
         """Send the command."""
         job.stop()
 
@@ -187,7 +187,7 @@ class DiscardTraining(ConfirmMixin, _OnJob, bpy.types.Operator):
         what = "since its last checkpoint" if job.resumed else "with its files and splats"
         return [f"The training of {job.source} into {job.output} ends and is lost, {what}."]
 
-    def ask(self, job: Job) -> None:
+    def send(self, job: Job) -> None:
         """End the training."""
         start_training.discard(job)
 
@@ -199,7 +199,7 @@ class UpdateSplats(_OnJob, bpy.types.Operator):
     bl_label = "Update Splats"
     allowed = (run_state.RUNNING, run_state.PAUSED)
 
-    def ask(self, job: Job) -> None:
+    def send(self, job: Job) -> None:
         """Request a snapshot."""
         job.snapshot()
 

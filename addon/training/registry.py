@@ -35,7 +35,7 @@ def by_output(output: Path) -> Job | None:
     return next((job for job in _jobs.values() if same_folder(job.output, output)), None)
 
 
-def leave_all() -> None:
+def release_all() -> None:
     """Release all jobs: each writes a checkpoint and ends."""
     for job in jobs():
         job.leave()

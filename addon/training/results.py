@@ -147,7 +147,7 @@ def adopt(
             raise
     if ob is not None and not was_edited(ob):
         replace(ob, made.data)
-        splat_files.stand(ob, noted_origin(made))
+        splat_files.match_capture_origin(ob, noted_origin(made))
         _note_antialias(ob, bool(made.get(ANTIALIAS)))
         bpy.data.objects.remove(made)
         drop_maps(ob)  # of the previous splats

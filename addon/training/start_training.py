@@ -29,7 +29,7 @@ def job_of(scene: bpy.types.Scene) -> Job | None:
     except ValueError:
         return None
     job = registry.by_output(folder)
-    return job if job is not None and run_links.holds(scene.gscore, job.source) else None
+    return job if job is not None and run_links.belongs_to(scene.gscore, job.source) else None
 
 
 def train(
@@ -106,7 +106,7 @@ def unsaved(scene: bpy.types.Scene) -> list[str]:
     """
     source = capture_folder(scene)
     lines = [line for list_unsaved in UNSAVED for line in list_unsaved(source)]
-    return lines + guides.left_out(scene)
+    return lines + guides.unused_objects(scene)
 
 
 def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None) -> Job:
@@ -291,6 +291,6 @@ def _start(
     job.live_most = preferences.get().live_most
     registry.add(job)
     lookups.runs.expire()
-    job.chores = display_nodes.builders()  # while the trainer starts
+    job.preparations = display_nodes.builders()  # while the trainer starts
     poll_timer.ensure()
     return job

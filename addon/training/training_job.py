@@ -63,17 +63,17 @@ class Job:
         self.live_most = 0
         """Maximum number of splats of a snapshot; 0: all."""
         self.loader = Loader()
-        self.result_wanted = False
+        self.awaits_import = False
         """True while the result is not shown yet."""
         self.result_requested = False
         """True once the loader has received the result."""
         self.filling: Any = None
         """The running import of splats; set by `display`."""
-        self.chores: list[Callable[[], Any]] = []
+        self.preparations: list[Callable[[], Any]] = []
         """Remaining preparations of the import, one per poll; set by `start_training` and
         `display`."""
         self.preview_shown = ""
-        self.told = False
+        self.has_events = False
         """True if the last poll received events; set by `training_poller`."""
         self._discarding = False
         self._clearer: threading.Thread | None = None
@@ -166,7 +166,7 @@ class Job:
 
     def discard(self) -> None:
         """Kill the trainer and remove the files of this run, unless it was resumed."""
-        self._discarding, self.result_wanted = True, False
+        self._discarding, self.awaits_import = True, False
         self._process.kill()
 
     def wait(self, timeout: float) -> bool:
@@ -179,7 +179,7 @@ class Job:
             state.status, state.eta_s = run_state.DISCARDED, None
             earlier = self.output / "point_cloud.ply"
             if self.resumed and earlier.is_file():
-                state.result, self.result_wanted = earlier, True
+                state.result, self.awaits_import = earlier, True
             state.sentence = "Discarded; the files of this run were removed."
             if self.resumed:
                 state.sentence = (
@@ -191,7 +191,7 @@ class Job:
             return
         state.end(self._process.returncode, self._process.stderr_tail, python=self.python)
         if state.result is not None:
-            self.result_wanted = True
+            self.awaits_import = True
 
     def _clearing(self) -> bool:
         """True while files of a discarded run are being removed, in a thread for slow disks."""

@@ -13,12 +13,12 @@ def _collect() -> bool:
     """
     stale = False
     for job in registry.jobs():
-        shown = job.told and display.update(job)
-        job.told = not shown and job.poll()
-        if job.told and job.state.ended:
+        shown = job.has_events and display.update(job)
+        job.has_events = not shown and job.poll()
+        if job.has_events and job.state.ended:
             lookups.runs.expire()
             lookups.depth_runs.expire()
-        stale |= shown or job.told or display.update(job)
+        stale |= shown or job.has_events or display.update(job)
     return stale
 
 
@@ -31,6 +31,6 @@ _FOLLOWING = Following(
         poll_timer.Poller(_collect, _waits, display.is_importing),
         poll_timer.Poller(lookups.collect, lookups.busy),
     ],
-    registry.leave_all,
+    registry.release_all,
 )
 on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

@@ -109,9 +109,9 @@ class VerbJob:
         """The last event of `Verb.progress`; None at the beginning and after each frame."""
         self.report: Any = None
         """Facts that `Verb.message` read from the result."""
-        self.wanted = False
+        self.awaits_import = False
         """True while the result is not imported."""
-        self.coming: TaskRunner | None = None
+        self.import_task: TaskRunner | None = None
         """The running import of the result."""
         self.preparing: TaskRunner | None = None
         """Preparation of the input files; None when complete."""
@@ -210,31 +210,31 @@ class VerbJob:
         self.preparing = None
         return True
 
-    def arrive_step(self, in_words: Callable[[Pieces[Any]], Pieces[Any]]) -> bool:
+    def arrive_step(self, with_readable_errors: Callable[[Pieces[Any]], Pieces[Any]]) -> bool:
         """Run the next step of the import; True if it ended.
 
         Args:
             in_words: Wraps the import, to turn errors of Blender and memory into messages.
         """
-        if self.coming is None:
-            self.coming = TaskRunner(in_words(self._arrive(self)))
+        if self.import_task is None:
+            self.import_task = TaskRunner(with_readable_errors(self._arrive(self)))
         ended = True
         try:
-            ended = self.coming.step()
+            ended = self.import_task.step()
             if ended:
-                self.warnings += self.coming.result
+                self.warnings += self.import_task.result
         except (GsError, ValueError, OSError) as error:
             self.warnings.append(error_words(error))
         finally:
             if ended:
-                self.coming, self.wanted = None, False
+                self.import_task, self.awaits_import = None, False
         return ended
 
     def give_up(self) -> None:
         """End the import, whose result stays on disk."""
-        if self.coming is not None:
-            self.coming.cancel()
-        self.coming, self.wanted = None, False
+        if self.import_task is not None:
+            self.import_task.cancel()
+        self.import_task, self.awaits_import = None, False
 
     def cancel(self) -> None:
         """Cancel the job."""
@@ -285,7 +285,7 @@ class VerbJob:
         if done is None or (self.status == STOPPING and complete and done.reason not in complete):
             return ""
         message = self.verb.message(self)
-        self.wanted = self._arrive is not None
+        self.awaits_import = self._arrive is not None
         return message
 
     def _poll_before(self, other: "VerbJob", budget: float) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 
 from ..capture.folders import same_folder
-from ..interface.incremental_operator import in_words
+from ..interface.incremental_operator import with_readable_errors
 from ..nodes import display as display_nodes
 from ..process import poll_timer
 from ..process.incremental_tasks import Pieces, run_in_thread
@@ -34,7 +34,7 @@ class VerbJobs:
     def check_free(self, verb: Verb, source: Path) -> None:
         """Raise ValueError if a job of a source prevents another one."""
         job = self.of_source(verb, source)
-        if job is not None and (job.wanted or (job.busy if verb.waits else not job.ended)):
+        if job is not None and (job.awaits_import or (job.busy if verb.waits else not job.ended)):
             raise ValueError(verb.running.format(source))
 
     def start(
@@ -66,10 +66,10 @@ class VerbJobs:
         self._jobs = [other for other in self._jobs if other is not known["after"]]
         self._jobs.append(job)
         poll_timer.ensure()
-        follow(lambda: wait and (not job.ended or job.wanted))
+        follow(lambda: wait and (not job.ended or job.awaits_import))
         return job
 
-    def leave_all(self) -> None:
+    def release_all(self) -> None:
         """Release all jobs: they end soon."""
         for job in self._jobs:
             job.leave()
@@ -115,19 +115,19 @@ def _collect() -> bool:
         elif job.preparing is not None:
             stale |= job.prepare_step(lambda job=job: begin(job.python, job.begin))
         else:
-            stale |= bring_in(job)
+            stale |= import_next(job)
     return stale
 
 
-def bring_in(job: VerbJob) -> bool:
+def import_next(job: VerbJob) -> bool:
     """Run the next step of importing a finished job's result; True if panels changed.
 
     Does nothing while Blender renders or a mesh is edited.
     """
-    if not job.wanted or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
+    if not job.awaits_import or bpy.app.is_job_running("RENDER") or bpy.context.mode != "OBJECT":
         return False
     if job.verb.has_place(job):
-        return job.arrive_step(in_words)
+        return job.arrive_step(with_readable_errors)
     job.give_up()
     return True
 
@@ -136,10 +136,10 @@ _FOLLOWING = Following(
     [
         poll_timer.Poller(
             _collect,
-            lambda: any(not job.ended or job.wanted for job in JOBS.jobs()),
-            lambda: any(job.coming is not None for job in JOBS.jobs()),
+            lambda: any(not job.ended or job.awaits_import for job in JOBS.jobs()),
+            lambda: any(job.import_task is not None for job in JOBS.jobs()),
         )
     ],
-    JOBS.leave_all,
+    JOBS.release_all,
 )
 on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister

@@ -42,7 +42,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         for (const bool b : broken)
             expected += b;
         AdamState all2 = all, late2 = late;
-        const int mode = in.byte() % 3 == 0 ? GS_ADAM_WAIT : GS_ADAM_SEEN;
+        const int mode = in.byte() % 3 == 0 ? GS_ADAM_WAIT : GS_ADAM_VISIBLE;
         gs_adam_tensor one[] = {all.view(GS_ADAM_ALL, rate, step), late.view(mode, rate, step)};
         gs_adam_tensor two[] = {all2.view(GS_ADAM_ALL, rate, step), late2.view(mode, rate, step)};
         const gs_adam first = {int64_t(n), 2, one, radii.data(), 1}, second = {int64_t(n), 2, two, radii.data(), 3};

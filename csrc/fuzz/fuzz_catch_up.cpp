@@ -59,7 +59,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     Bytes in(data, size);
     Noise noise(in.word());
     const int64_t step = 1 + int64_t(in.word() % 1000000);
-    const int mode = in.byte() % 2 ? GS_ADAM_SEEN : GS_ADAM_WAIT;
+    const int mode = in.byte() % 2 ? GS_ADAM_VISIBLE : GS_ADAM_WAIT;
     Bytes rest = in; // the width is drawn again below, when the number of rows is known
     (void)in.byte();
     const Scene scene = fuzz::read_scene(in);

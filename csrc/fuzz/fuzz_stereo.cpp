@@ -45,19 +45,19 @@ bool refused(gs_status status) { return status == GS_BAD_ARGUMENT && std::strlen
 void shrink(int32_t &side, uint8_t by) { side -= by % 8 == 7 ? 4000 : by % 8; }
 
 struct Swept {
-    Output inverse_depth, score, rival, contrast;
+    Output inverse_depth, score, second_best, contrast;
     gs_status status;
 
     Swept(const gs_stereo_sweep_args &args, size_t pixels)
-        : inverse_depth(pixels), score(pixels), rival(pixels), contrast(pixels) {
-        const gs_stereo_found found = {inverse_depth.data(), score.data(), rival.data(), contrast.data()};
+        : inverse_depth(pixels), score(pixels), second_best(pixels), contrast(pixels) {
+        const gs_stereo_found found = {inverse_depth.data(), score.data(), second_best.data(), contrast.data()};
         status = gs_stereo_sweep(&args, &found);
-        for (const Output *out : {&inverse_depth, &score, &rival, &contrast})
+        for (const Output *out : {&inverse_depth, &score, &second_best, &contrast})
             REQUIRE(out->guards_hold());
     }
     bool same_bits(const Swept &other) const {
         return inverse_depth.same_bits(other.inverse_depth) && score.same_bits(other.score) &&
-               rival.same_bits(other.rival) && contrast.same_bits(other.contrast);
+               second_best.same_bits(other.second_best) && contrast.same_bits(other.contrast);
     }
 };
 
@@ -65,16 +65,16 @@ void check_swept(const Swept &found, const gs_stereo_sweep_args &args) {
     for (int32_t y = 0; y < args.height; ++y)
         for (int32_t x = 0; x < args.width; ++x) {
             const size_t i = size_t(y) * size_t(args.width) + size_t(x);
-            for (const Output *out : {&found.inverse_depth, &found.score, &found.rival, &found.contrast})
+            for (const Output *out : {&found.inverse_depth, &found.score, &found.second_best, &found.contrast})
                 REQUIRE(out->written(i) && std::isfinite((*out)[i]));
-            const float depth = found.inverse_depth[i], score = found.score[i], rival = found.rival[i];
+            const float depth = found.inverse_depth[i], score = found.score[i], second_best = found.second_best[i];
             const int32_t r = args.radius;
             const bool rim = x < r || y < r || x >= args.width - r || y >= args.height - r;
             if (rim || depth == 0)
-                REQUIRE(depth == 0 && score == -1 && rival == -1);
+                REQUIRE(depth == 0 && score == -1 && second_best == -1);
             else
-                REQUIRE(depth >= args.farthest && depth <= args.nearest && score > -1 && rival >= -1);
-            REQUIRE(score <= 1 && rival <= 1);
+                REQUIRE(depth >= args.farthest && depth <= args.nearest && score > -1 && second_best >= -1);
+            REQUIRE(score <= 1 && second_best <= 1);
             REQUIRE(found.contrast[i] >= 0 && found.contrast[i] <= 128);
         }
 }
@@ -151,12 +151,12 @@ void check_judged(const Judged &found, const gs_stereo_check_args &args) {
         // The library flushes subnormal numbers to zero.
         const bool known = own >= std::numeric_limits<float>::min() && std::isfinite(own);
         REQUIRE(found.inverse_depth.written(i));
-        REQUIRE(int32_t(found.agree[i]) + found.contradict[i] <= (known ? args.witness_count : 0));
+        REQUIRE(int32_t(found.agree[i]) + found.contradict[i] <= (known ? args.neighbour_count : 0));
         if (!known)
             REQUIRE(mean == 0);
         else if (found.agree[i] == 0)
             REQUIRE(mean == own);
-        else if (args.relative < 1 && own < 1e37f / 256) // else the sum may overflow float32, or any witness agrees
+        else if (args.relative < 1 && own < 1e37f / 256) // else the sum may overflow float32, or any neighbour agrees
             REQUIRE(mean >= own * (1 - args.relative) * 0.999f && mean <= own * (1 + args.relative) * 1.001f);
     }
 }
@@ -166,33 +166,33 @@ void check(Bytes &in, Noise &noise) {
     const size_t pixels = size_t(width) * size_t(height);
     std::vector<float> own = depth_map(pixels, noise);
     std::vector<std::vector<float>> maps;
-    std::vector<gs_stereo_witness> witnesses;
+    std::vector<gs_stereo_neighbour> neighbours;
     const uint8_t some = in.byte();
     for (int k = some < 250 ? some % 5 : 255; k > 0; --k) {
         const int32_t w = 2 + int32_t(noise(0, 40)), h = 2 + int32_t(noise(0, 40));
         maps.push_back(depth_map(size_t(w) * size_t(h), noise));
         const float shift = noise(-5, 5);
-        witnesses.push_back({w, h, maps.back().data(), moved(shift, noise), moved(-shift, noise)});
+        neighbours.push_back({w, h, maps.back().data(), moved(shift, noise), moved(-shift, noise)});
     }
     gs_stereo_check_args args = {};
     args.width = width, args.height = height, args.inverse_depth = own.data();
-    args.witness_count = int32_t(witnesses.size()), args.witnesses = witnesses.data();
+    args.neighbour_count = int32_t(neighbours.size()), args.neighbours = neighbours.data();
     args.pixels = 2, args.relative = 0.1f, args.passed = 0.05f;
     args.threads = 1 + some % 3;
     for (int left = in.byte() % 8; left > 0; --left) {
         float *const numbers[] = {&args.pixels, &args.relative, &args.passed};
         const uint8_t what = in.byte(), by = in.byte();
-        const size_t pick = witnesses.empty() ? 0 : by % witnesses.size();
+        const size_t pick = neighbours.empty() ? 0 : by % neighbours.size();
         if (what < 80)
             own[(by | size_t(in.byte()) << 8) % pixels] = in.hostile();
-        else if (what < 200 && !witnesses.empty())
-            bend(what % 2 ? witnesses[pick].warp : witnesses[pick].back, in);
-        else if (what < 220 && !witnesses.empty())
+        else if (what < 200 && !neighbours.empty())
+            bend(what % 2 ? neighbours[pick].warp : neighbours[pick].back, in);
+        else if (what < 220 && !neighbours.empty())
             maps[pick][in.byte() % maps[pick].size()] = in.hostile();
         else if (what < 240)
             *numbers[what % 3] = in.hostile();
         else if (what < 248)
-            args.witness_count = std::min(int32_t(by) - 9, args.witness_count);
+            args.neighbour_count = std::min(int32_t(by) - 9, args.neighbour_count);
         else
             shrink(what % 2 ? args.width : args.height, by);
     }

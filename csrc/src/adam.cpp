@@ -71,7 +71,7 @@ int64_t adam_step(const gs_adam &in) {
     std::vector<AdamTensor> tensors;
     tables.reserve(size_t(in.tensor_count));
     for (int i = 0; i < in.tensor_count; ++i) {
-        tables.emplace_back(in.tensors[i].mode == GS_ADAM_SEEN ? in.tensors[i].drift : nullptr);
+        tables.emplace_back(in.tensors[i].mode == GS_ADAM_VISIBLE ? in.tensors[i].drift : nullptr);
         tensors.push_back(constants(in.tensors[i], tables.back()));
     }
     const AdamArgs args = {in.count, tensors.data(), in.tensor_count, in.radii};
@@ -83,7 +83,7 @@ int64_t adam_step(const gs_adam &in) {
             bad += found;
     });
     for (int i = 0; i < in.tensor_count; ++i)
-        if (in.tensors[i].mode == GS_ADAM_SEEN)
+        if (in.tensors[i].mode == GS_ADAM_VISIBLE)
             add_skipped_step(in.tensors[i]);
     return bad;
 }

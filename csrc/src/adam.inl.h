@@ -205,7 +205,7 @@ static int64_t adam_step(const AdamArgs &a, int64_t chunk) {
             }
             for (int64_t row = begin; row < end; ++row)
                 t.seen[row] |= uint8_t(!a.radii || a.radii[row] > 0);
-            if (t.mode == GS_ADAM_SEEN)
+            if (t.mode == GS_ADAM_VISIBLE)
                 bad += move_seen_rows(tensor, begin, end);
         }
     }

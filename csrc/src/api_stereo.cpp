@@ -59,19 +59,19 @@ gs_status check_sweep(const gs_stereo_sweep_args &a) {
     return check_threads(a.threads);
 }
 
-gs_status check_witnesses(const gs_stereo_check_args &a) {
-    if (a.witness_count < 0 || a.witness_count > 255 || (a.witness_count > 0 && !a.witnesses))
-        return fail(GS_BAD_ARGUMENT, "witness_count must be 0 to 255, got %d", a.witness_count);
-    for (int32_t i = 0; i < a.witness_count; ++i) {
-        const gs_stereo_witness &witness = a.witnesses[i];
-        if (const gs_status s = check_side("a witness", witness.width, witness.height))
+gs_status check_neighbours(const gs_stereo_check_args &a) {
+    if (a.neighbour_count < 0 || a.neighbour_count > 255 || (a.neighbour_count > 0 && !a.neighbours))
+        return fail(GS_BAD_ARGUMENT, "neighbour_count must be 0 to 255, got %d", a.neighbour_count);
+    for (int32_t i = 0; i < a.neighbour_count; ++i) {
+        const gs_stereo_neighbour &neighbour = a.neighbours[i];
+        if (const gs_status s = check_side("a neighbour", neighbour.width, neighbour.height))
             return s;
-        if (const gs_status s = check_warp(witness.warp))
+        if (const gs_status s = check_warp(neighbour.warp))
             return s;
-        if (const gs_status s = check_warp(witness.back))
+        if (const gs_status s = check_warp(neighbour.back))
             return s;
-        if (!witness.inverse_depth)
-            return fail(GS_BAD_ARGUMENT, "the depth map of a witness is null");
+        if (!neighbour.inverse_depth)
+            return fail(GS_BAD_ARGUMENT, "the depth map of a neighbour is null");
     }
     return GS_OK;
 }
@@ -79,7 +79,8 @@ gs_status check_witnesses(const gs_stereo_check_args &a) {
 } // namespace
 
 gs_status gs_stereo_sweep(const gs_stereo_sweep_args *args, const gs_stereo_found *found) {
-    if (!args || !found || !args->grey || !found->inverse_depth || !found->score || !found->rival || !found->contrast)
+    if (!args || !found || !args->grey || !found->inverse_depth || !found->score || !found->second_best ||
+        !found->contrast)
         return fail(GS_BAD_ARGUMENT, "gs_stereo_sweep: an argument or an array is null");
     if (const gs_status s = check_sweep(*args))
         return s;
@@ -96,7 +97,7 @@ gs_status gs_stereo_check(const gs_stereo_check_args *args, uint8_t *agree, uint
         return s;
     if (!(args->pixels >= 0 && args->relative >= 0 && args->passed >= 0))
         return fail(GS_BAD_ARGUMENT, "pixels, relative and passed must not be negative");
-    if (const gs_status s = check_witnesses(*args))
+    if (const gs_status s = check_neighbours(*args))
         return s;
     if (const gs_status s = check_threads(args->threads))
         return s;

@@ -258,7 +258,7 @@ class StereoSweep {
             const Vec top = min(fma(0.25f * (right - left), offset, best), set1(1.0f));
             const Vec second_best = min(load(row(kSecondBest, y) + x), set1(1.0f));
             write_row(a_.found.score, y, x, select(known, top, set1(kNoScore)));
-            write_row(a_.found.rival, y, x, select(known, second_best, set1(kNoScore)));
+            write_row(a_.found.second_best, y, x, select(known, second_best, set1(kNoScore)));
         }
     }
 

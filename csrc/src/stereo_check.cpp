@@ -34,7 +34,8 @@ struct Vote {
     float inverse_depth; // of the reference, according to the neighbour view if it agrees
 };
 
-Vote vote_of(const gs_stereo_check_args &a, const gs_stereo_witness &neighbour, float x, float y, float inverse_depth) {
+Vote vote_of(const gs_stereo_check_args &a, const gs_stereo_neighbour &neighbour, float x, float y,
+             float inverse_depth) {
     const Projection there = project_at(neighbour.warp, x, y, inverse_depth);
     // The comparisons treat NaN as outside.
     const bool inside = there.in_front && there.x >= 0 && there.y >= 0 && there.x < float(neighbour.width) &&
@@ -66,8 +67,8 @@ void stereo_check(const gs_stereo_check_args &a, uint8_t *agree, uint8_t *contra
             if (!(own > 0 && std::isfinite(own)))
                 continue;
             float sum = own;
-            for (int32_t i = 0; i < a.witness_count; ++i) {
-                const Vote vote = vote_of(a, a.witnesses[i], float(column) + 0.5f, float(line) + 0.5f, own);
+            for (int32_t i = 0; i < a.neighbour_count; ++i) {
+                const Vote vote = vote_of(a, a.neighbours[i], float(column) + 0.5f, float(line) + 0.5f, own);
                 agree[at] += vote.verdict == Verdict::kAgrees;
                 contradict[at] += vote.verdict == Verdict::kContradicts;
                 sum += vote.inverse_depth;

@@ -516,7 +516,7 @@ std::vector<float> learn(int threads) {
         }
         if (step % 50 == 0)
             all.grad[size_t(step) * 7] = std::numeric_limits<float>::quiet_NaN();
-        const gs_adam_tensor tensors[2] = {all.view(GS_ADAM_ALL, step), late.view(GS_ADAM_SEEN, step)};
+        const gs_adam_tensor tensors[2] = {all.view(GS_ADAM_ALL, step), late.view(GS_ADAM_VISIBLE, step)};
         const gs_adam args = {2503, 2, tensors, radii.data(), threads};
         int64_t found = 0;
         CHECK(gs_adam_step(&args, &found) == GS_OK);
@@ -525,7 +525,7 @@ std::vector<float> learn(int threads) {
     std::vector<float> shown(late.param.size(), -777.0f);
     gs_splats splats = {};
     splats.count = 2503;
-    const gs_adam_tensor tensor = late.view(GS_ADAM_SEEN, 300);
+    const gs_adam_tensor tensor = late.view(GS_ADAM_VISIBLE, 300);
     CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, shown.data(), threads) == GS_OK);
     CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, nullptr, threads) == GS_OK);
     CHECK(same_bits(shown, late.param));
@@ -549,7 +549,7 @@ void adam_skips_rows_for_any_number_of_threads() {
         const int32_t radius = step <= 2 || step == 580;
         late.grad[0] = dense.grad[0] = radius ? 0.5f : 0.0f;
         for (Learner *x : {&late, &dense}) {
-            const gs_adam_tensor tensor = x->view(x == &late ? GS_ADAM_SEEN : GS_ADAM_ALL, step);
+            const gs_adam_tensor tensor = x->view(x == &late ? GS_ADAM_VISIBLE : GS_ADAM_ALL, step);
             const gs_adam args = {1, 1, &tensor, &radius, 1};
             CHECK(gs_adam_step(&args, nullptr) == GS_OK);
         }
@@ -557,7 +557,7 @@ void adam_skips_rows_for_any_number_of_threads() {
     CHECK(late.lag[0] == 20);
     gs_splats splats = {};
     splats.count = 1;
-    const gs_adam_tensor tensor = late.view(GS_ADAM_SEEN, 600);
+    const gs_adam_tensor tensor = late.view(GS_ADAM_VISIBLE, 600);
     CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, nullptr, 1) == GS_OK);
     CHECK(std::fabs(late.param[0] / dense.param[0] - 1) < 2e-6f);
     CHECK(std::fabs(dense.param[0] - 1) > 0.05f);
@@ -569,7 +569,7 @@ void adam_names_bad_arguments() {
         const gs_adam args = {count, 1, &t, nullptr, threads};
         return gs_adam_step(&args, nullptr);
     };
-    gs_adam_tensor t = x.view(GS_ADAM_SEEN, 1);
+    gs_adam_tensor t = x.view(GS_ADAM_VISIBLE, 1);
     CHECK(step(t) == GS_OK);
     CHECK(step(t, -1) == GS_BAD_ARGUMENT);
     CHECK(step(t, 4, -1) == GS_BAD_ARGUMENT);
@@ -586,7 +586,7 @@ void adam_names_bad_arguments() {
     CHECK(gs_adam_step(nullptr, nullptr) == GS_BAD_ARGUMENT);
     gs_splats splats = {};
     splats.count = 4;
-    t = x.view(GS_ADAM_SEEN, 1);
+    t = x.view(GS_ADAM_VISIBLE, 1);
     const gs_view view = make_view(8, 8);
     CHECK(gs_adam_catch_up(&t, &splats, &view, nullptr, 0) == GS_BAD_ARGUMENT); // without means
     CHECK(gs_adam_catch_up(&t, nullptr, nullptr, nullptr, 0) == GS_BAD_ARGUMENT);

@@ -39,7 +39,7 @@ gs_stereo_sweep_args sweep_args(const uint8_t *grey, const std::vector<gs_stereo
     return a;
 }
 
-// Inverse depth, score, rival, contrast.
+// Inverse depth, score, second_best, contrast.
 std::vector<float> swept(const gs_stereo_sweep_args &args, gs_status wanted = GS_OK) {
     std::vector<float> out(4 * kPixels, -777.0f);
     const gs_stereo_found found = {&out[0], &out[kPixels], &out[2 * kPixels], &out[3 * kPixels]};
@@ -81,16 +81,16 @@ void a_shifted_photo_has_the_depth_of_its_shift() {
 }
 
 // Oracle: one surface common to all views, one farther away, one nearer.
-void witnesses_agree_contradict_or_say_nothing() {
+void neighbours_agree_contradict_or_are_silent() {
     const int shift = 7;
     std::vector<float> own(kPixels, 1.0f), equal(kPixels, 1.004f), farther(kPixels, 0.5f), nearer(kPixels, 2.0f);
     own[5] = 0;
     own[6] = std::numeric_limits<float>::quiet_NaN();
-    const auto witness = [&](const std::vector<float> &map) {
-        return gs_stereo_witness{kWidth, kHeight, map.data(), sideways(float(shift)), sideways(float(-shift))};
+    const auto neighbour = [&](const std::vector<float> &map) {
+        return gs_stereo_neighbour{kWidth, kHeight, map.data(), sideways(float(shift)), sideways(float(-shift))};
     };
-    const gs_stereo_witness witnesses[] = {witness(equal), witness(farther), witness(nearer)};
-    gs_stereo_check_args args = {kWidth, kHeight, own.data(), 3, witnesses, 1, 0.01f, 0.05f, 1};
+    const gs_stereo_neighbour neighbours[] = {neighbour(equal), neighbour(farther), neighbour(nearer)};
+    gs_stereo_check_args args = {kWidth, kHeight, own.data(), 3, neighbours, 1, 0.01f, 0.05f, 1};
     std::vector<uint8_t> agree(kPixels), contradict(kPixels);
     std::vector<float> mean(kPixels), again(kPixels);
     CHECK(gs_stereo_check(&args, agree.data(), contradict.data(), mean.data()) == GS_OK);
@@ -140,19 +140,19 @@ void bad_arguments_are_named() {
     std::vector<uint8_t> agree(kPixels), contradict(kPixels);
     std::vector<float> mean(kPixels);
     const auto refuses_check = [&](const char *word, auto change) {
-        gs_stereo_witness witness = {kWidth, kHeight, map.data(), sideways(1), sideways(-1)};
-        gs_stereo_check_args args = {kWidth, kHeight, map.data(), 1, &witness, 1, 0.01f, 0.05f, 1};
-        change(args, witness);
+        gs_stereo_neighbour neighbour = {kWidth, kHeight, map.data(), sideways(1), sideways(-1)};
+        gs_stereo_check_args args = {kWidth, kHeight, map.data(), 1, &neighbour, 1, 0.01f, 0.05f, 1};
+        change(args, neighbour);
         CHECK(gs_stereo_check(&args, agree.data(), contradict.data(), mean.data()) == GS_BAD_ARGUMENT);
         CHECK(std::strstr(gs_last_error(), word));
     };
     refuses_check("reference", [](auto &a, auto &) { a.height = 0; });
     refuses_check("null", [](auto &a, auto &) { a.inverse_depth = nullptr; });
     refuses_check("null", [](auto &, auto &w) { w.inverse_depth = nullptr; });
-    refuses_check("a witness", [](auto &, auto &w) { w.height = 1; });
+    refuses_check("a neighbour", [](auto &, auto &w) { w.height = 1; });
     refuses_check("finite", [&](auto &, auto &w) { w.back.rotation[8] = nan; });
-    refuses_check("witness_count", [](auto &a, auto &) { a.witness_count = 256; });
-    refuses_check("witness_count", [](auto &a, auto &) { a.witness_count = -1; });
+    refuses_check("neighbour_count", [](auto &a, auto &) { a.neighbour_count = 256; });
+    refuses_check("neighbour_count", [](auto &a, auto &) { a.neighbour_count = -1; });
     refuses_check("negative", [&](auto &a, auto &) { a.relative = nan; });
     refuses_check("threads", [](auto &a, auto &) { a.threads = GS_THREADS_MAX + 1; });
 }
@@ -162,7 +162,7 @@ void bad_arguments_are_named() {
 int main() {
     return on_every_isa([] {
         a_shifted_photo_has_the_depth_of_its_shift();
-        witnesses_agree_contradict_or_say_nothing();
+        neighbours_agree_contradict_or_are_silent();
         bad_arguments_are_named();
     });
 }

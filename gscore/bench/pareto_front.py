@@ -49,7 +49,7 @@ class SizeOutcome:
 
 def measure_sizes(
     runs: Sequence[tuple[Size, TrainConfig, Dataset]],
-    judged: Dataset,
+    eval_views: Dataset,
     seeds: Sequence[int],
     *,
     on_step: Callable[[Size, int, int], None] | None = None,
@@ -59,7 +59,7 @@ def measure_sizes(
 
     Args:
         runs: Sizes of one capture with config and photos, from `sizes_of` and `open_sizes`.
-        judged: Photos to measure on.
+        eval_views: Photos to measure on.
         seeds: At least one.
         on_step: Called with size, seed and step after each step, outside the clock.
         on_outcome: Called with each outcome.
@@ -74,7 +74,7 @@ def measure_sizes(
                     on_step(size, seed, step)
 
             found = train_measured(
-                replace(config, seed=seed), photos, judged=judged, on_step=stepped
+                replace(config, seed=seed), photos, eval_views=eval_views, on_step=stepped
             )
             ends.append(found.points[-1])
             seconds.append(found.seconds)
@@ -122,7 +122,7 @@ def sizes_of(
     ]
 
 
-def unbeaten(
+def pareto_front(
     outcomes: Sequence[SizeOutcome], cost: Callable[[SizeOutcome], float]
 ) -> list[SizeOutcome]:
     """The Pareto front of cost and PSNR, by increasing cost."""

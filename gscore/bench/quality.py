@@ -96,7 +96,7 @@ class Comparison:
 def train_scored(
     config: TrainConfig,
     photos: Dataset,
-    judged: Dataset,
+    eval_views: Dataset,
     *,
     capture: str,
     variant: str,
@@ -109,7 +109,7 @@ def train_scored(
     Args:
         config: Options with the seed.
         photos: Training photos.
-        judged: The same views at the size for measurements; may be `photos`.
+        eval_views: The same views at the size for measurements; may be `photos`.
         capture, variant, offset: Identifier of the training.
         lpips: Network of LPIPS, or None.
         on_step: Called after each step, outside the clock.
@@ -118,18 +118,18 @@ def train_scored(
 
     def measure(picture_of: PictureOf, background: Color) -> None:
         found["views"] = evaluate(
-            picture_of, judged, judged.test, lpips=lpips, background=background
+            picture_of, eval_views, eval_views.test, lpips=lpips, background=background
         ).views
         found["train"] = [
             value
-            for index in judged.train
-            if not math.isnan(value := _view_psnr(picture_of, judged, index, background))
+            for index in eval_views.train
+            if not math.isnan(value := _view_psnr(picture_of, eval_views, index, background))
         ]
 
     trained = train_measured(
-        config, photos, limited=True, judged=judged, on_step=on_step, at_end=measure
+        config, photos, limited=True, eval_views=eval_views, on_step=on_step, at_end=measure
     )
-    views = tuple(_judged(view) for view in found["views"])
+    views = tuple(_scored_view(view) for view in found["views"])
     held_out = [view.psnr for view in views if view.psnr is not None]
     gap = None
     if held_out and found["train"]:
@@ -153,7 +153,7 @@ def _view_psnr(picture_of: PictureOf, photos: Dataset, index: int, background: C
     return psnr(picture_of(index), target, mask=weights)
 
 
-def _judged(view: Mapping[str, Any]) -> ScoredView:
+def _scored_view(view: Mapping[str, Any]) -> ScoredView:
     return ScoredView(
         name=view["name"],
         psnr=headline_psnr(view),
@@ -235,12 +235,12 @@ def compare(trainings: Sequence[Training], base: str, variant: str) -> Compariso
             other = mine.get((training.capture, base, training.seed, training.offset))
             if other is not None:
                 pairs.setdefault(training.capture, []).append((other, training))
-    judged = {name: groups for name, p in pairs.items() if (groups := _differences(p, "psnr_cc"))}
-    if not judged:
+    changes = {name: groups for name, p in pairs.items() if (groups := _differences(p, "psnr_cc"))}
+    if not changes:
         return None
-    captures = {name: _change(pairs[name], groups) for name, groups in judged.items()}
-    overall = paired_difference(list(judged.values()))
-    seconds = _times_as_long([pair for name in judged for pair in pairs[name]])
+    captures = {name: _change(pairs[name], groups) for name, groups in changes.items()}
+    overall = paired_difference(list(changes.values()))
+    seconds = _times_as_long([pair for name in changes for pair in pairs[name]])
     return Comparison(
         variant=variant,
         captures=captures,
@@ -250,13 +250,13 @@ def compare(trainings: Sequence[Training], base: str, variant: str) -> Compariso
     )
 
 
-def _change(pairs: Sequence[tuple[Training, Training]], judged: list[list[float]]) -> CaptureChange:
+def _change(pairs: Sequence[tuple[Training, Training]], groups: list[list[float]]) -> CaptureChange:
     def median(key: str) -> float | None:
         values = [value for view in _differences(pairs, key) for value in view]
         return statistics.median(values) if values else None
 
     return CaptureChange(
-        psnr_cc=paired_difference([judged]),
+        psnr_cc=paired_difference([groups]),
         psnr=median("psnr"),
         ssim=median("ssim"),
         lpips=median("lpips"),

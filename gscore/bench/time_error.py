@@ -26,7 +26,7 @@ class Variant:
     label: str
     config: TrainConfig
     photos: Dataset
-    judged: Dataset
+    eval_views: Dataset
     """The views at the size for measurements; may be `photos`."""
 
 
@@ -106,11 +106,11 @@ def measure_variant(
             replace(variant.config, seed=seed),
             variant.photos,
             at=at,
-            judged=variant.judged,
+            eval_views=variant.eval_views,
             on_step=stepped,
         )
         runs.append(found.points)
-    width, height = first_size(variant.judged)
+    width, height = first_size(variant.eval_views)
     return Curve(
         label=variant.label,
         width=width,

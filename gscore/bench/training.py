@@ -141,7 +141,7 @@ def train_measured(
     *,
     at: Collection[int] = (),
     limited: bool = False,
-    judged: Dataset | None = None,
+    eval_views: Dataset | None = None,
     on_step: Callable[[int], None] | None = None,
     at_end: Callable[[PictureOf, Color], None] | None = None,
 ) -> Trained:
@@ -152,17 +152,17 @@ def train_measured(
         photos: Photos with held-out views; decoded before the clock starts.
         at: Steps after which quality is measured.
         limited: Apply the limits of steps and splats by the photos, as in `gscore train`.
-        judged: The same views, perhaps at another size, for measurements; None: `photos`.
+        eval_views: The same views, perhaps at another size, for measurements; None: `photos`.
         on_step: Called after each step, outside the clock.
         at_end: Called after the last step, outside the clock, with the renderer of the views of
-            `judged` and its background.
+            `eval_views` and its background.
     """
     points: list[Point] = []
-    if judged is photos:
-        judged = None
+    if eval_views is photos:
+        eval_views = None
     photos.preload()
-    if judged is not None:
-        judged.preload(judged.test)
+    if eval_views is not None:
+        eval_views.preload(eval_views.test)
     seconds = forward = backward = 0.0
     with isolated_torch_state():
         began = time.perf_counter()
@@ -194,8 +194,8 @@ def train_measured(
             backward += trainer.laps.raster.get("backward_pairs", 0)
             if step in at or step == config.iterations:
                 background = trainer.renderer.background
-                targets = trainer.photos if judged is None else judged
-                found = quality(targets, _pictures(trainer, judged), background)
+                targets = trainer.photos if eval_views is None else eval_views
+                found = quality(targets, _pictures(trainer, eval_views), background)
                 points.append(
                     Point(
                         step=step,
@@ -208,7 +208,7 @@ def train_measured(
             if on_step is not None:
                 on_step(step)
         if at_end is not None:
-            at_end(_pictures(trainer, judged), trainer.renderer.background)
+            at_end(_pictures(trainer, eval_views), trainer.renderer.background)
         return Trained(
             seconds=seconds,
             points=points,
@@ -218,12 +218,12 @@ def train_measured(
         )
 
 
-def _pictures(trainer: Trainer, judged: Dataset | None) -> PictureOf:
+def _pictures(trainer: Trainer, eval_views: Dataset | None) -> PictureOf:
     """Renderer of the current splats over the fixed background; None: at the trained size."""
     background = trainer.renderer.background
-    if judged is None:
+    if eval_views is None:
         return lambda index: trainer.renderer.picture(index, background=background).numpy()
-    cameras, splats = judged.scene.cameras, trainer.splats()
+    cameras, splats = eval_views.scene.cameras, trainer.splats()
 
     def picture_of(index: int) -> np.ndarray:
         return render_camera(

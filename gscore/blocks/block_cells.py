@@ -27,12 +27,12 @@ class Cells:
     """[N, 2, 2] float64: lower and upper bounds of each cell along the axes, world units; infinite
     at the rim."""
 
-    def holding(self, points: np.ndarray) -> np.ndarray:
+    def contains(self, points: np.ndarray) -> np.ndarray:
         """Mask [N, P] bool of the points [P, 3] in each cell; each point is in exactly one."""
         return in_cells(points, self.axes, self.bounds)
 
     def around(self, points: np.ndarray, margin: float) -> np.ndarray:
-        """As `holding`, for cells widened on each side by `margin` of their extent; at the rim the
+        """As `contains`, for cells widened on each side by `margin` of their extent; at the rim the
         extent ends with the points."""
         ground = points @ self.axes.T
         low, high = np.quantile(ground, [_RIM, 1 - _RIM], axis=0)

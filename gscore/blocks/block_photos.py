@@ -38,17 +38,17 @@ def visible_points(model: ColmapModel) -> list[np.ndarray]:
     return rows
 
 
-def photos_per_cell(seen: Sequence[np.ndarray], around: np.ndarray, share: float) -> np.ndarray:
+def photos_per_cell(observed: Sequence[np.ndarray], around: np.ndarray, share: float) -> np.ndarray:
     """Mask [N, C] bool of the training photos of each cell.
 
     Args:
-        seen: Per photo, rows of its visible points.
+        observed: Per photo, rows of its visible points.
         around: [N, P] bool, points in each widened cell.
         share: Least share of a photo's points. The cell with the largest share always gets the
             photo, so that none is left out.
     """
-    chosen = np.zeros((len(around), len(seen)), bool)
-    for i, rows in enumerate(seen):
+    chosen = np.zeros((len(around), len(observed)), bool)
+    for i, rows in enumerate(observed):
         if len(rows):
             parts = around[:, rows].mean(axis=1)
             chosen[:, i] = (parts >= share) | (parts == parts.max())

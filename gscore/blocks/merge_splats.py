@@ -80,6 +80,6 @@ def merge_blocks(blocks: Sequence[TrainedBlock]) -> Merged:
     """
     parts = []
     for block in sorted(blocks, key=lambda block: block.record.index):
-        inside = block.record.holds(block.splats.means.astype(np.float64), block.origin)
+        inside = block.record.contains(block.splats.means.astype(np.float64), block.origin)
         parts.append(block.splats.subset(inside))
     return Merged(splats=joined(parts), kept=tuple(len(part) for part in parts))

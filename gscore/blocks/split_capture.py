@@ -15,7 +15,7 @@ import numpy as np
 from ..config import DataConfig
 from ..datasets.capture import Capture, View
 from ..datasets.masks import masks_of_views
-from ..datasets.photo_headers import up_as_held
+from ..datasets.photo_headers import up_from_exif
 from ..datasets.read import read_capture
 from ..datasets.shots import warn_of_split_shots
 from ..datasets.split import is_chosen, split_views
@@ -85,7 +85,7 @@ def cut_capture(
     capture = read_capture(data)
     views = sorted(capture.views, key=lambda view: view.name)
     if capture.up is None:
-        capture = replace(capture, up=up_as_held(views))
+        capture = replace(capture, up=up_from_exif(views))
     masks, mask_warnings = masks_of_views(data, capture.root, views)
     model = _model(capture, views)
     if not len(model.points):
@@ -202,7 +202,7 @@ def _blocks(
 ) -> list[Block]:
     seen = visible_points(model)
     chosen = photos_per_cell(seen, cells.around(model.points.xyz, margin), share)
-    inside = cells.holding(model.points.xyz)
+    inside = cells.contains(model.points.xyz)
     blocks = []
     for index, photos in enumerate(chosen):
         views = np.flatnonzero(photos).tolist()

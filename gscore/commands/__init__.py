@@ -19,12 +19,12 @@ from pathlib import Path
 
 from .._version import __version__
 from ..errors import ConfigError, GsError
-from ..extras import how_to_install, missing
+from ..extras import install_hint, missing
 from ..quoting import brief, quoted
 from .parser import Parser, nearest, sentence
 from .terminal.interrupt import Interrupt, interrupts
 from .terminal.status import show_while, wrapped
-from .terminal.streams import steady_streams
+from .terminal.streams import safe_streams
 
 VERBS = {
     "frames": "choose sharp frames of a video for a folder of photos",
@@ -79,7 +79,7 @@ _DISK_ERRORS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit code and never raises for errors that a user can cause."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    with interrupts() as interrupt, steady_streams("gscore", interrupt.output_lost):
+    with interrupts() as interrupt, safe_streams("gscore", interrupt.output_lost):
         code = _main(arguments, interrupt)
     return code or interrupt.exit_code
 
@@ -159,7 +159,7 @@ def _failure(prog: str, error: BaseException) -> int:
     match error:
         case GsError():
             return _complain(prog, str(error))
-        case ModuleNotFoundError() if how_to_install(error.name or ""):
+        case ModuleNotFoundError() if install_hint(error.name or ""):
             return _complain(prog, missing(error.name or "", f"`{prog}`"))
         case MemoryError():
             return _complain(prog, "out of memory; try fewer splats or smaller pictures.")

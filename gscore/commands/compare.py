@@ -147,7 +147,7 @@ def _compared(label: str, folder: Path, model: ModelArgument) -> ComparedRun:
     if model.data is not None and model.train is not None:
         options = to_dict(model.data) | to_dict(model.train)
         asked = metrics.get("asked")
-        command = train_command(model.data, model.train, model.run or folder, asked=asked)
+        command = train_command(model.data, model.train, model.run or folder, requested=asked)
     return ComparedRun(
         label=label, folder=str(folder), metrics=metrics, options=options, command=command
     )

@@ -69,7 +69,7 @@ def _request(args: argparse.Namespace) -> EditRequest:
 
 def _check_output(args: argparse.Namespace) -> None:
     """Raise if a file would be replaced, or written in a form that no reader supports."""
-    beside = format_to_write(args.output).beside(args.output)
+    beside = format_to_write(args.output).part_files(args.output)
     if args.picture is not None and args.picture.suffix.lower() != ".png":
         raise ConfigError(f"{brief(args.picture)}: the picture is a PNG; give a name with .png.")
     if args.picture is None and args.picture_view is not None:
@@ -139,7 +139,7 @@ def _open(path: Path, args: argparse.Namespace) -> ModelArgument:
 
 
 def _check_not_read(args: argparse.Namespace, models: list[ModelArgument]) -> None:
-    made = {args.output, *format_to_write(args.output).beside(args.output)}
+    made = {args.output, *format_to_write(args.output).part_files(args.output)}
     for model in models:
         read = {model.path} if model.file.format == LOD_FORMAT else files_of(model.path)
         if any(a.exists() and b.exists() and a.samefile(b) for a in made for b in read):

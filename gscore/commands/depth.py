@@ -3,7 +3,7 @@
 import argparse
 
 from ..depth.catalogue import known, network_names
-from ..depth.network import WHERE
+from ..depth.network import NETWORK_HINT
 from ..errors import ConfigError
 from .args.depth_options import add_arguments as add_arguments
 from .depth_maps.make_maps import StopMessage, make_maps
@@ -30,7 +30,9 @@ def run(args: argparse.Namespace) -> int:
     if args.method == "stereo":
         _check_stereo(args)
     elif args.method == "network" and args.model is None:
-        raise ConfigError(f"`--method network` needs a network: `--model FILE.onnx`. {WHERE}.")
+        raise ConfigError(
+            f"`--method network` needs a network: `--model FILE.onnx`. {NETWORK_HINT}."
+        )
     message = StopMessage()
     result, code = run_job(
         args, lambda show, control: make_maps(args, show, control, message), stopped=message

@@ -12,7 +12,7 @@ import numpy as np
 
 from .._version import __version__
 from ..errors import GsError
-from ..extras import how_to_install
+from ..extras import install_hint
 from ..io.system_memory import available_memory_bytes, total_memory_bytes
 from ..metrics.machine import cores, cpu_name, version_of
 from ..sh import rgb_to_sh0
@@ -103,7 +103,7 @@ def _facts() -> dict[str, Any]:
         "packages": packages,
         "can_train": not missing,
         "missing": missing,
-        "install": how_to_install(*absent),
+        "install": install_hint(*absent),
     }
 
 

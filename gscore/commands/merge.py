@@ -54,9 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check all runs, merge the splats of each block's own cell, write, print counts."""
     _check_outside_runs(args.output)
-    check_replaced(
-        [args.output, *format_to_write(args.output).beside(args.output)], overwrite=args.overwrite
-    )
+    parts = format_to_write(args.output).part_files(args.output)
+    check_replaced([args.output, *parts], overwrite=args.overwrite)
     check_folder(args.output.parent)
     runs = _runs(args.runs)
     records = [_record(path, args.blocks) for path in runs]

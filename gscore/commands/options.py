@@ -109,10 +109,10 @@ def described(one: Option) -> str:
     value = preset_values(one) or one.default_words
     facts = [f"= {value}" if value else "", f"({one.values})" if one.values else "", one.unit]
     head = " ".join(fact for fact in (one.name, *facts) if fact)
-    return f"{head}: {plain(one.text)}{idle_when(one)}"
+    return f"{head}: {plain(one.text)}{effect_condition(one)}"
 
 
-def idle_when(one: Option) -> str:
+def effect_condition(one: Option) -> str:
     """The sentence on the condition of an option's effect; empty: always effective."""
     reason = reason_of(one)
     return f" {reason[0].upper()}{reason[1:]}." if reason else ""

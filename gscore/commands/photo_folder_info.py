@@ -10,7 +10,7 @@ from ..io.unsupported_formats import unread_cameras
 from ..quoting import as_typed
 from ..sfm.heic import header_of, readable
 from ..sfm.panorama import possible_panoramas, refused_panoramas
-from ..sfm.photo_folders import doubt, excluded_folders
+from ..sfm.photo_folders import excluded_folders, photo_folder_warning
 from ..sfm.photos import (
     LEAST,
     by_camera,
@@ -49,7 +49,7 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
     photos = one_of_each_name(photos)
     work = Work(request=request, root=root, photos=photos, masks=None, folder=root)
     first = attempts(request)[0]
-    doubtful = doubt(root, names, len(by_camera(photos)))
+    doubtful = photo_folder_warning(root, names, len(by_camera(photos)))
     return {
         "kind": "photos",
         "path": str(path),

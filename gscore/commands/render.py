@@ -28,7 +28,7 @@ from .pictures.render_cameras import FPS, PATHS, find_shots
 from .pictures.stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .pictures.video import need_video, write_video
 from .terminal.marks import is_ours
-from .terminal.output import check_folder, check_replaced, others_in, print_json
+from .terminal.output import check_folder, check_replaced, other_files, print_json
 from .terminal.status import Counted, Status, wrapped
 
 _COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
@@ -189,7 +189,7 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
         print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
     found = find_shots(args, model, is_video=is_video)
     if found.why:
-        status.say(found.why)
+        status.print_line(found.why)
     shots = found.cameras
     background = model.background if args.background is None else args.background
     options = {
@@ -261,7 +261,7 @@ def _older(output: Path, result: dict[str, Any]) -> str:
     """Other files in the folder of the stills, to distinguish them from the written ones."""
     written = [*result["files"], *result.get("depth_files", [])]
     parts = {Path(path).relative_to(output).parts[0] for path in written if output.is_dir()}
-    return others_in(output, parts)
+    return other_files(output, parts)
 
 
 class _Work:

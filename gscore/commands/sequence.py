@@ -18,7 +18,7 @@ from ..text_format import count_words, quality_words
 from . import train as train_command
 from .args.run_options import declare, passed_options
 from .args.viewer_options import viewer_clients_of
-from .terminal.output import check_folder, others_in, print_json
+from .terminal.output import check_folder, other_files, print_json
 from .terminal.run_job import run_job
 from .terminal.status import wrapped
 from .terminal.torchrun_launch import under_torchrun
@@ -75,7 +75,7 @@ def _run(args: argparse.Namespace, team: "ProcessGroup | None") -> int:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Asked:
+class _Request:
     """The requested work, checked as far as possible before any photo is read."""
 
     config: TrainConfig
@@ -90,34 +90,34 @@ def _train(
     from ..trainer.distributed.consistency import check_ready
     from ..trainer.sequence import train_sequence
 
-    asked, failure = None, None
+    request, failure = None, None
     try:
-        asked = _asked(args, show, team)
+        request = _request(args, show, team)
     except GsError as error:
         failure = error
     if team:
         check_ready(team, failure)
     elif failure:
         raise failure
-    assert asked is not None
-    with viewer_clients_of(args, asked.data.source, show) as viewers:
+    assert request is not None
+    with viewer_clients_of(args, request.data.source, show) as viewers:
         return train_sequence(
-            asked.config,
-            asked.data,
+            request.config,
+            request.data,
             args.output,
             show,
             control,
-            options=asked.options,
+            options=request.options,
             resume=args.resume,
             overwrite=args.overwrite,
             viewers=viewers,
-            frame=asked.frame,
+            frame=request.frame,
             team=team,
             agent=agent(),
         )
 
 
-def _asked(args: argparse.Namespace, show: Show, team: "ProcessGroup | None") -> _Asked:
+def _request(args: argparse.Namespace, show: Show, team: "ProcessGroup | None") -> _Request:
     from ..trainer.sequence import read_options
 
     for name, instead in _ONE_FRAME.items():
@@ -128,7 +128,7 @@ def _asked(args: argparse.Namespace, show: Show, team: "ProcessGroup | None") ->
     check_output_path(args.output)
     check_folder(args.output)
     frames = [path.name for path in args.output.glob("frame_*") if path.is_dir()]
-    others = others_in(args.output, (SEQUENCE_FILE, "config.json", *frames))
+    others = other_files(args.output, (SEQUENCE_FILE, "config.json", *frames))
     if others and not args.events:
         show(Warn(message=f"{args.output} contains other files, which are kept: {others}"))
     stored = read_options(args.output) if args.resume else None
@@ -136,7 +136,7 @@ def _asked(args: argparse.Namespace, show: Show, team: "ProcessGroup | None") ->
     # Without `frame`, which would also be an option of each frame.
     own = argparse.Namespace(**vars(args) | {"frame": None})
     data, config = train_command.configs_with_messages(own, show)
-    return _Asked(
+    return _Request(
         config=config,
         data=data,
         options=replace(stored or SequenceOptions(), **given),

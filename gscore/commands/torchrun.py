@@ -136,7 +136,7 @@ def _follow(args: argparse.Namespace, team: "ProcessGroup") -> int:
     from ..trainer.worker_rank import run_worker
 
     source = args.source or args.source_option
-    with interrupts() as interrupt, interrupt.asking(lambda reason: None, quiet=True):
+    with interrupts() as interrupt, interrupt.stopped_by(lambda reason: None, quiet=True):
         try:
             _check_alike(args, team)
             return 0 if run_worker(team, source) else 2

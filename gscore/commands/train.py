@@ -12,7 +12,7 @@ from ..control import Control
 from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.output_paths import check_output_path
-from ..io.runs import options_of_run, others_in_run
+from ..io.runs import options_of_run, other_files_in_run
 from ..presets import PRESETS
 from ..quoting import as_typed, brief
 from ..text_format import (
@@ -202,7 +202,7 @@ def _train(
     check_output_path(args.output, data)  # before listing files: not those of / or the capture
     check_folder(args.output)
     check_writable(args.output, resume=args.resume, overwrite=args.overwrite)
-    others = first_few(others_in_run(args.output))
+    others = first_few(other_files_in_run(args.output))
     if others and not args.events:
         show(Warn(message=f"{args.output} contains other files, which are kept: {others}"))
     data = with_cameras(

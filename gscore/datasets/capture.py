@@ -25,7 +25,7 @@ class View:
     """Intrinsics at the camera's calibrated size."""
     mask: Path | None = None
     """File of the mask stated by the capture for this view."""
-    seen: np.ndarray | None = None
+    observed: np.ndarray | None = None
     """[M] int64, indices of the points observed in this view; None: unknown, or not needed because
     the points have colours."""
 

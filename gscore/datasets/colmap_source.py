@@ -81,7 +81,7 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
             image=file or root / image.name,
             viewmat=image.viewmat,
             camera=model.cameras[image.camera_id],
-            seen=seen[i],
+            observed=seen[i],
         )
         for i, (image, file) in enumerate(zip(model.images, files, strict=True))
         if file is not None or not photos_required

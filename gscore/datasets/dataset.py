@@ -22,12 +22,12 @@ T = TypeVar("T")
 
 
 _FEW = 4
-"""Views kept after `keep_few`: photo and mask of a view are requested separately."""
+"""Views kept after `limit_cache`: photo and mask of a view are requested separately."""
 
 
 class Dataset:
     """Photos and masks by view index, as in `scene.cameras`; each photo is decoded once and kept as
-    bytes, or, after `keep_few`, decoded when needed."""
+    bytes, or, after `limit_cache`, decoded when needed."""
 
     def __init__(
         self,
@@ -125,7 +125,7 @@ class Dataset:
         """[H, W] uint8, 255 = keep, or None for a view without mask. Do not write to it."""
         return self._view(index)[1]
 
-    def keep_few(self) -> None:
+    def limit_cache(self) -> None:
         """Keep only the last decoded views from now on, for captures larger than memory."""
         with self._lock:
             self._keep_all = False

@@ -14,7 +14,7 @@ from .capture import View
 from .dataset import Dataset
 from .decode import ViewFile, decode_view
 from .masks import MaskChoice, choose_masks
-from .photo_headers import PhotoFit, check_fit, fit_photos, photo_warnings, up_as_held
+from .photo_headers import PhotoFit, check_fit, fit_photos, photo_warnings, up_from_exif
 from .points import RANDOM_POINTS, colors_from_photos, point_warnings, random_points
 from .read import read_capture
 from .resolution import check_resolution, scale_intrinsics, target_size
@@ -76,7 +76,7 @@ def load_dataset(
         widths=np.array([file.size[0] for file in files], np.int64),
         heights=np.array([file.size[1] for file in files], np.int64),
         names=tuple(view.name for view in views),
-        up=up_as_held(views, infos) if capture.up is None else capture.up,
+        up=up_from_exif(views, infos) if capture.up is None else capture.up,
         origin=capture.origin,
     )
     train, test = split_views(cameras.names, config, stated=capture.test_names)
@@ -170,12 +170,12 @@ def _points(
     warnings += point_warnings(points, usable)
     if not usable.any():
         return random_points(cameras, RANDOM_POINTS, seed=RANDOM_SEED)
-    seen: list[np.ndarray | None] = [view.seen for view in views]
+    observed: list[np.ndarray | None] = [view.observed for view in views]
     if not usable.all():
         new_index = np.cumsum(usable) - 1
-        for i, index in enumerate(seen):
+        for i, index in enumerate(observed):
             if index is not None:
-                seen[i] = new_index[index[usable[index]]]
+                observed[i] = new_index[index[usable[index]]]
         points = PointCloud(points=points.points[usable], colors=points.colors[usable])
     if points.colors.any():
         return points
@@ -185,5 +185,5 @@ def _points(
         _go_on(cancelled)
         return decode_view(files[i])
 
-    colors = colors_from_photos(points.points, cameras, seen, load)
+    colors = colors_from_photos(points.points, cameras, observed, load)
     return replace(points, colors=colors)

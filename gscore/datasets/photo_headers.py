@@ -47,7 +47,7 @@ def fit_photos(views: Sequence[View], infos: Sequence[ImageInfo]) -> PhotoFit:
     return PhotoFit(upright=tuple(upright), sizes=tuple(sizes), misfits=tuple(misfits))
 
 
-def up_as_held(
+def up_from_exif(
     views: Sequence[View], infos: Sequence[ImageInfo] | None = None
 ) -> np.ndarray | None:
     """Up direction from cameras and EXIF orientations.

@@ -80,7 +80,7 @@ def random_points(cameras: Cameras, count: int, *, seed: int) -> PointCloud:
 def colors_from_photos(
     points: np.ndarray,
     cameras: Cameras,
-    seen: list[np.ndarray | None],
+    observed: list[np.ndarray | None],
     load: Callable[[int], tuple[np.ndarray, np.ndarray | None]],
 ) -> np.ndarray:
     """Mean colour of points in the photos that observe them.
@@ -88,8 +88,8 @@ def colors_from_photos(
     Args:
         points: [P, 3] float64, world.
         cameras: Cameras of the photos.
-        seen: Indices of the points observed by each camera; None: unknown. Points without a known
-            observation are projected into every photo, ignoring occlusion.
+        observed: Indices of the points observed by each camera; None: unknown. Points without a
+            known observation are projected into every photo, ignoring occlusion.
         load: Returns photo [H, W, 3] uint8 and mask [H, W] uint8 or None; masked-out pixels are
             skipped.
 
@@ -97,14 +97,14 @@ def colors_from_photos(
         [P, 3] uint8; grey for points in no photo.
     """
     known = np.zeros(len(points), bool)
-    for index in seen:
+    for index in observed:
         if index is not None:
             known[index] = True
     unknown = np.flatnonzero(~known)
 
     def sample(i: int) -> tuple[np.ndarray, np.ndarray]:
-        observed = seen[i]
-        index = unknown if observed is None else np.concatenate([observed, unknown])
+        own = observed[i]
+        index = unknown if own is None else np.concatenate([own, unknown])
         pixels, inside = _project(cameras, i, points[index])
         index, pixels = index[inside], pixels[inside].astype(np.int64)
         image, mask = load(i)

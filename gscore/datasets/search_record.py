@@ -12,7 +12,7 @@ from ..text_format import count_words
 from .capture import listing
 
 
-def left_out_text(others: Sequence[Sequence[str]], alone: Sequence[str]) -> list[str]:
+def unplaced_photos_text(others: Sequence[Sequence[str]], alone: Sequence[str]) -> list[str]:
     """Messages about photos without a camera, with the remedy.
 
     Args:
@@ -50,7 +50,7 @@ def search_warnings(source: Path, views: int) -> list[str]:
     others, alone, photos = record.get("others"), record.get("alone"), record.get("photos")
     if not (isinstance(others, list) and all(map(_are_names, others)) and _are_names(alone)):
         return []
-    if not (isinstance(photos, int) and (messages := left_out_text(others, alone))):
+    if not (isinstance(photos, int) and (messages := unplaced_photos_text(others, alone))):
         return []
     return [" ".join([f"{views} of {count_words(photos, 'photo')} have a camera.", *messages])]
 

@@ -24,7 +24,7 @@ class Tracks:
 
     points: np.ndarray
     """[P, 3] float64, world units."""
-    seen: list[np.ndarray]
+    observed: list[np.ndarray]
     """Per view: [M] int64, rows of the observed `points`."""
     rays: list[np.ndarray]
     """Per view: [M, 2] float64, x / z and y / z of the observation rays, camera frame."""
@@ -49,7 +49,7 @@ def tracks_of(dataset: Dataset) -> Tracks | None:
         kept = good[rows]
         seen.append(rows[kept])
         rays.append(_rays(model.cameras[image.camera_id], image.xys[known][kept]))
-    return Tracks(points=model.points.xyz, seen=seen, rays=rays)
+    return Tracks(points=model.points.xyz, observed=seen, rays=rays)
 
 
 def _rays(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import DatasetError, FormatError
-from ..io.colmap.lenses import bent_pixels, straight_rays
+from ..io.colmap.lenses import distorted_pixels, undistorted_rays
 from ..io.colmap.model import ColmapCamera
 from ..io.images.alpha import divided, premultiplied
 from ..io.images.image_lookup import Pixels
@@ -37,14 +37,14 @@ class Undistortion:
     def distort(self, points: np.ndarray) -> np.ndarray:
         """Pixels of the distorted camera for pixels of the pinhole camera, both [P, 2] float64."""
         rays = (points - self.K[:2, 2]) / np.diag(self.K)[:2]
-        return bent_pixels(self.camera.model, self.camera.params.tolist(), rays)
+        return distorted_pixels(self.camera.model, self.camera.params.tolist(), rays)
 
     def undistort(self, points: np.ndarray) -> np.ndarray:
         """Pixels of the pinhole camera for pixels of the distorted camera, both [P, 2] float64; NaN
         where the distortion has no inverse."""
         return rays_of(self.camera, points) * np.diag(self.K)[:2] + self.K[:2, 2]
 
-    def straighten(self, photo: np.ndarray) -> np.ndarray:
+    def undistort_photo(self, photo: np.ndarray) -> np.ndarray:
         """Undistort a photo [h, w, 3 or 4] uint8 of the distorted camera, keeping its channels and
         pixel scale."""
         height, width = photo.shape[:2]
@@ -110,7 +110,7 @@ class Undistortion:
 def rays_of(camera: ColmapCamera, pixels: np.ndarray) -> np.ndarray:
     """x / z and y / z of the rays through pixels of a distorted camera, both [P, 2] float64; NaN
     where the distortion has no inverse."""
-    return straight_rays(camera.model, camera.params.tolist(), pixels)
+    return undistorted_rays(camera.model, camera.params.tolist(), pixels)
 
 
 def plan_undistortion(camera: ColmapCamera) -> Undistortion | None:

@@ -115,7 +115,7 @@ def align_robust(
             f"only {number(inside)} of {count_words(len(m), 'point')} ({fit.inliers:.0%} by "
             "weight) agree with one scale and offset"
         )
-    if not beyond_chance(slope * unit[0] + height, unit[1], w, near):
+    if not is_significant(slope * unit[0] + height, unit[1], w, near):
         return fit.refused("the map does not follow the depth of the points")
     if not scale > 0:
         return fit.refused(REVERSED)
@@ -192,7 +192,7 @@ def _misfit(
     return float((w * np.minimum((slope * m + height - s) ** 2, near**2)).sum())
 
 
-def beyond_chance(line: np.ndarray, s: np.ndarray, w: np.ndarray, near: float) -> bool:
+def is_significant(line: np.ndarray, s: np.ndarray, w: np.ndarray, near: float) -> bool:
     """Whether more points agree than if each had the map's value of a random other point.
 
     Where most points are at one depth, a flat line agrees with them for any map.

@@ -125,7 +125,7 @@ def chart(samples: Samples, cameras: Cameras, index: int, *, count: int) -> Char
     known = np.isfinite(samples.grid)
     sure = known & (confidence(samples.grid, None) >= _SURE)
     row, column = np.nonzero(sure)
-    if samples.trouble or len(row) < _LEAST_PIXELS:
+    if samples.problem or len(row) < _LEAST_PIXELS:
         return None
     low, high = (float(v) for v in np.quantile(samples.grid[known], _ENDS))
     if not high > low:

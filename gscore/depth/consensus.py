@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..scene import Cameras
-from .align import LEAST_SHARE, REVERSED, beyond_chance
+from .align import LEAST_SHARE, REVERSED, is_significant
 from .chart import Chart, chart, inverse_depth
 from .fit import Fit, fit_of
 from .joint import Web, covariances, place
@@ -107,7 +107,7 @@ def _web(maps: Sequence[Samples | None], cameras: Cameras) -> tuple[list[int], W
     axes = cameras.viewmats[list(charts), 2, :3]
     similarity = axes @ axes.T - 3 * np.eye(len(axes))  # itself comes last
     order = np.argsort(-similarity, axis=1, kind="stable")[:, : min(_MOST_VIEWS, len(axes) - 1)]
-    return list(charts), Web(charts=list(charts.values()), asked=order.tolist())
+    return list(charts), Web(charts=list(charts.values()), neighbours=order.tolist())
 
 
 def _placed(web: Web, fits: Sequence[Fit | None]) -> np.ndarray:
@@ -158,7 +158,7 @@ def _refusal(web: Web, index: int, logs: np.ndarray) -> str | None:
     """
     chart = web.charts[index]
     tones, stated = [], []
-    for i in web.asking(index):
+    for i in web.projected_onto(index):
         other = web.charts[i]
         seen, inverse = chart.look_up(other.points(inverse_depth(np.exp(logs[i]), other.tones)))
         tones.append(seen[np.isfinite(seen)])
@@ -176,6 +176,6 @@ def _refusal(web: Web, index: int, logs: np.ndarray) -> str | None:
         return (
             f"only {share:.0%} of points and other maps, by weight, agree with one scale and offset"
         )
-    if not beyond_chance(own, expected, weights, near):
+    if not is_significant(own, expected, weights, near):
         return "the map does not follow the depth of points and other maps"
     return ""

@@ -132,8 +132,8 @@ def _with_errors(
 
 
 def _robust(part: Samples) -> Fit:
-    if part.trouble:
-        return NO_FIT.refused(part.trouble)
+    if part.problem:
+        return NO_FIT.refused(part.problem)
     return align_robust(part.values, part.inverse_depth, part.weights)
 
 
@@ -175,8 +175,8 @@ def _stated(
         if part is None:
             fits.append(None)
             continue
-        if part.trouble:
-            fits.append(NO_FIT.refused(part.trouble))
+        if part.problem:
+            fits.append(NO_FIT.refused(part.problem))
             continue
         entry = params.get(key_of(name))
         reason = refusal(path, stem(name), entry, median)
@@ -220,8 +220,8 @@ def _checked(
 
 def _evaluated(scale: float, offset: float, part: Samples, kind: DepthKind) -> Fit:
     """Fit of a given scale and offset with its quality at the points."""
-    if part.trouble:
-        return NO_FIT.refused(part.trouble)
+    if part.problem:
+        return NO_FIT.refused(part.problem)
     values = part.inverse(kind).values
     use = np.isfinite(values)
     return fit_of(scale, offset, values[use], part.inverse_depth[use], part.weights[use])
@@ -234,7 +234,7 @@ def _refusals(
     usable = [
         fit
         for fit, part in zip(reliable(fits, median), samples, strict=True)
-        if fit is not None and part is not None and not part.trouble
+        if fit is not None and part is not None and not part.problem
     ]
     refused = [fit for fit in usable if not fit.accepted]
     if not refused:

@@ -49,25 +49,25 @@ class Web:
     """Maps and their neighbours."""
 
     charts: list[Chart]
-    asked: list[list[int]]
+    neighbours: list[list[int]]
     """By map, the neighbours into which its pixels are projected."""
 
-    def asking(self, index: int) -> list[int]:
+    def projected_onto(self, index: int) -> list[int]:
         """The maps whose pixels are projected into map `index`."""
-        return [i for i, others in enumerate(self.asked) if index in others]
+        return [i for i, others in enumerate(self.neighbours) if index in others]
 
     def only(self, chosen: list[int]) -> "Web":
         """A subset of the maps, renumbered 0, 1, ... in this order."""
         place = {k: n for n, k in enumerate(chosen)}
-        asked = [[place[i] for i in self.asked[k] if i in place] for k in chosen]
-        return Web(charts=[self.charts[k] for k in chosen], asked=asked)
+        neighbours = [[place[i] for i in self.neighbours[k] if i in place] for k in chosen]
+        return Web(charts=[self.charts[k] for k in chosen], neighbours=neighbours)
 
     def thinned(self, step: int) -> "Web":
         """The same with every `step`-th of the sampled pixels."""
         charts = [
             replace(c, tones=c.tones[::step], directions=c.directions[::step]) for c in self.charts
         ]
-        return Web(charts=charts, asked=self.asked)
+        return Web(charts=charts, neighbours=self.neighbours)
 
 
 def _penalty(r: np.ndarray, sigma: float) -> np.ndarray:
@@ -96,7 +96,7 @@ def place(
     for factor in factors:
         logs, system = _descend(web, logs, factor * MAP_SIGMA)
     assert system is not None
-    return system.doubt, logs
+    return system.mean_penalty, logs
 
 
 def _descend(web: Web, logs: np.ndarray, sigma: float) -> tuple[np.ndarray, "_System"]:
@@ -175,7 +175,7 @@ class _System(NamedTuple):
         return self.pairs / max(self.seen, 1)
 
     @property
-    def doubt(self) -> float:
+    def mean_penalty(self) -> float:
         """Mean penalty of a visible pixel plus that of a point."""
         return self.mean + self.points / (POINTS * self.views)
 
@@ -186,7 +186,7 @@ class _System(NamedTuple):
 
 def _linearised(web: Web, logs: np.ndarray, sigma: float, typical: float) -> _System:
     ends, spans, count = np.exp(logs), logs[:, 1] - logs[:, 0], len(logs)
-    points, pairs, visible, asked = 0.0, 0.0, 0, 0
+    points, pairs, visible, neighbours = 0.0, 0.0, 0, 0
     unlike = (spans - typical) / _SPAN_SIGMA
     curvature, slope = np.zeros((count, 2, count, 2)), -unlike[:, None] * _NARROWER / _SPAN_SIGMA
     for j in range(count):
@@ -207,26 +207,26 @@ def _linearised(web: Web, logs: np.ndarray, sigma: float, typical: float) -> _Sy
             jacobian = (_shares(ends[j], chart.point_tones) + r[:, None] * _NARROWER) / spans[j]
             curvature[j, :, j] += jacobian.T @ (weight[:, None] * jacobian)
             slope[j] += jacobian.T @ (weight * r)
-        asking = web.asking(j)
-        if not asking:
+        projected_onto = web.projected_onto(j)
+        if not projected_onto:
             continue
-        span = 0.5 * (spans[asking] + spans[j])[:, None]  # [S, 1]
-        seen, inverse = chart.look_up(np.stack([places[i] for i in asking]))  # [S, 2, P]
+        span = 0.5 * (spans[projected_onto] + spans[j])[:, None]  # [S, 1]
+        seen, inverse = chart.look_up(np.stack([places[i] for i in projected_onto]))  # [S, 2, P]
         r, moved = np.moveaxis(np.log(inverse / inverse_depth(ends[j], seen)), 1, 0) / span
         pairs += float(_penalty(r, sigma).sum())
-        visible, asked = visible + int(np.isfinite(r).sum()), asked + r.size
+        visible, neighbours = visible + int(np.isfinite(r).sum()), neighbours + r.size
         known = np.isfinite(r) & np.isfinite(moved)
         weight = share * np.where(known, _weight(r, sigma), 0.0)
         r, change = np.where(known, r, 0.0), np.where(known, (moved - r) / _DELTA, 0.0)
         narrower = 0.5 * (r / span)[..., None] * _NARROWER
-        theirs = change[..., None] * shares[asking] + narrower  # [S, P, 2]
+        theirs = change[..., None] * shares[projected_onto] + narrower  # [S, P, 2]
         mine = narrower - np.nan_to_num(_shares(ends[j], seen[:, 0])) / span[..., None]
         curvature[j, :, j] += np.einsum("sp,spa,spb->ab", weight, mine, mine)
         slope[j] += np.einsum("sp,spa->a", weight * r, mine)
         across = np.einsum("sp,spa,spb->sab", weight, theirs, mine)
         own = np.einsum("sp,spa,spb->sab", weight, theirs, theirs)
         down = np.einsum("sp,spa->sa", weight * r, theirs)
-        for s, i in enumerate(asking):
+        for s, i in enumerate(projected_onto):
             curvature[i, :, i] += own[s]
             curvature[i, :, j] += across[s]
             curvature[j, :, i] += across[s].T
@@ -236,7 +236,7 @@ def _linearised(web: Web, logs: np.ndarray, sigma: float, typical: float) -> _Sy
         spans=float(unlike @ unlike) / 2,
         pairs=pairs,
         seen=visible,
-        unseen=asked - visible,
+        unseen=neighbours - visible,
         share=share,
         views=count,
         curvature=curvature.reshape(2 * count, 2 * count),

@@ -14,7 +14,7 @@ from ..io.images.read_image import resize_map
 from .maps import DepthKind
 from .onnx_graph import GraphFacts, read_facts
 
-WHERE = (
+NETWORK_HINT = (
     "`gscore depth --list-models` names networks that `--download` fetches. As files: "
     "model-small.onnx of https://github.com/isl-org/MiDaS/releases (v2_1), and Depth Anything V2 "
     "exports of https://github.com/fabio-sim/Depth-Anything-ONNX/releases; check their licences"
@@ -153,7 +153,7 @@ class Network:
             FormatError: the file is not a network from a photo to a map.
         """
         if not path.is_file():
-            raise ConfigError(f"There is no model {path}. {WHERE}.")
+            raise ConfigError(f"There is no model {path}. {NETWORK_HINT}.")
         self._session = _load(path, threads)
         entry, output = _ends(path, self._session)
         self._input, self._output = entry.name, output.name
@@ -216,7 +216,7 @@ class Network:
         if values.ndim != 2 or min(values.shape) < 2:
             raise GsError(
                 f"{self.path.name} gives {list(np.shape(output))}, expected one number per pixel. "
-                f"It is not a network for depth from one photo. {WHERE}."
+                f"It is not a network for depth from one photo. {NETWORK_HINT}."
             )
         values[~np.isfinite(values)] = np.nan
         return resize_map(values, width, height)
@@ -255,13 +255,13 @@ def _ends(path: Path, session: Any) -> tuple[Any, Any]:
         stated = ", ".join(f"{i.name} {i.type} {i.shape}" for i in inputs)
         raise FormatError(
             f"{path.name} takes {stated or 'nothing'}, expected one picture of float numbers. It "
-            f"is not a network for depth from one photo. {WHERE}."
+            f"is not a network for depth from one photo. {NETWORK_HINT}."
         )
     named = [o for name in _OUTPUT_NAMES for o in outputs if o.name == name]
     maps = [o for o in outputs if len(o.shape) in (2, 3, 4)]
     if not (named or maps):
         raise FormatError(
             f"{path.name} gives {[o.shape for o in outputs]}, expected a map. It is not a network "
-            f"for depth from one photo. {WHERE}."
+            f"for depth from one photo. {NETWORK_HINT}."
         )
     return inputs[0], (named or maps)[0]

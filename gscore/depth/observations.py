@@ -73,16 +73,16 @@ def observed(model: ColmapModel, image: ColmapImage, index: PointIndex) -> Obser
 
 
 @dataclass(frozen=True, kw_only=True)
-class SeenPoints:
+class PointVisibility:
     """SfM points and their visibility."""
 
     points: np.ndarray
     """[P, 3] float64, world."""
-    seen: list[np.ndarray]
+    observed: list[np.ndarray]
     """By view: [M] int64, ascending rows of its visible points."""
 
 
-def seen_points(dataset: Dataset) -> SeenPoints:
+def point_visibility(dataset: Dataset) -> PointVisibility:
     """Visibility of the SfM points in the views of `dataset`.
 
     Without a COLMAP model of these views, all points in a view's frame count as visible, hidden
@@ -90,11 +90,13 @@ def seen_points(dataset: Dataset) -> SeenPoints:
     """
     tracks = tracks_of(dataset)
     if tracks is not None:
-        return SeenPoints(points=tracks.points, seen=[np.unique(rows) for rows in tracks.seen])
+        return PointVisibility(
+            points=tracks.points, observed=[np.unique(rows) for rows in tracks.observed]
+        )
     cloud = dataset.scene.points
     points = cloud.points[:0] if cloud.made_up else cloud.points
     seen = [_in_frame(dataset, points, i) for i in range(len(dataset))]
-    return SeenPoints(points=points, seen=seen)
+    return PointVisibility(points=points, observed=seen)
 
 
 def _in_frame(dataset: Dataset, points: np.ndarray, index: int) -> np.ndarray:

@@ -96,7 +96,7 @@ def load_priors(
 
     def prior(index: int) -> DepthPrior | None:
         path, fit, part = maps[index], alignment.fits[index], samples[index]
-        if path is None or part is None or part.trouble:
+        if path is None or part is None or part.problem:
             return None
         values = to_inverse(read_map(path), alignment.kind)
         return _prior(dataset, index, values, _stated_confidence(path, values), fit)

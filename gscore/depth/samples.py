@@ -31,7 +31,7 @@ class Samples:
     """[M] float64, positive."""
     grid: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     """[h, w] float32, means over n x n pixels of the map at training resolution; NaN: unknown."""
-    trouble: str = ""
+    problem: str = ""
     """Why the file cannot be used; M is 0 then. Empty: it can."""
 
     def inverse(self, kind: DepthKind) -> Self:
@@ -66,10 +66,10 @@ def view_samples(
         if on_view is not None:
             on_view(index)
     there = [part for part in found if part is not None]
-    if there and all(part.trouble for part in there):
+    if there and all(part.problem for part in there):
         raise DatasetError(
             f"None of the {number(len(there))} depth maps can be used. The first: "
-            f"{there[0].trouble}. Make them again: gscore depth"
+            f"{there[0].problem}. Make them again: gscore depth"
         )
     return found
 
@@ -80,26 +80,26 @@ def _samples(path: Path, file: ViewFile, seen: Observations) -> Samples:
         values = read_map(path)
         check_proportions(file, values)
     except (FormatError, DatasetError) as error:
-        trouble = str(error).rstrip(".")
+        problem = str(error).rstrip(".")
     except ShapeError as error:
-        trouble = f"{path} cannot be used: {error}. It must cover the whole photo"
+        problem = f"{path} cannot be used: {error}. It must cover the whole photo"
     else:
         grid = averaged(fit_map(file, np.where(values == 0, np.float32(np.nan), values)))
         return replace(sampled(values, seen), grid=grid)
     none = np.zeros(0)
-    return Samples(values=none, inverse_depth=none, weights=none, trouble=trouble)
+    return Samples(values=none, inverse_depth=none, weights=none, problem=problem)
 
 
 def unusable(samples: list[Samples | None]) -> tuple[str, ...]:
     """Message on the maps whose files cannot be used."""
-    troubles = [part.trouble for part in samples if part is not None and part.trouble]
-    if not troubles:
+    problems = [part.problem for part in samples if part is not None and part.problem]
+    if not problems:
         return ()
-    if len(troubles) == 1:
-        return (f"One depth map is left out, because its file cannot be used: {troubles[0]}.",)
+    if len(problems) == 1:
+        return (f"One depth map is left out, because its file cannot be used: {problems[0]}.",)
     return (
-        f"{count_words(len(troubles), 'depth map is', 'depth maps are')} left out, because the "
-        f"file cannot be used, the first: {troubles[0]}.",
+        f"{count_words(len(problems), 'depth map is', 'depth maps are')} left out, because the "
+        f"file cannot be used, the first: {problems[0]}.",
     )
 
 

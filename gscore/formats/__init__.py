@@ -3,6 +3,7 @@
 from .registry import (
     FORMATS,
     SPLAT_ENDINGS,
+    file_origin,
     files_of,
     format_to_write,
     is_antialiased,
@@ -11,7 +12,6 @@ from .registry import (
     read_splat_file,
     read_splat_parts,
     read_splats,
-    says_origin,
     write_splat_file,
 )
 from .splat_file import Decoded, SplatFile, WrittenFile
@@ -22,6 +22,7 @@ __all__ = [
     "Decoded",
     "SplatFile",
     "WrittenFile",
+    "file_origin",
     "files_of",
     "format_to_write",
     "is_antialiased",
@@ -30,6 +31,5 @@ __all__ = [
     "read_splat_file",
     "read_splat_parts",
     "read_splats",
-    "says_origin",
     "write_splat_file",
 ]

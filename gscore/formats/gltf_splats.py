@@ -313,17 +313,17 @@ GLTF = SplatFormat(
     key="gltf",
     name="glTF",
     endings=(".glb", ".gltf"),
-    holds=_is_gltf,
+    recognizes=_is_gltf,
     read=_read,
     write=write_gltf,
-    beside=buffer_of,
+    part_files=buffer_of,
 )
 GLTF_SPZ = SplatFormat(
     key="gltf-spz",
     name="glTF with SPZ",
     endings=(".spz.glb", ".spz.gltf"),
-    holds=lambda path, sample: False,  # `GLTF` reads both
+    recognizes=lambda path, sample: False,  # `GLTF` reads both
     read=_read,
     write=write_packed_gltf,
-    beside=buffer_of,
+    part_files=buffer_of,
 )

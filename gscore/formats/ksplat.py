@@ -211,7 +211,7 @@ KSPLAT = SplatFormat(
     key="ksplat",
     name="mkkellogg's .ksplat",
     endings=(".ksplat",),
-    holds=_is_ksplat,
+    recognizes=_is_ksplat,
     read=_read,
     write=None,
 )

@@ -204,9 +204,9 @@ COMPRESSED_PLY = SplatFormat(
     key="compressed-ply",
     name="SuperSplat's compressed PLY",
     endings=(".compressed.ply",),
-    holds=_is_compressed,
+    recognizes=_is_compressed,
     read=_read,
     write=_write,
-    says_antialiased=is_antialiased_ply,
-    says_origin=ply.origin_of_ply,
+    is_antialiased=is_antialiased_ply,
+    file_origin=ply.origin_of_ply,
 )

@@ -107,11 +107,11 @@ def is_antialiased(path: str | Path) -> bool:
     """
     file = _file_of(Path(path))
     found = _format_of(file)
-    says = found.says_antialiased
+    says = found.is_antialiased
     return says(file) if says else found.read(file).antialiased
 
 
-def says_origin(path: str | Path) -> np.ndarray | None:
+def file_origin(path: str | Path) -> np.ndarray | None:
     """[3] float64, local origin stated by a file; None: none.
 
     Raises:
@@ -119,7 +119,7 @@ def says_origin(path: str | Path) -> np.ndarray | None:
     """
     file = _file_of(Path(path))
     found = _format_of(file)
-    return found.says_origin(file) if found.says_origin else found.read(file).origin
+    return found.file_origin(file) if found.file_origin else found.read(file).origin
 
 
 def write_splat_file(
@@ -239,7 +239,7 @@ def files_of(path: Path) -> set[Path]:
         GsError: as `read_splat_file`.
     """
     file = _file_of(path)
-    return {file, *_format_of(file).beside(file)}
+    return {file, *_format_of(file).part_files(file)}
 
 
 def is_splat_file(path: Path) -> bool:
@@ -265,7 +265,7 @@ def _format_of(path: Path) -> SplatFormat:
 
 
 def _known(path: Path, sample: FileSample) -> SplatFormat | None:
-    return next((one for one in FORMATS if one.holds(path, sample)), None)
+    return next((one for one in FORMATS if one.recognizes(path, sample)), None)
 
 
 def _sample(path: Path) -> FileSample:
@@ -284,4 +284,4 @@ def _refuse(path: Path) -> NoReturn:
 
 
 def _bytes_of(kind: SplatFormat, file: Path) -> int:
-    return sum(one.stat().st_size for one in (file, *kind.beside(file)) if one.is_file())
+    return sum(one.stat().st_size for one in (file, *kind.part_files(file)) if one.is_file())

@@ -285,8 +285,8 @@ SOG = SplatFormat(
     key="sog",
     name="SOG",
     endings=(".sog", META),
-    holds=_is_sog,
+    recognizes=_is_sog,
     read=_read,
     write=write_sog,
-    beside=_textures_of,
+    part_files=_textures_of,
 )

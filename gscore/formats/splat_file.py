@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..io.file_sample import FileSample
-from ..scene import checked_origin, lie_about, offset_between, origin_words
+from ..scene import are_relative_to, checked_origin, offset_between, origin_words
 from ..sh import sh0_to_rgb
 from ..splats import Splats
 from ..text_format import count_words
@@ -45,9 +45,13 @@ class Decoded:
         """The model with its local origin, as splats of a capture with the local origin `origin`.
 
         Programs that edit splats lose the stated origin. If a file states none, `origin` is assumed
-        if `lie_about` is true, with a logged warning.
+        if `are_relative_to` is true, with a logged warning.
         """
-        if self.origin is not None or origin is None or not lie_about(self.splats.means, origin):
+        if (
+            self.origin is not None
+            or origin is None
+            or not are_relative_to(self.splats.means, origin)
+        ):
             return self
         _log.warning(
             "The splats state no local origin, but are around that of the capture, %s; it is "
@@ -149,21 +153,21 @@ class SplatFormat:
     """Its name in messages."""
     endings: tuple[str, ...]
     """Endings of its files, the usual one first; the longest match among all formats decides."""
-    holds: Callable[[Path, FileSample], bool]
+    recognizes: Callable[[Path, FileSample], bool]
     """Returns whether a file is of this format, by its first bytes."""
     read: Callable[[Path], Decoded]
     """Reads a file; raises GsError."""
     write: Callable[[Path, Splats, WriteOptions], list[str]] | None
     """Writes a file, returns the notes of `WrittenFile`; raises GsError; None: read only."""
-    says_antialiased: Callable[[Path], bool] | None = None
+    is_antialiased: Callable[[Path], bool] | None = None
     """Returns whether a file is marked as antialiased, without reading all of it; raises GsError;
     None: needs `read`."""
-    says_origin: Callable[[Path], np.ndarray | None] | None = None
+    file_origin: Callable[[Path], np.ndarray | None] | None = None
     """Returns the local origin of a file, without reading all of it; raises GsError; None: needs
     `read`."""
     read_parts: Callable[[Path, int], Iterator[Splats]] | None = None
     """Reads a given number of splats at a time; raises GsError; None: reads models whole."""
-    beside: Callable[[Path], Iterable[Path]] = lambda path: ()
+    part_files: Callable[[Path], Iterable[Path]] = lambda path: ()
     """Returns the part files of a file."""
     most_degree: int = 3
     """Highest SH degree that it can store."""

@@ -37,7 +37,7 @@ _Y_OF_Z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 _log = logging.getLogger(__package__)  # __name__ is __main__ in the process
 
 
-def hand_over(file: Path, ply: Path) -> dict[str, Any]:
+def export_to_ply(file: Path, ply: Path) -> dict[str, Any]:
     """Read a USD file, write its splats to a PLY, and return the JSON for stdout."""
     facts: dict[str, Any] = {"error": "", "antialiased": False, "origin": None}
     with collected_warnings() as warnings:
@@ -259,4 +259,4 @@ def _damaged(path: Path, prim: Any, why: str) -> FormatError:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(hand_over(Path(sys.argv[1]), Path(sys.argv[2]))) + "\n")
+    sys.stdout.write(json.dumps(export_to_ply(Path(sys.argv[1]), Path(sys.argv[2]))) + "\n")

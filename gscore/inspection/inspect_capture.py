@@ -28,7 +28,7 @@ from ..sfm.output_path import has_no_cameras
 from ..text_format import count_words
 from .capture_facts import CaptureFacts, Problem
 from .find_capture import colmap_of, find_transforms
-from .photo_folder import bare_facts
+from .photo_folder import photo_folder_facts
 
 FEW_PHOTOS = 15
 """Number of photos below which a model is rarely good from all sides."""
@@ -54,7 +54,7 @@ def inspect(config: DataConfig, *, depths: str = DEPTH_FOLDER) -> CaptureFacts:
     try:
         check_resolution(config.resolution)
         if has_no_cameras(config.source):
-            return bare_facts(config.source)
+            return photo_folder_facts(config.source)
         capture = read_capture(config, photos_required=False)
     except (GsError, OSError) as error:
         return CaptureFacts(

@@ -8,9 +8,9 @@ from ..datasets.shots import stem_of
 from ..errors import GsError
 from ..io.images.read_image import read_info
 from ..io.unsupported_formats import unread_cameras
-from ..sfm.heic import readable, size_of, what_to_do
+from ..sfm.heic import conversion_hint, readable, size_of
 from ..sfm.masks import mask_folder
-from ..sfm.photo_folders import doubt
+from ..sfm.photo_folders import photo_folder_warning
 from ..sfm.photos import LEAST, list_photos, photo_folder
 from ..text_format import count_words
 from ..video import is_video
@@ -20,7 +20,7 @@ PHOTOS, VIDEO = "photos", "a video"
 """Values of `CaptureFacts.bare`."""
 
 
-def bare_facts(source: Path) -> CaptureFacts:
+def photo_folder_facts(source: Path) -> CaptureFacts:
     """Facts of a source without cameras (`has_no_cameras`), from the headers of photos.
 
     Args:
@@ -46,11 +46,14 @@ def bare_facts(source: Path) -> CaptureFacts:
     if len(names) < LEAST:
         few = f"Only {count_words(len(names), 'photo')}: at least {LEAST} that overlap are needed, "
         problems.append(Problem(is_error=True, text=f"{few}30 or more are good."))
-    for text in filter(None, (unread_cameras(source), doubt(root, names, len(sizes)))):
+    for text in filter(
+        None, (unread_cameras(source), photo_folder_warning(root, names, len(sizes)))
+    ):
         problems.append(Problem(is_error=False, text=text))
     if unread:
         left = count_words(len(unread), "photo is of a kind", "photos are of kinds")
-        text = f"{left} that is not read: {listing(unread, 2)}. To use them, {what_to_do(unread)}."
+        hint = conversion_hint(unread)
+        text = f"{left} that is not read: {listing(unread, 2)}. To use them, {hint}."
         problems.append(Problem(is_error=False, text=text))
     return CaptureFacts(
         source=source,

@@ -48,7 +48,7 @@ class BlockRecord:
         """Number of blocks."""
         return len(self.bounds)
 
-    def holds(self, points: np.ndarray, origin: np.ndarray | None = None) -> np.ndarray:
+    def contains(self, points: np.ndarray, origin: np.ndarray | None = None) -> np.ndarray:
         """Mask [P] bool of the `points` [P, 3] in the block's cell, in the world of the capture
         relative to a local origin."""
         points = points + offset_between(origin, self.origin)

@@ -195,7 +195,7 @@ def results_in(path: Path) -> list[str]:
     return [name for name in (*RUN_FILES, *RUN_FOLDERS) if name in existing]
 
 
-def others_in_run(path: Path) -> list[str]:
+def other_files_in_run(path: Path) -> list[str]:
     """Files in the folder of a run that no training writes, as relative paths, without hidden files
     directly in the folder."""
     known = (*RUN_FILES, *RUN_FOLDERS, CAPTURE)

@@ -151,7 +151,7 @@ class Server:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             while True:
                 request = viewer_protocol.parse(_request(connection))
-                picture = one.ask(request)
+                picture = one.request_picture(request)
                 if picture is None:
                     return
                 connection.settimeout(PATIENCE)  # for a whole answer, not for each piece

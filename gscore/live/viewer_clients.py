@@ -29,10 +29,11 @@ def _drawn(draw: Draw, request: FrameRequest) -> bytes:
 
 
 class ViewerClient:
-    """One viewer: its connection's thread waits in `ask` until the training's thread answers."""
+    """One viewer: its connection's thread waits in `request_picture` until the training's thread
+    answers."""
 
-    def __init__(self, crowd: "ViewerClients") -> None:
-        self._crowd = crowd
+    def __init__(self, clients: "ViewerClients") -> None:
+        self._crowd = clients
         self._answered = threading.Event()
         self._picture = b""
         self.request: FrameRequest | None = None
@@ -41,13 +42,13 @@ class ViewerClient:
         """Whether its last request has no answer yet."""
         self.trains, self.stays = True, False
         """Flags of its last request."""
-        self.asked_at = time.monotonic()
+        self.last_request = time.monotonic()
         """Time of its last request, or of its connection; seconds of the monotonic clock."""
 
-    def ask(self, request: FrameRequest) -> bytes | None:
+    def request_picture(self, request: FrameRequest) -> bytes | None:
         """Request a picture and wait until the training has drawn it; None: the training ended."""
         self.trains, self.stays = request.trains, request.stays
-        self.asked_at = time.monotonic()
+        self.last_request = time.monotonic()
         self._answered.clear()
         self.request, self.waits = request, True
         self._crowd.wake()
@@ -57,7 +58,7 @@ class ViewerClient:
         return None if self._crowd.closed else self._picture
 
     def answer(self, picture: bytes) -> None:
-        """Make `ask` return `picture`."""
+        """Make `request_picture` return `picture`."""
         self._picture = picture
         self._answered.set()
 
@@ -72,7 +73,7 @@ class ViewerClients:
         self._after_the_end = after_the_end
         self._all: list[ViewerClient] = []
         self._lock = threading.Lock()
-        self._asked = threading.Event()
+        self._requested = threading.Event()
         self._rest = 0.0
         self.closed = False
         """Whether requests receive no answer any more."""
@@ -92,18 +93,18 @@ class ViewerClients:
 
     def wake(self) -> None:
         """Signal that a frame request is waiting."""
-        self._asked.set()
+        self._requested.set()
 
     def longest_idle(self, seconds: float) -> ViewerClient | None:
         """The viewer idle for longest, and for at least `seconds`; one with a pending request is
         not idle."""
         until = time.monotonic() - seconds
         with self._lock:
-            idle = [one for one in self._all if not one.waits and one.asked_at <= until]
-        return min(idle, key=lambda one: one.asked_at, default=None)
+            idle = [one for one in self._all if not one.waits and one.last_request <= until]
+        return min(idle, key=lambda one: one.last_request, default=None)
 
     @property
-    def hold(self) -> bool:
+    def has_pausing_viewer(self) -> bool:
         """Whether a recent request pauses the training; recent, because a broken connection looks
         like an idle one."""
         return any(not one.trains for one in self._recent())
@@ -116,19 +117,19 @@ class ViewerClients:
     def _recent(self) -> list[ViewerClient]:
         """Viewers with a request in the last minute, or a pending one."""
         since = time.monotonic() - HOLD
-        return [one for one in list(self._all) if one.waits or one.asked_at > since]
+        return [one for one in list(self._all) if one.waits or one.last_request > since]
 
-    def answer(self, draw: Draw, *, at_leisure: bool = False) -> None:
+    def answer(self, draw: Draw, *, idle: bool = False) -> None:
         """Answer the pending request of each viewer.
 
         Args:
             draw: Called in this thread.
-            at_leisure: No training step is waiting; if False, drawing pauses for as long as it
+            idle: No training step is waiting; if False, drawing pauses for as long as it
                 took, so it takes at most half of the time.
         """
-        if not self._asked.is_set() or (not at_leisure and time.monotonic() < self._rest):
+        if not self._requested.is_set() or (not idle and time.monotonic() < self._rest):
             return
-        self._asked.clear()
+        self._requested.clear()
         began = time.monotonic()
         for one in list(self._all):
             request, one.request = one.request, None

@@ -14,7 +14,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import ConfigError, DatasetError
-from ..formats import read_splat_parts, says_origin
+from ..formats import file_origin, read_splat_parts
 from ..formats.joined import joined
 from ..io.files import atomic_write
 from ..io.lod_file import (
@@ -83,7 +83,7 @@ def build_lod(
     chunks = chunks_of(means, levels)
     near = splat_near(means) if facts.near is None else facts.near
     del means
-    origin = says_origin(model)
+    origin = file_origin(model)
     made: list[LodIndex] = []
 
     def write(file: BinaryIO) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..config import checked_threads
 from ..errors import BackendError, ConfigError, GsError
-from ..extras import how_to_install, need
+from ..extras import install_hint, need
 from ..quoting import brief
 from .lpips_input import checked_pair
 
@@ -101,5 +101,5 @@ def _package() -> Any:
             raise
         raise BackendError(
             f"torchvision does not load: {brief(error)}. It was made for another build of torch; "
-            f"install both together: {how_to_install('lpips')}"
+            f"install both together: {install_hint('lpips')}"
         ) from error

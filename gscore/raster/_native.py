@@ -395,13 +395,13 @@ class RasterPool:
         self._free: deque[Raster] = deque(maxlen=8)
 
     def take(self) -> Raster:
-        """Take an unused workspace; return it with `give_back`."""
+        """Take an unused workspace; return it with `release`."""
         try:
             return self._free.pop()
         except IndexError:
             return Raster()
 
-    def give_back(self, raster: Raster) -> None:
+    def release(self, raster: Raster) -> None:
         """Return a workspace."""
         self._free.append(raster)
 
@@ -412,7 +412,7 @@ class RasterPool:
         try:
             yield raster
         finally:
-            self.give_back(raster)
+            self.release(raster)
 
 
 pool = RasterPool()

@@ -117,6 +117,6 @@ def _struct(slot: Slot, count: int) -> header.AdamTensorStruct:
             seen=skips.seen,
             lag=skips.lag,
             drift=skips.drift,
-            mode=header.ADAM_WAIT if skips.wait else header.ADAM_SEEN,
+            mode=header.ADAM_WAIT if skips.wait else header.ADAM_VISIBLE,
         )
     return struct

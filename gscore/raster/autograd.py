@@ -59,13 +59,13 @@ class _Rasterize(torch.autograd.Function):
             if aux is not None:
                 aux.radii, aux.stats = radii["radii"], raster.stats().as_dict()
         except BaseException:
-            _native.pool.give_back(raster)
+            _native.pool.release(raster)
             raise
         if any(ctx.needs_input_grad):
             ctx.save_for_backward(*splats, _viewmat)
             ctx.raster, ctx.call, ctx.aux = _Lease(raster), (view, settings), aux
         else:
-            _native.pool.give_back(raster)
+            _native.pool.release(raster)
         ctx.set_materialize_grads(False)
         found = [pictures.get(name, zeros(0)) for name in ("rgb", "alpha", *header.DEPTH_OUTPUTS)]
         ctx.mark_non_differentiable(found[-1])
@@ -107,7 +107,7 @@ class _Lease:
         self.raster = raster
 
     def __del__(self) -> None:
-        _native.pool.give_back(self.raster)
+        _native.pool.release(self.raster)
 
 
 def rasterize(

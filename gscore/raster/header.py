@@ -23,7 +23,7 @@ LIST_TILE = 16, 32
 """Width and height of the tiles with splat lists, px (GS_LIST_TILE_*)."""
 MAX_SIDE = 65536
 THREADS_MAX = 1024
-ADAM_ALL, ADAM_SEEN, ADAM_WAIT = 0, 1, 2
+ADAM_ALL, ADAM_VISIBLE, ADAM_WAIT = 0, 1, 2
 ADAM_LAGS = 256
 MASK_MODES = {"none": 0, "composite": 1, "ignore": 2}
 STEREO_SOURCES_MAX, STEREO_RADIUS_MAX, STEREO_SIDE_MAX = 8, 7, 8192
@@ -204,11 +204,11 @@ class StereoSweepArgsStruct(ct.Structure):
 class StereoFoundStruct(ct.Structure):
     """gs_stereo_found"""
 
-    _fields_ = _fields("pointer inverse_depth score rival contrast")
+    _fields_ = _fields("pointer inverse_depth score second_best contrast")
 
 
-class StereoWitnessStruct(ct.Structure):
-    """gs_stereo_witness"""
+class StereoNeighbourStruct(ct.Structure):
+    """gs_stereo_neighbour"""
 
     _fields_ = _fields(
         "int32 width height",
@@ -224,8 +224,8 @@ class StereoCheckArgsStruct(ct.Structure):
     _fields_ = _fields(
         "int32 width height",
         "pointer inverse_depth",
-        "int32 witness_count",
-        ("witnesses", ct.POINTER(StereoWitnessStruct)),
+        "int32 neighbour_count",
+        ("neighbours", ct.POINTER(StereoNeighbourStruct)),
         "float pixels relative passed",
         "int32 threads",
     )

@@ -46,7 +46,7 @@ def mesh_depth(
     """
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise ShapeError(f"vertices must be [V, 3], got {list(vertices.shape)}.")
-    corners, farthest = seen_corners(vertices, K, viewmat), None
+    corners, farthest = projected_corners(vertices, K, viewmat), None
     if near > 0 or orthographic:
         corners, triangles = _before(near, vertices, triangles, viewmat)
         corners = corners @ np.asarray(K, np.float64).T
@@ -76,7 +76,7 @@ def _before(
     address("triangles", triangles, (len(triangles), 3), INT32)
     if triangles.size and (triangles.min() < 0 or triangles.max() >= len(vertices)):
         raise ShapeError(f"triangles has indices out of range, expected 0 to {len(vertices) - 1}.")
-    places = seen_corners(vertices, np.eye(3), viewmat)
+    places = projected_corners(vertices, np.eye(3), viewmat)
     there = places[:, 2] >= near
     kept = there[triangles]
     count = kept.sum(1)
@@ -120,7 +120,7 @@ def _linear(corners: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, float]:
     return np.column_stack([places * weight[:, None], weight]), farthest
 
 
-def seen_corners(vertices: np.ndarray, K: np.ndarray, viewmat: np.ndarray) -> np.ndarray:
+def projected_corners(vertices: np.ndarray, K: np.ndarray, viewmat: np.ndarray) -> np.ndarray:
     """Homogeneous pixels [V, 3] float64 (u z, v z, z) of vertices [V, 3]."""
     projection = np.asarray(K, np.float64) @ np.asarray(viewmat, np.float64)[:3]
     seen = np.asarray(vertices, np.float64) @ projection[:, :3].T + projection[:, 3]

@@ -14,7 +14,7 @@ from .request import CancelFlag
 MOST_SOURCES = header.STEREO_SOURCES_MAX
 """Maximum number of source photos."""
 MOST_PLANES = header.STEREO_PLANES_MAX
-MOST_WITNESSES = 255
+MAX_NEIGHBOURS = 255
 """Maximum number of maps in the consistency check of one."""
 
 
@@ -47,14 +47,14 @@ class StereoView:
 
 
 @dataclass(frozen=True)
-class Swept:
+class SweepResult:
     """Result of a plane sweep at the pixels of its reference; all arrays [H, W] float32."""
 
     inverse_depth: np.ndarray
     """Inverse depth of the best plane, 1/world unit; 0 if it is not an inner maximum."""
     score: np.ndarray
     """Zero-mean normalised cross-correlation at that depth, -1 to 1."""
-    rival: np.ndarray
+    second_best: np.ndarray
     """Score of the second best depth, more than two planes away; -1: there is none."""
     contrast: np.ndarray
     """Standard deviation of the grey values around the pixel."""
@@ -72,7 +72,7 @@ def sweep(
     noise: float = 1.5,
     threads: int = 0,
     cancel: CancelFlag | None = None,
-) -> Swept:
+) -> SweepResult:
     """Plane sweep: the inverse depth of each pixel at which the sources match the reference best.
 
     Planes parallel to the reference's picture are evenly spaced in inverse depth (Collins 1996);
@@ -103,7 +103,7 @@ def sweep(
         struct.width, struct.height = width, height
         struct.grey = address("grey", source.grey, size, UINT8)
         struct.warp = _warp(reference.warp_to(source))
-    found = Swept(*(np.zeros(shape, np.float32) for _ in range(4)))
+    found = SweepResult(*(np.zeros(shape, np.float32) for _ in range(4)))
     args = header.StereoSweepArgsStruct(
         width=shape[1],
         height=shape[0],
@@ -121,7 +121,7 @@ def sweep(
     if cancel is not None:
         args.cancel = ct.pointer(cancel.value)
     out = header.StereoFoundStruct(
-        *(address(name, getattr(found, name), shape) for name in Swept.__dataclass_fields__)
+        *(address(name, getattr(found, name), shape) for name in SweepResult.__dataclass_fields__)
     )
     _native.raise_status(_native.library().gs_stereo_sweep(ct.byref(args), ct.byref(out)))
     return found
@@ -142,7 +142,7 @@ class Checked:
 def check(
     reference: StereoView,
     inverse_depth: np.ndarray,
-    witnesses: Sequence[tuple[StereoView, np.ndarray]],
+    neighbours: Sequence[tuple[StereoView, np.ndarray]],
     *,
     pixels: float = 1.0,
     relative: float = 0.01,
@@ -154,7 +154,7 @@ def check(
     Args:
         reference: The view.
         inverse_depth: [H, W] float32, its map, 1/world unit; 0: unknown.
-        witnesses: At most 255 other views with their maps.
+        neighbours: At most 255 other views with their maps.
         pixels: Maximum reprojection distance of an agreeing view, px.
         relative: Maximum relative difference of inverse depths of an agreeing view.
         passed: Minimum relative distance of a contradicting surface behind the point.
@@ -165,8 +165,8 @@ def check(
         BackendError: the native library is missing or out of memory.
     """
     shape = _shape(reference.grey)
-    array = (header.StereoWitnessStruct * len(witnesses))()
-    for struct, (view, known) in zip(array, witnesses, strict=True):
+    array = (header.StereoNeighbourStruct * len(neighbours))()
+    for struct, (view, known) in zip(array, neighbours, strict=True):
         height, width = size = _shape(view.grey)
         struct.width, struct.height = width, height
         struct.inverse_depth = address("inverse_depth", known, size)
@@ -175,8 +175,8 @@ def check(
         width=shape[1],
         height=shape[0],
         inverse_depth=address("inverse_depth", inverse_depth, shape),
-        witness_count=len(witnesses),
-        witnesses=array,
+        neighbour_count=len(neighbours),
+        neighbours=array,
         pixels=pixels,
         relative=relative,
         passed=passed,

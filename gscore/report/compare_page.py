@@ -9,7 +9,7 @@ from typing import Any
 from ..metrics.comparison import HIGHER_IS_BETTER, RunComparison, ViewPair
 from ..text_format import count_words, number, number_words, size_words, time_words
 from .curves import Series, clean_points, legend, line_chart
-from .html_parts import AXES, switch, warnings_html, whole_page, write_html
+from .html_parts import AXES, html_page, switch, warnings_html, write_html
 
 _DIGITS = {"psnr": 2, "ssim": 4, "lpips": 4}
 _AXES = (("step", "steps"), ("elapsed_s", "s"))
@@ -60,7 +60,7 @@ def comparison_html(
             _options(comparison),
         )
     )
-    return whole_page(
+    return html_page(
         f"{title}: two runs compared by gscore",
         body,
         styles=("compare.css",),

@@ -11,7 +11,7 @@ AXES = (("step", "steps"), ("elapsed_s", "seconds"))
 """Choices of the x axis: key of a row, and name."""
 
 
-def whole_page(
+def html_page(
     title: str, body: str, *, styles: Sequence[str] = (), scripts: Sequence[str] = ()
 ) -> str:
     """A self-contained page.

@@ -17,7 +17,7 @@ from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
 from .histograms import Histogram, histograms_html
-from .html_parts import AXES, switch, warnings_html, whole_page, write_html
+from .html_parts import AXES, html_page, switch, warnings_html, write_html
 from .page_link import SEAM
 from .pictures import ERROR_GAIN, ViewPictures
 from .poses import poses_html
@@ -84,7 +84,7 @@ def report_html(report: Report) -> str:
             _details(metrics, report.config),
         )
     )
-    return whole_page(f"{title}: gscore report", body, scripts=("report.js",))
+    return html_page(f"{title}: gscore report", body, scripts=("report.js",))
 
 
 def _worths(metrics: dict[str, Any]) -> dict[str, float | None]:

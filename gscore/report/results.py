@@ -60,7 +60,7 @@ def write_results(
     how = {}
     if trained is not None and run is not None:
         how = {"preset": preset_words(*trained)}
-        how["command"] = train_command(*trained, run, asked=metrics.course.asked)
+        how["command"] = train_command(*trained, run, requested=metrics.course.asked)
         how["depth_command"] = depth_command(trained[0])
     report = Report(
         title=_title(data.source, cameras),

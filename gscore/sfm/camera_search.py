@@ -20,9 +20,15 @@ from .bundle_adjustment import AdjustedLens, adjust, is_stable
 from .failure_reason import failure_reason
 from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from .gps_scale import Gps, read_gps, to_metres
-from .heic import what_to_do
+from .heic import conversion_hint
 from .panorama import check_lens, possible_panoramas, refused_panoramas
-from .photo_folders import captures_inside, doubt, excluded_folders, other_cameras, stamp
+from .photo_folders import (
+    captures_inside,
+    excluded_folders,
+    other_cameras,
+    photo_folder_warning,
+    stamp,
+)
 from .photo_quality import PhotoQuality, blurred, exposure_jumps
 from .pycolmap_stages import Work
 from .pycolmap_thread import check_space, colmap, log_messages, run_in_thread
@@ -94,13 +100,13 @@ class _Search:
     def run(self) -> SearchResult:
         """Run the search and publish the capture."""
         names, unread = photos.list_photos(self._root, excluded_folders(self._request, self._root))
-        photos.check_enough(self._root, names, unread)
+        photos.check_photo_count(self._root, names, unread)
         if sentence := captures_inside(self._root, names):
             raise DatasetError(sentence)
         if unread:
             self._progress.warn(
                 f"{count_words(len(unread), 'photo')} of unsupported formats left out: "
-                f"{listing(unread, 3)}. To use them, {what_to_do(unread)}."
+                f"{listing(unread, 3)}. To use them, {conversion_hint(unread)}."
             )
         self._stamps = [stamp(name, self._root / name) for name in names]  # before they are read
         read = photos.read_photos(
@@ -112,7 +118,7 @@ class _Search:
             raise DatasetError(sentence)
         possible = possible_panoramas(panoramas, self._request)
         read, sentences = photos.one_of_each(self._root, read)
-        doubtful = doubt(self._root, names, len(photos.by_camera(read)))
+        doubtful = photo_folder_warning(self._root, names, len(photos.by_camera(read)))
         for sentence in filter(
             None, (*sentences, possible, doubtful, other_cameras(self._request.photos))
         ):
@@ -216,7 +222,7 @@ class _Search:
     def _compare(self, work: Work, attempt: Attempt, forecast: Forecast) -> None:
         """Match the pairs from photo names, then those from retrieval and GPS."""
         file, parts = work.database(attempt), work.parts(attempt)
-        if work.looks_further(attempt):
+        if work.matches_similar(attempt):
             further = partial(pycolmap_stages.further, work, attempt)
             parts += self._watch(lambda token: further(), CHOOSING, 0, lambda: 0, lambda: 0)
             forecast.has_pairs(sum(map(len, parts)))
@@ -364,8 +370,8 @@ class _Search:
         self, which: Callable[[list[PhotoQuality]], list[int]], read: list[photos.Photo]
     ) -> tuple[str, ...]:
         """Names of the photos that `which` selects."""
-        measured = [(photo.name, photo.look) for photo in read if photo.look is not None]
-        return tuple(measured[i][0] for i in which([look for _, look in measured]))
+        measured = [(photo.name, photo.quality) for photo in read if photo.quality is not None]
+        return tuple(measured[i][0] for i in which([quality for _, quality in measured]))
 
     def _adjust(self, model: Any, stated: dict[int, tuple[float, bool]]) -> None:
         may_free = self._request.camera_model == USUAL_LENS

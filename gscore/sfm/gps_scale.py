@@ -47,7 +47,7 @@ class Gps:
     """[3] float64, unit, in the model's world; None: unknown."""
     tilt: float = math.nan
     """Standard deviation of the up direction, degrees; set together with `metres`."""
-    strays: tuple[tuple[str, float], ...] = ()
+    outliers: tuple[tuple[str, float], ...] = ()
     """Outliers: names in the model and errors in metres, largest first; weight 0 in the fit."""
     repeated: int = 0
     """Number of photos whose position is not used because too many have the same."""
@@ -88,12 +88,12 @@ def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
     if few or _scale_error(placed, errors, weights) > _MOST_SCALE_ERROR:
         return Gps(repeated=lost, contradicts=usual)
     tilt = _tilt(placed, errors, weights)
-    strays = sorted(np.flatnonzero(~kept), key=lambda i: -sizes[i])
+    outliers = sorted(np.flatnonzero(~kept), key=lambda i: -sizes[i])
     return Gps(
         metres,
         rotation[2] if tilt <= _MOST_TILT else None,
         tilt,
-        tuple((model.images[numbers[i]].name, float(sizes[i])) for i in strays),
+        tuple((model.images[numbers[i]].name, float(sizes[i])) for i in outliers),
         lost,
     )
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError
-from ..extras import how_to_install, need
+from ..extras import install_hint, need
 from ..io.images.pillow_images import BROKEN, check_pixels
 
 HEIC_ENDINGS = (".heic", ".heif")
@@ -57,10 +57,10 @@ def jpeg_name(name: str) -> str:
     return f"{name}.jpg"
 
 
-def what_to_do(unread: list[str]) -> str:
+def conversion_hint(unread: list[str]) -> str:
     """Instruction to make photos readable, as the end of a sentence."""
     if any(is_heic(name) for name in unread) and not can_read():
-        return f"convert to JPEG, or for HEIC: {how_to_install('pillow_heif')}"
+        return f"convert to JPEG, or for HEIC: {install_hint('pillow_heif')}"
     return "convert to JPEG"
 
 

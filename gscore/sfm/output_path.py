@@ -20,7 +20,7 @@ class CaptureOutput:
 
     capture: Path
     """Its folder."""
-    is_there: bool
+    exists: bool
     """Whether it was made earlier from the same photos or video."""
 
 

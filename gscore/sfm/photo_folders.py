@@ -88,7 +88,7 @@ def other_cameras(path: Path) -> str:
     )
 
 
-def doubt(root: Path, names: Sequence[str], cameras: int) -> str:
+def photo_folder_warning(root: Path, names: Sequence[str], cameras: int) -> str:
     """Message on why pictures are hardly photos of one scene; empty if there is no sign of it.
 
     Args:

@@ -41,17 +41,17 @@ def _detail(pixels: np.ndarray) -> float:
     return float((second**2).sum()) / energy if energy > 0 else 0.0
 
 
-def blurred(looks: list[PhotoQuality]) -> list[int]:
+def blurred(qualities: list[PhotoQuality]) -> list[int]:
     """Indices of photos with much less detail than the others."""
-    if not looks:
+    if not qualities:
         return []
-    median = float(np.median([look.detail for look in looks]))
-    return [i for i, look in enumerate(looks) if look.detail < _BLURRED * median]
+    median = float(np.median([quality.detail for quality in qualities]))
+    return [i for i, quality in enumerate(qualities) if quality.detail < _BLURRED * median]
 
 
-def exposure_jumps(looks: list[PhotoQuality]) -> list[int]:
+def exposure_jumps(qualities: list[PhotoQuality]) -> list[int]:
     """Indices of photos much brighter or darker than both neighbours and the median."""
-    light = np.array([look.light for look in looks])
+    light = np.array([quality.light for quality in qualities])
     if len(light) < 3:
         return []
     before, after = np.roll(light, 1), np.roll(light, -1)

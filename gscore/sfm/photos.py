@@ -12,11 +12,11 @@ from ..datasets.dataset import map_threads
 from ..datasets.folder import without_masks
 from ..datasets.shots import Shot, moment_of, repeats, shot_of, stem_of
 from ..errors import Cancelled, DatasetError, FormatError
-from ..io.images.pillow_images import check_whole, opened_picture
+from ..io.images.pillow_images import load_complete, opened_picture
 from ..io.images.raw import RAW_ENDINGS
 from ..io.images.read_image import IMAGE_ENDINGS
 from ..text_format import count_words, number
-from .heic import is_heic, what_to_do
+from .heic import conversion_hint, is_heic
 from .panorama import panorama_of
 from .photo_quality import PhotoQuality, measure_quality
 
@@ -43,7 +43,7 @@ class Photo:
     camera: tuple[str, ...]
     """Make, model, lens and focal lengths from EXIF; photos of one camera have these and the size
     in common."""
-    look: PhotoQuality | None = None
+    quality: PhotoQuality | None = None
     """Sharpness and brightness; None if only the header was read."""
     shot: Shot | None = None
     """Key to detect copies of one exposure; None if only the header was read."""
@@ -99,7 +99,7 @@ def natural(name: str) -> tuple[list[tuple[int, str]], str]:
     return [(int(p), "") if p.isdecimal() else (0, p) for p in parts if p], name
 
 
-def check_enough(root: Path, names: list[str], unread: list[str]) -> None:
+def check_photo_count(root: Path, names: list[str], unread: list[str]) -> None:
     """Raise DatasetError if there are too few photos to find cameras."""
     if len(names) >= LEAST:
         return
@@ -107,7 +107,7 @@ def check_enough(root: Path, names: list[str], unread: list[str]) -> None:
     if unread:
         other = (
             f" {count_words(len(unread), 'photo is', 'photos are')} in an unsupported format "
-            f"({listing(unread, 2)}): {what_to_do(unread)}."
+            f"({listing(unread, 2)}): {conversion_hint(unread)}."
         )
     raise DatasetError(
         f"{root} contains {count_words(len(names), 'photo') if names else 'no photos'}, but at "
@@ -132,26 +132,26 @@ def read_photos(
         Cancelled: `cancelled` returned True.
     """
 
-    def look(i: int) -> Photo | str:
+    def quality(i: int) -> Photo | str:
         if cancelled():
             raise Cancelled("Reading the photos was stopped.")
         try:
             with opened_picture(root / names[i]) as image:
-                look, shot = None, None
+                quality, shot = None, None
                 if image.format == "TIFF" and image.tell():
                     raise FormatError(
                         f"{root / names[i]} starts with a reduced picture, which COLMAP would "
                         "read. Save it as a TIFF, PNG or JPEG of one picture."
                     )
                 if whole:
-                    check_whole(root / names[i], image)
-                    look, shot = measure_quality(image), shot_of(names[i], image)
-                return photo_of(names[i], i, image, look, shot)
+                    load_complete(root / names[i], image)
+                    quality, shot = measure_quality(image), shot_of(names[i], image)
+                return photo_of(names[i], i, image, quality, shot)
         except (DatasetError, FormatError) as error:
             return str(error)
 
     photos, broken = [], []
-    for i, found in enumerate(map_threads(look, list(range(len(names))))):
+    for i, found in enumerate(map_threads(quality, list(range(len(names))))):
         (broken if isinstance(found, str) else photos).append(found)
         on_photo(i + 1)
     if broken:
@@ -164,14 +164,14 @@ def photo_of(
     name: str,
     index: int,
     image: Any,
-    look: PhotoQuality | None = None,
+    quality: PhotoQuality | None = None,
     shot: Shot | None = None,
 ) -> Photo:
-    """A photo from Pillow's image, from its header unless `look` and `shot` are given."""
+    """A photo from Pillow's image, from its header unless `quality` and `shot` are given."""
     camera, alias = _camera(image), f"{index:06}{Path(name).suffix.lower()}"
-    panorama = panorama_of(image, camera, whole=look is not None)
+    panorama = panorama_of(image, camera, whole=quality is not None)
     size = image.width, image.height
-    return Photo(name, alias, *size, camera, look, shot, moment_of(image), panorama)
+    return Photo(name, alias, *size, camera, quality, shot, moment_of(image), panorama)
 
 
 def one_of_each_name(photos: list[Photo]) -> list[Photo]:

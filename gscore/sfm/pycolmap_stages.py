@@ -73,7 +73,7 @@ class Work:
 
     def is_sequential(self, attempt: Attempt) -> bool:
         """Whether photos are matched in their order only."""
-        few = attempt.rich and len(self.photos) <= _MOST_EXHAUSTIVE
+        few = attempt.more_features and len(self.photos) <= _MOST_EXHAUSTIVE
         by_order = is_sequential(self.request.matching, len(self.photos))
         return by_order and not (few and self.request.matching == "auto")
 
@@ -81,13 +81,13 @@ class Work:
         """Pairs of photos to match, in parts after which work can stop."""
         return in_parts(self.photos, sequential=self.is_sequential(attempt))
 
-    def looks_further(self, attempt: Attempt) -> bool:
+    def matches_similar(self, attempt: Attempt) -> bool:
         """Whether similar photos and photos near each other are matched too."""
         return self.request.matching == "auto" and self.is_sequential(attempt)
 
     def pairs_expected(self, attempt: Attempt) -> int:
         """Expected number of pairs to match, with those added by similarity."""
-        further = FURTHER_PAIRS * len(self.photos) if self.looks_further(attempt) else 0
+        further = FURTHER_PAIRS * len(self.photos) if self.matches_similar(attempt) else 0
         return sum(map(len, self.parts(attempt))) + further
 
     def forecast(self, attempt: Attempt, *, pace: float = 1.0) -> Forecast:
@@ -98,7 +98,7 @@ class Work:
                 p.width * p.height * scale**2 / 1e6
                 for p, scale in zip(self.photos, scales, strict=True)
             ],
-            most=most_features(len(self.photos), rich=attempt.rich),
+            most=most_features(len(self.photos), more_features=attempt.more_features),
             pairs=self.pairs_expected(attempt),
             threads=self.request.threads,
             pace=pace,
@@ -146,9 +146,9 @@ def feature_parts(work: Work) -> list[list[str]]:
     return [sample, *(others[i : i + size] for i in range(0, len(others), size))]
 
 
-def most_features(photos: int, *, rich: bool) -> int:
+def most_features(photos: int, *, more_features: bool) -> int:
     """Maximum number of features per photo, not counting second orientations."""
-    if rich:
+    if more_features:
         return _RICH_FEATURES
     return _FEATURES_OF_FEW if photos <= _FEW_PHOTOS else _FEATURES
 
@@ -156,7 +156,7 @@ def most_features(photos: int, *, rich: bool) -> int:
 def space_needed(work: Work, attempt: Attempt) -> int:
     """Maximum number of bytes that a part of an attempt writes: features in the database and its
     log."""
-    most = _DOUBLED * most_features(len(work.photos), rich=attempt.rich)
+    most = _DOUBLED * most_features(len(work.photos), more_features=attempt.more_features)
     photos = max(map(len, feature_parts(work)))
     return int(_COPIES * photos * most * _BYTES_OF_FEATURE)
 
@@ -171,8 +171,10 @@ def extract(work: Work, attempt: Attempt, names: list[str], token: Any) -> None:
     options = p.FeatureExtractionOptions()
     options.num_threads = work.threads
     options.max_image_size = LARGEST_SIDE
-    options.sift.max_num_features = most_features(len(work.photos), rich=attempt.rich)
-    if attempt.rich:
+    options.sift.max_num_features = most_features(
+        len(work.photos), more_features=attempt.more_features
+    )
+    if attempt.more_features:
         options.sift.peak_threshold *= _RICH_PEAK
     p.extract_features(
         work.database(attempt),

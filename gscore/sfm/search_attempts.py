@@ -18,20 +18,20 @@ class Attempt:
     """incremental or global."""
     lenient: bool = False
     """The incremental mapper accepts initial pairs of low parallax and photos with few points."""
-    rich: bool = False
+    more_features: bool = False
     """More features, with a lower threshold; exhaustive matching."""
 
     @property
     def database(self) -> str:
         """File name of the features and matches, which attempts may share."""
-        return "rich.db" if self.rich else "usual.db"
+        return "rich.db" if self.more_features else "usual.db"
 
 
 _FIRST = Attempt(name="", mapper="global")
 _SECOND = Attempt(
     name="photo by photo, from pairs with little parallax too", mapper="incremental", lenient=True
 )
-_THIRD = Attempt(name="with more and weaker features", mapper="global", rich=True)
+_THIRD = Attempt(name="with more and weaker features", mapper="global", more_features=True)
 
 
 def attempts(request: SearchRequest) -> tuple[Attempt, ...]:
@@ -39,5 +39,5 @@ def attempts(request: SearchRequest) -> tuple[Attempt, ...]:
     if request.mapper == "auto":
         return _FIRST, _SECOND, _THIRD
     first = Attempt(name="", mapper=request.mapper)
-    second = replace(first, name=_THIRD.name, rich=True, lenient=True)
+    second = replace(first, name=_THIRD.name, more_features=True, lenient=True)
     return first, second

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ..datasets.capture import listing
-from ..datasets.search_record import left_out_text
+from ..datasets.search_record import unplaced_photos_text
 from ..quoting import as_typed, brief
 from ..text_format import count_words, number, time_words
 from .gps_scale import Gps
@@ -81,7 +81,7 @@ class SearchResult:
         ]
 
     def _findings(self) -> list[str]:
-        messages = left_out_text(self.models[1:], self.alone)
+        messages = unplaced_photos_text(self.models[1:], self.alone)
         if self.blurred:
             messages.append(
                 f"{count_words(len(self.blurred), 'photo is', 'photos are')} more blurred than the "
@@ -171,11 +171,11 @@ def gps_text(gps: Gps, names: dict[str, str]) -> list[str]:
             "GPS in EXIF is not used for scale and up direction: it contradicts the camera "
             f"positions, by {_length(gps.contradicts)} for a typical photo.",
         ]
-    if gps.strays:
-        outliers = [f"{brief(names[alias])} ({_length(off)})" for alias, off in gps.strays[:5]]
-        more = ", ..." if len(gps.strays) > len(outliers) else ""
+    if gps.outliers:
+        outliers = [f"{brief(names[alias])} ({_length(off)})" for alias, off in gps.outliers[:5]]
+        more = ", ..." if len(gps.outliers) > len(outliers) else ""
         sentences.append(
-            f"GPS in EXIF of {count_words(len(gps.strays), 'photo')} is an outlier, and was not "
+            f"GPS in EXIF of {count_words(len(gps.outliers), 'photo')} is an outlier, and was not "
             f"used for scale and up direction: {', '.join(outliers)}{more}."
         )
     if gps.metres is not None and gps.up is None:

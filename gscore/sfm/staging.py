@@ -21,7 +21,7 @@ from . import heic, masks
 from .photo_folders import excluded_folders, stamp
 from .photos import list_photos, photo_folder
 from .search_request import SearchRequest
-from .video_frames import IMAGES, check_room
+from .video_frames import IMAGES, check_photo_folder
 
 RECORD = "sources.json"
 """File among the photos that records their sources."""
@@ -83,7 +83,7 @@ def stage_photos(
             "remove that one."
         )
     state = _state(request, sources, frames)
-    check_room(request.output)
+    check_photo_folder(request.output)
     work = request.output.absolute() / f".{IMAGES}.gather"
     made = [p for p in (request.output, *request.output.absolute().parents) if not p.exists()]
     try:

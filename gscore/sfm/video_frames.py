@@ -44,7 +44,7 @@ def with_frames(
         return request
     check_without_cameras(request.output)
     extraction = frames_request(request, frames)
-    check_room(request.output)
+    check_photo_folder(request.output)
     made = [p for p in (request.output, *request.output.absolute().parents) if not p.exists()]
     try:
         extract_frames(extraction, on_event=on_event, control=control)
@@ -66,7 +66,7 @@ def of_frames(request: SearchRequest) -> SearchRequest:
     return replace(request, photos=request.output, video=request.photos)
 
 
-def check_room(capture: Path) -> None:
+def check_photo_folder(capture: Path) -> None:
     """Raise ConfigError if photos put into `images` of a capture would mix with other files."""
     if (capture / IMAGES).exists() or not capture.exists():
         return  # the caller checks an existing folder of photos

@@ -7,8 +7,8 @@ import numpy as np
 
 from ..datasets import Dataset
 from ..datasets.dataset import map_threads
-from ..depth.observations import seen_points
-from ..raster.stereo_depth import Checked, Swept, check, sweep
+from ..depth.observations import point_visibility
+from ..raster.stereo_depth import Checked, SweepResult, check, sweep
 from ..text_format import count_words
 from .photos import SmallPhoto, small_photo
 from .plan import ViewPlan, plan_views, planes_of
@@ -78,7 +78,7 @@ def stereo_maps(
         few = f"it needs at least {count_words(FEWEST_VIEWS, 'photo')}"
         return StereoMaps(maps={}, reason=few)
     subject = dataset.mask_mode == "composite"
-    tracks = seen_points(dataset)
+    tracks = point_visibility(dataset)
     plans = plan_views(dataset.scene.cameras, tracks, used, subject=subject)
     if not any(plans):
         why = "no two photos show the same surface from different places"
@@ -102,7 +102,7 @@ def stereo_maps(
     for place, (photo, plan) in enumerate(zip(photos, plans, strict=True)):
         if plan is None:
             continue
-        neighbours = [(photos[i].view, first[i]) for i in plan.witnesses]
+        neighbours = [(photos[i].view, first[i]) for i in plan.neighbours]
         checked = check(photo.view, first[place], neighbours, threads=threads)
         one = _filtered(photo, scores[place], checked)
         if (one.inverse_depth > 0).any():
@@ -139,10 +139,10 @@ def _swept(
     return np.where(_clear(photo, swept), swept.inverse_depth, np.float32(0)), swept.score
 
 
-def _clear(photo: SmallPhoto, swept: Swept) -> np.ndarray:
+def _clear(photo: SmallPhoto, swept: SweepResult) -> np.ndarray:
     """[H, W] bool: the best depth is unambiguous."""
     clear = (swept.score >= _SCORE) & (swept.contrast >= _CONTRAST)
-    clear &= swept.rival <= _CLEAR * swept.score
+    clear &= swept.second_best <= _CLEAR * swept.score
     return clear if photo.counts is None else clear & photo.counts
 
 

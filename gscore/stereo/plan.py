@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..depth.observations import SeenPoints
+from ..depth.observations import PointVisibility
 from ..raster.stereo_depth import MOST_PLANES, StereoView
 from ..scene import Cameras
 from ..transforms import SMALLEST
 
 SOURCES = 4
 """Source views of each photo."""
-WITNESSES = 8
+NEIGHBOURS = 8
 """Views of the consistency check of a depth map, sources included."""
 _BEST_ANGLE = 9.0
 """Best triangulation angle of two photos, degrees: less makes depths inaccurate, more makes
@@ -47,7 +47,7 @@ class ViewPlan:
 
     sources: tuple[int, ...]
     """Source views, best first."""
-    witnesses: tuple[int, ...]
+    neighbours: tuple[int, ...]
     """Views of the consistency check, best first."""
     farthest: float
     """Inverse depth of the first plane, 1/world unit."""
@@ -56,7 +56,7 @@ class ViewPlan:
 
 
 def plan_views(
-    cameras: Cameras, tracks: SeenPoints, used: Sequence[int], *, subject: bool = False
+    cameras: Cameras, tracks: PointVisibility, used: Sequence[int], *, subject: bool = False
 ) -> list[ViewPlan | None]:
     """A plan for each of the views `used`; None for a view without suitable neighbours.
 
@@ -70,7 +70,7 @@ def plan_views(
     seen = _seen(tracks, used)
     plans: list[ViewPlan | None] = []
     for place, index in enumerate(used):
-        points = tracks.points[tracks.seen[index]]
+        points = tracks.points[tracks.observed[index]]
         depth_range = _range(points, cameras.viewmats[index]) or _range_by_axes(
             centers, axes, place, farthest=_AROUND[0] if subject else _BEHIND
         )
@@ -82,7 +82,7 @@ def plan_views(
         else:
             weights = _facing(centers, axes, place, depth_range)
         weights[place] = 0
-        order = np.argsort(-weights, kind="stable")[:WITNESSES]
+        order = np.argsort(-weights, kind="stable")[:NEIGHBOURS]
         order = [int(i) for i in order if weights[i] > _FEWEST_SHARED]
         if not order:
             plans.append(None)
@@ -90,7 +90,7 @@ def plan_views(
         far, near = depth_range
         plans.append(
             ViewPlan(
-                sources=tuple(order[:SOURCES]), witnesses=tuple(order), farthest=far, nearest=near
+                sources=tuple(order[:SOURCES]), neighbours=tuple(order), farthest=far, nearest=near
             )
         )
     return plans
@@ -122,17 +122,19 @@ def planes_of(plan: ViewPlan, views: Sequence[StereoView]) -> int:
     return int(np.clip(np.ceil(min(path / _STEP, most)) + 1, _FEWEST_PLANES, most))
 
 
-def _seen(tracks: SeenPoints, used: Sequence[int]) -> np.ndarray:
+def _seen(tracks: PointVisibility, used: Sequence[int]) -> np.ndarray:
     """[V, P] bool: visibility of an even sample of the points."""
     stride = max(1, len(tracks.points) // _POINTS)
     out = np.zeros((len(used), len(tracks.points[::stride])), bool)
     for place, index in enumerate(used):
-        rows = tracks.seen[index]
+        rows = tracks.observed[index]
         out[place, rows[rows % stride == 0] // stride] = True
     return out
 
 
-def _shared(tracks: SeenPoints, seen: np.ndarray, centers: np.ndarray, place: int) -> np.ndarray:
+def _shared(
+    tracks: PointVisibility, seen: np.ndarray, centers: np.ndarray, place: int
+) -> np.ndarray:
     """[V] sum of the weights of the points shared with each other view."""
     stride = max(1, len(tracks.points) // _POINTS)
     mine = np.flatnonzero(seen[place])

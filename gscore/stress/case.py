@@ -8,7 +8,7 @@ class EmptyTestError(AssertionError):
     """A case whose input does not exercise its subject, so that it could not fail."""
 
 
-class NotHereError(Exception):
+class UnsupportedMachineError(Exception):
     """Raised by a case that cannot run on this machine, with the reason."""
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..io.ply.splats import read_ply, write_splats
 from ..splats import PARAMETERS, Splats
 from . import native
-from .case import EmptyTestError, Measure, NotHereError, case
+from .case import EmptyTestError, Measure, UnsupportedMachineError, case
 from .compare import different_bits, require_covered
 from .scenes import SplatScene, draw_scene
 
@@ -52,7 +52,9 @@ def round_trip(full: bool) -> Iterator[Measure]:
 def golden(full: bool) -> Iterator[Measure]:
     """Oracle: gsplat's published formulas in plain numpy float64, stored with the tests."""
     if not _GOLDEN.is_file():
-        raise NotHereError("the stored values are in the source, not in the installed package")
+        raise UnsupportedMachineError(
+            "the stored values are in the source, not in the installed package"
+        )
     with np.load(_GOLDEN, allow_pickle=False) as stored:
         values = {name: stored[name] for name in stored}
     height, width = values["alpha"].shape

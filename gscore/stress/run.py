@@ -11,7 +11,7 @@ from typing import Any
 
 from ..errors import ConfigError
 from ..raster import native_library
-from .case import CASES, Case, NotHereError
+from .case import CASES, Case, UnsupportedMachineError
 from .compare import merge
 from .native import with_isa
 
@@ -101,7 +101,7 @@ def _outcomes(one: Case, isa: str, full: bool) -> Iterator[Outcome]:
     try:
         with with_isa(isa or native_library.isa()), _quiet_torch():
             measures = merge(list(one.run(full)))
-    except NotHereError as reason:
+    except UnsupportedMachineError as reason:
         yield outcome("", math.nan, math.nan, None, f"skipped: {reason}")
         return
     except Exception as error:  # an error of one case must not hide the others

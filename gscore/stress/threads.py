@@ -11,7 +11,7 @@ import numpy as np
 
 from ..raster import _native, native_library
 from . import native
-from .case import EmptyTestError, Measure, NotHereError, case
+from .case import EmptyTestError, Measure, UnsupportedMachineError, case
 from .compare import different_bits, require_covered
 from .native import Drawn, with_isa
 from .scenes import SplatScene, draw_scene
@@ -53,7 +53,7 @@ def instruction_sets(full: bool) -> Iterator[Measure]:
 
     isas = native_library.available_isas()
     if len(isas) < 2:
-        raise NotHereError(f"this machine has one instruction set, {isas[0]}")
+        raise UnsupportedMachineError(f"this machine has one instruction set, {isas[0]}")
     for seed in range(1900, 1905 if full else 1902):
         scene = draw_scene(seed, count=500, width=64, height=48, overscan=0.1)
         true = truth.reference_truth(scene)
@@ -96,7 +96,7 @@ def _rounding_calls(libm: ctypes.CDLL, mode: int, seen: list[tuple[bool, bool]])
     def wrapped(call: Any) -> Any:
         def inside(*args: Any) -> int:
             if libm.fesetround(mode) != 0:
-                raise NotHereError("the rounding mode cannot be set")
+                raise UnsupportedMachineError("the rounding mode cannot be set")
             try:
                 effect = bool(np.float32(1) / np.float32(3) != _THIRD)
                 status = call(*args)
@@ -125,7 +125,7 @@ def rounding(full: bool) -> Iterator[Measure]:
 
     modes = _ROUNDINGS.get(platform.machine())
     if not sys.platform.startswith("linux") or modes is None:
-        raise NotHereError("setting the rounding mode needs Linux on x86-64 or ARM64")
+        raise UnsupportedMachineError("setting the rounding mode needs Linux on x86-64 or ARM64")
     libm = ctypes.CDLL(ctypes.util.find_library("m") or "libm.so.6")
     scene = _scene(2000, full=False)
     weights = native.random_weights(scene, 1)

@@ -53,7 +53,7 @@ class Prepared:
     """Warnings of reading the photos."""
     caps: str = ""
     """Message on caps of steps and splats; empty: none applies."""
-    asked: dict[str, int] = field(default_factory=dict)
+    requested: dict[str, int] = field(default_factory=dict)
     """Requested values of the options that were capped by the number of photos."""
     depth: DepthSetup = field(default_factory=DepthSetup)
     guide: GuideSetup = field(default_factory=GuideSetup)
@@ -146,10 +146,10 @@ def prepare(
         region = region.about(about)
         near = TrainingFrame.of(photos.scene, near=config.near).world_near
         photos = RegionPhotos(photos, region, near=near, narrow=start is None)
-    asked, given = config, photos.scene.points.given
+    requested, given = config, photos.scene.points.given
     limited = partial(
         cap_by_photos,
-        asked,
+        requested,
         photos=len(photos.train),
         points=given,
         mask_mode=photos.mask_mode,
@@ -169,7 +169,7 @@ def prepare(
         control=control,
     )
     photos.content_hash()  # computed now, because the files may change during the training
-    with memory_in_words():
+    with readable_memory_errors():
         depth = prepare_depth(
             data, config, photos, on_progress=progress_of("depth maps", config, emit, control)
         )
@@ -204,7 +204,7 @@ def prepare(
         trainer=trainer,
         warnings=[*photos.warnings, *loaded.warnings],
         caps=caps,
-        asked=_asked_beyond(asked, config),
+        requested=_requested_beyond(requested, config),
         depth=depth,
         guide=guide,
         stereo=added,
@@ -213,14 +213,14 @@ def prepare(
     )
 
 
-def _asked_beyond(asked: TrainConfig, limited: TrainConfig) -> dict[str, int]:
+def _requested_beyond(requested: TrainConfig, limited: TrainConfig) -> dict[str, int]:
     """Return the requested values of the options that `limited` lowered."""
-    both = {name: (getattr(asked, name), getattr(limited, name)) for name in LIFTED_BY}
+    both = {name: (getattr(requested, name), getattr(limited, name)) for name in LIFTED_BY}
     return {name: was for name, (was, now) in both.items() if was != now}
 
 
 @contextmanager
-def memory_in_words() -> Iterator[None]:
+def readable_memory_errors() -> Iterator[None]:
     """Context that turns an out-of-memory error into a BackendError."""
     try:
         yield

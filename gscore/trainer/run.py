@@ -20,7 +20,7 @@ from .files.run_result import TrainResult
 from .host.isolated_state import isolated_torch_state
 from .host.malloc import mmap_large_blocks
 from .preflight import check_training
-from .prepare import Prepared, memory_in_words, prepare
+from .prepare import Prepared, prepare, readable_memory_errors
 from .run_start import RunStart
 from .session import Session
 
@@ -78,7 +78,7 @@ def train(
             order = rank_commands.begin(beginning.facts(), to_dict(beginning.config), to_dict(data))
             team.broadcast(order)
         found = _prepared(beginning, data, emit, control, team)
-        with memory_in_words():
+        with readable_memory_errors():
             session = Session(
                 found,
                 folder,

@@ -56,14 +56,14 @@ class RunStart:
         self._checkpoint = self._last() if resume else None
         if start_checkpoint is not None:
             self._checkpoint = checkpoint.load(start_checkpoint)
-        asked: dict[str, int] = {}
+        requested: dict[str, int] = {}
         if self._checkpoint is not None:
             with checkpoint.checkpoint_errors(self._checkpoint.path):
-                asked = as_int_dict("asked", self._checkpoint.session.get("asked", {}))
-            config = limited_as(config, asked, self._checkpoint.config)
+                requested = as_int_dict("asked", self._checkpoint.session.get("asked", {}))
+            config = limited_as(config, requested, self._checkpoint.config)
         self._config = config
         """The options, capped as in the checkpoint where the requested values are the same."""
-        self.config = unlimited(config, asked)
+        self.config = unlimited(config, requested)
         """The options before caps by the number of photos."""
         self.ended = self._end()
         """Result of a run that is already complete; None: steps are left."""

@@ -23,7 +23,7 @@ from ..report import PictureCollector
 from ..text_format import count_words
 from .depth.report import DepthReport, measure_depth
 from .distributed.straggler_monitor import StragglerMonitor
-from .estimate.forecast import pace_now
+from .estimate.forecast import current_pace
 from .evaluation import Evaluator
 from .files import checkpoint
 from .files.run_folder import RunFolder
@@ -82,7 +82,7 @@ class Session:
         self._results = RunOutputs(trainer, folder, data)
         self._viewers = viewers or ViewerClients()
         self._earlier: dict[str, str] = {}
-        pace = pace_now(self._config.threads)
+        pace = current_pace(self._config.threads)
         budget = self._config.time_budget or math.inf
         self._meter = ProgressMeter(
             trainer.plan, splats=trainer.splat_count, pace=pace, budget=budget
@@ -125,11 +125,11 @@ class Session:
         self._start_watchdog()
         self._steer()
         while not (self._steering.reason or control.stopping):
-            if control.paused or self._viewers.hold:
+            if control.paused or self._viewers.has_pausing_viewer:
                 self._emit(self._meter.progress(phase="paused"))
                 control.wait_while_paused(
-                    held=lambda: self._viewers.hold,
-                    meanwhile=lambda: self._serve_viewers(at_leisure=True),
+                    held=lambda: self._viewers.has_pausing_viewer,
+                    meanwhile=lambda: self._serve_viewers(idle=True),
                 )
                 self._run_control_commands()
                 continue
@@ -156,13 +156,13 @@ class Session:
                 self._between_steps()
         result = self._finish()
         while self._viewers.stay and not control.stopping:
-            self._serve_viewers(at_leisure=True)
+            self._serve_viewers(idle=True)
             time.sleep(_PAUSE)
         return result
 
-    def _serve_viewers(self, *, at_leisure: bool = False) -> None:
+    def _serve_viewers(self, *, idle: bool = False) -> None:
         """Render the frame requests of the viewer clients."""
-        self._viewers.answer(self._render, at_leisure=at_leisure)
+        self._viewers.answer(self._render, idle=idle)
 
     def _render(self, request: FrameRequest) -> bytes:
         """Render a frame request to RGB bytes."""
@@ -235,7 +235,7 @@ class Session:
                 "non_finite",
             )
         team = self._trainer.team
-        if team and self._waits and (slow := self._waits.met(team.accounts[:, 1])):
+        if team and self._waits and (slow := self._waits.straggler_message(team.accounts[:, 1])):
             self.warn(slow, "slow_rank")
         if self._trainer.pruner.around.crowded and _CROWDED not in self._warnings:
             self.warn(_CROWDED, "crowded")
@@ -328,7 +328,7 @@ class Session:
             self._checkpoint(keep=_CHECKPOINTS_KEPT)
 
     def _preview(self) -> None:
-        self._trainer.make_room()
+        self._trainer.free_memory()
         view = self._evaluator.indices[0]
         path = self._results.write_preview(self._evaluator.picture(view))
         name = self._trainer.photos.scene.cameras.names[view]
@@ -352,7 +352,7 @@ class Session:
             "watchdog": self._watchdog.state(),
             "stereo": self._prepared.stereo.added > 0,
             "decided": {one.topic: one.text for one in self._decisions()},
-            "asked": self._prepared.asked,
+            "asked": self._prepared.requested,
         }
         self._trainer.collect()
         checkpoint.save(path, self._trainer, state)
@@ -360,7 +360,7 @@ class Session:
 
     def _evaluate(self, collector: PictureCollector | None) -> Evaluation | None:
         self._emit(self._meter.progress(phase="measuring"))
-        self._trainer.make_room()
+        self._trainer.free_memory()
         found = self._evaluator.measure(collector, interrupted=lambda: self._control.stopping)
         if found is None:
             return None
@@ -414,7 +414,7 @@ class Session:
             depth=self._depth_report() if evaluation else None,
             photo_parameters=photo_parameters,
             decided=[one.text for one in self._decisions()],
-            asked=self._prepared.asked,
+            asked=self._prepared.requested,
             reason=reason,
         )
         result = TrainResult(

@@ -280,7 +280,7 @@ class Trainer:
         if self._block is None:
             return all_within(means)
         world = self.frame.similarity.points_from_training(means)
-        return self._block.holds(world, self.frame.origin)
+        return self._block.contains(world, self.frame.origin)
 
     @property
     def photo_factor(self) -> float:
@@ -485,7 +485,7 @@ class Trainer:
                 opacities = divide_opacities(part["opacities"], len(self.members))
                 yield self._in_world(part | {"opacities": opacities})
 
-    def make_room(self) -> None:
+    def free_memory(self) -> None:
         """Free the memory that the rasterizer keeps between steps."""
         self.renderer.forget()
         self._rasterizer.release()
@@ -493,7 +493,7 @@ class Trainer:
     def finish(self) -> Splats:
         """Return the final splats: as `splats`, but without copying a single model, and the memory
         of steps is freed. Views can still be rendered."""
-        self.make_room()
+        self.free_memory()
         for member in self.members:
             member.model.sync(threads=self.config.threads)
             member.model.drop_moments()
@@ -501,7 +501,7 @@ class Trainer:
 
     def release(self) -> None:
         """Free the state that `restore` replaces; only `restore` may be called next."""
-        self.make_room()
+        self.free_memory()
         for member in self.members:
             member.model.drop_moments()
 
@@ -677,7 +677,7 @@ class Trainer:
     def _rest_at(self, step: int, count: int) -> ShUpdate:
         if self._sh_degree_at(step) == 0:
             return ShUpdate.OFF
-        return ShUpdate.STEP if self.plan.rest_moves_at(step, count) else ShUpdate.ACCUMULATE
+        return ShUpdate.STEP if self.plan.harmonics_update_at(step, count) else ShUpdate.ACCUMULATE
 
     def _photos_at_once(self, team: ProcessGroup) -> int:
         plan, config = self.plan, self.config
@@ -744,7 +744,7 @@ class Trainer:
         shown = None if Skip.UNSEEN_SH in self.config.without else radii
         rest = self._rest_at(step, count)
         if batch:
-            batch.add_up_rest(model, rest, threads=self.config.threads)
+            batch.sum_harmonics(model, rest, threads=self.config.threads)
         bad_rows = model.step(shown, shN=rest, photos=count, threads=self.config.threads)
         if self.plan.refines_at(step):
             self._rasterizer.release()

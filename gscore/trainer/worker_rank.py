@@ -13,7 +13,7 @@ from .distributed.process_group import ProcessGroup
 from .host.isolated_state import isolated_torch_state
 from .host.malloc import mmap_large_blocks
 from .model.training_frame import TrainingFrame, checkpoint_origin
-from .prepare import Prepared, memory_in_words, prepare
+from .prepare import Prepared, prepare, readable_memory_errors
 from .trainer import Trainer
 
 _WHERE = "options of rank 0"
@@ -36,7 +36,7 @@ def run_worker(team: ProcessGroup, source: Path | None) -> bool:
     order = team.receive()
     if order["do"] == rank_commands.END:
         return not order["failed"]
-    with isolated_torch_state(), memory_in_words():
+    with isolated_torch_state(), readable_memory_errors():
         found, failure = None, None
         try:
             found = _prepared(order, team, source)

@@ -53,7 +53,7 @@ class _Match:
     """Mean height of the peaks of all blocks with texture."""
 
 
-class Travel:
+class AccumulatedMotion:
     """Accumulated camera motion, in shares of the longer side of the picture."""
 
     def __init__(self, width: int, height: int) -> None:
@@ -70,7 +70,7 @@ class Travel:
         self._twice[:, [0, -1]] = 1  # the other columns count for both halves of the spectrum
         self._reference: _Picture | None = None
         self._before: _Picture | None = None
-        self.so_far = 0.0
+        self.total = 0.0
         """Motion up to the last picture; never decreases."""
 
     def add(self, grey: np.ndarray) -> float:
@@ -89,11 +89,11 @@ class Travel:
             base, far = self._before, near
         moved = self._motion(far, near)
         followed = far.shift is not None and base is self._reference and moved <= _STEP
-        self.so_far = max(base.travel + moved, self.so_far)
-        self._before = replace(picture, travel=self.so_far)
+        self.total = max(base.travel + moved, self.total)
+        self._before = replace(picture, travel=self.total)
         if not followed:
             self._reference = self._before
-        return self.so_far
+        return self.total
 
     def _picture(self, grey: np.ndarray) -> _Picture:
         blocks = np.stack([grey[y : y + BLOCK_SIDE, x : x + BLOCK_SIDE] for x, y in self._corners])

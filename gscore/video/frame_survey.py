@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import Cancelled
-from .camera_motion import BLOCK_SIDE, Travel
+from .camera_motion import BLOCK_SIDE, AccumulatedMotion
 from .source import Video
 
 _SHARP_SIDE = 1280
@@ -49,7 +49,7 @@ def survey(
         Cancelled: `cancelled` returned True.
     """
     size = _look_size(video.facts.width, video.facts.height)
-    travel = Travel(size[0] // _REDUCED, size[1] // _REDUCED)
+    travel = AccumulatedMotion(size[0] // _REDUCED, size[1] // _REDUCED)
     rows: list[tuple[float, float, float, float, bool]] = []
     before: np.ndarray | None = None
     for count, frame in enumerate(video.frames(), 1):
@@ -59,7 +59,7 @@ def survey(
         small = _reduced(grey)
         repeated = before is not None and _alike(grey, before)
         # Repeated frames are skipped, because their reference would be compared with itself.
-        way = travel.so_far if repeated else travel.add(small)
+        way = travel.total if repeated else travel.add(small)
         rows.append((_seconds(frame, count), way, _edges(grey), _edges(small), repeated))
         before = grey
         on_frame(count)

@@ -16,7 +16,7 @@ def test_cells_fill_the_world_and_share_the_work(count: int) -> None:
     points = rng.normal(size=(20_000, 3)) * [30, 1, 10]
     weights = rng.integers(2, 9, 20_000)
     cells = make_cells(points, weights, LEVEL, count)
-    inside = cells.holding(np.concatenate([points, 1e9 * rng.normal(size=(1000, 3))]))
+    inside = cells.contains(np.concatenate([points, 1e9 * rng.normal(size=(1000, 3))]))
     assert (inside.sum(axis=0) == 1).all()
     shares = inside[:, :20_000] @ weights / weights.sum()
     assert shares == pytest.approx(np.full(count, 1 / count), abs=0.05 / count)
@@ -27,7 +27,7 @@ def test_cells_stand_upright_and_cut_the_longer_side() -> None:
     points = np.random.default_rng(0).uniform([0, -9, 0], [40, 9, 3], (5000, 3))
     cells = make_cells(points, np.ones(5000), LEVEL, 2)
     assert np.abs(cells.axes) == pytest.approx(np.array([[1.0, 0, 0], [0, 0, 1]]), abs=0.02)
-    assert cells.holding(np.array([[19.0, 50, 1], [21, -50, 1]])).sum(axis=1).tolist() == [1, 1]
+    assert cells.contains(np.array([[19.0, 50, 1], [21, -50, 1]])).sum(axis=1).tolist() == [1, 1]
 
 
 def test_cameras_turned_at_will_say_nothing_of_what_is_up() -> None:

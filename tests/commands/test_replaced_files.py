@@ -14,7 +14,7 @@ from gscore.commands.terminal.marks import is_ours
 from gscore.commands.terminal.output import check_folder, check_replaced
 from gscore.depth.maps import SHEET
 from gscore.errors import ConfigError
-from gscore.report.html_parts import whole_page
+from gscore.report.html_parts import html_page
 
 HOLIDAY = b"a film of a holiday"
 
@@ -144,7 +144,7 @@ def test_what_a_verb_writes_is_its_own(gscore, run_folder, tmp_path, name):
 )
 def test_pages_written_before_their_mark_are_known(title, ours, tmp_path):
     """Oracle: the first lines of older reports and comparisons."""
-    page = whole_page(title, "<p>x</p>")
+    page = html_page(title, "<p>x</p>")
     (tmp_path / "a.html").write_text(page)
     assert is_ours(tmp_path / "a.html")
     (tmp_path / "a.html").write_text(page.replace("<!-- written by gscore -->\n", "", 1))

@@ -83,10 +83,10 @@ def test_a_terminal_stays_tidy(columns: int, clock: list[float]) -> None:
     """Oracle: a terminal emulator: two permanent lines, one moving line, and no rest."""
     terminal = Terminal(columns)
     line = Status(terminal)
-    line.say("first")
+    line.print_line("first")
     for step in range(200):
         line.show([f"{200 - step} s left", *PARTS[1:]], share=step / 200)
-    line.say("second")
+    line.print_line("second")
     line.show(["a last look"], share=1.0)
     text = terminal.said()
     assert [row.split()[0] for row in drawn(text, columns)] == [
@@ -124,7 +124,7 @@ def test_where_nothing_moves(
     line = Status(stream)
     for step in range(35):
         line.show([f"step {step}"], share=step / 35)
-    line.say("done")
+    line.print_line("done")
     line.clear()
     rows = stream.getvalue().split("\n")
     assert rows[-2:] == ["done", ""] and "\r" not in stream.getvalue()
@@ -147,8 +147,8 @@ def test_quiet_writes_nothing() -> None:
     """Oracle: an empty stream."""
     stream = io.StringIO()
     with Status(stream, quiet=True) as line:
-        line.say("a")
-        line.show(["b"], at_once=True)
+        line.print_line("a")
+        line.show(["b"], immediate=True)
     assert stream.getvalue() == ""
 
 

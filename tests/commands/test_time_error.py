@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 import gscore
-from gscore.bench.pareto_front import Size, SizeOutcome, measure_sizes, unbeaten
+from gscore.bench.pareto_front import Size, SizeOutcome, measure_sizes, pareto_front
 from gscore.bench.peers import read_peers
 from gscore.bench.raster import synthetic_scene
 from gscore.bench.synthetic import SyntheticPhotos
@@ -140,8 +140,8 @@ def test_fronts() -> None:
 
     a, b, c, d = (outcome(*pair) for pair in ((1, 20), (2, 25), (3, 24), (1, 19)))
     unknown = outcome(0.5, float("nan"))
-    assert unbeaten([c, d, unknown, b, a], lambda o: o.seconds) == [a, b]
-    assert unbeaten([c, d, b, a], lambda o: o.splats) == [b]
+    assert pareto_front([c, d, unknown, b, a], lambda o: o.seconds) == [a, b]
+    assert pareto_front([c, d, b, a], lambda o: o.splats) == [b]
 
 
 def test_bad_peers_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

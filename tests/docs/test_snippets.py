@@ -146,12 +146,12 @@ def run(command: str, *, slow: bool) -> None:
 
 def _check_pip(words: list[str]) -> None:
     """Extras that are there, and the index that gscore itself names."""
-    from gscore.extras import how_to_install
+    from gscore.extras import install_hint
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     (asked,) = re.findall(r"\.\[(.*)\]", " ".join(words))
     assert set(asked.split(",")) <= set(project["optional-dependencies"])
-    assert words[words.index("--extra-index-url") + 1] in how_to_install("torch")
+    assert words[words.index("--extra-index-url") + 1] in install_hint("torch")
 
 
 def _check_words(words: list[str]) -> None:

@@ -281,7 +281,7 @@ def test_silent_viewers_give_their_places(training, monkeypatch):
     with Client(training.port) as late:
         assert late.is_dropped()
     for one in training.server.viewers._all:
-        one.asked_at -= 100.0
+        one.last_request -= 100.0
     busy.look(wish(POSE, K, 4, 4))
     with Client(training.port) as late:
         assert late.look(wish(POSE, K, 8, 4))[0].shape == (4, 8, 3)
@@ -307,7 +307,7 @@ def test_who_is_gone_keeps_no_training_from_ending(monkeypatch):
     one = crowd.enter(1)
     assert one is not None
     request = viewer_protocol.parse(json.dumps(wish(POSE, K, 4, 4, keep_alive=1)).encode())
-    thread = threading.Thread(target=one.ask, args=(request,))
+    thread = threading.Thread(target=one.request_picture, args=(request,))
     thread.start()
     wait_until(crowd._asked.is_set)
     assert crowd.stay and crowd.longest_idle(0.0) is None  # waits for its answer
@@ -421,19 +421,19 @@ def test_viewers_that_vanish_leave_no_threads(training):
             text = json.dumps(GOOD).encode()
             client.socket.sendall((len(text).to_bytes(4, "little") + text)[:at])
     wait_until(lambda: not set(threading.enumerate()) - before)
-    assert not training.server.viewers.hold
+    assert not training.server.viewers.has_pausing_viewer
 
 
 def test_a_viewer_that_falls_silent_holds_nothing(training, monkeypatch):
     """Oracle: the time for which a request counts; a training viewer pauses nothing."""
     with Client(training.port) as client:
         client.look({"resolution_x": 0, "resolution_y": 0, "train": 0})
-        assert training.server.viewers.hold
+        assert training.server.viewers.has_pausing_viewer
         client.look({"resolution_x": 0, "resolution_y": 0, "train": 1})
-        assert not training.server.viewers.hold
+        assert not training.server.viewers.has_pausing_viewer
         client.look({"resolution_x": 0, "resolution_y": 0, "train": 0})
         monkeypatch.setattr(viewer_clients, "HOLD", 0.0)
-        wait_until(lambda: not training.server.viewers.hold)
+        wait_until(lambda: not training.server.viewers.has_pausing_viewer)
 
 
 def test_who_asks_when_it_is_over_does_not_wait():
@@ -442,7 +442,7 @@ def test_who_asks_when_it_is_over_does_not_wait():
     one = crowd.enter(1)
     assert one is not None and crowd.enter(1) is None
     crowd.close()
-    assert one.ask(viewer_protocol.parse(json.dumps(GOOD).encode())) is None
+    assert one.request_picture(viewer_protocol.parse(json.dumps(GOOD).encode())) is None
     assert crowd.enter(5) is None
 
 
@@ -461,7 +461,7 @@ def test_drawing_takes_half_of_the_time_at_most(monkeypatch):
         return bytes(48)
 
     for _ in range(100):
-        one.request = request  # what `ask` does in the viewer's thread
+        one.request = request  # what `request_picture` does in the viewer's thread
         crowd.wake()
         crowd.answer(draw)
         steps.append(clock[0])

@@ -127,7 +127,7 @@ def test_a_held_training_can_be_stopped(capture, tmp_path):  # noqa: F811
     port, control = free_port(), Control()
     with Server(LiveOptions(port=port)) as server, Client(port) as client:
         client.send({"resolution_x": 0, "resolution_y": 0, "train": 0})
-        while not server.viewers.hold:
+        while not server.viewers.has_pausing_viewer:
             time.sleep(0.01)
         threading.Timer(0.5, control.stop).start()
         data = DataConfig(source=capture)

@@ -162,7 +162,7 @@ def test_workspaces_come_back_while_one_is_made(monkeypatch: pytest.MonkeyPatch)
 
     class Making(_native.Raster):
         def __init__(self) -> None:
-            pool.give_back(spare)  # allowed to the garbage collector here
+            pool.release(spare)  # allowed to the garbage collector here
             super().__init__()
 
     monkeypatch.setattr(_native, "Raster", Making)

@@ -37,7 +37,7 @@ CONSTANTS = {
     "GS_NO_OPACITY_EXTENT": header.NO_OPACITY_EXTENT,
     "GS_NO_ROW_RANGE": header.NO_ROW_RANGE,
     "GS_ADAM_ALL": header.ADAM_ALL,
-    "GS_ADAM_SEEN": header.ADAM_SEEN,
+    "GS_ADAM_VISIBLE": header.ADAM_VISIBLE,
     "GS_ADAM_WAIT": header.ADAM_WAIT,
     "GS_ADAM_LAGS": header.ADAM_LAGS,
     "GS_MASK_NONE": header.MASK_MODES["none"],

@@ -37,7 +37,7 @@ def test_a_sweep_is_that_of_the_twin(
     )
     same = np.abs(found.score - wanted.score) < 1e-4
     assert same.mean() > 0.995
-    np.testing.assert_allclose(found.rival[same], wanted.rival[same], atol=1e-3)
+    np.testing.assert_allclose(found.second_best[same], wanted.second_best[same], atol=1e-3)
     off = np.abs(found.inverse_depth - wanted.inverse_depth)[same]
     assert np.quantile(off, 0.995) < 1e-4
 
@@ -47,7 +47,7 @@ def test_depth_is_found(isa: str) -> None:
     scene = Scene(200, 150)
     (reference, truth), *others = shots(scene, 0, 7, -7, 12, -12)
     found = sweep(reference, [view for view, _ in others], **RANGE, planes=48)
-    sure = (found.score > 0.8) & (found.rival < 0.85 * found.score)
+    sure = (found.score > 0.8) & (found.second_best < 0.85 * found.score)
     error = np.abs(found.inverse_depth / truth - 1)[sure]
     assert sure.mean() > 0.5
     assert np.median(error) < 0.004 and np.mean(error < 0.02) > 0.95
@@ -59,7 +59,7 @@ def test_threads_change_no_bit(isa: str) -> None:
     pictures = [view for view, _ in views]
     one = sweep(pictures[0], pictures[1:], **RANGE, planes=20, threads=1)
     many = sweep(pictures[0], pictures[1:], **RANGE, planes=20, threads=5)
-    for name in ("inverse_depth", "score", "rival", "contrast"):
+    for name in ("inverse_depth", "score", "second_best", "contrast"):
         assert getattr(one, name).tobytes() == getattr(many, name).tobytes()
     maps = [depth.astype(np.float32) for _, depth in views]
     pairs = list(zip(pictures[1:], maps[1:], strict=True))
@@ -91,7 +91,7 @@ def test_one_place_shows_no_depth() -> None:
         other, _ = scene.shot(viewmat)
         found = sweep(reference, [other, other], **RANGE, planes=16)
         assert (found.inverse_depth > 0).mean() < 0.2
-        clear = (found.score > 0.6) & (found.rival < 0.85 * found.score)
+        clear = (found.score > 0.6) & (found.second_best < 0.85 * found.score)
         assert not (clear & (found.inverse_depth == 0)).any()
 
 

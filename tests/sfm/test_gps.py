@@ -153,7 +153,7 @@ def test_stray_places_are_named_and_change_neither_size_nor_up(kind: str, count:
         turn = _turned(seed)
         found = read_gps(_model(enu @ turn.T / METRES), places)
         assert found.metres == pytest.approx(METRES, rel=0.05)
-        assert {name for name, _ in found.strays} == {f"{i + 1}.jpg" for i in which}
+        assert {name for name, _ in found.outliers} == {f"{i + 1}.jpg" for i in which}
         if enu is not LINE:
             assert _degrees(found.up, turn[:, 2]) < 3
 

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from gscore.commands import main
-from gscore.inspection.photo_folder import bare_facts
+from gscore.inspection.photo_folder import photo_folder_facts
 from gscore.io.colmap.folder import read_model
 from gscore.sfm import heic, staging
 from gscore.sfm.output_path import CaptureOutput, default_capture_output
@@ -149,7 +149,7 @@ def test_heic_photos_become_jpeg(views: Path, tmp_path: Path, capsys: Out) -> No
     assert main(["info", str(tmp_path / "photos"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert (facts["photos"], facts["sizes"], facts["unread"]) == (6, {"256 x 256": 6}, [])
-    assert bare_facts(tmp_path / "photos").photos == 6
+    assert photo_folder_facts(tmp_path / "photos").photos == 6
     capture = tmp_path / "capture"
     assert default_capture_output(tmp_path / "photos") == CaptureOutput(
         tmp_path / "photos-capture", False

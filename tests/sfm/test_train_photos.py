@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from gscore.commands import main
-from gscore.inspection.photo_folder import bare_facts
+from gscore.inspection.photo_folder import photo_folder_facts
 from gscore.io.colmap.folder import read_model
 from gscore.option_marks import show_flags
 from gscore.sfm.photos import list_photos
@@ -231,10 +231,10 @@ def test_files_of_one_shot_count_once_in_the_panel(tmp_path: Path) -> None:
     for view in range(4):
         _saved(view, tmp_path / f"IMG_{view}.JPG")
         (tmp_path / f"IMG_{view}{'.HEIC' if view < 2 else '.NEF'}").write_bytes(b"")
-    facts = bare_facts(tmp_path)
+    facts = photo_folder_facts(tmp_path)
     assert (facts.photos, facts.problems) == (4, ())
     (tmp_path / "IMG_9.NEF").write_bytes(b"")
-    [problem] = bare_facts(tmp_path).problems
+    [problem] = photo_folder_facts(tmp_path).problems
     assert "1 photo is of a kind that is not read: IMG_9.NEF" in problem.text
     assert list_photos(tmp_path, ())[1] == ["IMG_0.HEIC", "IMG_1.HEIC", "IMG_9.NEF"]
 
@@ -288,7 +288,7 @@ def test_pictures_that_are_no_photos_of_a_scene(mine: Path, tmp_path: Path, caps
         assert main(["info", str(folder)]) == 0
         said = capsys.readouterr().out
         assert "Next:" not in said and words in said
-        assert any(words in problem.text for problem in bare_facts(folder).problems)
+        assert any(words in problem.text for problem in photo_folder_facts(folder).problems)
     assert _train(above, "-o", tmp_path / "refused") == 2
     assert f"contains a capture, {above / 'first'}. Give" in " ".join(
         capsys.readouterr().err.split()

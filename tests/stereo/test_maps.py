@@ -201,14 +201,14 @@ def test_a_photo_far_brighter_still_matches(tmp_path: Path) -> None:
 
 def test_points_that_are_not_finite_have_no_say(tmp_path: Path) -> None:
     """Oracle: the traced depth."""
-    from gscore.depth.observations import SeenPoints
+    from gscore.depth.observations import PointVisibility
     from gscore.stereo.plan import plan_views
 
     scene = Scene(80, 60)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES])
     dataset = opened(tmp_path)
     points = np.full((50, 3), np.nan)
-    tracks = SeenPoints(points=points, seen=[np.zeros(0, np.int64) for _ in ANGLES])
+    tracks = PointVisibility(points=points, seen=[np.zeros(0, np.int64) for _ in ANGLES])
     for plan in plan_views(dataset.scene.cameras, tracks, dataset.train):
         assert plan is not None and 0 < plan.farthest < 1 / 5 < plan.nearest < 2
 
@@ -218,13 +218,13 @@ def test_without_points_the_range_ends_behind_a_subject_alone(
     subject: bool, tmp_path: Path
 ) -> None:
     """Oracle: axes that meet 5 units away; no limit on the background behind."""
-    from gscore.depth.observations import SeenPoints
+    from gscore.depth.observations import PointVisibility
     from gscore.stereo.plan import plan_views
 
     scene = Scene(80, 60)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES], points=0)
     dataset = opened(tmp_path)
-    tracks = SeenPoints(points=np.zeros((0, 3)), seen=[np.zeros(0, np.int64) for _ in ANGLES])
+    tracks = PointVisibility(points=np.zeros((0, 3)), seen=[np.zeros(0, np.int64) for _ in ANGLES])
     for plan in plan_views(dataset.scene.cameras, tracks, dataset.train, subject=subject):
         assert plan is not None and 0 < plan.farthest < 1 / 5 < plan.nearest
         assert (1 / plan.farthest > 100) == (not subject)

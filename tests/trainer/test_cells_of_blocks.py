@@ -22,8 +22,8 @@ def test_a_cell_holds_what_lies_between_its_ends() -> None:
     means[0] = 0.5 * AXES[0]  # on the end at which it begins
     x, y = means @ AXES[0], means @ AXES[1]
     wanted = (x >= 0.5) & (y < 0.25)
-    np.testing.assert_array_equal(RECORD.holds(means), wanted)
-    kept = Cells(axes=AXES, bounds=BOUNDS[1:]).holding(means)[0]
+    np.testing.assert_array_equal(RECORD.contains(means), wanted)
+    kept = Cells(axes=AXES, bounds=BOUNDS[1:]).contains(means)[0]
     np.testing.assert_array_equal(kept, wanted)
     assert 0.1 < kept.mean() < 0.9
 
@@ -35,4 +35,4 @@ def test_a_cell_moves_with_the_training_world(photos: Any) -> None:
     trainer = Trainer(TrainConfig(iterations=1), photos, frame=frame, block=RECORD)
     means = np.random.default_rng(1).normal(size=(500, 3))
     moved = similarity.points_to_training(means)
-    np.testing.assert_array_equal(trainer._may_grow(moved), RECORD.holds(means))
+    np.testing.assert_array_equal(trainer._may_grow(moved), RECORD.contains(means))

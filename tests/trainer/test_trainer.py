@@ -125,7 +125,7 @@ def test_a_model_is_told_in_parts_and_as_a_whole_alike(
             for name in PARAMETERS:
                 joined = np.concatenate([getattr(part, name) for part in parts])
                 assert np.array_equal(joined, getattr(whole, name)), name
-            ours.make_room()
+            ours.free_memory()
     last, picture = theirs.splats(), theirs.renderer.picture(0, background=(0, 0, 0))
     ended = ours.finish()
     for name in PARAMETERS:

@@ -19,7 +19,7 @@ from gscore.commands.terminal.run_job import run_job
 from gscore.config import TrainConfig
 from gscore.datasets.dataset import map_threads
 from gscore.errors import Cancelled, ConfigError, DatasetError
-from gscore.extras import how_to_install
+from gscore.extras import install_hint
 
 
 def test_no_verb_shows_the_verbs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -265,9 +265,9 @@ def test_extras_bring_what_is_said_to_be_missing() -> None:
     for extra in ("train", "depth", "video", "blender"):
         for requirement in extras[extra]:
             package = re.split("[>=<]", requirement)[0]
-            command = how_to_install(modules.get(package, package))
+            command = install_hint(modules.get(package, package))
             assert command.startswith(f'pip install "gscore[{extra}]"')
-    assert how_to_install("nonsense") == ""
+    assert install_hint("nonsense") == ""
 
 
 def test_python_without_torch() -> None:

@@ -152,10 +152,10 @@ def test_what_photos_limited_is_not_stated() -> None:
     data, train = PRESETS["high"](CAPTURE)
     limited = replace(train, iterations=4160, max_splats=312_000)
     asked = {"iterations": train.iterations, "max_splats": train.max_splats}
-    command = train_command(data, limited, Path("run"), asked=asked)
+    command = train_command(data, limited, Path("run"), requested=asked)
     assert parsed(command) == (data, train) and command.endswith("--preset high")
     gone_on = replace(limited, iterations=9000, steps_a_photo=0)
-    command = train_command(data, gone_on, Path("run"), asked=asked)
+    command = train_command(data, gone_on, Path("run"), requested=asked)
     assert parsed(command) == (data, replace(train, iterations=9000, steps_a_photo=0))
 
 

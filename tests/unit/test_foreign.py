@@ -13,7 +13,7 @@ from gscore.commands import main
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.errors import GsError
-from gscore.inspection.photo_folder import bare_facts
+from gscore.inspection.photo_folder import photo_folder_facts
 from gscore.io.block_record import BLOCK_RECORD
 from gscore.io.images.read_image import write_png
 from gscore.io.ply.splats import read_ply
@@ -223,7 +223,7 @@ def test_cameras_among_photos_that_are_not_read(
     out = " ".join(capsys.readouterr().out.split())
     for words in (name, kind, *advice):
         assert words in out
-    assert any(name in problem.text for problem in bare_facts(tmp_path).problems)
+    assert any(name in problem.text for problem in photo_folder_facts(tmp_path).problems)
     assert bool(unread_cameras(tmp_path / "images")) == (place == "images")
 
 

@@ -16,7 +16,7 @@ from gscore.config import DataConfig
 from gscore.datasets import Capture, View, load_dataset, read_capture
 from gscore.errors import FormatError, GsError
 from gscore.inspection import find_capture, inspect
-from gscore.io.colmap.lenses import BENT, bent_pixels
+from gscore.io.colmap.lenses import DISTORTED_MODELS, distorted_pixels
 from gscore.io.images.read_image import write_png
 from gscore.sfm.photo_folders import is_photo_folder, other_cameras
 from tests import program_files as files
@@ -59,8 +59,8 @@ def _read(folder: Path) -> Capture:
 def _pixels(view: View, points: np.ndarray) -> np.ndarray:
     at = points @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
     rays, camera = at[:, :2] / at[:, 2:], view.camera
-    if camera.model in BENT:
-        return bent_pixels(camera.model, camera.params.tolist(), rays)
+    if camera.model in DISTORTED_MODELS:
+        return distorted_pixels(camera.model, camera.params.tolist(), rays)
     return rays * np.diag(camera.K)[:2] + camera.K[:2, 2]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from gscore.commands.terminal.interrupt import Interrupt
-from gscore.commands.terminal.streams import Steady, steady_streams
+from gscore.commands.terminal.streams import SafeStream, safe_streams
 
 
 def test_a_closed_pipe_is_told_once_and_then_silent() -> None:
@@ -18,7 +18,7 @@ def test_a_closed_pipe_is_told_once_and_then_silent() -> None:
     os.close(reader)
     told: list[int | None] = []
     with os.fdopen(writer, "w") as stream:
-        steady = Steady(stream, lambda error: told.append(error.errno))
+        steady = SafeStream(stream, lambda error: told.append(error.errno))
         for _ in range(3):
             print("x" * 100_000, file=steady, flush=True)
         assert told == [errno.EPIPE]
@@ -39,7 +39,7 @@ def test_what_was_lost_has_a_code(
 
     monkeypatch.setattr(sys, "stdout", Broken())
     interrupt = Interrupt()
-    with steady_streams("gscore", interrupt.output_lost):
+    with safe_streams("gscore", interrupt.output_lost):
         sys.stdout.write("hello")
         sys.stdout.write("again")
     assert interrupt.exit_code == code
@@ -52,7 +52,7 @@ def test_a_rank_needs_nobody_who_takes_its_output(monkeypatch: pytest.MonkeyPatc
 
     def lose_output() -> int:
         interrupt = Interrupt()
-        with interrupt.asking(asked.append, quiet=True):
+        with interrupt.stopped_by(asked.append, quiet=True):
             interrupt.output_lost(141)
         return interrupt.exit_code
 
@@ -68,7 +68,7 @@ def test_letters_that_a_stream_lacks_are_spelled_out() -> None:
     """Oracle: Python's own escapes."""
     raw = io.BytesIO()
     stream = io.TextIOWrapper(raw, encoding="latin-1")
-    steady = Steady(stream, lambda error: pytest.fail(str(error)))
+    steady = SafeStream(stream, lambda error: pytest.fail(str(error)))
     print("é\u2192\ud800", file=steady, flush=True)
     assert raw.getvalue() == b"\xe9\\u2192\\ud800\n"
 
@@ -76,7 +76,7 @@ def test_letters_that_a_stream_lacks_are_spelled_out() -> None:
 def test_a_terminal_gets_no_commands() -> None:
     """Oracle: the escapes of Python's literals; a moving line keeps its carriage return."""
     stream = io.StringIO()
-    steady = Steady(stream, lambda error: pytest.fail(str(error)))
+    steady = SafeStream(stream, lambda error: pytest.fail(str(error)))
     name = "photo\x1b]0;title\x07\x9b2J\0.png"
     print(f"\r{name}\tis missing", file=steady)
     assert stream.getvalue() == "\rphoto\\x1b]0;title\\x07\\x9b2J\\x00.png\tis missing\n"
@@ -85,6 +85,6 @@ def test_a_terminal_gets_no_commands() -> None:
 def test_the_streams_are_back_afterwards() -> None:
     """Oracle: the original objects."""
     before = sys.stdout, sys.stderr
-    with steady_streams("gscore", lambda code: None):
-        assert isinstance(sys.stdout, Steady)
+    with safe_streams("gscore", lambda code: None):
+        assert isinstance(sys.stdout, SafeStream)
     assert (sys.stdout, sys.stderr) == before

@@ -244,7 +244,7 @@ def test_photos_that_are_not_scaled_down_are_sharp(
     decoded = decode_view(file)[0]
     np.testing.assert_array_equal(decoded, resize(remapped, *size))
     if sharp:
-        np.testing.assert_array_equal(plan.straighten(photo), decoded)
+        np.testing.assert_array_equal(plan.undistort_photo(photo), decoded)
 
 
 def test_a_colour_under_an_edge_of_alpha_stays(tmp_path: Path) -> None:
@@ -256,7 +256,7 @@ def test_a_colour_under_an_edge_of_alpha_stays(tmp_path: Path) -> None:
     size = (plan.width, plan.height)
     rgb, alpha = decode_view(_view(tmp_path / "a.png", size, plan, use_alpha=True))
     assert alpha is not None and 0.4 < (alpha > 128).mean() < 0.6
-    np.testing.assert_array_equal(plan.straighten(photo), np.dstack([rgb, alpha]))
+    np.testing.assert_array_equal(plan.undistort_photo(photo), np.dstack([rgb, alpha]))
     assert np.abs(rgb[alpha > 200].astype(int) - 128).max() <= 1
 
 

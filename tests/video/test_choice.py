@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gscore.errors import Cancelled
-from gscore.video.camera_motion import Travel
+from gscore.video.camera_motion import AccumulatedMotion
 from gscore.video.frame_selection import choose
 from gscore.video.frame_survey import Survey, survey
 from gscore.video.source import opened_video
@@ -81,7 +81,7 @@ def test_the_sharpest_of_a_piece_is_taken() -> None:
 
 def test_a_turn_too_fast_to_follow_counts_as_far() -> None:
     """Oracle: pictures of different places, without a displacement although the camera moves."""
-    travel = Travel(256, 192)
+    travel = AccumulatedMotion(256, 192)
     rng = np.random.default_rng(0)
     ways = [travel.add(rng.integers(0, 256, (192, 256), dtype=np.uint8)) for _ in range(5)]
     assert (np.diff(ways) > 0.02).all()
@@ -89,7 +89,7 @@ def test_a_turn_too_fast_to_follow_counts_as_far() -> None:
 
 def test_a_blank_wall_stands_still() -> None:
     """Oracle: pictures without texture, equal but for noise, without motion."""
-    travel = Travel(256, 192)
+    travel = AccumulatedMotion(256, 192)
     rng = np.random.default_rng(0)
     flat = np.full((192, 256), 128)
     flat[60:120, 60:200] = 30
@@ -112,7 +112,7 @@ def test_around_a_subject_pictures_change_and_hardly_move() -> None:
     pattern = np.kron(rng.integers(0, 255, (40, 180)), np.ones((4, 4)))
     x = (np.arange(320) - 159.5) / 60
     on = np.abs(x) < 1
-    travel, ways = Travel(320, 240), []
+    travel, ways = AccumulatedMotion(320, 240), []
     for degrees in range(91):
         picture = np.zeros((240, 320))
         column = np.degrees(np.arcsin(x[on])) * 2 + 2 * degrees

@@ -19,14 +19,14 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tests.addon.mesh_scenes import paint_world, plane  # noqa: E402
-from tools.window.desk import Teller, clear, leaving  # noqa: E402
+from tools.window.desk import ScriptRunner, clear, leaving  # noqa: E402
 
 SIZE, WORLD = (120, 90), (0.3, 0.5, 0.9)
 seen: dict = {"log": []}
 
 
 def story() -> Iterator[object]:
-    """The events; a yield returns control to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`ScriptRunner`)."""
     scene = bpy.context.scene
     clear()
     lab.prepare(scene, SIZE)
@@ -58,4 +58,4 @@ def story() -> Iterator[object]:
     seen["after"] = lab.render_exr(FOLDER, "after").tolist()
 
 
-Teller(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), leaving(FOLDER, seen))

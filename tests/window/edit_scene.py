@@ -23,7 +23,17 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.render import viewport_copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot, space  # noqa: E402
+from tools.window.desk import (  # noqa: E402
+    ScriptRunner,
+    area,
+    at_rest,
+    clear,
+    leaving,
+    look_down,
+    region,
+    save_screenshot,
+    space,
+)
 
 COLOR = (0.1, 0.3, 0.9)
 POINT = 0.002
@@ -33,7 +43,7 @@ seen: dict = {"log": []}
 
 def screenshot(name: str) -> None:
     """Save the screen as a file."""
-    shoot(FOLDER / f"{name}.png")
+    save_screenshot(FOLDER / f"{name}.png")
 
 
 def choose(ob: bpy.types.Object, *, upper: bool, lower: bool) -> None:
@@ -103,7 +113,7 @@ def drawn_around(ob: bpy.types.Object) -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """The events; a yield returns control to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`ScriptRunner`)."""
     clear()
     look_down()
     wall = lab.add(bpy.context.scene, lab.wall(0.0, COLOR), "wall")
@@ -134,4 +144,4 @@ def story() -> Iterator[object]:
     screenshot("splats_lower")
 
 
-Teller(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), leaving(FOLDER, seen))

@@ -22,7 +22,17 @@ from addon.live import draw_handler  # noqa: E402
 from addon.live.card import Card  # noqa: E402
 from addon.nodes import display  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot, space  # noqa: E402
+from tools.window.desk import (  # noqa: E402
+    ScriptRunner,
+    area,
+    at_rest,
+    clear,
+    leaving,
+    look_down,
+    region,
+    save_screenshot,
+    space,
+)
 
 COLOR = (0.8, 0.4, 0.2)
 seen: dict = {"log": [], "problems": {}, "calls": {}}
@@ -30,7 +40,7 @@ seen: dict = {"log": [], "problems": {}, "calls": {}}
 
 def shot(name: str) -> None:
     """Save the screen as a file; return the text of the panel."""
-    shoot(FOLDER / f"{name}.png")
+    save_screenshot(FOLDER / f"{name}.png")
     seen["problems"][name] = draw_handler.problem_of(region())
 
 
@@ -67,7 +77,7 @@ def spoiled(name: str, wall: bpy.types.Object) -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """The events; a yield returns control to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`ScriptRunner`)."""
     scene = bpy.context.scene
     clear()
     look_down()
@@ -121,4 +131,4 @@ def story() -> Iterator[object]:
     seen["modifier"] = modifier is not None
 
 
-Teller(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), leaving(FOLDER, seen))

@@ -22,7 +22,17 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 from addon.histograms import gizmos  # noqa: E402
 from addon.histograms.counting import OPACITY, SIZE  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, shoot, space  # noqa: E402
+from tools.window.desk import (  # noqa: E402
+    ScriptRunner,
+    area,
+    at_rest,
+    clear,
+    leaving,
+    look_down,
+    region,
+    save_screenshot,
+    space,
+)
 
 PAUSE = 0.2
 """Seconds in which Blender has handled an event and drawn the result."""
@@ -121,7 +131,7 @@ def meanwhile(wall: bpy.types.Object) -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """The events; a yield returns control to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`ScriptRunner`)."""
     clear()
     look_down()
     splats = lab.wall(0.0, (0.8, 0.4, 0.2))
@@ -135,20 +145,20 @@ def story() -> Iterator[object]:
     for switch in ("show_gizmo_navigate", "show_gizmo_tool", "show_gizmo_context"):
         setattr(space(), switch, False)
     yield at_rest
-    shoot(FOLDER / "off.png")
+    save_screenshot(FOLDER / "off.png")
     bpy.context.window_manager.gscore_histograms = True
     yield at_rest
     yield 0.5
-    shoot(FOLDER / "on.png")
+    save_screenshot(FOLDER / "on.png")
     seen["boxes"] = {kind: box(kind) for kind in (OPACITY, SIZE)}
     yield from drag(OPACITY, 0.0, 0.5)
     yield at_rest
     seen["dragged"] = limits(wall)
-    shoot(FOLDER / "dragged.png")
+    save_screenshot(FOLDER / "dragged.png")
     wall.gscore.apply_filters_to_render = False  # which is of renders
     yield 0.5
     yield at_rest
-    shoot(FOLDER / "not_in_renders.png")
+    save_screenshot(FOLDER / "not_in_renders.png")
     wall.gscore.apply_filters_to_render = True
     yield at_rest
     yield from drag(OPACITY, 0.5, 0.75, fine=True)
@@ -167,7 +177,7 @@ def story() -> Iterator[object]:
     yield from drag(SIZE, 0.2, 0.2)  # a click moves the nearest handle
     yield at_rest
     seen["sizes"] = limits(wall)
-    shoot(FOLDER / "sizes.png")
+    save_screenshot(FOLDER / "sizes.png")
     yield from drag(SIZE, 0.7, 1.05)
     yield from drag(SIZE, 0.2, 1.2)
     seen["ends"] = limits(wall)
@@ -178,7 +188,7 @@ def story() -> Iterator[object]:
     bpy.context.view_layer.objects.active = wall
     yield at_rest
     yield 0.5
-    shoot(FOLDER / "off_again.png")
+    save_screenshot(FOLDER / "off_again.png")
 
 
-Teller(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), leaving(FOLDER, seen))

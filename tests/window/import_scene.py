@@ -24,7 +24,7 @@ from addon.cameras import camera_path, camera_path_import, export_colmap, import
 from addon.cameras.objects import cameras_of, points_of  # noqa: E402
 from addon.interface import modal_status  # noqa: E402
 from tests.window.held import Held  # noqa: E402
-from tools.window.desk import Teller, area, clear, leaving, send, shoot, space  # noqa: E402
+from tools.window.desk import ScriptRunner, area, clear, leaving, save_screenshot, send, space  # noqa: E402
 
 STUDIO = FOLDER / "studio"
 KINDS = ("objects", "cameras", "meshes", "collections", "images", "actions")
@@ -83,7 +83,7 @@ def given_up() -> Iterator[object]:
     seen["begun"] = invoke("import_cameras", directory=str(STUDIO))
     yield held.began.is_set
     yield 0.6
-    shoot(FOLDER / "reading.png")
+    save_screenshot(FOLDER / "reading.png")
     shown = space().show_region_ui
     press("N")
     yield 0.5
@@ -112,7 +112,7 @@ def to_the_end() -> Iterator[object]:
     seen["made"] = root.name, len(cameras_of(root)), len(points_of(root).data.vertices)
     seen["images"] = len(bpy.data.images)
     yield 1.0
-    shoot(FOLDER / "imported.png")
+    save_screenshot(FOLDER / "imported.png")
     step("undo")
     seen["undone"] = len(bpy.data.cameras), len(bpy.context.scene.objects)
     step("redo")
@@ -208,7 +208,7 @@ def paths() -> Iterator[object]:
     at = scene.frame_current
     scene.frame_set(40)
     yield 0.2
-    shoot(FOLDER / "path.png")
+    save_screenshot(FOLDER / "path.png")
     seen["path meanwhile"] = at, scene.frame_current, rests()
     yield rests
     seen["path"] = file.is_file(), scene.frame_current
@@ -234,7 +234,7 @@ def by_menu() -> Iterator[object]:
     seen["menu"] = invoke("import_cameras", browse=True)
     yield lambda: any(a.type == "FILE_BROWSER" for a in window().screen.areas)
     yield 1.0
-    shoot(FOLDER / "browser.png")
+    save_screenshot(FOLDER / "browser.png")
     browser = next(a for a in window().screen.areas if a.type == "FILE_BROWSER")
     seen["folder"] = browser.spaces.active.params.directory.decode().rstrip("/")
     with bpy.context.temp_override(window=window(), area=browser):
@@ -262,4 +262,4 @@ def story() -> Iterator[object]:
     yield from by_menu()
 
 
-Teller(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), leaving(FOLDER, seen))

@@ -26,15 +26,15 @@ from addon.live.card import Card, Shot  # noqa: E402
 from addon.render import viewport_copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tools.window.desk import (  # noqa: E402
-    Teller,
+    ScriptRunner,
     area,
     at_rest,
     clear,
     leaving,
     look_down,
     region,
+    save_screenshot,
     send,
-    shoot,
     space,
 )
 
@@ -45,7 +45,7 @@ seen: dict = {"log": []}
 
 def screenshot(name: str) -> None:
     """Save the screen as a file; return the rectangle of the view."""
-    shoot(FOLDER / f"{name}.png")
+    save_screenshot(FOLDER / f"{name}.png")
 
 
 def named(context: bpy.types.Context) -> list[str]:
@@ -225,7 +225,7 @@ def off_and_on() -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """The events; a yield returns control to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`ScriptRunner`)."""
     scene = bpy.context.scene
     clear()
     view = look_down()
@@ -338,4 +338,4 @@ def _end(problem: str) -> None:
     leaving(FOLDER, seen)(problem)
 
 
-Teller(story(), _end)
+ScriptRunner(story(), _end)

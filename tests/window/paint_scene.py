@@ -22,7 +22,17 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 from addon import attributes  # noqa: E402
 from addon.paint import modal  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, look_down, region, send, shoot  # noqa: E402
+from tools.window.desk import (  # noqa: E402
+    ScriptRunner,
+    area,
+    at_rest,
+    clear,
+    leaving,
+    look_down,
+    region,
+    save_screenshot,
+    send,
+)
 
 WALL, BRUSH = (0.8, 0.4, 0.2), (0.05, 0.2, 0.9)
 PAUSE = 0.2
@@ -65,7 +75,7 @@ def press(key: str, **held: bool) -> Iterator[object]:
 
 def screenshot(name: str) -> None:
     """Save the screen as a file."""
-    shoot(FOLDER / f"{name}.png")
+    save_screenshot(FOLDER / f"{name}.png")
 
 
 def begin() -> list[str]:
@@ -110,7 +120,7 @@ def by_tool(brush: bpy.types.PropertyGroup) -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """The events; a yield returns control to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`ScriptRunner`)."""
     clear()
     view = look_down()
     wall = lab.add(bpy.context.scene, lab.wall(0.0, WALL), "wall")
@@ -164,4 +174,4 @@ def story() -> Iterator[object]:
     yield PAUSE
 
 
-Teller(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), leaving(FOLDER, seen))

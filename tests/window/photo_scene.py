@@ -19,7 +19,16 @@ from mathutils import Matrix  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, clear, leaving, region, shoot, space  # noqa: E402
+from tools.window.desk import (  # noqa: E402
+    ScriptRunner,
+    area,
+    at_rest,
+    clear,
+    leaving,
+    region,
+    save_screenshot,
+    space,
+)
 
 CAPTURE = ROOT / "examples" / "studio"
 COLOR = (0.8, 0.4, 0.2)
@@ -38,7 +47,7 @@ def shots(name: str, wall: bpy.types.Object) -> Iterator[object]:
         area().tag_redraw()
         yield 2.0
         file = FOLDER / f"{name}_{kind}.png"
-        shoot(file)
+        save_screenshot(file)
     wall.hide_set(False)
 
 
@@ -52,7 +61,7 @@ def without_live(wall: bpy.types.Object) -> Iterator[object]:
     area().tag_redraw()
     yield at_rest
     yield 1.0
-    shoot(FOLDER / "still_back.png")
+    save_screenshot(FOLDER / "still_back.png")
     hole = lab.add(scene, lab.wall(0.0, COLOR, half=0.1), "hole")
     hole.matrix_world = scene.camera.matrix_world @ Matrix.Translation((0, 0, -2.5))
     hole.is_holdout = True
@@ -62,7 +71,7 @@ def without_live(wall: bpy.types.Object) -> Iterator[object]:
         yield 0.5
         yield at_rest
         yield 1.0
-        shoot(FOLDER / f"held_{'live' if live else 'still'}.png")
+        save_screenshot(FOLDER / f"held_{'live' if live else 'still'}.png")
     bpy.data.objects.remove(hole)
     scene.gscore_render.live = False
     space().region_3d.view_perspective = "PERSP"
@@ -72,7 +81,7 @@ def without_live(wall: bpy.types.Object) -> Iterator[object]:
         yield 0.5
         yield at_rest
         yield 1.0
-        shoot(FOLDER / f"{name}.png")
+        save_screenshot(FOLDER / f"{name}.png")
     scene.camera.data.show_background_images = True
     space().region_3d.view_perspective = "CAMERA"
     scene.gscore_render.live = True
@@ -88,7 +97,7 @@ def lost() -> Iterator[object]:
     slot.display_depth, slot.alpha = "FRONT", 1.0
     area().tag_redraw()
     yield 2.0
-    shoot(FOLDER / "lost.png")
+    save_screenshot(FOLDER / "lost.png")
 
 
 def sequence() -> Iterator[object]:
@@ -99,7 +108,7 @@ def sequence() -> Iterator[object]:
     slot.image.source = "SEQUENCE"
     area().tag_redraw()
     yield 2.0
-    shoot(FOLDER / "sequence.png")
+    save_screenshot(FOLDER / "sequence.png")
     slot.image = photo
 
 
@@ -134,4 +143,4 @@ def story() -> Iterator[object]:
     yield from lost()
 
 
-Teller(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), leaving(FOLDER, seen))

@@ -24,14 +24,14 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 from addon.live import draw_handler, level  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tools.window.desk import (  # noqa: E402
-    Teller,
+    ScriptRunner,
     area,
     at_rest,
     clear,
     leaving,
     look_down,
     region,
-    shoot,
+    save_screenshot,
     space,
 )
 
@@ -43,7 +43,7 @@ seen: dict = {"log": [], "region": REGION}
 
 def screenshot(name: str) -> None:
     """Save the screen as a file."""
-    shoot(FOLDER / f"{name}.png")
+    save_screenshot(FOLDER / f"{name}.png")
 
 
 def exact() -> bool:
@@ -158,7 +158,7 @@ def through_a_lens(scene: bpy.types.Scene) -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """The events; a yield returns control to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`ScriptRunner`)."""
     scene = bpy.context.scene
     clear()
     look_down()
@@ -175,4 +175,4 @@ def story() -> Iterator[object]:
     yield from through_a_lens(scene)
 
 
-Teller(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), leaving(FOLDER, seen))

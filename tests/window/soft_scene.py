@@ -19,14 +19,14 @@ from mathutils import Vector  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import Teller, clear, leaving  # noqa: E402
+from tools.window.desk import ScriptRunner, clear, leaving  # noqa: E402
 
 SIZE = 200, 200
 seen: dict = {"log": []}
 
 
 def story() -> Iterator[object]:
-    """The events; a yield returns control to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`ScriptRunner`)."""
     scene, splats = bpy.context.scene, lab.beads(15)
     clear()
     camera = lab.prepare(scene, SIZE)
@@ -46,4 +46,4 @@ def story() -> Iterator[object]:
     lab.render_file(FOLDER / "f12.png")
 
 
-Teller(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), leaving(FOLDER, seen))

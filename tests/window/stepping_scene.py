@@ -28,7 +28,7 @@ from addon.render import decimate, picture  # noqa: E402
 from addon.splats import objects, selection_masks  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tests.window.held import Held  # noqa: E402
-from tools.window.desk import Teller, area, clear, leaving, shoot  # noqa: E402
+from tools.window.desk import ScriptRunner, area, clear, leaving, save_screenshot  # noqa: E402
 
 seen: dict = {"log": []}
 COUNT = 3000
@@ -190,7 +190,7 @@ def compared() -> Iterator[object]:
     image = bpy.data.images["GS Comparison"]
     seen["size"], seen["dirty"] = list(image.size), image.is_dirty
     seen["packed"] = image.packed_file is not None
-    shoot(FOLDER / "compared.png")
+    save_screenshot(FOLDER / "compared.png")
 
 
 def repeated() -> Iterator[object]:
@@ -267,4 +267,4 @@ def story() -> Iterator[object]:
     yield from compared()
 
 
-Teller(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), leaving(FOLDER, seen))

@@ -27,9 +27,9 @@ from addon.error_maps.measure_errors import job_of as errors_of  # noqa: E402
 from addon.process import poll_timer  # noqa: E402
 from addon.region_training.train_region import job_of as region_of  # noqa: E402
 from addon.training.start_training import job_of as training_of  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, leaving, region, shoot, space  # noqa: E402
+from tools.window.desk import ScriptRunner, area, at_rest, leaving, region, save_screenshot, space  # noqa: E402
 
-Teller.LONGEST = 60.0
+ScriptRunner.LONGEST = 60.0
 STEPS = 1_000
 seen: dict = {"log": [], "longest_beat": {}}
 station = "start"
@@ -65,7 +65,7 @@ def key(name: str, **given: object) -> None:
 def arrive(name: str) -> None:
     """Keep a picture of the screen, and begin the next station."""
     global station
-    shoot(FOLDER / f"{name}.png")
+    save_screenshot(FOLDER / f"{name}.png")
     station = name
 
 
@@ -105,7 +105,7 @@ def over(job_of: object, *of: object) -> object:
 
     def ended() -> bool:
         job = job_of(*of)
-        return job is not None and job.ended and not job.wanted
+        return job is not None and job.ended and not job.awaits_import
 
     return ended
 
@@ -306,10 +306,10 @@ def reopen() -> Iterator[object]:
 
 
 def story() -> Iterator[object]:
-    """The events; a yield returns control to Blender (`Teller`)."""
+    """The events; a yield returns control to Blender (`ScriptRunner`)."""
     for part in (begin, look, edit, judge, steer, render, second, reopen):
         yield from part()
         seen.setdefault("parts", []).append(part.__name__)
 
 
-Teller(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), leaving(FOLDER, seen))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gscore.commands.args.option_names_3dgs import rows
 from gscore.commands.args.run_options import preset_values
-from gscore.commands.options import all_options, idle_when
+from gscore.commands.options import all_options, effect_condition
 from gscore.options import Option
 
 PAGE = Path(__file__).parents[2] / "docs" / "options.md"
@@ -49,7 +49,7 @@ def _row(one: Option) -> str:
     name = f"`{one.name}`"
     value = preset_values(one) or one.default_words
     shown = f"**{name}**" if one.basic else name
-    cells = (shown, value, one.values, one.unit, one.text + idle_when(one))
+    cells = (shown, value, one.values, one.unit, one.text + effect_condition(one))
     return f"| {' | '.join(cells)} |\n"
 
 

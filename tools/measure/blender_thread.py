@@ -80,19 +80,19 @@ def training(options: argparse.Namespace) -> None:
     beats: dict[str, list[tuple[float, ...]]] = {kind: [] for kind in kinds}
     while display.waits(job):
         picture, mesh, splats = job.preview_shown, mesh_of(scene), job.filling
-        chores = len(job.chores)
+        preparations = len(job.preparations)
         with Watch() as watch:
             poll_timer.poll()
         kind = "splats" if splats or job.filling or mesh != mesh_of(scene) else "reading lines"
         if job.preview_shown != picture:
             kind = "a picture"
-        elif len(job.chores) != chores:
+        elif len(job.preparations) != preparations:
             kind = "building the display"
         beats[kind].append(watch.took)
         late = time.monotonic() - began > options.seconds
         if late and job.state.status == run_state.RUNNING:
             job.stop()
-        time.sleep(poll_timer.FAST if display.write_splats() else poll_timer.INTERVAL)
+        time.sleep(poll_timer.FAST if display.is_importing() else poll_timer.INTERVAL)
     for kind, values in beats.items():
         show(f"training, {kind}", values)
     show("training, all", [v for values in beats.values() for v in values])

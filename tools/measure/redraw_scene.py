@@ -226,4 +226,4 @@ def end(problem: str) -> None:
     bpy.ops.wm.quit_blender()
 
 
-desk.Teller(story(), end)
+desk.ScriptRunner(story(), end)

@@ -75,7 +75,7 @@ def send(key: str, value: str = "PRESS", right: int = 0, up: int = 0, **held: bo
     bpy.context.window_manager.windows[0].event_simulate(key, value, x=x, y=y, **held)
 
 
-def shoot(file: Path) -> None:
+def save_screenshot(file: Path) -> None:
     """Write a screenshot."""
     subprocess.run(["import", "-window", "root", str(file)], check=True)
 
@@ -98,7 +98,7 @@ def leaving(folder: Path, seen: dict) -> Callable[[str], None]:
     return end
 
 
-class Teller:
+class ScriptRunner:
     """Blender timer that runs a script, given as a generator.
 
     Each yield returns to Blender, for the yielded number of seconds or until the yielded function

@@ -41,9 +41,18 @@ from addon.sfm import find_cameras  # noqa: E402
 from addon.trainer_python import setup  # noqa: E402
 from addon.training.run_state import RunState  # noqa: E402
 from addon.training.start_training import job_of  # noqa: E402
-from tools.window.desk import Teller, area, at_rest, leaving, region, send, shoot, space  # noqa: E402
+from tools.window.desk import (  # noqa: E402
+    ScriptRunner,
+    area,
+    at_rest,
+    leaving,
+    region,
+    save_screenshot,
+    send,
+    space,
+)
 
-Teller.LONGEST = 200.0
+ScriptRunner.LONGEST = 200.0
 WIDER = 60
 """Pixels by which the sidebar is widened, so that labels are not cut."""
 CREAM = 0.85, 0.8, 0.7
@@ -160,21 +169,21 @@ def tour() -> Iterator[object]:
     yield from toggled(CAPTURE)
     press("gscore.choose_video", filepath=str(FOLDER / "walk.mp4"))
     yield 4.0
-    shoot(FOLDER / "tour-01.png")
+    save_screenshot(FOLDER / "tour-01.png")
     press("gscore.find_cameras")
     yield lambda: find_cameras.job_of(scene).share > 0.5
     yield 1.0
-    shoot(FOLDER / "tour-02.png")
+    save_screenshot(FOLDER / "tour-02.png")
     yield searched
     yield 3.0
     yield from toggled(CAPTURE)
     yield from toggled(CAMERAS)
-    shoot(FOLDER / "tour-03.png")
+    save_screenshot(FOLDER / "tour-03.png")
     yield from toggled(CAMERAS)
     yield from toggled(TRAIN)
     settings.preset = "preview"
     yield 4.0
-    shoot(FOLDER / "tour-04.png")
+    save_screenshot(FOLDER / "tour-04.png")
     yield from toggled(TRAIN)
     photo_camera = next(ob for ob in bpy.data.objects if "gs_viewmat" in ob)
     space().region_3d.view_matrix = photo_camera.matrix_world.inverted()  # inside the room
@@ -184,13 +193,13 @@ def tour() -> Iterator[object]:
         yield 0.2
         if settings.result is not None and state().step > shown:
             shown, number = state().step, number + 1
-            shoot(FOLDER / f"growing-{number:03}.png")
+            save_screenshot(FOLDER / f"growing-{number:03}.png")
             if state().share > 0.5 and not (FOLDER / "tour-05.png").exists():
-                shoot(FOLDER / "tour-05.png")
+                save_screenshot(FOLDER / "tour-05.png")
     press("gscore.show_splats")
     yield at_rest
     yield 1.0
-    shoot(FOLDER / "tour-06.png")
+    save_screenshot(FOLDER / "tour-06.png")
     yield from finished(settings.result)
 
 
@@ -203,7 +212,7 @@ def finished(ob: bpy.types.Object) -> Iterator[object]:
     window.gscore_histograms = True
     yield at_rest
     yield 1.0
-    shoot(FOLDER / "tour-07.png")
+    save_screenshot(FOLDER / "tour-07.png")
     window.gscore_histograms = False
     press("gscore.reset_filters")
     press("gscore.select_by_color", picked=True, color=CREAM, tolerance=0.2)
@@ -212,18 +221,18 @@ def finished(ob: bpy.types.Object) -> Iterator[object]:
     press("gscore.grade_splats", gain=(1.3, 0.4, 0.4), only_selected=True)
     yield 3.0
     yield at_rest
-    shoot(FOLDER / "tour-08.png")
+    save_screenshot(FOLDER / "tour-08.png")
     press("gscore.use_camera", index=0, look_through=False)
     press("gscore.compare_photo")
     yield lambda: "GS Comparison" in bpy.data.images
     yield 4.0
-    shoot(FOLDER / "tour-09.png")
+    save_screenshot(FOLDER / "tour-09.png")
     with bpy.context.temp_override(window=window.windows[0]):
         bpy.ops.render.render("INVOKE_DEFAULT", use_viewport=True)
     yield 2.0
     yield lambda: not bpy.app.is_job_running("RENDER")
     yield 4.0
-    shoot(FOLDER / "tour-10.png")
+    save_screenshot(FOLDER / "tour-10.png")
 
 
 def guides() -> Iterator[object]:
@@ -237,7 +246,7 @@ def guides() -> Iterator[object]:
     space().region_3d.view_distance = 7.0
     yield from toggled(TRAIN)
     yield 4.0  # for the forecast
-    shoot(FOLDER / "part_guides.png")
+    save_screenshot(FOLDER / "part_guides.png")
     yield from toggled(TRAIN)
     for ob in made:
         bpy.data.objects.remove(ob)
@@ -271,14 +280,14 @@ def region_and_filters(ob: bpy.types.Object) -> Iterator[object]:
     ob.gscore.opacity_min, ob.gscore.size_max = 0.25, 0.02
     yield at_rest
     yield 1.0
-    shoot(FOLDER / "region.png")
+    save_screenshot(FOLDER / "region.png")
     bpy.data.objects.remove(box)
     choose(ob)
     ob.gscore.opacity_min, ob.gscore.size_max = 0.6, 0.025
     bpy.context.window_manager.gscore_histograms = True
     yield at_rest
     yield 1.0
-    shoot(FOLDER / "handles.png")
+    save_screenshot(FOLDER / "handles.png")
     bpy.context.window_manager.gscore_histograms = False
     press("gscore.reset_filters")
 
@@ -296,7 +305,7 @@ def displays(ob: bpy.types.Object) -> Iterator[object]:
         yield 1.0
         space().shading.type = "MATERIAL"
         yield 60.0
-        shoot(FOLDER / f"part_{display.lower()}.png")
+        save_screenshot(FOLDER / f"part_{display.lower()}.png")
     ob.gscore.display, ob.gscore.opacity_min = "SPLATS", 0.0
     space().shading.type = "SOLID"
     space().overlay.show_overlays = space().show_gizmo = True
@@ -322,7 +331,7 @@ def photo(ob: bpy.types.Object) -> Iterator[object]:
     yield 1.0
     yield at_rest
     yield 1.0
-    shoot(FOLDER / "part_photo.png")
+    save_screenshot(FOLDER / "part_photo.png")
     space().show_region_ui = space().show_gizmo = True
     ob.matrix_world = place
     space().shading.type = "SOLID"
@@ -342,7 +351,7 @@ def sequence() -> Iterator[object]:
     bpy.context.scene.frame_set(7)
     yield 1.0
     yield at_rest
-    shoot(FOLDER / "part_sequence.png")
+    save_screenshot(FOLDER / "part_sequence.png")
     bpy.data.objects.remove(ob)
 
 
@@ -353,7 +362,7 @@ def torn(ob: bpy.types.Object) -> Iterator[object]:
     press("object.transform_apply", location=False, rotation=True, scale=False)
     yield 1.0
     yield at_rest
-    shoot(FOLDER / "part_torn.png")
+    save_screenshot(FOLDER / "part_torn.png")
 
 
 def question() -> Iterator[object]:
@@ -368,7 +377,7 @@ def question() -> Iterator[object]:
             "INVOKE_DEFAULT", wheel="gscore-0.1.0-py3-none-manylinux_2_28_x86_64.whl"
         )
     yield 1.0
-    shoot(FOLDER / "part_question.png")
+    save_screenshot(FOLDER / "part_question.png")
 
 
 def result() -> Iterator[object]:
@@ -403,4 +412,4 @@ def result() -> Iterator[object]:
     yield from question()
 
 
-Teller(tour() if IS_TOUR else result(), leaving(FOLDER, seen))
+ScriptRunner(tour() if IS_TOUR else result(), leaving(FOLDER, seen))

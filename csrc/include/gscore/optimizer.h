@@ -14,7 +14,7 @@ enum {
     /* Rows marked in `seen` step; their gradients, marks and lags become zero. The others skip the step: they keep
      * their values until a later call, or gs_adam_catch_up, applies the pending steps with zero gradients (exact except
      * for eps and rounding). */
-    GS_ADAM_SEEN = 1,
+    GS_ADAM_VISIBLE = 1,
     /* No row steps; gradients accumulate for a later call. */
     GS_ADAM_WAIT = 2
 };
@@ -27,7 +27,7 @@ typedef struct gs_adam_tensor {
     int32_t width;  /* floats per row, at least 1 */
     int32_t mode;   /* GS_ADAM_* */
     float lr;       /* learning rate */
-    int64_t step;   /* number of this step, from 1: counts the calls with GS_ADAM_ALL or GS_ADAM_SEEN */
+    int64_t step;   /* number of this step, from 1: counts the calls with GS_ADAM_ALL or GS_ADAM_VISIBLE */
     /* Null with GS_ADAM_ALL: */
     uint8_t *seen; /* [N], initially zero; 1: received a gradient since its last step */
     uint8_t *lag;  /* [N], initially zero; number of pending steps */
@@ -49,7 +49,7 @@ typedef struct gs_adam {
  * tensors; in a tensor of another mode, only in that tensor. `bad_rows` (may be null) receives the number of these
  * rows. Gradients are clamped to a magnitude of 1e18. */
 GS_API gs_status gs_adam_step(const gs_adam *adam, int64_t *bad_rows);
-/* Apply the pending steps of a GS_ADAM_SEEN tensor: of all rows, or, if `view` is not null, at least of those that
+/* Apply the pending steps of a GS_ADAM_VISIBLE tensor: of all rows, or, if `view` is not null, at least of those that
  * gs_raster_forward draws in it, provided that its camera is rigid and its numbers are below 1e5. `step`
  * and `drift` are those after the last step. `splats` gives N, means and scales; its shN is not read. If `out` is not
  * null, it receives the values [N, width], and nothing else changes. */

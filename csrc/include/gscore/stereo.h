@@ -39,11 +39,11 @@ typedef struct gs_stereo_sweep_args {
 } gs_stereo_sweep_args;
 
 /* Results of the sweep at each pixel of the reference. Where the score has no peak inside the range, and within
- * `radius` of the photo's sides, inverse_depth is 0 and score and rival are -1. */
+ * `radius` of the photo's sides, inverse_depth is 0 and score and second_best are -1. */
 typedef struct gs_stereo_found {
     float *inverse_depth; /* [H, W], 1/world unit; interpolated between planes by a parabola */
     float *score;         /* [H, W] zero-mean normalised cross-correlation at the highest peak, up to 1 */
-    float *rival;         /* [H, W] score of the second best peak, more than 2 planes away; -1 where there is none */
+    float *second_best;   /* [H, W] score of the second best peak, more than 2 planes away; -1 where there is none */
     float *contrast;      /* [H, W] standard deviation of the grey values in the window */
 } gs_stereo_found;
 
@@ -51,18 +51,18 @@ typedef struct gs_stereo_found {
 GS_API gs_status gs_stereo_sweep(const gs_stereo_sweep_args *args, const gs_stereo_found *found);
 
 /* A neighbour view whose depth map is compared with that of the reference. */
-typedef struct gs_stereo_witness {
+typedef struct gs_stereo_neighbour {
     int32_t width, height;
     const float *inverse_depth; /* [height, width]; 0: unknown */
     gs_stereo_warp warp;        /* from the reference to it */
     gs_stereo_warp back;        /* from it to the reference */
-} gs_stereo_witness;
+} gs_stereo_neighbour;
 
 typedef struct gs_stereo_check_args {
     int32_t width, height;
     const float *inverse_depth; /* [H, W] of the reference; 0: unknown */
-    int32_t witness_count;      /* 0 to 255 */
-    const gs_stereo_witness *witnesses;
+    int32_t neighbour_count;    /* 0 to 255 */
+    const gs_stereo_neighbour *neighbours;
     /* A neighbour view agrees if its depth projects back to within `pixels` of the reference's pixel, and to within
      * `relative` of its inverse depth. It contradicts if its surface is farther than the projected point by the
      * relative distance `passed`. */

@@ -22,7 +22,7 @@ class CapturePlan:
 
     name: str
     variants: list[Variant]
-    judged: Dataset
+    eval_views: Dataset
     """The photos that all variants are measured on."""
     peers: list[Curve]
     sizes: SizesPlan | None
@@ -46,16 +46,20 @@ def plans_of(args: argparse.Namespace) -> list[CapturePlan]:
     plans = []
     for name, source in sources.items():
         presets = [(p, *training_configs(args, source, p)) for p in dict.fromkeys(args.presets)]
-        photos, judged = open_sizes([data for _, data, _ in presets])
+        photos, eval_views = open_sizes([data for _, data, _ in presets])
         variants = [
-            Variant(label=f"{preset} {label}".strip(), config=one, photos=own, judged=judged)
+            Variant(
+                label=f"{preset} {label}".strip(), config=one, photos=own, eval_views=eval_views
+            )
             for (preset, _, config), own in zip(presets, photos, strict=True)
             for label, one in _changed(config, ablations, args.seeds)
         ]
         of_others = [c for capture, found in peers.values() if capture == name for c in found]
         sizes = plan_sizes(args, presets)
         plans.append(
-            CapturePlan(name=name, variants=variants, judged=judged, peers=of_others, sizes=sizes)
+            CapturePlan(
+                name=name, variants=variants, eval_views=eval_views, peers=of_others, sizes=sizes
+            )
         )
     return plans
 

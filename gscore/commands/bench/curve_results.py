@@ -32,10 +32,10 @@ class ResultsFile:
 
     def add_curves(self, plan: CapturePlan, curves: Sequence[Curve]) -> None:
         """Store all curves of a capture so far."""
-        judged = plan.judged
+        eval_views = plan.eval_views
         self._captures[plan.name] = {
-            "judged_on": first_size(judged),
-            "held_out": [judged.names[index] for index in judged.test],
+            "judged_on": first_size(eval_views),
+            "held_out": [eval_views.names[index] for index in eval_views.test],
             "curves": [curve_json(curve) for curve in curves],
             "time_to_psnr": time_to_psnr(curves),
         }

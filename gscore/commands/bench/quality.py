@@ -93,7 +93,7 @@ def _train(
             training = train_scored(
                 config,
                 photos,
-                variant.judged,
+                variant.eval_views,
                 capture=cell.capture,
                 variant=label,
                 offset=cell.offset,

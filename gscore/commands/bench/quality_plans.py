@@ -95,14 +95,14 @@ def _cell(
         datas.append(_held_out(data, offset))
         configs.append(changed(config, variant.changes, flag="--compare"))
     _check_different([one.label for one in variants], list(zip(datas, configs, strict=True)))
-    photos, judged = open_sizes(datas)
+    photos, eval_views = open_sizes(datas)
     return Cell(
         capture=name,
         offset=offset,
         seeds=args.seeds,
         datas=datas,
         variants=[
-            Variant(label=one.label, config=config, photos=own, judged=judged)
+            Variant(label=one.label, config=config, photos=own, eval_views=eval_views)
             for one, config, own in zip(variants, configs, photos, strict=True)
         ],
     )

@@ -136,7 +136,7 @@ def _setting(args: argparse.Namespace, cells: Iterable[Cell], net: str | None) -
             options = to_dict(replace(variant.config, seed=0)) | {"max_width": data.max_width}
             variants[variant.label] = options
         data = {k: v for k, v in to_dict(cell.datas[0]).items() if k not in _APART}
-        size = list(first_size(cell.variants[0].judged))
+        size = list(first_size(cell.variants[0].eval_views))
         source = str(cell.datas[0].source.resolve())
         captures[cell.capture] = data | {"source": source, "judged_on": size}
     return finite(

@@ -58,9 +58,9 @@ def _of_differences(compared: list[Comparison], base: str) -> str:
 
 
 def _change_cells(variant: str, capture: str, change: CaptureChange, with_lpips: bool) -> list[str]:
-    judged = change.psnr_cc
-    cells = [variant, capture, number(judged.pairs), f"{judged.median:+.2f}"]
-    cells += [_interval(judged.low, judged.high), _signed(change.psnr, 2), _signed(change.ssim, 4)]
+    psnr = change.psnr_cc
+    cells = [variant, capture, number(psnr.pairs), f"{psnr.median:+.2f}"]
+    cells += [_interval(psnr.low, psnr.high), _signed(change.psnr, 2), _signed(change.ssim, 4)]
     cells += [_signed(change.lpips, 4)] * with_lpips
     return [*cells, f"{change.seconds:.2f}"]
 

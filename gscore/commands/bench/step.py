@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         if cache is None:
             photos.preload()
         else:
-            photos.keep_few()
+            photos.limit_cache()
         splats = read_splats(args.ply)
     config = TrainConfig(
         strategy=Strategy(args.strategy), without=tuple(Skip(name) for name in args.without)

@@ -7,7 +7,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from ...bench.pareto_front import Size, SizeOutcome, measure_sizes, sizes_of, unbeaten
+from ...bench.pareto_front import Size, SizeOutcome, measure_sizes, pareto_front, sizes_of
 from ...bench.training import first_size, open_sizes
 from ...config import DataConfig, TrainConfig
 from ...datasets import Dataset
@@ -59,7 +59,7 @@ class SizesPlan:
     """Sizes of one capture to train, and the photos on which all are measured."""
 
     runs: list[tuple[Size, TrainConfig, Dataset]]
-    judged: Dataset
+    eval_views: Dataset
 
 
 def plan_sizes(
@@ -70,9 +70,9 @@ def plan_sizes(
     if not any(numbers.values()):
         return None
     sizes = [run for preset in presets for run in sizes_of(*preset, **numbers)]
-    photos, judged = open_sizes([data for _, data, _ in sizes])
+    photos, eval_views = open_sizes([data for _, data, _ in sizes])
     runs = [(size, config, own) for (size, _, config), own in zip(sizes, photos, strict=True)]
-    return SizesPlan(runs=runs, judged=judged)
+    return SizesPlan(runs=runs, eval_views=eval_views)
 
 
 def sizes_file(output: Path, name: str) -> Path:
@@ -98,7 +98,7 @@ def train_sizes(
         on_found: Called after each size with `judged_on` (px) and `outcomes` so far, each with
             `best_for_its_time` and `best_for_its_splats`.
     """
-    judged_on = first_size(plan.judged)
+    judged_on = first_size(plan.eval_views)
     outcomes: list[SizeOutcome] = []
 
     def stepped(size: Size, seed: int, step: int) -> None:
@@ -116,7 +116,7 @@ def train_sizes(
             o = outcome
             print(f"{name}, {o.size}: {o.seconds:.1f} s, PSNR {o.psnr:.2f} dB", flush=True)
 
-    measure_sizes(plan.runs, plan.judged, args.seeds, on_step=stepped, on_outcome=report)
+    measure_sizes(plan.runs, plan.eval_views, args.seeds, on_step=stepped, on_outcome=report)
     fast, small = _fronts(outcomes)
     _draw(sizes_file(args.output, name), name, outcomes, fast, judged_on)
     if not args.json:
@@ -125,7 +125,7 @@ def train_sizes(
 
 def _fronts(outcomes: Sequence[SizeOutcome]) -> tuple[list[SizeOutcome], list[SizeOutcome]]:
     """The Pareto fronts of PSNR over time, and over the number of splats."""
-    return unbeaten(outcomes, _seconds), unbeaten(outcomes, _splats)
+    return pareto_front(outcomes, _seconds), pareto_front(outcomes, _splats)
 
 
 def _given(args: argparse.Namespace) -> dict[str, list[int]]:

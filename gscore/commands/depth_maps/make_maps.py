@@ -12,7 +12,7 @@ from ...depth.align import align_official, reliable
 from ...depth.fit import NO_FIT, Fit, median_scale
 from ...depth.fitting import Alignment, align_views, robust, settled_kind
 from ...depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
-from ...depth.network import WHERE, Network
+from ...depth.network import NETWORK_HINT, Network
 from ...depth.observations import Observations, observations
 from ...depth.params import params_path, read_params, write_params
 from ...depth.predict import Prediction, predict_views
@@ -31,7 +31,7 @@ from ..args.data_options import with_data_options
 from ..terminal.output import check_folder, check_replaced
 from .networks import network_of, network_words
 
-_MAKE = f"use `--method stereo`, which needs no network, or `--model FILE.onnx`. {WHERE}."
+_MAKE = f"use `--method stereo`, which needs no network, or `--model FILE.onnx`. {NETWORK_HINT}."
 """Remedy for missing maps without a network."""
 
 
@@ -118,7 +118,7 @@ def _by_stereo(
     path = params_path(dataset.source, folder, writing=True)
     _check_scales(path, args.overwrite, show)
     progress = _Progress(show, control, message, "comparing photos")
-    dataset.keep_few()
+    dataset.limit_cache()
     found = stereo_maps(
         dataset,
         dataset.train,
@@ -237,7 +237,7 @@ def _finish(
 
 def _why(dataset: Dataset, samples: list[Samples | None]) -> str:
     """Decision of the automatic rule of a training on all views for these maps."""
-    usable = sum(part is not None and not part.trouble for part in samples)
+    usable = sum(part is not None and not part.problem for part in samples)
     facts = coverage(dataset.scene, range(len(dataset)))
     return decide(Switch.AUTO, facts, usable=usable)[1]
 
@@ -262,8 +262,8 @@ def _align(
         if path is None or part is None:
             fits.append(None)
             continue
-        if part.trouble:
-            fits.append(NO_FIT.refused(part.trouble))
+        if part.problem:
+            fits.append(NO_FIT.refused(part.problem))
             continue
         values = read_map(path)
         if found is DepthKind.DEPTH:

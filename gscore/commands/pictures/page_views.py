@@ -122,7 +122,7 @@ def _photos(
     status: Status,
 ) -> dict[int, str]:
     """Photos of some views as small JPEGs, rotated by the quarter turns [C] of each view."""
-    dataset.keep_few()
+    dataset.limit_cache()
     progress = Counted(status, len(chosen), "photo")
     found: dict[int, str] = {}
     for done, index in enumerate(chosen):

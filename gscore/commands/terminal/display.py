@@ -105,16 +105,16 @@ class Lines:
                 self._saved(event)
             case FrameStarted():
                 self._sequence = True
-                self._status.say(frame_text(event))
+                self._status.print_line(frame_text(event))
             case _:
                 for text in _texts(event):
-                    self._status.say(text)
+                    self._status.print_line(text)
 
     def _progress(self, event: Progress) -> None:
         self._show_measured()  # the run continues, so this was not the last
         share = event.step / max(event.iterations, 1) if event.splats else None
         last = event.step >= event.iterations and event.phase not in _STOPS
-        self._status.show(progress_parts(event), share=share, at_once=last)
+        self._status.show(progress_parts(event), share=share, immediate=last)
 
     def _depth(self, event: DepthProgress) -> None:
         if not event.done:
@@ -123,7 +123,7 @@ class Lines:
         parts = [f"{clock(event.eta_s)} left", f"{event.phase} {event.done} of {event.total}"]
         last = event.done == event.total
         share = event.done / event.total
-        self._status.show([*parts, event.view], share=share, at_once=last)
+        self._status.show([*parts, event.view], share=share, immediate=last)
 
     def _evaluation(self, event: EvalProgress) -> None:
         if not event.done:
@@ -131,7 +131,7 @@ class Lines:
             return
         parts = [f"{clock(event.eta_s)} left", f"view {event.done} of {event.total}", event.view]
         last = event.done == event.total
-        self._status.show(parts, share=event.done / event.total, at_once=last)
+        self._status.show(parts, share=event.done / event.total, immediate=last)
 
     def _sfm(self, event: SfmProgress) -> None:
         what = "pair" if event.phase == "comparing photos" else "photo"
@@ -157,11 +157,11 @@ class Lines:
     def _saved(self, event: Saved) -> None:
         is_requested = "point_cloud/iteration_" in Path(event.path).as_posix()
         if is_requested:
-            self._status.say(f"Saved {event.path}")
+            self._status.print_line(f"Saved {event.path}")
 
     def _show_measured(self) -> None:
         if self._measured:
-            self._status.say(self._measured)
+            self._status.print_line(self._measured)
         self._measured = ""
 
     def _end(self) -> None:
@@ -183,7 +183,7 @@ def _texts(event: Event) -> Iterator[str]:
             )
         case Started() if event.step:
             # What was found of the photos was said when it began.
-            yield going_on_text(event)
+            yield resumed_text(event)
             yield from filter(None, [event.decision("viewer")])
         case Started():
             yield (
@@ -200,7 +200,7 @@ def _texts(event: Event) -> Iterator[str]:
             yield f"Warning: {event.message}"
 
 
-def going_on_text(event: Started) -> str:
+def resumed_text(event: Started) -> str:
     """The step and remaining time of a resumed training, as text."""
     left = ""
     if math.isfinite(event.left_s):

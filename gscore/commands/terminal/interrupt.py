@@ -30,9 +30,9 @@ _current: "Interrupt | None" = None
 class Interrupt:
     """Context manager that handles signals and forwards the first one to the command.
 
-    Within `asking`, the stop callback is called. Within `working`, a KeyboardInterrupt is raised.
-    Before both the process exits immediately, because nothing is open; after them there is nothing
-    to stop.
+    Within `stopped_by`, the stop callback is called. Within `working`, a KeyboardInterrupt is
+    raised. Before both, the process exits immediately, because nothing is open; after them there
+    is nothing to stop.
     """
 
     def __init__(self) -> None:
@@ -82,7 +82,7 @@ class Interrupt:
             self._over = True
 
     @contextmanager
-    def asking(self, stop: Callable[[str], None], *, quiet: bool) -> Iterator[None]:
+    def stopped_by(self, stop: Callable[[str], None], *, quiet: bool) -> Iterator[None]:
         """Context of work that ends by itself after `stop(reason)`; `quiet`: no message."""
         self._stop, self._quiet, self._over = stop, quiet, False
         if self.exit_code:

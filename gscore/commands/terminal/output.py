@@ -79,7 +79,7 @@ def _is_read_only(folder: Path) -> bool:
     return hasattr(os, "statvfs") and bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
 
 
-def others_in(folder: Path, known: Collection[str]) -> str:
+def other_files(folder: Path, known: Collection[str]) -> str:
     """The first few names in a folder for a message, without `known` names and hidden files; empty
     if there are none."""
     names: list[str] = []

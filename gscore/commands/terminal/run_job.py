@@ -13,7 +13,7 @@ from .interrupt import interrupts
 
 Result = TypeVar("Result")
 STOPPED = "Stopped before the first step; nothing was written."
-STOPPED_WITH_NOTHING = 3
+EXIT_WITHOUT_RESULT = 3
 """Exit code of work that was stopped before a result, other than by a signal."""
 
 
@@ -49,7 +49,7 @@ def run_job(
     control = Control()
     show = _display(args, control)
     quiet = bool(args.events or args.quiet)
-    with interrupts() as interrupt, interrupt.asking(control.stop, quiet=quiet):
+    with interrupts() as interrupt, interrupt.stopped_by(control.stop, quiet=quiet):
         try:
             if args.events:
                 listen(control, 0, on_end=lambda: control.stop("input ended"))
@@ -58,7 +58,7 @@ def run_job(
             show(Failed(message=stopped(), type="Cancelled"))
             if not quiet:
                 print(stopped(), file=sys.stderr)
-            return None, interrupt.exit_code or STOPPED_WITH_NOTHING
+            return None, interrupt.exit_code or EXIT_WITHOUT_RESULT
         except Exception as error:
             message = str(error) or type(error).__name__
             show(Failed(message=message, type=type(error).__name__))

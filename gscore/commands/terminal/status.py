@@ -48,7 +48,7 @@ class Status:
     def __exit__(self, *_: object) -> None:
         self.clear()
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Write a line that stays."""
         if not self._quiet:
             self.clear()
@@ -56,18 +56,18 @@ class Status:
             self._stream.flush()
 
     def show(
-        self, parts: Sequence[str], *, share: float | None = None, at_once: bool = False
+        self, parts: Sequence[str], *, share: float | None = None, immediate: bool = False
     ) -> None:
         """Show the progress, unless it was updated a moment ago.
 
         Args:
             parts: Texts, the most important first; the last ones are left out on narrow terminals.
             share: Completed share of the work, 0 to 1, drawn as a bar; None: not known.
-            at_once: Update a terminal regardless of the last update; for the end.
+            immediate: Update a terminal regardless of the last update; for the end.
         """
         now = time.monotonic()
         period = _DRAW_PERIOD if self._moving else _LINE_PERIOD
-        is_due = now - self._last >= period or (at_once and self._moving)
+        is_due = now - self._last >= period or (immediate and self._moving)
         if self._quiet or not is_due:
             return
         self._last = now
@@ -111,7 +111,7 @@ class Counted:
         left = (time.monotonic() - self._began) / done * (self._total - done)
         head = [f"{clock(left)} left", f"{self._what} {done} of {self._total}"]
         last = done == self._total
-        self._status.show([*head, *parts], share=done / self._total, at_once=last)
+        self._status.show([*head, *parts], share=done / self._total, immediate=last)
 
 
 class Rows:
@@ -133,7 +133,7 @@ class Rows:
 
     def _next(self) -> None:
         self._count += 1
-        self._status.show([f"{self._what}, row {self._count}"], at_once=True)
+        self._status.show([f"{self._what}, row {self._count}"], immediate=True)
 
 
 @contextmanager

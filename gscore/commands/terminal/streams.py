@@ -19,7 +19,7 @@ _COMMANDS = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 """Control characters except tab, line feed and carriage return."""
 
 
-class Steady:
+class SafeStream:
     """A text stream whose writes never fail: text that cannot be written is dropped.
 
     The first failure is reported, and the stream then writes to the null device, so that Python
@@ -67,8 +67,8 @@ class Steady:
 
 
 @contextmanager
-def steady_streams(prog: str, on_lost: Callable[[int], None]) -> Iterator[None]:
-    """Context in which all three streams exist, and stdout and stderr are `Steady`.
+def safe_streams(prog: str, on_lost: Callable[[int], None]) -> Iterator[None]:
+    """Context in which all three streams exist, and stdout and stderr are `SafeStream`.
 
     Args:
         prog: Name of the program, for messages.
@@ -88,7 +88,7 @@ def steady_streams(prog: str, on_lost: Callable[[int], None]) -> Iterator[None]:
         if getattr(sys, name) is None:
             setattr(sys, name, _opened(descriptor))
     before = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (Steady(stream, lost) for stream in before)  # type: ignore[assignment]
+    sys.stdout, sys.stderr = (SafeStream(stream, lost) for stream in before)  # type: ignore[assignment]
     try:
         yield
     finally:

@@ -36,7 +36,7 @@ class Moments(NamedTuple):
     second: torch.Tensor
     steps: int
     """Number of Adam steps so far."""
-    gathered: torch.Tensor | None = None
+    accumulated: torch.Tensor | None = None
     """Accumulated gradients for the next step; None: zeros."""
 
 

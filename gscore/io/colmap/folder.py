@@ -20,7 +20,14 @@ from ..unsupported_formats import describe_unsupported
 from ..world_file import read_origin, read_up, write_up
 from . import binary as colmap_binary
 from . import text as colmap_text
-from .model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, PointIndex, longest_seen
+from .model import (
+    ColmapCamera,
+    ColmapImage,
+    ColmapModel,
+    ColmapPoints,
+    PointIndex,
+    keep_longest_tracks,
+)
 
 __all__ = [
     "ColmapCamera",
@@ -148,7 +155,7 @@ def read_model(
     images = _images(folder / f"images{end}", reader, cameras, observations(points))
     if most is not None:
         index = PointIndex(points)
-        images = (longest_seen(image, points, index, most) for image in images)
+        images = (keep_longest_tracks(image, points, index, most) for image in images)
     by_id = _by_id(folder / f"images{end}", images)
     named, renamed = _relative(folder / f"images{end}", list(by_id.values()))
     warnings = (*warnings, *renamed)

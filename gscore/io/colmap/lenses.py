@@ -6,7 +6,7 @@ import numpy as np
 
 from .camera_models import MODELS_BY_NAME
 
-Bend = Callable[[np.ndarray, dict[str, float]], np.ndarray]
+Distortion = Callable[[np.ndarray, dict[str, float]], np.ndarray]
 """Maps rays x / z, y / z to distorted ones, both [P, 2]."""
 _MAX_ITERATIONS, _STEP = 100, 1e-6
 """Most iterations of Newton's method, and the step of its finite differences."""
@@ -17,26 +17,26 @@ _WIDEST = np.pi / 2 - 1e-6
 """Largest angle to the axis at which a ray has an x / z, radians."""
 
 
-def bent_pixels(model: str, params: Sequence[float], rays: np.ndarray) -> np.ndarray:
+def distorted_pixels(model: str, params: Sequence[float], rays: np.ndarray) -> np.ndarray:
     """Distorted pixels of rays x / z, y / z, both [P, 2] float64.
 
     Args:
-        model: One of `BENT`.
+        model: One of `DISTORTED_MODELS`.
         params: Parameters in COLMAP's order.
         rays: Rays in the camera's frame; NaN or infinity gives some number or NaN.
     """
     of = _named(model, params)
     with np.errstate(all="ignore"):
-        return _BENDS[model](rays, of) * _focal(of) + [of["cx"], of["cy"]]
+        return _DISTORTIONS[model](rays, of) * _focal(of) + [of["cx"], of["cy"]]
 
 
-def straight_rays(model: str, params: Sequence[float], pixels: np.ndarray) -> np.ndarray:
-    """Undistorted rays x / z, y / z of pixels, both [P, 2] float64: inverse of `bent_pixels`.
+def undistorted_rays(model: str, params: Sequence[float], pixels: np.ndarray) -> np.ndarray:
+    """Undistorted rays x / z, y / z of pixels, both [P, 2] float64: inverse of `distorted_pixels`.
 
     Solved by Newton's method, starting at the ray of a lens without distortion.
 
     Args:
-        model: One of `BENT`.
+        model: One of `DISTORTED_MODELS`.
         params: Parameters in COLMAP's order.
         pixels: Pixels of the camera, centres at + 0.5.
 
@@ -47,11 +47,11 @@ def straight_rays(model: str, params: Sequence[float], pixels: np.ndarray) -> np
     of = _named(model, params)
     with np.errstate(all="ignore"):
         target = (pixels - [of["cx"], of["cy"]]) / _focal(of)
-        if _BENDS[model] is _division:
+        if _DISTORTIONS[model] is _division:
             return target / (1 + of["k"] * (target * target).sum(axis=1))[:, None]
         # Far from the axis of a wide lens, the formula is nearly linear in angles, not in x / z.
-        ray = _tangents if _BENDS[model] is not _radial else _same
-        return ray(_solve(lambda at: _BENDS[model](ray(at), of), target))
+        ray = _tangents if _DISTORTIONS[model] is not _radial else _same
+        return ray(_solve(lambda at: _DISTORTIONS[model](ray(at), of), target))
 
 
 def _named(model: str, params: Sequence[float]) -> dict[str, float]:
@@ -175,7 +175,7 @@ _FISHEYES = (
     *("SIMPLE_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"),
     *("OPENCV_FISHEYE", "THIN_PRISM_FISHEYE"),
 )
-_BENDS: dict[str, Bend] = {
+_DISTORTIONS: dict[str, Distortion] = {
     **dict.fromkeys(("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), _radial),
     **dict.fromkeys(_FISHEYES, _fisheye),
     "RAD_TAN_THIN_PRISM_FISHEYE": _fisheye_of_six,
@@ -183,5 +183,5 @@ _BENDS: dict[str, Bend] = {
     **dict.fromkeys(("SIMPLE_DIVISION", "DIVISION"), _division),
     "EUCM": _unified,
 }
-BENT = frozenset(_BENDS)
+DISTORTED_MODELS = frozenset(_DISTORTIONS)
 """Models with lens distortion and a focal length."""

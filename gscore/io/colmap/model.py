@@ -133,7 +133,7 @@ class PointIndex:
         return known, self._order[at[known]]
 
 
-def longest_seen(
+def keep_longest_tracks(
     image: ColmapImage, points: ColmapPoints, index: PointIndex, most: int
 ) -> ColmapImage:
     """The image with at most `most` of its observations of known points, in their order.

@@ -21,7 +21,7 @@ from ..system_memory import available_memory_bytes, total_memory_bytes
 from .image_header import ORIENTATION, read_header
 from .jpeg_scan import with_end_marker
 from .raw import full_size_page, is_raw, raw_info, read_raw
-from .truncated_images import why_cut_short
+from .truncated_images import truncation_reason
 
 PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "TGA", "PPM")
 """Supported formats, by Pillow's names. Every picture is opened with this list, because Pillow
@@ -173,7 +173,7 @@ def loaded(path: Path) -> Iterator[tuple[Any, bool]]:
     """
     with opened_picture(path) as image:
         deep = any(";16" in str(tile[3]) for tile in getattr(image, "tile", ()))
-        check_whole(path, image)
+        load_complete(path, image)
         yield image, deep
 
 
@@ -187,10 +187,10 @@ def _developed(path: Path) -> Any:
     return image
 
 
-def check_whole(path: Path, image: Any) -> None:
+def load_complete(path: Path, image: Any) -> None:
     """Load the pixels of an opened picture; raise FormatError if some are missing."""
     image.load()
-    if reason := why_cut_short(path, image):
+    if reason := truncation_reason(path, image):
         raise _broken(path, reason)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from ...errors import BackendError, FormatError
-from ...extras import how_to_install, need
+from ...extras import install_hint, need
 from ..files import open_regular
 from .image_header import ImageInfo
 
@@ -145,7 +145,7 @@ def _opened(path: Path) -> Any:
         raise FormatError(
             f"{path} is a raw photo, and without rawpy only its preview can be read. Convert the "
             "raw photos to JPEG, PNG or TIFF at full size and without cropping, under the same "
-            f"names, and move the raw ones away; or install rawpy: {how_to_install('rawpy')}"
+            f"names, and move the raw ones away; or install rawpy: {install_hint('rawpy')}"
         ) from error
     try:
         return rawpy.imread(str(path))

@@ -24,7 +24,7 @@ _TIFF_PLAIN, _TIFF_COLOURS = 1, (0, 1, 2, 3)
 """Tag values of no compression, and of colour types with a known row size."""
 
 
-def why_cut_short(path: Path, image: Any) -> str:
+def truncation_reason(path: Path, image: Any) -> str:
     """Reason why a picture lacks pixels, as part of a message; empty if it is complete.
 
     Args:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..mesh import seen_corners
+from ..mesh import projected_corners
 
 
 def mesh_depth(
@@ -24,7 +24,7 @@ def mesh_depth(
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([x, y, np.ones_like(x)]).reshape(3, -1)
     out = np.zeros(width * height)
-    places = seen_corners(vertices, np.eye(3), viewmat)
+    places = projected_corners(vertices, np.eye(3), viewmat)
     depths = places[:, 2].copy()
     if orthographic:
         places[:, 2] = 1

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..stereo_depth import Checked, StereoView, Swept, Warp
+from ..stereo_depth import Checked, StereoView, SweepResult, Warp
 
 _NEAR = 2
 """Maximum distance of two peaks, in planes, that count as one."""
@@ -20,7 +20,7 @@ def sweep(
     radius: int = 3,
     best: int = 2,
     noise: float = 1.5,
-) -> Swept:
+) -> SweepResult:
     """As `gscore.raster.stereo_depth.sweep`, arrays [H, W] float64."""
     depths = np.linspace(farthest, nearest, planes)
     volume = np.stack([_scores(reference, sources, d, radius, best, noise) for d in depths])
@@ -31,7 +31,7 @@ def sweep(
     rim = np.zeros(grey.shape, bool)
     rim[radius:-radius, radius:-radius] = True
     known = rim & (found[0] > 0)
-    return Swept(
+    return SweepResult(
         np.where(known, found[0], 0),
         np.where(known, found[1], -1),
         np.where(known, found[2], -1),
@@ -119,28 +119,28 @@ def _peaks(volume: np.ndarray, depths: np.ndarray) -> np.ndarray:
     out = np.stack([np.zeros(volume.shape[1:]), *np.full((2, *volume.shape[1:]), -1.0)])
     for y, x in np.ndindex(volume.shape[1:]):
         scores = np.concatenate([[-2.0], volume[:, y, x], [-2.0]])
-        best, place, rival = -1.0, -1, -1.0
+        best, place, second_best = -1.0, -1, -1.0
         for i in range(len(depths)):
             left, here, right = scores[i : i + 3]
             if not (here >= left and here > right):
                 continue
             higher, far = here > best, i - place > _NEAR
             if far:
-                rival = max(rival, best if higher else here)
+                second_best = max(second_best, best if higher else here)
             if higher:
                 best, place = here, i
         if 0 < place < len(depths) - 1:
             left, right = scores[place], scores[place + 2]
             offset = np.clip(0.5 * (right - left) / max(2 * best - left - right, 1e-12), -0.5, 0.5)
             top = min(best + 0.25 * (right - left) * offset, 1.0)
-            out[:, y, x] = depths[place] + offset * step, top, rival
+            out[:, y, x] = depths[place] + offset * step, top, second_best
     return out
 
 
 def check(
     reference: StereoView,
     inverse_depth: np.ndarray,
-    witnesses: Sequence[tuple[StereoView, np.ndarray]],
+    neighbours: Sequence[tuple[StereoView, np.ndarray]],
     *,
     pixels: float = 1.0,
     relative: float = 0.01,
@@ -153,7 +153,7 @@ def check(
     own = np.where(known, inverse_depth, 1.0).astype(np.float64)
     agree, contradict = np.zeros((2, rows, columns), np.uint8)
     total = own.copy()
-    for view, theirs in witnesses:
+    for view, theirs in neighbours:
         height, width = theirs.shape
         u, v, front = _apply(reference.warp_to(view), x, y, own)
         inside = known & front & (u >= 0) & (v >= 0) & (u < width) & (v < height)

@@ -77,7 +77,7 @@ def opacity_loss(alpha: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
     return (alpha - mask.to(alpha.dtype) * (1 / 255)).abs().mean()
 
 
-def see_through(alpha: torch.Tensor, mask: np.ndarray | None) -> tuple[float, torch.Tensor]:
+def mean_transmittance(alpha: torch.Tensor, mask: np.ndarray | None) -> tuple[float, torch.Tensor]:
     """Mean transmittance of a view, and its gradient in `alpha`: a loss for opaque scenes.
 
     Over a black background black pixels need no splat, and 1 to 7 % of the light of whole captures

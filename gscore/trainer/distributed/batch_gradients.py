@@ -114,7 +114,7 @@ class BatchGradients:
             model.rows[name] += counter
         return visible
 
-    def add_up_rest(self, model: CpuModel, does: ShUpdate, *, threads: int) -> None:
+    def sum_harmonics(self, model: CpuModel, does: ShUpdate, *, threads: int) -> None:
         """Sum the accumulated shN gradients of all ranks into `model.grads`, if shN takes a step.
 
         Args:
@@ -161,7 +161,7 @@ class BatchGradients:
         return {f"{_GATHERED}/{rank}": part for rank, part in enumerate(self._others, 1)}
 
 
-def gathered_of(tensors: Mapping[str, Tensor], rank: int, size: int) -> Tensor | None:
+def accumulated_of(tensors: Mapping[str, Tensor], rank: int, size: int) -> Tensor | None:
     """Return the accumulated shN gradient of one of `size` ranks from a checkpoint's tensors.
 
     If `size` ranks wrote the checkpoint, each gets its own; otherwise rank 0 gets the sum and the

@@ -8,7 +8,7 @@ import torch
 
 from ...engine.cpu.model import CpuModel, Moments
 from ..model.checkpoint_schema import as_int, check_tensors
-from .batch_gradients import BatchGradients, gathered_of
+from .batch_gradients import BatchGradients, accumulated_of
 from .process_group import ProcessGroup
 
 _PLACE = re.compile(r"([1-9])/")
@@ -76,7 +76,7 @@ class EnsembleMember:
         mine, stated = self.of(tensors), self.of(state)
         steps = stated["adam_steps"]
         self.pruned = as_int("pruned", stated["pruned"])
-        gathered = gathered_of(mine, rank, size)
+        gathered = accumulated_of(mine, rank, size)
         names = list(self.model.params)
         moments = {
             name: Moments(

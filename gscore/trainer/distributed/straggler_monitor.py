@@ -21,7 +21,7 @@ class StragglerMonitor:
         self._before: np.ndarray | None = None
         self._batches = 0
 
-    def met(self, worked: np.ndarray) -> str:
+    def straggler_message(self, worked: np.ndarray) -> str:
         """Return a message about a rank that the others wait for, or an empty string.
 
         Args:

@@ -19,7 +19,7 @@ from .cost import Cost, reading_seconds
 from .memory import (
     RUNTIME,
     cache_bytes,
-    decoded_anew,
+    decodes_again,
     depth_bytes,
     free_memory,
     photo_memory,
@@ -55,7 +55,7 @@ class Estimate:
     """Memory of decoded photos."""
     photos_kept: bool
     """True if all photos stay in memory; else some are decoded repeatedly."""
-    photos_anew: bool = False
+    decodes_again: bool = False
     """True if photos in memory are decoded again for each training resolution."""
     fits: bool
     """True if the memory is sufficient."""
@@ -139,11 +139,11 @@ def estimate(
 
     stay, at_start = point_bytes(points if cloud is None else cloud, splats=config.max_splats)
     rest = maps + stay + max(needed(config.max_splats, largest), at_start)
-    anew = decoded_anew(config, photos, views=len(sizes), rest=rest)
-    cached = photo_memory(photos, config, anew=anew)
+    decode_again = decodes_again(config, photos, views=len(sizes), rest=rest)
+    cached = photo_memory(photos, config, decode_again=decode_again)
     to_read = stay + decoding  # before everything else is there
     kept = cache_bytes(config, photos, all_of_them=cached, rest=max(rest, to_read), free=free)
-    if kept is not None or anew:
+    if kept is not None or decode_again:
         rest += decoding
     if kept is not None:
         kept = cache_bytes(config, photos, all_of_them=cached, rest=rest, free=free)
@@ -192,7 +192,7 @@ def estimate(
         free_bytes=free,
         photo_bytes=cached,
         photos_kept=kept is None,
-        photos_anew=anew and kept is None,
+        decodes_again=decode_again and kept is None,
         fits=fits,
         fitting_splats=fitting_splats,
         fitting_width=fitting_width,
@@ -235,7 +235,7 @@ def machine_pace(threads: int = 0) -> float:
     return min(_paces(threads))
 
 
-def pace_now(threads: int = 0) -> float:
+def current_pace(threads: int = 0) -> float:
     """As `machine_pace`, but the mean under the current load: for a run that starts now.
 
     Args:

@@ -62,14 +62,14 @@ def training_bytes(
     return max(step, evaluation) + copy + _BASE
 
 
-def photo_memory(photos: int, config: TrainConfig, *, anew: bool) -> int:
-    """Bytes of photos that take `photos` bytes, with their scaled copies unless `anew` (see
-    `decoded_anew`)."""
-    copies = _SMALLER_COPIES if _starts_small(config) and not anew else 0
+def photo_memory(photos: int, config: TrainConfig, *, decode_again: bool) -> int:
+    """Bytes of photos that take `photos` bytes, with their scaled copies unless `decode_again` (see
+    `decodes_again`)."""
+    copies = _SMALLER_COPIES if _starts_small(config) and not decode_again else 0
     return round(photos * (1 + copies))
 
 
-def decoded_anew(config: TrainConfig, photos: int, *, views: int, rest: int) -> bool:
+def decodes_again(config: TrainConfig, photos: int, *, views: int, rest: int) -> bool:
     """Return whether to free full-size photos while smaller ones are trained on, and decode them
     again for each size: if that saves much memory and takes little time relative to the run.
 

@@ -39,7 +39,7 @@ class MeshFreeSpace:
             if view is not None
         ]
 
-    def holds(self, means: torch.Tensor) -> torch.Tensor:
+    def contains(self, means: torch.Tensor) -> torch.Tensor:
         """Return [N] bool: `means`, [N, 3], in the free space of at least one camera."""
         inside = means.new_zeros(len(means), dtype=torch.bool)
         for view in self._views:

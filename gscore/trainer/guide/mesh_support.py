@@ -71,7 +71,7 @@ def measure_mesh_support(
     for index, view in enumerate(views):
         if view is None or known is None:
             continue
-        local = known.points[known.seen[index]] @ cameras.viewmats[index, :3, :3].T
+        local = known.points[known.observed[index]] @ cameras.viewmats[index, :3, :3].T
         local += cameras.viewmats[index, :3, 3]
         x, y, z = (local[local[:, 2] > 0] @ cameras.Ks[index].T).T
         height, width = view.inverse_depth.shape

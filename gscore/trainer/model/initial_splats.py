@@ -37,7 +37,7 @@ def splats_from_cloud(
     )
 
 
-def splats_from_given(start: Splats, config: TrainConfig, frame: TrainingFrame) -> Splats:
+def splats_from_start(start: Splats, config: TrainConfig, frame: TrainingFrame) -> Splats:
     """Convert start splats from the world to the training frame, cut to the config's SH degree.
 
     Raises:

@@ -68,11 +68,11 @@ def load_photos(
             cancelled=lambda: control.stopping,
         )
     else:
-        photos.keep_few()
+        photos.limit_cache()
     warnings = _check_masks(photos, config.threads)
-    if found.photos_anew:  # preloading has only checked that all can be decoded
-        photos.keep_few()
-    all_there = found.photos_kept and not found.photos_anew
+    if found.decodes_again:  # preloading has only checked that all can be decoded
+        photos.limit_cache()
+    all_there = found.photos_kept and not found.decodes_again
     return LoadedPhotos(cache=None if all_there else found.photo_bytes, warnings=warnings)
 
 

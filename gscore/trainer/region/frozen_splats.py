@@ -77,7 +77,7 @@ def split_frozen(
             above that of the run.
     """
     check_splat_count(start, config)
-    inside = box.holds(start.means)
+    inside = box.contains(start.means)
     if not inside.any():
         raise ConfigError(
             f"None of the {number(len(start))} splats of {config.start_splats} is in the region "

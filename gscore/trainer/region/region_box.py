@@ -44,7 +44,7 @@ class RegionBox:
         """Short hash of the box."""
         return hashlib.sha256(self.matrix.tobytes()).hexdigest()[:16]
 
-    def holds(self, points: np.ndarray) -> np.ndarray:
+    def contains(self, points: np.ndarray) -> np.ndarray:
         """Return [N] bool: `points`, [N, 3], in the box or on its sides."""
         return np.abs(self._local(points)).max(axis=1, initial=0) <= 1
 
@@ -59,7 +59,7 @@ class RegionBox:
         finite = np.isfinite(local[out]).all(axis=1)
         return RowEdit(rows=out[finite], values={"means": inside[finite].astype(np.float32)})
 
-    def may_be_seen(
+    def may_be_visible(
         self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, near: float
     ) -> bool:
         """Return whether the box may be visible: False only if all corners are beyond one side of
@@ -82,7 +82,7 @@ class RegionBox:
     def outline(self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int) -> np.ndarray:
         """Return [H, W] bool: pixels whose rays meet the box in front of the camera.
 
-        Args: as for `may_be_seen`.
+        Args: as for `may_be_visible`.
         """
         rays = np.linalg.inv(K)
         turned = self.to_unit[:3, :3] @ viewmat[:3, :3].T

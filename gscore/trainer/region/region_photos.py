@@ -41,7 +41,7 @@ class RegionPhotos(Dataset):
                 "`--mask-mode ignore`, which excludes masked pixels from the training."
             )
         points = whole.scene.points.points
-        if narrow and len(points) and not box.holds(points).any():
+        if narrow and len(points) and not box.contains(points).any():
             raise DatasetError(
                 f"None of the {number(len(points))} points of the capture is in the region. Check "
                 "that the box is in the capture's world."
@@ -52,7 +52,7 @@ class RegionPhotos(Dataset):
             """Return whether a view may show the box; with `exact`, whether it does."""
             size = int(cameras.widths[index]), int(cameras.heights[index])
             camera = cameras.Ks[index], cameras.viewmats[index], *size
-            return box.may_be_seen(*camera, near) and (not exact or _has_pixels(box, *camera))
+            return box.may_be_visible(*camera, near) and (not exact or _has_pixels(box, *camera))
 
         super().__init__(
             scene=whole.scene,

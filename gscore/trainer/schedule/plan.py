@@ -199,7 +199,7 @@ class Plan:
         """Steps between two checkpoints that the watchdog may restore."""
         return max(_KEPT_EVERY, self.iterations // 10)
 
-    def rest_moves_at(self, step: int, photos: int = 1) -> bool:
+    def harmonics_update_at(self, step: int, photos: int = 1) -> bool:
         """Return whether shN is updated after `step`, the last of a batch of `photos`.
 
         The last step updates it; a run that ends early loses the accumulated gradients.

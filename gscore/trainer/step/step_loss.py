@@ -9,7 +9,7 @@ from ...raster.loss import image_loss_gradient
 from ...raster.memory import empty
 from ...raster.training_rasterizer import Picture
 from ..depth.loss import DepthLoss
-from ..depth.regularisers import opacity_loss, see_through
+from ..depth.regularisers import mean_transmittance, opacity_loss
 from ..guide.loss import GuideLoss
 from ..views.model_renderer import mse_of_unmasked
 from .training_views import TrainingView
@@ -118,7 +118,7 @@ class StepLoss:
             (more,) = _gradients(term, alpha)
             v_alpha = more if v_alpha is None or more is None else v_alpha + more
         if config.opaque_weight and not composite:
-            through, slope = see_through(picture.alpha.detach(), mask)
+            through, slope = mean_transmittance(picture.alpha.detach(), mask)
             value += config.opaque_weight * through
             slope *= config.opaque_weight
             v_alpha = slope if v_alpha is None else v_alpha + slope

@@ -43,7 +43,7 @@ class FreeSpace:
         self._towards = torch.from_numpy(-2 * centers.T)
         self._rest = torch.from_numpy(np.square(centers).sum(axis=1) - radii**2)
 
-    def holds(self, means: torch.Tensor) -> torch.Tensor:
+    def contains(self, means: torch.Tensor) -> torch.Tensor:
         """Return [N] bool: `means`, [N, 3], in a ball."""
         inside = zeros(len(means), dtype=torch.bool)
         balls = len(self._rest)

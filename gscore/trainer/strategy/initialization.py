@@ -6,7 +6,7 @@ from ...config import TrainConfig
 from ...formats.joined import joined
 from ...scene import Cameras, PointCloud
 from ...splats import Splats
-from ..model.initial_splats import splats_from_cloud, splats_from_given
+from ..model.initial_splats import splats_from_cloud, splats_from_start
 from ..model.nearest_points import NearestPoints
 from ..model.training_frame import TrainingFrame
 from ..photos.sky import sky_splats
@@ -51,7 +51,7 @@ def initial_splats(
         share=config.free_space,
     )
     if start is not None:
-        return splats_from_given(start, config, frame), free_space
+        return splats_from_start(start, config, frame), free_space
     sky = sky_splats(config, photos, cameras, cloud.points)
     most = max(plan.max_splats - (0 if sky is None else len(sky)), 1)
     first = splats_from_cloud(cloud, near, plan, frame, most=most, seed=config.seed)

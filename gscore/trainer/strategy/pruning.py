@@ -20,7 +20,7 @@ _CROWD = 0.2
 class Space(Protocol):
     """A free space."""
 
-    def holds(self, means: torch.Tensor) -> torch.Tensor:
+    def contains(self, means: torch.Tensor) -> torch.Tensor:
         """Return [N] bool: `means`, [N, 3] in the training frame, in the space."""
         ...
 
@@ -39,7 +39,7 @@ class Emptied:
         """Return the splats to remove, [N] bool; None: none."""
         if self._space is None or self.crowded:
             return None
-        inside = self._space.holds(means)
+        inside = self._space.contains(means)
         count = int(inside.sum())
         self.crowded = count > _CROWD * len(means)
         if count == 0 or self.crowded:

@@ -90,7 +90,7 @@ def _observations(photos: Dataset, tracks: Tracks) -> dict[int, PointObservation
     for i in photos.train:
         good = np.isfinite(tracks.rays[i]).all(axis=1)
         found[i] = PointObservations(
-            points=tracks.points[tracks.seen[i][good]], rays=tracks.rays[i][good]
+            points=tracks.points[tracks.observed[i][good]], rays=tracks.rays[i][good]
         )
     return found
 

@@ -61,7 +61,7 @@ def _in_view(dataset: Dataset, tracks: Tracks, index: int) -> tuple[np.ndarray, 
     height, width = image.shape[:2]
     small = max(1.0, max(height, width) / _SIDE)
     columns, lines = max(1, round(width / small)), max(1, round(height / small))
-    rows = tracks.seen[index]
+    rows = tracks.observed[index]
     K = cameras.Ks[index]
     pixels = tracks.rays[index] * K[[0, 1], [0, 1]] + K[:2, 2]
     pixels = pixels * (columns / width, lines / height)

@@ -57,13 +57,13 @@ def poll_until(queue: UndistortQueue, program: object, done: Callable[[list[str]
 def test_what_is_asked_for_while_the_program_ends_is_made(run: Run, told: Path) -> None:
     """The program needs a second to end, in which it reads nothing more."""
     queue, program = UndistortQueue(), run(BEGINS + ANSWERS + "time.sleep(1)")
-    queue.ask(tasks("a"))
+    queue.enqueue_first(tasks("a"))
     poll_until(queue, program, lambda made: made == ["a"])
     for _ in range(5):  # its input ends
         assert queue.poll(program) == []
         time.sleep(0.02)
     assert queue.busy
-    queue.ask(tasks("b"))
+    queue.enqueue_first(tasks("b"))
     poll_until(queue, program, lambda made: made == ["b"])
     assert queue.problems == {} and queue.done == queue.total == 2
     poll_until(queue, program, lambda _: not queue.busy)
@@ -74,7 +74,7 @@ def test_a_program_that_never_begins_is_given_up(run: Run, told: Path) -> None:
     """Every photo gets the reason; later ones are tried again."""
     queue, program = UndistortQueue(), run(BEGINS + "sys.exit('no display')")
     for _ in range(2):
-        queue.ask(tasks("a", "b", "c"))
+        queue.enqueue_first(tasks("a", "b", "c"))
         poll_until(queue, program, lambda _: not queue.busy)
         assert set(queue.problems) == {"a", "b", "c"}
         assert set(queue.problems.values()) == {
@@ -86,7 +86,7 @@ def test_a_program_that_never_begins_is_given_up(run: Run, told: Path) -> None:
 def test_a_photo_that_ends_the_program_is_left_out(run: Run, told: Path) -> None:
     """Another process makes the others."""
     queue, program = UndistortQueue(), run(BEGINS + ANSWERS)
-    queue.ask(tasks("a", "crash", "b"))
+    queue.enqueue_first(tasks("a", "crash", "b"))
     assert poll_until(queue, program, lambda _: not queue.busy) == ["a", "b"]
     assert told.read_text().split() == ["begun", "a", "crash", "begun", "b"]
     (copy,) = queue.problems
@@ -97,8 +97,8 @@ def test_what_is_asked_for_last_comes_first(run: Run, told: Path) -> None:
     """Except for the copy in progress; no copy is made twice."""
     slow = ANSWERS.replace("    if copy", "    time.sleep(0.3)\n    if copy")
     queue, program = UndistortQueue(), run(BEGINS + slow)
-    queue.ask(tasks("a", "b", "c"))
+    queue.enqueue_first(tasks("a", "b", "c"))
     queue.poll(program)
-    queue.ask(tasks("d", "a", "c"))
+    queue.enqueue_first(tasks("d", "a", "c"))
     assert poll_until(queue, program, lambda _: not queue.busy) == ["a", "d", "c", "b"]
     assert told.read_text().split() == ["begun", "a", "d", "c", "b"]

@@ -22,7 +22,7 @@ from addon.cameras import (
     undistort_operators,
     undistorted_photos,
 )
-from addon.cameras.backgrounds import photo_of, straight_background
+from addon.cameras.backgrounds import photo_of, undistorted_background
 from addon.cameras.objects import PhotoCamera, is_camera, stated
 from addon.core import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_colmap
 from addon.panels.cameras import CamerasPanel
@@ -43,8 +43,8 @@ FIELD, FAR = 0.25, 2.0
 
 def copy_needed(ob: bpy.types.Object) -> Path | None:
     """The missing copy of a camera's background, if it shows an undistorted photo."""
-    found = straight_background(ob)
-    return None if found is None else found.lacks()
+    found = undistorted_background(ob)
+    return None if found is None else found.missing_copy()
 
 
 def bend(model: str, rays: np.ndarray) -> np.ndarray:
@@ -141,7 +141,7 @@ def corner_near(picture: np.ndarray, place: np.ndarray, half: int = 4) -> np.nda
 def panel() -> str:
     """The text of the panel once the missing copies are known."""
     text = drawn(CamerasPanel)
-    while undistort_jobs.LACKING.busy:
+    while undistort_jobs.MISSING_COPIES.busy:
         time.sleep(0.01)
         poll_timer.poll()
         text = drawn(CamerasPanel)
@@ -234,7 +234,7 @@ def test_files_find_their_copies_again(scene, tmp_path: Path, own_copies: Path) 
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "c" / "x.blend"))
     cameras = [ob for ob in bpy.data.objects if is_camera(ob)]
     assert [copy_needed(ob) for ob in cameras] == [None, None]
-    assert undistort_jobs.ask(cameras) == 0
+    assert undistort_jobs.queue_copies(cameras) == 0
     assert shown(photo_of(cameras[0])).std() > 0.3
     assert bpy.ops.gscore.straighten_photos() == {"FINISHED"}
     undistorted_photos.part_of(undistorted_photos.copies(own_copies)[0]).write_bytes(b"half")
@@ -259,7 +259,7 @@ def test_the_queue_stops_and_goes_on(scene, tmp_path: Path, own_copies: Path) ->
     """Oracle: the existing copies; none is waited for."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
     assert not bpy.ops.gscore.stop_straightening.poll()
-    assert undistort_jobs.ask(made.cameras) == 3
+    assert undistort_jobs.queue_copies(made.cameras) == 3
     assert not undistort_jobs.collect()
     begun = copy_needed(made.cameras[0])
     assert "Undistorting photos: 0 of 3" in drawn(CamerasPanel)
@@ -279,7 +279,7 @@ def test_a_picture_that_the_user_chose_stays(scene, tmp_path: Path, own_copies: 
     write_png(tmp_path / "own.png", board("OPENCV"))
     chosen = bpy.data.images.load(str(tmp_path / "own.png"))
     ob.data.background_images[0].image = chosen
-    assert undistort_jobs.ask([ob]) == 0 and copy_needed(ob) is None
+    assert undistort_jobs.queue_copies([ob]) == 0 and copy_needed(ob) is None
     assert "(Undistort Photos)" not in panel()
     captures.relink(made.root, tmp_path / "c")
     assert [slot.image for slot in ob.data.background_images] == [chosen]
@@ -302,7 +302,7 @@ def test_a_wrong_link_is_led_to_a_copy_that_is_there(
     slot.image.filepath, slot.alpha = str(tmp_path / "elsewhere.png"), 0.5
     ob.data.show_background_images = False
     assert copy_needed(ob) == copy and "(Undistort Photos)" in panel()
-    assert undistort_jobs.ask([ob]) == 0 and not undistort_jobs.QUEUE.busy
+    assert undistort_jobs.queue_copies([ob]) == 0 and not undistort_jobs.QUEUE.busy
     assert slot.image.filepath == str(copy) and copy_needed(ob) is None
     assert slot.alpha == 0.5 and not ob.data.show_background_images
 
@@ -311,7 +311,7 @@ def test_a_damaged_camera_keeps_none_from_the_others(scene, tmp_path: Path) -> N
     """Oracle: the number of requested copies; the message in the panel and of the operator."""
     made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"]))
     del made.cameras[0]["gs_K"]
-    assert undistort_jobs.ask(made.cameras) == 1
+    assert undistort_jobs.queue_copies(made.cameras) == 1
     undistort_jobs.QUEUE.kill()
     assert "has lost a custom property" in panel() and "(Undistort Photos)" in panel()
     with pytest.raises(RuntimeError, match="has lost a custom property"):
@@ -345,7 +345,7 @@ def test_many_cameras_are_asked_for_at_once(
     calls = []
     known = backgrounds.KnownImages
     monkeypatch.setattr(undistort_jobs, "KnownImages", lambda: calls.append(1) or known())
-    assert undistort_jobs.ask(made.cameras) == 3 and len(calls) == 1
+    assert undistort_jobs.queue_copies(made.cameras) == 3 and len(calls) == 1
     undistort_jobs.QUEUE.kill()
     assert [copy_needed(ob) for ob in made.cameras] == [
         backgrounds.file_of(photo_of(ob)) for ob in made.cameras

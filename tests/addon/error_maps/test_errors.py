@@ -180,7 +180,7 @@ def test_splats_that_the_view_layer_excludes(result: bpy.types.Object, tmp_path:
     child = bpy.context.view_layer.layer_collection.children["away"]
     job = measure_errors.measure(result)
     child.exclude = True
-    until(lambda: job.ended and not job.wanted)
+    until(lambda: job.ended and not job.awaits_import)
     assert not job.warnings and len(measure_errors.siblings(result)[1]) == 1
     child.exclude = False
     bpy.context.view_layer.objects.active = result
@@ -204,7 +204,7 @@ def test_splats_that_are_gone(result: bpy.types.Object, tmp_path: Path) -> None:
     play(tmp_path, result, {"a": 20.0})
     job = measure_errors.measure(result)
     bpy.data.objects.remove(result)
-    until(lambda: job.ended and not job.wanted)
+    until(lambda: job.ended and not job.awaits_import)
     assert "gone" in job.warnings[-1] and not any(map(measure_errors.is_map, bpy.data.objects))
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from addon.histograms.boxes import Box, Over, placed
+from addon.histograms.boxes import Box, OverlappingRegions, placed
 from addon.histograms.counting import OPACITY, SIZE, of_opacities, of_sizes
 from addon.histograms.limits import handles, limits_of
 
@@ -53,7 +53,7 @@ def test_handles_do_not_pass_each_other():
 
 def test_boxes_lie_free():
     """Oracle: regions over the view at either side, above and below."""
-    over = Over(
+    over = OverlappingRegions(
         left=[Box(0, 0, 60, 600)],
         right=[Box(760, 0, 240, 600)],
         above=[Box(0, 570, 1000, 30)],
@@ -69,10 +69,10 @@ def test_boxes_lie_free():
 def test_boxes_stand_above_what_floats_in_their_way():
     """Oracle: the upper end of the overlapping region."""
     view = Box(0, 0, 800, 600)
-    plain = placed(view, Over(), 2, 1.0)
+    plain = placed(view, OverlappingRegions(), 2, 1.0)
     panel = Box(20, 20, 170, 25)
-    assert placed(view, Over(floating=[panel]), 2, 1.0) == plain
-    raised = placed(view, Over(floating=[panel, Box(20, 20, 350, 40)]), 2, 1.0)
+    assert placed(view, OverlappingRegions(floating=[panel]), 2, 1.0) == plain
+    raised = placed(view, OverlappingRegions(floating=[panel, Box(20, 20, 350, 40)]), 2, 1.0)
     assert all(box.y > 60 for box in raised)
     assert [box.x for box in raised] == [box.x for box in plain]
 
@@ -84,7 +84,7 @@ def test_boxes_stand_above_what_floats_in_their_way():
 def test_there_are_as_many_boxes_as_there_is_room_for(width, height, count):
     """Oracle: heights by hand: 28 + 70 + 28 for one, 98 more for a second above it."""
     view = Box(0, 0, width, height)
-    found = placed(view, Over(), 2, 1.0)
+    found = placed(view, OverlappingRegions(), 2, 1.0)
     assert len(found) == count and all(box.top + 28 <= height for box in found)
     if count == 2 and width < 500:
         assert found[0].x == found[1].x and found[0].top < found[1].y

@@ -247,10 +247,10 @@ def test_a_thread_answers_the_last_wish():
         return 10 * wish
 
     worker: Latest[int, int] = Latest(work, "test")
-    worker.ask(1)
+    worker.submit(1)
     assert begun.wait(60)
     for wish in (2, 3, 4):
-        worker.ask(wish)
+        worker.submit(wish)
     answers = []
     go.set()
     until = time.monotonic() + 60
@@ -260,10 +260,10 @@ def test_a_thread_answers_the_last_wish():
         time.sleep(0.001)
     assert worker.answer == (4, 40) and worker.fresh and not worker.problem
     assert all(answer in ((1, 10), (4, 40)) for answer in answers)
-    worker.ask(9)
+    worker.submit(9)
     while worker.busy and time.monotonic() < until:
         time.sleep(0.001)
     assert worker.problem == "Nine cannot be." and worker.answer is None
     worker.close()
-    worker.ask(5)
+    worker.submit(5)
     assert not worker.busy

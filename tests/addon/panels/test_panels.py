@@ -76,7 +76,7 @@ def test_whose_colors_soft_splats_have(scene: bpy.types.Scene) -> None:
 
     def said() -> str:
         layout = Layout()
-        result.draw_seen_from(layout, bpy.context, ob)
+        result.draw_viewpoint(layout, bpy.context, ob)
         return layout.text
 
     ob = objects.create(lab.blob(20), "splats")
@@ -241,11 +241,11 @@ def test_the_bar_is_on_top_while_a_training_runs(
     state = running()
     job = SimpleNamespace(state=state, id="a", source=Path("plush"))
     monkeypatch.setattr(registry, "jobs", lambda: [job])
-    assert f"[25%] plush: {progress.bar_text(state)}" in drawn(running_work.NowPanel)
+    assert f"[25%] plush: {progress.bar_text(state)}" in drawn(running_work.RunningWorkPanel)
     monkeypatch.setattr(running_work, "job", lambda _: job)
-    assert drawn(running_work.NowPanel) == f"[25%] Training: {progress.bar_text(state)} ()"
+    assert drawn(running_work.RunningWorkPanel) == f"[25%] Training: {progress.bar_text(state)} ()"
     state.status = FINISHED
-    assert drawn(running_work.NowPanel) == ""
+    assert drawn(running_work.RunningWorkPanel) == ""
 
 
 def test_decisions_are_told_in_words_of_panels(
@@ -280,7 +280,7 @@ def test_other_work_has_bars_too(scene: bpy.types.Scene, monkeypatch: pytest.Mon
     frames.last = lambda kind: None
     monkeypatch.setattr(running_work.steer, "job_of", lambda _: region)
     monkeypatch.setattr(running_work.sequence, "job_of", lambda _: frames)
-    told = drawn(running_work.NowPanel)
+    told = drawn(running_work.RunningWorkPanel)
     assert told == "[50%] Region: Starting () [10%] Sequence: Starting ()"
     region.ended = frames.ended = True
-    assert drawn(running_work.NowPanel) == ""
+    assert drawn(running_work.RunningWorkPanel) == ""

@@ -33,7 +33,7 @@ def many() -> list[list[list]]:
 
 def test_much_is_made(whole: list[int]) -> None:
     """Without it there is a full collection, and afterwards again."""
-    with garbage.put_off():
+    with garbage.defer_collections():
         kept = many()
     assert not whole
     kept += many()
@@ -51,7 +51,7 @@ def test_younger_garbage_goes(whole: list[int]) -> None:
         def __del__(self) -> None:
             gone.append(1)
 
-    with garbage.put_off():
+    with garbage.defer_collections():
         for _ in range(100):
             Own()
         made = many()
@@ -63,7 +63,7 @@ def test_two_works_that_end_in_any_order() -> None:
     before = gc.get_threshold()
 
     def work() -> Pieces[None]:
-        with garbage.put_off():
+        with garbage.defer_collections():
             yield "begun"
             yield "goes on"
 
@@ -79,6 +79,6 @@ def test_two_works_that_end_in_any_order() -> None:
 
 def test_somebody_else_chooses_meanwhile(whole: list[int]) -> None:
     """Their choice stays."""
-    with garbage.put_off():
+    with garbage.defer_collections():
         gc.set_threshold(500, 6, 7)
     assert gc.get_threshold() == (500, 6, 7)

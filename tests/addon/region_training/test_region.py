@@ -91,7 +91,7 @@ def test_what_a_trainer_is_given(studio: bpy.types.Scene, tmp_path: Path, play: 
     assert words[words.index("--iterations") + 1] == "2000" and "--sky" not in words
 
     job._process.send("go")
-    until(lambda: job.ended and not job.wanted)
+    until(lambda: job.ended and not job.awaits_import)
     assert len(ob.data.vertices) == 700
     assert np.array_equal(positions(ob), read_splats(tmp_path / "b.ply").means)
     assert read_marks(ob.data) is None  # else it would be tinted as selected
@@ -150,7 +150,7 @@ def test_splats_that_were_edited_meanwhile_are_kept(
     job = train_region.job_of(studio)
     until(lambda: job._process is not None)
     job._process.send("go")
-    until(lambda: job.ended and not job.wanted)
+    until(lambda: job.ended and not job.awaits_import)
     assert np.array_equal(positions(ob), edited)
     start = read_splats(tmp_path / "out_region_1/start.ply")
     assert np.array_equal(start.means, read_splats(tmp_path / "a.ply").means)
@@ -180,7 +180,7 @@ def test_a_result_that_has_no_place_is_told_where_it_lies(
         action = bpy.data.actions.new("moves")
         ob.data.animation_data_create().nla_tracks.new().strips.new("moves", 1, action)
     job._process.send("go")
-    until(lambda: job.ended and not job.wanted)
+    until(lambda: job.ended and not job.awaits_import)
     assert len(ob.data.vertices) == 50 and set(bpy.data.meshes) == meshes
     assert f"has {with_what}" in job.warnings[-1] and f"is in {output};" in job.warnings[-1]
     assert "Result > Import adds point_cloud.ply" in drawn(RegionPanel)
@@ -199,7 +199,7 @@ def test_stopping_leaves_all_as_it_was(studio: bpy.types.Scene, tmp_path: Path, 
     until(lambda: job.progress is not None)
     assert bpy.ops.gscore.stop_region() == {"FINISHED"}
     until(lambda: job.ended)
-    assert job.status == verb_job.CANCELLED and not job.wanted
+    assert job.status == verb_job.CANCELLED and not job.awaits_import
     assert np.array_equal(positions(ob), before)
     assert "stay as they were" in drawn(RegionPanel)
 

@@ -322,14 +322,14 @@ def test_a_sequence_blurs_over_its_frames(scene, tmp_path: Path):
         scene.frame_set(frame)
         alone.append(lab.render_exr(tmp_path, f"alone{frame}"))
     scene.frame_set(3)
-    held = mesh.holds(ob)
+    held = mesh.file_label(ob)
     scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 2.0
     scene.render.motion_blur_position = "START"
     scene.gscore_render.blur_samples = 16
     got = lab.render_exr(tmp_path)
     np.testing.assert_allclose(got, np.mean(alone, 0), atol=1e-5)
     assert np.abs(alone[0] - alone[1]).max() > 0.1
-    assert mesh.holds(ob) == held
+    assert mesh.file_label(ob) == held
     ob.cycles.use_deform_motion = False
     got = lab.render_exr(tmp_path, "frame")
     np.testing.assert_allclose(got, alone[0], atol=1e-5)

@@ -438,7 +438,7 @@ def test_photos_of_lenses_that_bend_are_straightened_as_for_training(scene, bent
     own, shown = stated(camera), pixels(found.images["Photo"])
     plan = plan_undistortion(lens_of(own))
     assert shown.shape == (own.height, own.width, 3) == (plan.height, plan.width, 3)
-    np.testing.assert_array_equal(np.rint(shown * 255), plan.straighten(photo))
+    np.testing.assert_array_equal(np.rint(shown * 255), plan.undistort_photo(photo))
     assert found.psnr_masked is None
     y, x = np.mgrid[20 : own.height - 20, 20 : own.width - 20] + 0.5
     ray = np.stack([x - own.K[0, 2], y - own.K[1, 2]], axis=-1) / own.K[0, 0]

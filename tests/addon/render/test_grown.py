@@ -141,7 +141,7 @@ def held(scene: bpy.types.Scene) -> bpy.types.Scene:
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both ways to read instances; before 4.5 there is one."""
     if request.param == "walked":
-        monkeypatch.setattr(generated_instances, "has_to_be_walked", generated_instances.may_grow)
+        monkeypatch.setattr(generated_instances, "needs_walk", generated_instances.may_grow)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -96,5 +96,5 @@ def test_the_viewport_cuts_the_same_hole(scene, tmp_path):
     stage = Stage(depsgraph, camera, (90, 70), final_cache, lambda *_: None)
     view = View(model=lab.model_of(depsgraph), camera=stage.view().camera)
     film = Film(options=picture.Options(), transparent=True, to_scene=np.eye(3))
-    got = film.shoot(view, lambda: False)["Combined"][::-1]
+    got = film.render(view, lambda: False)["Combined"][::-1]
     np.testing.assert_allclose(got, wanted, atol=1e-5)

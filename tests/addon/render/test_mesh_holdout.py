@@ -102,7 +102,7 @@ def test_the_viewport_shows_the_same(scene, tmp_path):
         holdouts=shared.of(depsgraph),
     )
     film = Film(options=picture.Options(), transparent=True, to_scene=np.eye(3))
-    got = film.shoot(view, lambda: False)["Combined"][::-1]
+    got = film.render(view, lambda: False)["Combined"][::-1]
     np.testing.assert_allclose(got, wanted, atol=3e-5)
     assert holdout_meshes.same_meshes(
         view.holdouts, shared.of(depsgraph)

@@ -109,7 +109,7 @@ def shot(request: Request, factor: int = 1) -> np.ndarray:
     """[H, W, 4], the top row first."""
     camera = smaller(request.camera, factor)  # as a painter requests it
     model = SplatCache().model(request.placed)
-    return request.shoot(model, camera, lambda: False, CancelFlag())[::-1]
+    return request.render(model, camera, lambda: False, CancelFlag())[::-1]
 
 
 def with_near_splat() -> Splats:

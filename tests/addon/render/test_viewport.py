@@ -80,14 +80,14 @@ def test_painter_ends_with_the_full_picture(scene):
     request, _ = request_for(scene, splats)
     painter = viewport.ViewPainter(SplatCache())
     painter._factor = 4
-    painter.ask(request)
+    painter.submit(request)
     wait(painter)
     camera = request.camera
     want = render(splats, camera.K, camera.viewmat, 96, 64, near=camera.near)
     np.testing.assert_allclose(lab.srgb(painter.pixels[::-1, :, :3]), want.rgb, atol=1e-4)
     assert painter.fresh and not painter.problem
     painter.fresh = False
-    painter.ask(request)  # an equal request: nothing to do
+    painter.submit(request)  # an equal request: nothing to do
     assert not painter.busy
     painter.close()
 
@@ -102,7 +102,7 @@ def test_pictures_appear_while_the_view_turns(scene):
     while time.monotonic() < until and len(shown) < 4:
         turned = request.camera.viewmat.copy()
         turned[0, 3] += 1e-3 * (time.monotonic() % 1)
-        painter.ask(replace(request, camera=replace(request.camera, viewmat=turned)))
+        painter.submit(replace(request, camera=replace(request.camera, viewmat=turned)))
         shown.add(id(painter.pixels) if painter.fresh else None)
         painter.fresh = False
         time.sleep(0.02)
@@ -115,10 +115,10 @@ def test_a_new_wish_stops_the_old_one(scene):
     begun, ends = threading.Event(), []
 
     class Large(viewport.Request):
-        def shoot(self, *arguments):
+        def render(self, *arguments):
             begun.set()
             try:
-                return super().shoot(*arguments)
+                return super().render(*arguments)
             except Cancelled as error:
                 ends.append(error)
                 raise
@@ -127,9 +127,9 @@ def test_a_new_wish_stops_the_old_one(scene):
     quick, _ = request_for(scene, lab.veil())
     slow = Large(**vars(quick) | {"camera": replace(quick.camera, width=3000, height=3000)})
     painter = viewport.ViewPainter(SplatCache())
-    painter.ask(slow)
+    painter.submit(slow)
     assert begun.wait(60)
-    painter.ask(quick)
+    painter.submit(quick)
     wait(painter)
     assert len(ends) == 1 and painter.pixels.shape == (64, 96, 4)
     painter.close()
@@ -141,7 +141,7 @@ def test_problems_are_sentences(scene):
     request, ob = request_for(scene, lab.blob())
     placed = [type(p)(**{**vars(p), "matrix": np.diag([1.0, 2, 1, 1])}) for p in request.placed]
     painter = viewport.ViewPainter(SplatCache())
-    painter.ask(type(request)(**{**vars(request), "placed": placed}))
+    painter.submit(type(request)(**{**vars(request), "placed": placed}))
     wait(painter)
     assert ob.name in painter.problem and "unevenly" in painter.problem
     assert painter.pixels is None
@@ -271,7 +271,7 @@ def test_what_is_hidden_and_selected_in_edit_mode(scene: bpy.types.Scene) -> Non
 
     def shot(request: viewport.Request) -> np.ndarray:
         model = SplatCache().model(request.placed)
-        found = request.shoot(model, request.camera, lambda: False, CancelFlag())
+        found = request.render(model, request.camera, lambda: False, CancelFlag())
         return lab.srgb(found[::-1, :, :3])
 
     def truth(*parts: Splats) -> np.ndarray:
@@ -306,17 +306,17 @@ def test_what_is_hidden_cuts_no_hole(scene: bpy.types.Scene) -> None:
     seen = replace(own, matrix=behind, uid=-1)
     asked = replace(request, placed=[cut, seen], tinted=Tinted.EDITED)
     model = SplatCache().model(asked.placed)
-    got = asked.shoot(model, asked.camera, lambda: False, CancelFlag())
+    got = asked.render(model, asked.camera, lambda: False, CancelFlag())
     fewer = lab.add(scene, own.frozen.read().subset(marks == SELECTED))
     bpy.context.view_layer.update()
     frozen_fewer = mesh_copies.freeze(fewer.data, "fewer")
     wanted = replace(asked, placed=[replace(cut, frozen=frozen_fewer, edited=False), seen])
     model = SplatCache().model(wanted.placed)
-    want = wanted.shoot(model, asked.camera, lambda: False, CancelFlag())
+    want = wanted.render(model, asked.camera, lambda: False, CancelFlag())
     np.testing.assert_allclose(got, want, atol=1e-5)
     whole = replace(asked, placed=[replace(cut, edited=False), seen])
     model = SplatCache().model(whole.placed)
-    every = whole.shoot(model, asked.camera, lambda: False, CancelFlag())
+    every = whole.render(model, asked.camera, lambda: False, CancelFlag())
     assert (every[..., 3] < want[..., 3] - 0.1).mean() > 0.02
 
 

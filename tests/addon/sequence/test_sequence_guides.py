@@ -200,7 +200,7 @@ def test_what_a_sequence_does_not_see_is_told(
     video.collection.objects.link(box)
     video.gscore.train_within = box
     assert "Limit to Object (Box) is only for single" in panel()
-    lines = train_sequence.not_seen(video)
+    lines = train_sequence.unsupported_parts(video)
     assert (
         "Limit to Object (Box) is only for single" in lines[0] and "Hidden in Guide Sur" in lines[1]
     )

@@ -80,7 +80,7 @@ def test_from_button_to_cameras(holiday: bpy.types.Scene, tmp_path: Path, play: 
 
     (tmp_path / "waiting").rename(capture)
     job._process.send("go")
-    until(lambda: job.ended and not job.wanted)
+    until(lambda: job.ended and not job.awaits_import)
     words = json.loads(called.read_text())
     assert words[words.index("sfm") :][:4] == ["sfm", str(tmp_path / "holiday"), "-o", str(capture)]
     assert holiday.gscore.capture_path == str(capture)
@@ -144,7 +144,7 @@ def test_a_search_follows_one_that_is_ending(
         assert second._process.pid != first._process.pid
         bpy.ops.gscore.cancel_search()
         second._process.send("go")
-    until(lambda: second.ended and not second.wanted)
+    until(lambda: second.ended and not second.awaits_import)
     found = late == "found"
     assert second.status == (verb_job.FINISHED if found else verb_job.CANCELLED)
     assert (second._process is None) is (late != "cancelled")
@@ -181,7 +181,7 @@ def test_cameras_come_into_the_scene_that_asked(
             window.scene = other
         (tmp_path / "waiting").rename(capture)
         job._process.send("go")
-        until(lambda: job.ended and not job.wanted)
+        until(lambda: job.ended and not job.awaits_import)
         root, layer = chosen_root(holiday), holiday.view_layers[0]
         assert len(cameras_of(root)) == 60 and not other.objects and not other.gscore.capture_path
         assert layer.objects.active == root
@@ -203,7 +203,7 @@ def test_another_capture_chosen_meanwhile_stays(
     holiday.gscore.capture_path = str(STUDIO)
     (tmp_path / "waiting").rename(capture)
     job._process.send("go")
-    until(lambda: job.ended and not job.wanted)
+    until(lambda: job.ended and not job.awaits_import)
     assert holiday.gscore.capture_path == str(STUDIO) and not holiday.objects
 
 
@@ -224,12 +224,12 @@ def test_what_is_done_while_cameras_come(
         bpy.ops.wm.read_homefile(use_empty=True)
     else:
         holiday.gscore.capture_path = str(STUDIO)
-    until(lambda: not job.wanted)
+    until(lambda: not job.awaits_import)
     incremental_removal.finish()
     scene = bpy.context.scene
     assert not scene.objects and not bpy.data.cameras and not bpy.data.collections
     assert scene.gscore.capture_path == ("" if by == "another file" else str(STUDIO))
-    assert job.coming is None and "gone" not in " ".join(job.warnings)
+    assert job.import_task is None and "gone" not in " ".join(job.warnings)
 
 
 @pytest.mark.parametrize("error", [MemoryError(), KeyError("ours")])
@@ -249,14 +249,14 @@ def test_cameras_that_fail_to_come_are_not_tried_again(
         job.poll()
     monkeypatch.setattr(find_cameras, "importing", fails)
     monkeypatch.setattr(find_cameras, "job_of", lambda scene: job)
-    assert not verb_jobs.bring_in(job)
+    assert not verb_jobs.import_next(job)
     if isinstance(error, MemoryError):
-        assert verb_jobs.bring_in(job)
+        assert verb_jobs.import_next(job)
         assert "not enough memory" in job.warnings[0]
     else:
         with pytest.raises(KeyError, match="ours"):
-            verb_jobs.bring_in(job)
-    assert job.coming is None and not verb_jobs.bring_in(job)
+            verb_jobs.import_next(job)
+    assert job.import_task is None and not verb_jobs.import_next(job)
 
 
 def test_what_cannot_be_searched(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:

@@ -31,7 +31,7 @@ def paths(tmp_path: Path, make_splats: Callable[..., Splats]) -> list[Path]:
 
 def begun(paths: list[Path], **options: object) -> AsyncImport:
     """An import with its files read."""
-    made = AsyncImport(bpy.context, [splat_files.want(path, **options) for path in paths])
+    made = AsyncImport(bpy.context, [splat_files.import_request(path, **options) for path in paths])
     assert made._task.wait(60)
     return made
 
@@ -126,7 +126,7 @@ def test_cancelled(scene: bpy.types.Scene, paths: list[Path]) -> None:
     coming = begun(paths)
     until_filling(coming)
     coming.cancel()
-    AsyncImport(bpy.context, [splat_files.want(paths[0])]).cancel()
+    AsyncImport(bpy.context, [splat_files.import_request(paths[0])]).cancel()
     assert not bpy.data.objects and not bpy.data.meshes
 
 

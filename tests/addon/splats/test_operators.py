@@ -269,7 +269,7 @@ def ending_items() -> list[bpy.types.EnumPropertyItem]:
     return list(bpy.ops.gscore.export_splats.get_rna_type().properties["ending"].enum_items)
 
 
-LACKING = pytest.mark.parametrize(
+MISSING_COPIES = pytest.mark.parametrize(
     ("ending", "package"), [(".sog", "pillow"), (".usdc", "usd-core"), (".usdz", "usd-core")]
 )
 
@@ -281,7 +281,7 @@ def without_packages(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, name, None)
 
 
-@LACKING
+@MISSING_COPIES
 def test_the_trainers_python_has_what_blenders_lacks(
     ending: str,
     package: str,
@@ -326,7 +326,7 @@ def test_an_export_by_the_trainers_python_can_be_given_up(
     assert {one.name for one in tmp_path.iterdir()} == {"out.sog", "chair.ply"}
 
 
-@LACKING
+@MISSING_COPIES
 def test_a_format_whose_package_is_missing(
     ending: str,
     package: str,
@@ -338,8 +338,8 @@ def test_a_format_whose_package_is_missing(
     """Oracle: an error that names the package and the button to press, and no file: without a
     Python for training, and with one that lacks the package too."""
     out = tmp_path / f"out{ending}"
-    other = conversion.Other(python=None, folder=bpy.app.tempdir)
-    monkeypatch.setattr(conversion, "other", lambda: other)
+    other = conversion.OtherPython(python=None, folder=bpy.app.tempdir)
+    monkeypatch.setattr(conversion, "other_python", lambda: other)
     with pytest.raises(RuntimeError, match=rf"{package}.* pip install .*Make Environment"):
         bpy.ops.gscore.export_splats(filepath=str(out))
     fake = tmp_path / "python"
@@ -347,7 +347,7 @@ def test_a_format_whose_package_is_missing(
         f"#!/bin/sh\necho 'gscore convert: error: it lacks {package} too.' >&2; exit 2\n"
     )
     fake.chmod(0o755)
-    monkeypatch.setattr(conversion, "other", lambda: replace(other, python=fake))
+    monkeypatch.setattr(conversion, "other_python", lambda: replace(other, python=fake))
     with pytest.raises(RuntimeError, match=f"python: it lacks {package} too"):
         bpy.ops.gscore.export_splats(filepath=str(out))
     assert not out.exists()
@@ -580,7 +580,7 @@ def test_a_crop_box_stands_upright_and_is_at_hand(ob: bpy.types.Object) -> None:
     np.testing.assert_allclose(turn - np.diag(np.diag(turn)), 0, atol=1e-5)
     assert bpy.context.object == box and bpy.context.selected_objects == [box]
     assert 0.8 * COUNT < visible_mask(ob).sum() < COUNT
-    assert objects.meant(bpy.context) == ob == objects.in_question(bpy.context)
+    assert objects.active_splats(bpy.context) == ob == objects.in_question(bpy.context)
     assert "(Delete Hidden Splats)" in drawn(result.FiltersPanel)
     bpy.ops.gscore.select_splats(which="VISIBLE")
     assert bpy.context.object == ob and ob.mode == "EDIT"

@@ -18,7 +18,7 @@ from addon.render.scene import sources
 from addon.render.viewport_copies import Copies
 from addon.splats import objects
 from addon.timeline import frame_sync, importing, mesh
-from addon.timeline.async_import import SequenceComing
+from addon.timeline.async_import import SequenceImport
 from addon.timeline.library import LIBRARY
 from tests.addon import points
 from tests.addon import splat_scenes as lab
@@ -297,7 +297,7 @@ def test_the_mesh_follows_bit_by_bit_where_there_is_a_window(scene, playing, mon
     scene.frame_set(4)
     assert number_of(playing) == 0
     until(lambda: number_of(playing) == 3)
-    assert mesh.holds(playing).startswith("3 ") and not mesh.was_edited(playing)
+    assert mesh.file_label(playing).startswith("3 ") and not mesh.was_edited(playing)
     until(lambda: not poll_timer.poll())
     scene.frame_set(6)
     playing.gscore_sequence.beyond = "HIDE"
@@ -342,7 +342,7 @@ def test_edges_stop_it_at_once_too(scene, playing, shared: bool, number: int) ->
     before, meshes = number_of(playing), len(bpy.data.meshes)
     frame = SimpleNamespace(splats=frame_splats(number), file=None)
     with pytest.raises(ValueError, match="has edges or faces"):
-        mesh.fill_at_once(playing, frame)
+        mesh.fill_mesh(playing, frame)
     assert number_of(playing) == before and len(playing.data.edges) == 1
     assert len(bpy.data.meshes) == meshes
 
@@ -414,7 +414,7 @@ def test_an_edit_that_blender_has_not_seen_is_kept(scene, scrubbed) -> None:
     assert len(objects.read(scrubbed)) == 120
 
 
-def come(coming: SequenceComing) -> bpy.types.Object:
+def come(coming: SequenceImport) -> bpy.types.Object:
     """Complete an incremental import; return the object."""
     end = time.monotonic() + 60
     while (made := coming.step()) is None:
@@ -429,13 +429,13 @@ def test_an_import_bit_by_bit(scene, folder, under) -> None:
     root = bpy.data.objects.new("Capture", None)
     scene.collection.objects.link(root)
     options = {"called": "", "start": 3, "parent": root if under else None, "up": "Y"}
-    coming = SequenceComing(bpy.context, folder, **options)
+    coming = SequenceImport(bpy.context, folder, **options)
     got = come(coming)
     wanted, series = importing.import_sequence(bpy.context, folder, **options)
     assert coming.series == series and not coming.warnings
     assert got.name == got.data.name == "frames" and wanted.name == "frames.001"
     assert got.parent == wanted.parent and got.matrix_basis == wanted.matrix_basis
-    assert mesh.holds(got) == mesh.holds(wanted) and not mesh.was_edited(got)
+    assert mesh.file_label(got) == mesh.file_label(wanted) and not mesh.was_edited(got)
     for name in ("folder", "files", "start"):
         assert getattr(got.gscore_sequence, name) == getattr(wanted.gscore_sequence, name)
     np.testing.assert_array_equal(objects.read(got).means, objects.read(wanted).means)
@@ -447,11 +447,11 @@ def test_an_import_bit_by_bit_that_fails(scene, folder) -> None:
     """Oracle: the errors of the import in one call, and an empty file."""
     options = {"called": "", "start": 1, "parent": None, "up": "-Y"}
     with pytest.raises(ValueError, match="has no frames"):
-        come(SequenceComing(bpy.context, folder.parent, **options))
-    coming = SequenceComing(bpy.context, folder, **options)
+        come(SequenceImport(bpy.context, folder.parent, **options))
+    coming = SequenceImport(bpy.context, folder, **options)
     coming.cancel()
     assert coming._arrival._task.wait(60)  # a mapped file that is cut ends the process
     (folder / "frame_0000.ply").write_bytes(b"no splats")
     with pytest.raises(ValueError, match="frame_0000"):
-        come(SequenceComing(bpy.context, folder, **options))
+        come(SequenceImport(bpy.context, folder, **options))
     assert not bpy.data.objects and not bpy.data.meshes

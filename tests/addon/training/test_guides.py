@@ -154,7 +154,7 @@ def test_instances_modifiers_and_text_count_and_hidden_ones_do_not(
     collection.children.link(child)
     child.objects.link(bpy.data.objects.new("Grandchild", a_grid("Grandchild", 2)))
     hidden.hide_set(True)
-    found = guides.gathered(studio, collection)
+    found = guides.merged_mesh(studio, collection)
     letter = len(found.triangles) - 2 * 2 - 3 * 2 - 2 * 4
     assert 2 <= letter <= 60
     told = start_training.unsaved(studio)
@@ -179,7 +179,7 @@ def test_texts_in_an_instanced_collection_keep_their_shapes(studio: bpy.types.Sc
         studio.collection.objects.unlink(text)
     sign = an_object("Signs", None)
     sign.instance_type, sign.instance_collection = "COLLECTION", source
-    assert len(guides.gathered(studio, into(studio, "surface", sign)).triangles) == wanted
+    assert len(guides.merged_mesh(studio, into(studio, "surface", sign)).triangles) == wanted
 
 
 def test_a_training_is_told_of_its_guides(studio: bpy.types.Scene, tmp_path: Path) -> None:
@@ -297,7 +297,7 @@ def test_a_large_mesh_is_gathered_in_a_blink(studio: bpy.types.Scene) -> None:
         for ob in collection.objects:
             ob.hide_viewport = len(ob.data.polygons) != cells**2
         bpy.context.view_layer.update()
-        assert len(guides.gathered(studio, collection).triangles) == 2 * cells**2
-        return lines_run(lambda: guides.gathered(studio, collection))
+        assert len(guides.merged_mesh(studio, collection).triangles) == 2 * cells**2
+        return lines_run(lambda: guides.merged_mesh(studio, collection))
 
     assert abs(lines(70) - lines(1)) < 100

@@ -21,7 +21,7 @@ from tests.addon.splat_scenes import error_of
 from tests.addon.trainings import positions, splats, until
 
 
-def look_again(scene: bpy.types.Scene) -> None:
+def refresh(scene: bpy.types.Scene) -> None:
     """Refresh the panel's facts about the run."""
 
     def idle() -> bool:
@@ -89,17 +89,17 @@ def test_a_run_that_went_on_elsewhere_is_told(
     shutil.rmtree(run)
     (tmp_path / "copy").rename(run)
     scene.gscore.output_path = str(run)
-    look_again(scene)
+    refresh(scene)
     assert "has earlier splats" not in drawn(TrainPanel)
     write_splats(run / "point_cloud.ply", splats(71))
-    look_again(scene)
+    refresh(scene)
     told = drawn(TrainPanel)
     assert f"{ob.name} has earlier splats of this run." in told
     assert bpy.ops.gscore.import_result() == {"FINISHED"}
     assert scene.gscore.result == ob and bpy.data.objects[:] == [ob] and len(bpy.data.meshes) == 1
     np.testing.assert_array_equal(positions(ob), splats(71).means)
     assert (ob.location.x, ob.gscore.opacity_min) == (3.0, 0.25)
-    look_again(scene)
+    refresh(scene)
     assert "Show Trained Splats" not in drawn(TrainPanel)
 
 

@@ -19,7 +19,7 @@ from addon import training as job_api
 from addon.cameras.captures import import_capture
 from addon.core import write_splats
 from addon.panels.progress import bar_text
-from addon.panels.running_work import NowPanel
+from addon.panels.running_work import RunningWorkPanel
 from addon.paths import output_folder
 from addon.process import poll_timer
 from addon.splats import write_chunked
@@ -110,7 +110,7 @@ def test_the_display_is_built_bit_by_bit(
     count = lambda: len(bpy.data.node_groups) + len(bpy.data.materials)  # noqa: E731
     assert count() == 0
     counts = [0]
-    until(lambda: counts.append(count()) or not job.chores)
+    until(lambda: counts.append(count()) or not job.preparations)
     assert max(np.diff(counts)) == 1
     built = set(bpy.data.node_groups)
     job._process.send("go")
@@ -327,16 +327,16 @@ def test_a_training_is_followed_in_another_file(
     play({"say": STARTED}, step(1), {"await": "go"}, finish(str(tmp_path / "r.ply")))
     job = start_training.train(studio)
     until(lambda: job.state.step == 1)
-    assert "Training: " in drawn(NowPanel)
+    assert "Training: " in drawn(RunningWorkPanel)
     bpy.ops.wm.read_homefile(use_empty=True)
-    assert f"{STUDIO.name}: {bar_text(job.state)}" in drawn(NowPanel)
+    assert f"{STUDIO.name}: {bar_text(job.state)}" in drawn(RunningWorkPanel)
     assert bpy.ops.gscore.follow_training(job_id=job.id) == {"FINISHED"}
     other = bpy.context.scene
-    assert job_api.job_of(other) is job and "Training: " in drawn(NowPanel)
+    assert job_api.job_of(other) is job and "Training: " in drawn(RunningWorkPanel)
     job._process.send("go")
     assert start_training.wait_for(job, timeout=60)
     np.testing.assert_array_equal(positions(other.gscore.result), splats(30).means)
-    assert drawn(NowPanel) == ""
+    assert drawn(RunningWorkPanel) == ""
     registry.remove(job)
     assert "was removed" in error_of(lambda: bpy.ops.gscore.follow_training(job_id=job.id))
 

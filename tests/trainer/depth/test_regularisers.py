@@ -14,8 +14,8 @@ from gscore.trainer.depth.regularisers import (
     drop_rate_at,
     drop_rate_of,
     drop_splats,
+    mean_transmittance,
     opacity_loss,
-    see_through,
 )
 from gscore.trainer.trainer import Trainer
 
@@ -103,7 +103,7 @@ def test_what_passes_is_its_formula(masked: bool) -> None:
     weights = np.ones((6, 7)) if mask is None else mask / 255
     expected = ((1 - alpha) * torch.from_numpy(weights)).mean()
     expected.backward()
-    value, slope = see_through(alpha.detach(), mask)
+    value, slope = mean_transmittance(alpha.detach(), mask)
     assert value == pytest.approx(float(expected), rel=1e-12)
     torch.testing.assert_close(slope, alpha.grad)
 

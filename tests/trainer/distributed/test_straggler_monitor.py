@@ -8,7 +8,7 @@ from gscore.trainer.distributed.straggler_monitor import StragglerMonitor
 def told(seconds: list[float], *, batches: int) -> list[str]:
     """Messages about batches on which the ranks work for these seconds."""
     waits = StragglerMonitor(["a", "b", "c"])
-    met = (waits.met(batch * np.array(seconds)) for batch in range(batches))
+    met = (waits.straggler_message(batch * np.array(seconds)) for batch in range(batches))
     return [sentence for sentence in met if sentence]
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from gscore.io.ply.splats import read_ply
 from gscore.io.runs import AGENT
-from gscore.trainer.distributed.batch_gradients import gathered_of
+from gscore.trainer.distributed.batch_gradients import accumulated_of
 from gscore.trainer.files import checkpoint
 
 from .processes import rank_of, wait_for
@@ -69,7 +69,7 @@ def test_what_each_rank_has_gathered_is_in_a_checkpoint(
     )
     assert first.any()
     assert second.any()
-    alone, rest = (gathered_of(checkpoint.load(kept).tensors, rank, 3) for rank in (0, 2))
+    alone, rest = (accumulated_of(checkpoint.load(kept).tensors, rank, 3) for rank in (0, 2))
     assert alone is not None
     assert rest is not None
     assert (alone.numpy() == first + second).all()

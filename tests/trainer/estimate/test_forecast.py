@@ -19,7 +19,13 @@ from gscore.inspection import inspect
 from gscore.presets import PRESETS
 from gscore.trainer.estimate import forecast
 from gscore.trainer.estimate.cost import Cost, reading_seconds
-from gscore.trainer.estimate.forecast import Estimate, check_fits, estimate, machine_pace, pace_now
+from gscore.trainer.estimate.forecast import (
+    Estimate,
+    check_fits,
+    current_pace,
+    estimate,
+    machine_pace,
+)
 from gscore.trainer.estimate.memory import cache_bytes
 from gscore.trainer.schedule.plan import Plan
 
@@ -180,12 +186,12 @@ def test_photos_are_decoded_for_each_size_where_that_saves_much() -> None:
     many = [(1200, 1000)] * 100
     anew = estimate(config, many, points=7000, free=100 * GB, pace=1.0)
     short = estimate(replace(config, iterations=4999), many, points=7000, free=100 * GB, pace=1.0)
-    assert anew.photos_kept and anew.photos_anew and anew.photo_bytes == 360_000_000
-    assert short.photos_kept and not short.photos_anew and short.photo_bytes == 540_000_000
+    assert anew.photos_kept and anew.decodes_again and anew.photo_bytes == 360_000_000
+    assert short.photos_kept and not short.decodes_again and short.photo_bytes == 540_000_000
     few = estimate(config, many[:10], points=7000, free=100 * GB, pace=1.0)
-    assert not few.photos_anew
+    assert not few.decodes_again
     scarce = estimate(config, many, points=7000, free=7 * GB // 10, pace=1.0)
-    assert not (scarce.photos_kept or scarce.photos_anew)
+    assert not (scarce.photos_kept or scarce.decodes_again)
 
 
 def test_the_machine_is_measured_quickly_and_without_torch() -> None:
@@ -216,7 +222,7 @@ def test_what_other_programs_take_away_counts_for_a_run_that_begins(
         clock[0] += next(times)
 
     monkeypatch.setattr(forecast, "render", draw)
-    assert pace_now(1) == pytest.approx(2.0)
+    assert current_pace(1) == pytest.approx(2.0)
     machine_pace.cache_clear()
     assert machine_pace(1) == pytest.approx(1.0)
     machine_pace.cache_clear()

@@ -13,7 +13,7 @@ from gscore.config import DataConfig, TrainConfig
 from gscore.config_file import config_json
 from gscore.errors import ConfigError, GsError
 from gscore.io.lock import FolderLock
-from gscore.io.runs import RUN_LOCK, clear_run, others_in_run, remove_results
+from gscore.io.runs import RUN_LOCK, clear_run, other_files_in_run, remove_results
 from gscore.trainer.files import run_folder as folder_module
 from gscore.trainer.files.run_folder import open_folder
 
@@ -91,7 +91,7 @@ def test_overwriting_takes_what_runs_write_and_nothing_else(tmp_path: Path) -> N
     """Oracle: two lists made by hand; files of the second are reported and survive twice."""
     a_run(tmp_path, *OURS, *THEIRS)
     shown = {name for name in THEIRS if not name.startswith(".")}
-    assert set(others_in_run(tmp_path)) == shown
+    assert set(other_files_in_run(tmp_path)) == shown
     for _ in range(2):
         with open_folder(tmp_path, resume=False, overwrite=True) as folder:
             folder.clear()

@@ -118,7 +118,7 @@ def test_free_space_is_what_lies_before_the_wall(dataset: Dataset, mesh: Path) -
     places = rng.uniform(-3, 3, (4000, 3))
     space = MeshFreeSpace(views, cameras, similarity)
     moved = torch.from_numpy(similarity.points_to_training(places).astype(np.float32))
-    found = space.holds(moved).numpy()
+    found = space.contains(moved).numpy()
     sure_in, sure_out = np.zeros(4000, bool), np.ones(4000, bool)
     for i in dataset.train:
         center = cameras.centers[i]

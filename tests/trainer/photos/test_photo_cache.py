@@ -116,7 +116,7 @@ def test_few_decoded_views_are_held(capture: Path) -> None:
     """Oracle: the bytes of a dataset that keeps all views."""
     data = DataConfig(source=capture)
     whole, few = load_dataset(data), load_dataset(data)
-    few.keep_few()
+    few.limit_cache()
     for i in range(len(whole)):
         assert np.array_equal(whole.image(i), few.image(i))
     assert len(few._views) <= 4
@@ -139,7 +139,7 @@ def test_a_run_with_a_small_cache_ends_alike(capture: Path, tmp_path: Path) -> N
         again = train(CONFIG, data, tmp_path / "again", start_checkpoint=step)
     assert isinstance(next(e for e in reversed(events) if isinstance(e, Estimated)), Estimated)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("gscore.trainer.estimate.forecast.decoded_anew", lambda *_, **__: True)
+        patch.setattr("gscore.trainer.estimate.forecast.decodes_again", lambda *_, **__: True)
         anew = train(CONFIG, data, tmp_path / "anew", events.append)
     assert next(e for e in reversed(events) if isinstance(e, Estimated)).photos_kept
     for other in (part, again, anew):

@@ -59,7 +59,7 @@ def touch(path: Path) -> None:
 
 def few(root: Path) -> Dataset:
     data = load_dataset(DataConfig(source=root))
-    data.keep_few()
+    data.limit_cache()
     return data
 
 
@@ -115,10 +115,10 @@ def test_a_photo_that_is_copied_back_is_the_same(root: Path, tmp_path: Path) -> 
     data = few(root)
     data.content_hash()
     data.image(3)
-    data.keep_few()
+    data.limit_cache()
     touch(photo_of(root))
     first = data.image(3).copy()
-    data.keep_few()
+    data.limit_cache()
     invert(photo_of(root))
     shutil.copy(tmp_path / "first.png", photo_of(root))
     np.testing.assert_array_equal(data.image(3), first)

@@ -37,7 +37,7 @@ def start(known_splats: Splats, tmp_path: Path) -> Path:
     """The splats of the pictures, with wrong colours in the box."""
     rng = np.random.default_rng(4)
     wrong = known_splats.sh0 + 0.3 * rng.normal(size=known_splats.sh0.shape)
-    inside = RegionBox(TURNED).holds(known_splats.means)[:, None, None]
+    inside = RegionBox(TURNED).contains(known_splats.means)[:, None, None]
     wrong = np.where(inside, wrong, known_splats.sh0).astype(np.float32)
     path = tmp_path / "start.ply"
     write_splat_file(path, replace(known_splats, sh0=wrong))
@@ -200,7 +200,7 @@ def test_the_outline_of_a_box_is_where_points_of_it_are_seen(capture: Path) -> N
         drawn = np.zeros((height, width), bool)
         drawn[rows[inside], columns[inside]] = True
         assert (
-            box.may_be_seen(cameras.Ks[i], cameras.viewmats[i], width, height, 0.01)
+            box.may_be_visible(cameras.Ks[i], cameras.viewmats[i], width, height, 0.01)
             or not drawn.any()
         )
         rim = outline ^ drawn
@@ -235,7 +235,7 @@ def test_views_that_look_past_a_region_do_not_judge_it(capture: Path) -> None:
         box, one = RegionBox(matrix), dataset.test[0]
         size = int(cameras.widths[one]), int(cameras.heights[one])
         camera = cameras.Ks[one], cameras.viewmats[one], *size
-        if not box.may_be_seen(*camera, 0.01):
+        if not box.may_be_visible(*camera, 0.01):
             continue
         seen = box.outline(*camera).any()
         past += not seen
@@ -303,10 +303,10 @@ def test_a_region_is_read_as_it_was_written(tmp_path: Path) -> None:
     write_region(tmp_path / "a", TURNED)
     assert read_region(tmp_path / "a").tolist() == TURNED.tolist()
     (tmp_path / "b").write_text('{"low": [-1, 0, 2], "high": [1, 4, 3]}')
-    assert RegionBox(read_region(tmp_path / "b")).holds(np.array([[-1, 0, 2], [1, 4, 3]])).all()
+    assert RegionBox(read_region(tmp_path / "b")).contains(np.array([[-1, 0, 2], [1, 4, 3]])).all()
     assert (
         not RegionBox(read_region(tmp_path / "b"))
-        .holds(np.array([[0, 2, 1.9], [0, 4.1, 2.5]]))
+        .contains(np.array([[0, 2, 1.9], [0, 4.1, 2.5]]))
         .any()
     )
 

@@ -177,8 +177,9 @@ def test_higher_coefficients_step_rarely_and_further() -> None:
         plan, each = (plan_of(TrainConfig(iterations=n, shN_every=e)) for e in (0, 1))
         assert plan.shN_every == every
         assert plan.rates["shN"] == pytest.approx(each.rates["shN"] * every**0.5)
-        assert [s for s in range(1, 17) if plan.rest_moves_at(s)] == [*range(every, 17, every)]
-        assert plan.rest_moves_at(n)
+        updates = [s for s in range(1, 17) if plan.harmonics_update_at(s)]
+        assert updates == [*range(every, 17, every)]
+        assert plan.harmonics_update_at(n)
 
 
 def test_options_win_over_what_is_derived() -> None:

@@ -49,21 +49,21 @@ def test_balls_are_those_of_the_definition(offset: float) -> None:
     expected = slowly(means.double().numpy(), cameras, points, 0.6)
     assert 20 < expected.sum() < 980
     space = FreeSpace(cameras, NearestPoints(points), share=0.6)
-    assert space.holds(means).numpy().tolist() == expected.tolist()
+    assert space.contains(means).numpy().tolist() == expected.tolist()
     many = means.repeat(200, 1)
-    assert space.holds(many).numpy().tolist() == expected.tolist() * 200
+    assert space.contains(many).numpy().tolist() == expected.tolist() * 200
 
 
 def test_what_tells_nothing_frees_nothing() -> None:
     """Oracle: the definition, without points that are not finite."""
     rng = np.random.default_rng(0)
     points, camera, here = rng.normal(size=(600, 3)) + 5, np.zeros((1, 3)), torch.zeros(1, 3)
-    assert FreeSpace(camera, NearestPoints(points), share=0.4).holds(here).all()
-    assert not FreeSpace(camera, NearestPoints(points), share=0.0).holds(here).any()
-    assert not FreeSpace(camera, NearestPoints(points[:499]), share=0.4).holds(here).any()
+    assert FreeSpace(camera, NearestPoints(points), share=0.4).contains(here).all()
+    assert not FreeSpace(camera, NearestPoints(points), share=0.0).contains(here).any()
+    assert not FreeSpace(camera, NearestPoints(points[:499]), share=0.4).contains(here).any()
     points[:101] = np.nan
-    assert not FreeSpace(camera, NearestPoints(points), share=0.4).holds(here).any()
-    assert not FreeSpace(camera[:0], NearestPoints(points), share=0.4).holds(here).any()
+    assert not FreeSpace(camera, NearestPoints(points), share=0.4).contains(here).any()
+    assert not FreeSpace(camera[:0], NearestPoints(points), share=0.4).contains(here).any()
 
 
 @pytest.fixture

@@ -125,7 +125,7 @@ def test_rays_are_those_of_the_points() -> None:
         median_residual(
             cameras.viewmats[i], PointObservations(points=tracks.points[rows], rays=tracks.rays[i])
         )
-        for i, rows in enumerate(tracks.seen)
+        for i, rows in enumerate(tracks.observed)
     ]
     assert 0.1 < focal * np.median(off) < 0.6
 
@@ -136,7 +136,7 @@ def test_few_of_many_points_are_looked_at(tmp_path: Path, monkeypatch: pytest.Mo
     found = analyze_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
     monkeypatch.setattr("gscore.datasets.tracks._ENOUGH", 60)
     tracks = tracks_of(photos)
-    assert tracks is not None and max(map(len, tracks.seen)) == 60
+    assert tracks is not None and max(map(len, tracks.observed)) == 60
     few = analyze_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
     assert found.viewmats is not None and few.viewmats is not None
     turned, moved = pose_distances(found.viewmats[photos.train], few.viewmats[photos.train])
