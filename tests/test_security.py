@@ -202,7 +202,7 @@ def where(path: Path, site: Site) -> str:
     return f"{path.relative_to(ROOT).as_posix()}:{site.function}"
 
 
-def test_nothing_runs_code_from_files_or_shells_or_opens_ports() -> None:
+def test_no_code_from_files_no_shell_no_ports() -> None:
     """Oracle: modules that are known, no pickles, no evaluated text, no shell; sockets in one file,
     and nothing else there."""
     assert len(SHIPPED) > 200

@@ -20,7 +20,7 @@ SCRIPTS = sorted(
 
 
 @for_each(SCRIPTS)
-def test_what_scripts_take_from_gscore_is_there(path: Path) -> None:
+def test_names_that_scripts_import_exist(path: Path) -> None:
     """Oracle: gscore itself; nobody notices otherwise when a name of it moves."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if not isinstance(node, ast.ImportFrom) or node.level or not node.module:

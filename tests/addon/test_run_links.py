@@ -309,7 +309,7 @@ def test_captures_are_listed_and_chosen(two: SimpleNamespace) -> None:
     assert "is given" in error_of(bpy.ops.gscore.choose_capture)
 
 
-def test_captures_of_one_name_are_told_apart(two: SimpleNamespace) -> None:
+def test_captures_of_one_name_are_distinguished(two: SimpleNamespace) -> None:
     """Oracle: only cameras of the chosen folder, until the other is missing, because it has
     moved."""
     other = two.tmp / "elsewhere" / "plush"

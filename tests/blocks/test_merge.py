@@ -36,7 +36,7 @@ def some_splats(count: int, rest: int = 3) -> Splats:
     )
 
 
-def test_what_every_block_holds_comes_out_once(records: list[BlockRecord]) -> None:
+def test_shared_splats_are_merged_once(records: list[BlockRecord]) -> None:
     """Oracle: the one model of all blocks, in another order."""
     model = some_splats(3000)
     blocks = [

@@ -124,7 +124,9 @@ def test_a_file_system_without_links(
         ({"share": float("nan")}, "share must be"),
     ],
 )
-def test_what_cannot_be_cut(capture: Path, tmp_path: Path, options: dict, words: str) -> None:
+def test_uncuttable_captures_are_refused(
+    capture: Path, tmp_path: Path, options: dict, words: str
+) -> None:
     """Oracle: a sentence, and no files."""
     with pytest.raises((ConfigError, DatasetError), match=words):
         split(capture, tmp_path / "blocks", **options)
@@ -166,7 +168,7 @@ def test_a_full_folder_stays_and_a_failure_leaves_nothing(
     "text",
     ["", "[]", "{}", '{"kind": "gscore block 1"}', '{"kind": "other"}', "null", "1" * 5000],
 )
-def test_a_damaged_record_is_told(capture: Path, tmp_path: Path, text: str) -> None:
+def test_damaged_record_is_refused(capture: Path, tmp_path: Path, text: str) -> None:
     """Oracle: the whole record, read; any other text is refused with the file's name."""
     out = split(capture, tmp_path / "blocks", 2)
     record = read_block(out / "block_1")

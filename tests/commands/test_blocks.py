@@ -144,7 +144,7 @@ def test_a_folder_that_was_split_again(gscore, blocks, capture, tmp_path):
     assert now is not None and now.is_cell_of(read_block(cut / "block_0"))
 
 
-def test_nothing_is_merged_into_a_run(gscore, blocks, tmp_path):
+def test_merge_into_a_run_is_refused(gscore, blocks, tmp_path):
     """Oracle: code 2 and unchanged bytes, for any place below the folder of a run."""
     runs = tmp_path / "runs"
     shutil.copytree(blocks / "runs", runs)
@@ -221,7 +221,7 @@ def test_ranks_take_blocks_in_turn(blocks, tmp_path):
     assert not ranks[1].err
 
 
-def test_runs_that_did_not_end_are_told(gscore, blocks, tmp_path):
+def test_unfinished_runs_are_refused(gscore, blocks, tmp_path):
     """Oracle: sentences with a remedy, for a stopped run and a killed one."""
     runs = tmp_path / "runs"
     shutil.copytree(blocks / "runs", runs)
@@ -252,7 +252,7 @@ def test_the_mark_of_antialiasing_goes_on(gscore, blocks, tmp_path):
     assert MIP_COMMENT in header_comments(tmp_path / "a.ply")
 
 
-def test_where_nothing_may_be_written(gscore, blocks, capture, tmp_path):
+def test_unwritable_outputs_are_refused(gscore, blocks, capture, tmp_path):
     """Oracle: a sentence, and the existing files."""
     full = tmp_path / "full"
     full.mkdir()

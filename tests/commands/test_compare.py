@@ -97,7 +97,7 @@ def test_runs_that_cannot_be_compared(gscore, two_runs, tmp_path, capture):
     assert "contains no config.json" in refused(first, second, "-o", page)
 
 
-def test_unlike_measurements_become_alike(gscore, two_runs, tmp_path, monkeypatch):
+def test_suggested_evaluations_make_runs_comparable(gscore, two_runs, tmp_path, monkeypatch):
     """Oracle: the commands of the sentence, typed: the comparison works, and both runs are
     unchanged."""
     monkeypatch.chdir(tmp_path)  # the folder of compare.html

@@ -134,7 +134,7 @@ def test_count_and_error_of_a_run(gscore, run_folder, tmp_path, splats, capture,
     assert facts["bytes"] == (tmp_path / "small.ply").stat().st_size < facts["bytes_before"]
 
 
-def test_thinning_that_shows_is_told(gscore, run_folder, tmp_path):
+def test_visible_thinning_warns(gscore, run_folder, tmp_path):
     """Oracle: the dB printed next to it."""
     run = run_folder()
     told = {}
@@ -279,7 +279,7 @@ def test_a_text_that_is_no_matrix(gscore, ply, tmp_path):
         assert not (tmp_path / "out.ply").exists()
 
 
-def test_nothing_is_lost(gscore, ply, tmp_path):
+def test_inputs_and_other_files_are_kept(gscore, ply, tmp_path):
     """Oracle: unchanged input, and unchanged files of other programs."""
     before = ply.read_bytes()
     code, _, err = gscore("convert", ply, ply, "--overwrite")
@@ -347,7 +347,7 @@ def test_numbers_that_leave_no_room(gscore, ply, tmp_path, recwarn, more, senten
     assert not [one for one in recwarn if issubclass(one.category, RuntimeWarning)]
 
 
-def test_files_given_twice_are_told(gscore, ply, tmp_path):
+def test_repeated_files_warn(gscore, ply, tmp_path):
     """Oracle: a warning that names the file, under any of its names; all splats."""
     link = tmp_path / "link.ply"
     link.symlink_to(ply)
@@ -358,7 +358,7 @@ def test_files_given_twice_are_told(gscore, ply, tmp_path):
     assert "(before: 60 + 60, " in text
 
 
-def test_an_option_of_another_format_is_told(gscore, ply, tmp_path):
+def test_option_of_another_format_warns(gscore, ply, tmp_path):
     """Oracle: a warning where the option has no effect, and none where it has one."""
     for name, told in (("o.ply", True), ("o.spz", False)):
         _, _, err = gscore("convert", ply, tmp_path / name, "--spz-version", 4)

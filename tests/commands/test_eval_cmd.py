@@ -38,7 +38,7 @@ def test_a_perfect_run(gscore, run_folder, capture):
     assert f"{facts['psnr']:.2f}" in page and capture.name in page
 
 
-def test_colours_that_are_off_are_told_apart(gscore, run_folder, splats):
+def test_color_shift_is_distinguished(gscore, run_folder, splats):
     """Oracle: a darker model: the splats' colours times 0.8 over black, so the render times 0.8."""
     darker = replace(splats, sh0=splats.sh0 * 0.8 - 0.1 / SH_C0, shN=splats.shN * 0.8)
     folder = run_folder(splats=darker)
@@ -51,7 +51,7 @@ def test_colours_that_are_off_are_told_apart(gscore, run_folder, splats):
     assert f"colour-corrected PSNR {facts['psnr_cc']:.2f} dB" in " ".join(out.split())
 
 
-def test_what_the_training_knew_is_kept(gscore, run_folder):
+def test_training_facts_are_kept(gscore, run_folder):
     """Oracle: the metrics.json of the training."""
     folder = run_folder()
     before = json.loads((folder / "metrics.json").read_text())
@@ -78,7 +78,7 @@ def test_a_report_tells_again_how_the_run_was_made(gscore, run_folder, capture):
     assert "--overwrite" not in page and "steps-a-photo 0" not in page
 
 
-def test_a_training_that_was_stopped_is_told(gscore, run_folder):
+def test_stopped_training_is_reported(gscore, run_folder):
     """Oracle: cause and time of its end in its metrics.json, in the output and in the report."""
     folder = run_folder()
     path = folder / "metrics.json"
@@ -214,7 +214,7 @@ def test_minus_one_is_the_size_of_the_photos(gscore, run_folder, tmp_path):
         assert code == 0 and {view["width"] for view in views} == {width}
 
 
-def test_what_is_no_measurement_of_this_run_is_not_replaced(gscore, run_folder, tmp_path, capture):
+def test_foreign_measurements_are_not_replaced(gscore, run_folder, tmp_path, capture):
     """Oracle: unchanged files of others, one sentence each."""
     folder, other = run_folder(), tmp_path / "other"
     shutil.copytree(folder, other)
@@ -234,9 +234,7 @@ def test_what_is_no_measurement_of_this_run_is_not_replaced(gscore, run_folder, 
     assert {p: p.read_bytes() for p in files} == before
 
 
-def test_a_network_of_the_environment_that_does_not_work_is_told(
-    gscore, run_folder, tmp_path, monkeypatch
-):
+def test_broken_network_of_the_environment_is_reported(gscore, run_folder, tmp_path, monkeypatch):
     """Oracle: the path in GSCORE_LPIPS; no message where it is not set."""
     folder = run_folder()
     assert "LPIPS" not in gscore("eval", folder, "--quiet")[2]

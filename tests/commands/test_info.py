@@ -183,7 +183,7 @@ def test_layout_of_3dgs_runs(gscore, splats, tmp_path):
     assert code == 0 and facts["model"]["splats"] == 42 and facts["source"] is None
 
 
-def test_nothing_there(gscore, tmp_path):
+def test_missing_path(gscore, tmp_path):
     """Oracle: exit code 2 and a sentence."""
     code, _, err = gscore("info", tmp_path / "none")
     assert code == 2 and "There is no file or folder" in err
@@ -225,7 +225,7 @@ def test_inverted_masks_in_every_verb(gscore, capture, cameras, tmp_path, monkey
     assert code == 2 and "other" in err
 
 
-def test_a_sequence_is_judged_inside_its_masks(gscore, tmp_path):
+def test_sequence_is_evaluated_inside_its_masks(gscore, tmp_path):
     """Oracle: the figure of `gscore.headline_psnr`, under its name in runs."""
     frame = {"frame": 0, "folder": "frame_000000", "split": "test", "psnr": 30.0}
     frame |= {"psnr_masked": 22.5, "ssim": 0.9}

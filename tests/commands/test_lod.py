@@ -109,7 +109,7 @@ def refuses(gscore, sentence, *arguments):
     assert code == 2 and sentence in err and err.count("\n") == 1, err
 
 
-def test_what_cannot_work_is_refused(gscore, city, tmp_path):
+def test_invalid_calls_are_refused(gscore, city, tmp_path):
     """Oracle: a sentence each, and no file."""
     run, new = tmp_path / "run", tmp_path / "new"
     refuses(gscore, "the output is a .lod file", "lod", run, "-o", tmp_path / "new.ply")

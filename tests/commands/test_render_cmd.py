@@ -139,7 +139,7 @@ def test_depth(gscore, run_folder, tmp_path, picture):
     assert 3 < wanted.max() < 8 and (wanted == 0).any()
 
 
-def test_older_files_are_told(gscore, run_folder, tmp_path):
+def test_older_files_are_reported(gscore, run_folder, tmp_path):
     """Oracle: a depth map of an earlier rendering, which is not listed, and still exists."""
     folder, out = run_folder(), tmp_path / "a"
     code, told, _ = gscore("render", folder, "-o", out, "--depth", "png", "--view", "4")
@@ -312,7 +312,7 @@ def test_bad_outputs_and_models(gscore, run_folder, tmp_path, splats):
         assert code == 2 and "file is a file; a folder is needed" in err
 
 
-def test_names_of_pictures_stay_inside_and_apart():
+def test_picture_names_are_unique_and_inside_the_folder():
     """Oracle: names of photos in captures, with sub-folders, same stems and hostile paths."""
     assert still_names(["a/b.jpg", "c.JPG"]) == ["a/b", "c"]
     assert still_names(["x.jpg", "x.png"]) == ["x_jpg", "x_png"]

@@ -99,7 +99,7 @@ def test_a_contact_sheet_of_others_stays(gscore, tmp_path, capture):
         folder.rmdir()
 
 
-def test_what_is_no_file_is_refused_before_the_work(gscore, run_folder, tmp_path):
+def test_folders_and_pipes_as_output_are_refused(gscore, run_folder, tmp_path):
     """Oracle: a folder and a named pipe with the name of the picture, both unchanged."""
     folder = run_folder()
     (tmp_path / "folder.png").mkdir()
@@ -123,7 +123,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("name", list(WRITERS))
-def test_what_a_verb_writes_is_its_own(gscore, run_folder, tmp_path, name):
+def test_own_output_may_be_replaced(gscore, run_folder, tmp_path, name):
     """Oracle: a second call of the verb over the file of the first."""
     verb, *more = WRITERS[name]
     folder = run_folder()

@@ -35,7 +35,7 @@ def measured(gscore, model, small, folder):
     return psnr(folder)
 
 
-def test_the_written_file_measures_as_the_training_said(gscore, run, small, trained, tmp_path):
+def test_written_file_has_the_reported_psnr(gscore, run, small, trained, tmp_path):
     """Oracle: PSNR of the run at the capture's usual size, and of the small run itself."""
     said = psnr(run)
     assert said == pytest.approx(psnr(trained), abs=0.1)

@@ -113,7 +113,7 @@ def test_a_terminal_that_is_resized(clock: list[float]) -> None:
 
 
 @pytest.mark.parametrize("term", ["dumb", None])
-def test_where_nothing_moves(
+def test_output_that_is_not_a_terminal(
     term: str | None, clock: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: whole lines, none before ten seconds, then one in ten seconds; no \r, no bar."""

@@ -92,7 +92,7 @@ def test_ablations_change_what_they_name(
     ]
 
 
-def test_sizes_are_judged_alike(
+def test_all_sizes_are_measured_at_one_size(
     capsys: pytest.CaptureFixture[str], small: list[str], tmp_path: Path
 ) -> None:
     """Oracle: the preset's own size as the last point of its curve; fronts by hand."""
@@ -236,7 +236,7 @@ def _peer(path: Path, capture: str = "studio", **changed: object) -> Path:
     return path
 
 
-def test_what_a_peer_leaves_out_stays_unknown(tmp_path: Path) -> None:
+def test_missing_peer_values_are_null(tmp_path: Path) -> None:
     """Oracle: strict JSON with null, read back unchanged; a figure without that curve."""
     capture, (curve,) = read_peers(_peer(tmp_path / "peer.json"))
     content = curve_json(curve)
@@ -331,7 +331,7 @@ def test_everything_is_checked_before_training(
     assert words in capsys.readouterr().err and not out.exists()
 
 
-def test_what_was_measured_is_kept(
+def test_finished_measurements_are_kept(
     small: list[str],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

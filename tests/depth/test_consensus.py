@@ -47,7 +47,7 @@ def far_errors(planes, priors) -> list[float]:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_what_points_leave_open_other_maps_settle(make_planes, monkeypatch, seed):
+def test_maps_align_maps_without_enough_points(make_planes, monkeypatch, seed):
     """Oracle: the planes. A map that its points alone cannot align is aligned correctly, also where
     it has no points; its fit still counts its own points only."""
     planes = make_planes(reach=NEAR)
@@ -89,7 +89,7 @@ def test_held_out_maps_have_no_say(make_planes):
 
 
 @pytest.mark.parametrize("mode", ["off", "auto"])
-def test_what_is_not_used_is_not_placed(make_planes, monkeypatch, mode):
+def test_unused_maps_are_not_aligned(make_planes, monkeypatch, mode):
     """Oracle: the function that aligns maps, which fails the test where it is called."""
 
     def called(*_):
@@ -108,7 +108,7 @@ def test_what_is_not_used_is_not_placed(make_planes, monkeypatch, mode):
         prepare_depth(config, TrainConfig(depth_mode=Switch.ON), dataset)
 
 
-def test_what_was_settled_is_read_again(make_planes, gscore):
+def test_stored_alignment_is_read_back(make_planes, gscore):
     """Oracle: the alignment itself. depth_params.json has scale and offset alone; their confidence
     is computed again from points and other maps, without another alignment."""
     planes = make_planes(reach=NEAR)

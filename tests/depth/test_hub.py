@@ -186,7 +186,7 @@ def test_another_file_is_removed(served: _Hub) -> None:
     assert network_file(entry, download=True).read_bytes() == right
 
 
-def test_a_file_that_is_gone_is_told(served: _Hub) -> None:
+def test_missing_hub_file_is_reported(served: _Hub) -> None:
     """Oracle: the sentence for the hub's answer 404."""
     entry = known("midas-v2.1-small")
     assert entry is not None
@@ -195,7 +195,7 @@ def test_a_file_that_is_gone_is_told(served: _Hub) -> None:
         network_file(entry, download=True)
 
 
-def test_a_hub_out_of_reach_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unreachable_hub_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: one sentence with the cause where no server listens, without the library's log, which
     repeats itself with each try."""
     _use(monkeypatch, "http://127.0.0.1:9", tmp_path)

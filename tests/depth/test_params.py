@@ -119,7 +119,7 @@ def test_writing_leaves_the_old_file_alone_on_failure(tmp_path):
         write_params(blocked / "depth_params.json", {"x": GOOD}, DepthKind.INVERSE)
 
 
-def test_where_it_lies(tmp_path):
+def test_params_path(tmp_path):
     """Oracle: sparse/0 for depths, as in official tools; a folder of another name has its own."""
     depths, other = tmp_path / "depths", tmp_path / "depths_b"
     assert params_path(tmp_path, depths) == tmp_path / "depth_params.json"

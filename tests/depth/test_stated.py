@@ -53,7 +53,7 @@ def test_names_are_compared_in_one_form_of_unicode(form, tmp_path):
     assert key_of(view) == key_of(unicodedata.normalize(form, view))
 
 
-def test_nothing_known_yet(planes):
+def test_no_verdict_without_maps(planes):
     """Oracle: no verdict on maps without a file; a refusal without maps."""
     assert {row["accepted"] for row in _table(planes).values()} == {False}
     planes.write_maps(lambda path, s: np.save(path, s))

@@ -73,7 +73,7 @@ def _to_add() -> dict[str, tuple[str, str]]:
 
 
 @pytest.mark.parametrize("what", sorted({*CHANGES, *_to_add()}))
-def test_who_adds_something_is_led_to_files_that_hold_it(what: str) -> None:
+def test_where_to_change_table_names_the_right_files(what: str) -> None:
     """Oracle: the files: each that a row names is there, and one of them holds each other name."""
     touch, test = _to_add()[what]
     spans = re.findall(r"`([^`]+)`", touch)

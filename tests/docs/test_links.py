@@ -100,7 +100,7 @@ def test_every_page_of_the_docs_can_be_reached() -> None:
     assert {page for page in PAGES if page.is_relative_to(ROOT / "docs")} <= seen
 
 
-def test_what_the_checks_see(tmp_path: Path) -> None:
+def test_checks_find_each_kind_of_fault(tmp_path: Path) -> None:
     """Oracle: a page with one fault of each kind among things that are none."""
     (tmp_path / "there.md").write_text("# A `b` c, d!\n\n# A b c d\n", encoding="utf-8")
     text = (

@@ -191,14 +191,14 @@ COUNTS = {
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_what_a_page_shows_runs(page: str, page_folder: Path) -> None:
+def test_commands_and_code_of_pages_run(page: str, page_folder: Path) -> None:
     """Oracle: exit codes and exceptions; blocks are counted, so that none is passed over."""
     assert run_page(page, slow=False) == COUNTS.get(page, 0)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", ["README.md", "docs/sequences.md"])
-def test_what_takes_long_runs_too(page: str, page_folder: Path) -> None:
+def test_slow_commands_of_pages_run(page: str, page_folder: Path) -> None:
     """Oracle: exit codes, of programs beside gscore too."""
     assert run_page(page, slow=True) == len(
         [b for b in blocks(page) if b.language in ("", "sh", "python")]

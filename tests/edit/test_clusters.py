@@ -40,7 +40,7 @@ def clumps() -> np.ndarray:
     return np.concatenate([ball, string, [[0, 9, 0], [0, -9, 0]]])
 
 
-def test_what_lies_apart_is_a_cluster(clumps: np.ndarray) -> None:
+def test_separate_groups_are_clusters(clumps: np.ndarray) -> None:
     """Oracle: the construction of the scene."""
     sizes = cluster_sizes(small(clumps), 0.25)
     assert sizes.tolist() == [3000] * 3000 + [40] * 40 + [1, 1]
@@ -87,7 +87,7 @@ def test_a_wall_of_few_large_splats_is_no_floater(clumps: np.ndarray) -> None:
     assert sizes[3040:-6].tolist() == [1, 1]
 
 
-def test_what_holds_the_scene_belongs_to_it(clumps: np.ndarray) -> None:
+def test_enclosing_sky_belongs_to_the_scene(clumps: np.ndarray) -> None:
     """Oracle: the scene within a sky of one splat with its middle far away; a smaller sky does not
     reach it."""
     splats = small(np.concatenate([clumps, [[0, 0, 50.0]]]))
@@ -132,7 +132,7 @@ def test_few_splats(count: int) -> None:
 
 
 @pytest.mark.parametrize("gap", [0.05, 0.35, 0.45])
-def test_what_is_reached_without_a_gap(gap: float) -> None:
+def test_touching_cells_are_connected(gap: float) -> None:
     """Oracle: scipy's components of the graph of touching cells, built explicitly."""
     rng = np.random.default_rng(3)
     means = rng.uniform(-5, 5, (3000, 3)).astype(np.float32)

@@ -39,7 +39,7 @@ def test_equals_what_is_seen(make_splats: Callable[..., Splats], cameras: Camera
     assert compensated.sum() < found.sum()
 
 
-def test_views_are_told(make_splats: Callable[..., Splats], cameras: Cameras) -> None:
+def test_views_are_reported(make_splats: Callable[..., Splats], cameras: Cameras) -> None:
     """Oracle: the number of cameras; splats outside all views contribute zero."""
     splats = make_splats(10)
     hidden = replace(splats, means=splats.means + np.float32(1000))

@@ -108,7 +108,7 @@ def test_size_is_met_from_below(
 
 
 @pytest.mark.parametrize("seen_share", [None, 0.01])
-def test_what_is_seen_well_stays_wherever_it_lies(
+def test_well_visible_splats_are_kept(
     make_splats: Make, views: EditViews, monkeypatch: pytest.MonkeyPatch, seen_share: float | None
 ) -> None:
     """Oracle: two splats far from the others and from each other: one adds a hundredth of the
@@ -146,7 +146,7 @@ def test_usual_cleaning_leaves_what_was_given() -> None:
         ({"min_contribution": 1.0}, "only known with cameras"),
     ],
 )
-def test_nothing_left_and_no_cameras_are_refused(
+def test_empty_results_and_missing_cameras_are_refused(
     request_: dict[str, Any], words: str, make_splats: Make
 ) -> None:
     """Oracle: the sentence."""

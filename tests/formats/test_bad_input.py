@@ -180,7 +180,7 @@ CASES: dict[str, tuple[str, Callable[[], bytes], str]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_what_is_wrong_is_said(case: str, tmp_path: Path) -> None:
+def test_messages_name_the_fault(case: str, tmp_path: Path) -> None:
     """Oracle: the words of the sentence; tracemalloc and the clock."""
     name, make, words = CASES[case]
     path = tmp_path / name
@@ -320,7 +320,7 @@ def test_usd_that_is_damaged_in_its_words(
         read_splat_file(path)
 
 
-def test_nothing_is_written_where_it_fails(make_model: MakeModel, tmp_path: Path) -> None:
+def test_failed_write_leaves_no_file(make_model: MakeModel, tmp_path: Path) -> None:
     """Oracle: the folder, after a write into a folder that is a file."""
     (tmp_path / "file").write_bytes(b"")
     for name in ("a.spz", "a.sog", "a.glb", "a.compressed.ply", "a.splat"):

@@ -653,7 +653,7 @@ def test_usd_that_repeats_its_splats_without_end(tmp_path: Path) -> None:
         _usd_means(text, tmp_path / "a.usda")
 
 
-def test_what_is_left_out_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_dropped_splats_are_reported_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Oracle: a splat with NaN in a .splat: left out, in the notes and in the log."""
     good = struct.pack("<6f", 1, 2, 3, 1, 1, 1) + bytes([255, 0, 51, 102, 255, 128, 128, 128])
     bad = struct.pack("<6f", np.nan, 2, 3, 1, 1, 1) + good[24:]

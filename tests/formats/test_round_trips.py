@@ -144,7 +144,7 @@ def test_spz_4_of_degree_4(make_model: MakeModel, draw: Draw, tmp_path: Path) ->
     np.testing.assert_array_equal(read[0].shN, read[1].shN)
 
 
-def test_lost_harmonics_are_said(make_model: MakeModel, tmp_path: Path) -> None:
+def test_lost_harmonics_are_reported(make_model: MakeModel, tmp_path: Path) -> None:
     """Oracle: the sentence, and none where there was no degree to lose."""
     model = make_model(5, 2)
     model.sh0[:] = np.clip(model.sh0, -1.7, 1.7)
@@ -192,7 +192,7 @@ def test_no_splats_are_refused(
 
 
 @pytest.mark.parametrize(("name", "ends"), [("a.spz", "-0.44 to 1.4"), ("a.splat", "0 to 1")])
-def test_clamped_colours_are_said(
+def test_clamped_colors_are_reported(
     name: str, ends: str, make_model: MakeModel, tmp_path: Path
 ) -> None:
     """Oracle: the coefficients that are read back changed; none of those within the range."""

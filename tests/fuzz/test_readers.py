@@ -98,7 +98,7 @@ def _cases() -> list[Path]:
 
 
 @pytest.mark.parametrize("path", _cases(), ids=lambda p: f"{p.parent.name}/{p.name}")
-def test_what_was_found(path: Path, tmp_path: Path) -> None:
+def test_found_cases_stay_fixed(path: Path, tmp_path: Path) -> None:
     """Oracle: the same, for files that once failed."""
     kind = BY_NAME[path.parent.name]
     kind.write(tmp_path)

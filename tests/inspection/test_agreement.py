@@ -176,7 +176,7 @@ def test_all_say_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert (info["model"] or {}).get("cameras", facts.cameras) == facts.cameras
 
 
-def test_what_is_odd_is_told(folder: Path, request: pytest.FixtureRequest) -> None:
+def test_inconsistent_captures_warn(folder: Path, request: pytest.FixtureRequest) -> None:
     """Oracle: the name of the capture: sound ones, and ones turned by EXIF, have no messages."""
     sound = request.node.callspec.params["folder"] in ("sound", "masks", "on its side")
     assert (inspect(DataConfig(source=folder)).problems == ()) == sound

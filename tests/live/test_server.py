@@ -194,7 +194,7 @@ SKEWED = [2 * value for value in GOOD["view_matrix"]]
         {"train": "yes"},
     ],
 )
-def test_what_no_camera_shows_is_refused(changes):
+def test_degenerate_cameras_are_refused(changes):
     """Oracle: ValueError, and no other error; the request without the change is valid."""
     assert viewer_protocol.parse(json.dumps(GOOD).encode()).width == 40
     with pytest.raises(ValueError, match=r"\S"):
@@ -300,7 +300,7 @@ def test_viewers_are_asked_whether_they_are_there(training):
         assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
 
 
-def test_who_is_gone_keeps_no_training_from_ending(monkeypatch):
+def test_lost_viewer_does_not_delay_the_end(monkeypatch):
     """Oracle: the time for which a request counts, for a viewer that had another pending."""
     monkeypatch.setattr(viewer_clients, "HOLD", 0.0)
     crowd = viewer_clients.ViewerClients(after_the_end=True)
@@ -436,7 +436,7 @@ def test_a_viewer_that_falls_silent_holds_nothing(training, monkeypatch):
         wait_until(lambda: not training.server.viewers.has_pausing_viewer)
 
 
-def test_who_asks_when_it_is_over_does_not_wait():
+def test_request_after_close_returns_none():
     """Oracle: None, immediately."""
     crowd = viewer_clients.ViewerClients()
     one = crowd.enter(1)
@@ -469,7 +469,7 @@ def test_drawing_takes_half_of_the_time_at_most(monkeypatch):
     assert set(np.diff(pictures)) <= {25, 26} and len(pictures) == 4  # 26: by rounding
 
 
-def test_ports_that_are_taken_are_told():
+def test_ports_in_use_are_reported():
     """Oracle: a second server at the port of the first; a later one may use it again."""
     port = free_port()
     with server.Server(LiveOptions(port=port)), pytest.raises(ConfigError, match=r"choose another"):
@@ -479,7 +479,7 @@ def test_ports_that_are_taken_are_told():
 
 
 @pytest.mark.parametrize("ip", ["example.org", "", "1.2.3", "203.0.113.7", "\ud800"])
-def test_addresses_that_cannot_be_are_told(ip):
+def test_invalid_addresses_are_reported(ip):
     """Oracle: one sentence; no name is resolved. The fourth is unassigned (RFC 5737)."""
     with pytest.raises(ConfigError, match=r"ip must be|cannot connect to"):
         server.Server(LiveOptions(port=free_port(), ip=ip))

@@ -75,7 +75,7 @@ def test_watching_changes_no_bit(capture, tmp_path, strategy):  # noqa: F811
         assert one.read_bytes() == other.read_bytes()
 
 
-def test_a_viewer_can_hold_and_look_on(capture, tmp_path):  # noqa: F811
+def test_viewer_pauses_the_training(capture, tmp_path):  # noqa: F811
     """Oracle: the same step while it waits; the last picture is that of the PLY."""
     data, out = DataConfig(source=capture), tmp_path / "out"
     events, pictures, port = [], {}, free_port()
@@ -135,7 +135,7 @@ def test_a_held_training_can_be_stopped(capture, tmp_path):  # noqa: F811
     assert result.reason == "stopped" and result.steps == 0
 
 
-def test_a_port_in_use_is_told_before_the_work(capture, tmp_path, gscore):  # noqa: F811
+def test_port_in_use_is_reported_before_the_work(capture, tmp_path, gscore):  # noqa: F811
     """Oracle: one sentence, exit code 2, no folder; no port is opened with --disable-viewer."""
     port, out = free_port(), tmp_path / "out"
     line = ("train", capture, "-o", out, "--iterations", "3", "--port", port, "--quiet", "--json")
@@ -150,7 +150,7 @@ def test_a_port_in_use_is_told_before_the_work(capture, tmp_path, gscore):  # no
     assert code == 2 and "port must be 0 to 65535" in err
 
 
-def test_who_can_watch_from_elsewhere_is_told(capture, tmp_path, gscore):  # noqa: F811
+def test_public_addresses_warn(capture, tmp_path, gscore):  # noqa: F811
     """Oracle: a warning for all addresses, none for the local computer's."""
     line = ("train", capture, "--iterations", "2", "--port", free_port(), "--events", "jsonl")
     _, text, _ = gscore(*line, "-o", tmp_path / "a", "--ip", "0.0.0.0")

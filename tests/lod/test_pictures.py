@@ -134,7 +134,7 @@ def test_chunks_that_stay_are_not_read_again(lod: Path, monkeypatch) -> None:
         assert len(asked) == len(set(asked))
 
 
-def test_a_damaged_chunk_is_told(lod: Path, tmp_path: Path) -> None:
+def test_damaged_chunk_is_reported(lod: Path, tmp_path: Path) -> None:
     """Oracle: a sentence instead of a picture."""
     content = bytearray(lod.read_bytes())
     content[HEADER_BYTES + 4] ^= 1

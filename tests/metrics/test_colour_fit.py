@@ -53,7 +53,7 @@ def test_gain_and_offset_of_the_picture_do_not_count(wave_pair, dtype):
     assert psnr(changed, target) < psnr(image, target) - 3
 
 
-def test_what_differs_by_gain_and_offset_alone_is_infinite(wave_pair):
+def test_pure_gain_and_offset_gives_null(wave_pair):
     """Oracle: null with the reason of its kind, for an identical picture too."""
     _, target = wave_pair(40, 53)
     for image in (target, target * [0.7, 0.4, 0.9] + [0.2, 0.05, 0.0]):
@@ -119,7 +119,7 @@ def test_a_flat_half_does_not_spoil_the_other(wave_pair):
     assert psnr_cc(image, target) == pytest.approx(psnr(image, target), abs=0.2)
 
 
-def test_what_has_no_halves_says_so(fake_dataset):
+def test_views_without_two_halves_give_null(fake_dataset):
     """Oracle: null with a reason; a mean without the view that a mask hides entirely."""
     rng = np.random.default_rng(0)
     image, target = rng.uniform(0, 1, (2, 9, 12, 3))

@@ -225,7 +225,7 @@ def test_soft_and_empty_masks(random_pair):
     assert empty["psnr_masked"] is None and "no pixel" in empty["psnr_masked_reason"]
 
 
-def test_what_does_not_fit_is_null_with_a_reason(random_pair):
+def test_small_images_give_null_with_a_reason(random_pair):
     """Oracle: 5 scales of an 11-pixel window need 161 pixels."""
     values = image_metrics(*random_pair)
     assert values["ms_ssim"] is None

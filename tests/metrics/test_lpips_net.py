@@ -107,7 +107,9 @@ def test_real_weights_agree_with_the_file(
     assert LpipsNet("squeeze")(one, other) == pytest.approx(by_file, abs=2e-5)
 
 
-def test_missing_weights_are_told(package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_weights_are_reported(
+    package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Oracle: the sentence, with the file, its size and a remedy; no download."""
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     with pytest.raises(ConfigError, match=r"alexnet-owt.*233 MB.*--lpips-download"):
@@ -115,7 +117,9 @@ def test_missing_weights_are_told(package, tmp_path: Path, monkeypatch: pytest.M
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_damaged_file_is_told(package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_damaged_weights_are_reported(
+    package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Oracle: the sentence for bytes that are no weights."""
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     path = weights_file("squeeze")
@@ -125,7 +129,7 @@ def test_a_damaged_file_is_told(package, tmp_path: Path, monkeypatch: pytest.Mon
         LpipsNet("squeeze")
 
 
-def test_a_missing_package_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_package_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the command that installs it."""
     monkeypatch.setitem(sys.modules, "lpips", None)
     with pytest.raises(BackendError, match=r"pip install .gscore\[lpips-torch\]"):

@@ -76,7 +76,7 @@ def test_mean_errors_of_the_pixels_of_each_splat(cameras: Cameras) -> None:
     assert np.isnan(found.mean()[sums[:, 1] < 0.99]).all()
 
 
-def test_nothing_seen_has_no_error(cameras: Cameras) -> None:
+def test_invisible_splats_have_no_error(cameras: Cameras) -> None:
     """Oracle: splats far away from all cameras."""
     splats = some(5)
     found = SplatErrors(replace(splats, means=splats.means + np.float32(1000)))

@@ -46,7 +46,7 @@ def test_a_file_written_before_is_read_whole() -> None:
     assert "24.50" in page and "10 steps" in page
 
 
-def test_what_is_not_finite_is_null(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_values_that_are_not_finite_are_null(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: strict JSON, which has no NaN; other numbers stay."""
     rows = [{"step": 1, "loss": float("inf"), "psnr": float("nan"), "phase": "training"}]
     metrics = Metrics(**{**vars(_metrics(monkeypatch)), "course": Course(history=rows)})

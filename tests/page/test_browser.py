@@ -97,7 +97,7 @@ def test_pictures_are_those_of_the_rasterizer(browser, tmp_path, degree, antiali
     assert browser.complaints() == []
 
 
-def test_far_splats_stay_apart(browser, tmp_path):
+def test_far_splats_stay_separate(browser, tmp_path):
     """Oracle: `render` of the splats as they were; blocks of a page are of any length then."""
     splats = cloud(1500, 1)
     splats.means[::100] *= np.array([[3e4, -1e5, -1e6]], np.float32)
@@ -175,7 +175,7 @@ def test_a_frame_is_one_call(browser, tmp_path):
     assert 0 < after <= 4 * page.splats.head["count"]
 
 
-def test_nothing_is_loaded_from_elsewhere(browser, tmp_path):
+def test_page_loads_no_other_resources(browser, tmp_path):
     """Oracle: Chromium's own list of requests, and addresses in the text."""
     path, _ = written(tmp_path, cloud(300, 1))
     browser.open(path)
@@ -300,7 +300,7 @@ def test_without_webgl_the_page_says_so(tmp_path, tmp_path_factory):
         assert "hardware acceleration" in plain.value("document.body.innerText")
 
 
-def test_a_lost_context_is_told_and_comes_back(browser, tmp_path):
+def test_lost_context_is_reported_and_restored(browser, tmp_path):
     """Oracle: WEBGL_lose_context, and the picture before."""
     path, _ = written(tmp_path, cloud(1500, 2))
     before = shown(browser, path, 0)
@@ -368,7 +368,7 @@ def test_splats_alone_stand_upright(splats, tmp_path, line, up):
     assert at[2] > 0 and abs(at[:2]).max() < 1e-6
 
 
-def test_a_page_says_what_it_leaves_of_degree_4(gscore, tmp_path, splats):
+def test_page_reports_dropped_harmonics(gscore, tmp_path, splats):
     """Oracle: the sentence, which a model of degree 3 is not told."""
     for rest, told in ((24, True), (15, False)):
         shN = np.zeros((len(splats), rest, 3), np.float32)
@@ -389,7 +389,7 @@ def test_a_page_says_what_it_leaves_of_degree_4(gscore, tmp_path, splats):
         ("", "give a page with -o"),
     ],
 )
-def test_what_cannot_be_written_is_told(gscore, tmp_path, splats, monkeypatch, line, sentence):
+def test_unwritable_pages_are_refused(gscore, tmp_path, splats, monkeypatch, line, sentence):
     """Oracle: one sentence, exit code 2, nothing written."""
     monkeypatch.chdir(tmp_path)
     write_splats(tmp_path / "a.ply", splats)

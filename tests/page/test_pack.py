@@ -80,7 +80,7 @@ def test_twenty_bytes_a_splat_are_enough(count: int, degree: int) -> None:
         assert pack(splats, budget=18).head["rest_step"] > packed.head["rest_step"]
 
 
-def test_what_is_never_seen_is_left_out() -> None:
+def test_invisible_splats_are_left_out() -> None:
     """Oracle: the renders before and after leaving out, bit for bit."""
     splats = cloud(500, 1)
     faint = splats.opacities.copy()
@@ -150,7 +150,7 @@ def _displacement(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     return away
 
 
-def test_nothing_is_packed_too() -> None:
+def test_empty_model_is_packed() -> None:
     """Oracle: no splats."""
     found = unpack(pack(cloud(10, 2).subset(np.zeros(10, bool))))
     assert len(found) == 0 and found.sh_degree == 2

@@ -53,7 +53,7 @@ def test_limits_are_those_asked_for(limits: tuple[float, float]) -> None:
     np.testing.assert_array_equal(found, twin(first, second, **asked))
 
 
-def test_what_is_there_twice_has_no_match() -> None:
+def test_duplicate_descriptors_have_no_match() -> None:
     """Oracle: no match between equal distances, which are ambiguous."""
     first = descriptors(np.random.default_rng(1), 12)
     twice = np.concatenate([first[:4], first])
@@ -61,7 +61,7 @@ def test_what_is_there_twice_has_no_match() -> None:
     np.testing.assert_array_equal(found[:, 0], np.arange(4, 12))
 
 
-def test_the_farthest_descriptors_are_told_apart() -> None:
+def test_largest_distance_is_exact() -> None:
     """Oracle: their distance, 255 sqrt(128), the largest possible."""
     first = np.zeros((3, header.DESCRIPTOR_SIZE), np.uint8)
     second = np.full((1, header.DESCRIPTOR_SIZE), 255, np.uint8)

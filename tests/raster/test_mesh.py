@@ -128,7 +128,7 @@ def test_neighbours_leave_no_crack() -> None:
         assert (found[inside] > 0).all()
 
 
-def test_what_is_no_mesh_is_refused() -> None:
+def test_invalid_meshes_are_refused() -> None:
     """Oracle: the docstring; missing indices would read out of bounds."""
     vertices, triangles = np.eye(3), np.array([[0, 1, 2]], np.int32)
     viewmat = pose(0)

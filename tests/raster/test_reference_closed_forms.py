@@ -119,7 +119,7 @@ def test_median_depth_is_where_half_the_light_is_gone(one_splat):
     close(draw(half).median_depth[CENTER], 2.0)  # exactly half counts
 
 
-def test_nothing_blended_means_zero_depth_and_the_background(one_splat):
+def test_empty_pixels_have_zero_depth_and_the_background(one_splat):
     background = torch.tensor([0.1, 0.2, 0.3]).double()
     out = draw(one_splat(sigma=0.02), background=background)
     assert float(out.alpha[CENTER]) > 0.1

@@ -115,7 +115,7 @@ def test_a_check_is_that_of_the_twin() -> None:
     assert np.isfinite(found.inverse_depth).all()
 
 
-def test_what_cannot_be_used_is_refused() -> None:
+def test_invalid_arguments_are_refused() -> None:
     """Oracle: the documentation of the library, csrc/include/gscore.h."""
     views = [view for view, _ in shots(Scene(33, 25), 0, 8)]
     good = {**RANGE, "planes": 8}

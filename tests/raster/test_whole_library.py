@@ -27,7 +27,7 @@ def test_a_whole_library_misses_nothing(whole: bytes, tmp_path: Path) -> None:
         assert bytes_missing(path) == 0
 
 
-def test_what_is_missing_is_counted(whole: bytes, tmp_path: Path) -> None:
+def test_missing_bytes_are_counted(whole: bytes, tmp_path: Path) -> None:
     """Oracle: the number of bytes cut off, as long as the header is whole."""
     path, numbers = tmp_path / "cut.so", random.Random(7)
     for length in [64, len(whole) - 1, *(numbers.randrange(64, len(whole)) for _ in range(30))]:

@@ -82,7 +82,7 @@ def test_masked_runs_are_compared_inside_the_masks() -> None:
     assert "PSNR inside the masks" in comparison_html(found, [], title="x")
 
 
-def test_a_view_that_one_run_was_trained_on_is_told() -> None:
+def test_view_trained_on_by_one_run_is_named() -> None:
     """Oracle: the sentence names the view and both roles."""
     views = [view("1", 30.0, 0.5), view("2", 30.0, 0.5)]
     found = compare_runs(run("a", views), run("b", views, test_views=[]))
@@ -99,7 +99,7 @@ def test_a_view_that_one_run_was_trained_on_is_told() -> None:
         ({"mask_mode": "composite"}, "different pixels.*train one with the other's `--mask-mode`"),
     ],
 )
-def test_what_cannot_be_compared(
+def test_incomparable_runs_are_refused(
     pair: tuple[ComparedRun, ComparedRun], changes: dict[str, Any], words: str
 ) -> None:
     """Oracle: the sentence."""

@@ -41,7 +41,7 @@ def test_one_point_and_both_axes_logarithmic() -> None:
     assert not re.search(r"nan|inf", svg)
 
 
-def test_nothing_to_draw_is_an_error() -> None:
+def test_empty_figure_is_an_error() -> None:
     with pytest.raises(ValueError, match="has no points"):
         figure(
             [Series(label="p", points=[(0.0, 1.0)])], title="x", x_label="", y_label="", log_x=True

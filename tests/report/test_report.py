@@ -99,7 +99,7 @@ def test_page_is_whole_and_alone(run, tmp_path):
     assert "3 photos & no camera" in page.words
 
 
-def test_the_page_with_the_splats_is_shown_where_it_lies_beside(run, tmp_path):
+def test_splat_page_next_to_the_report_is_linked(run, tmp_path):
     """Oracle: an HTML parser; once, however often it is asked for; a foreign report stays."""
     report = tmp_path / "report.html"
     write_report(report, run())
@@ -127,7 +127,7 @@ def test_the_head_says_what_was_done(run):
     assert "gscore train 'a <b>' -o run" in head
 
 
-def test_what_was_decided_is_listed(run):
+def test_decisions_are_listed(run):
     """Oracle: the sentences; one that has a section of its own is there once, and none make no
     section."""
     report = run(decided=["5 of <9> steps.", "Cameras moved."])
@@ -138,7 +138,7 @@ def test_what_was_decided_is_listed(run):
     assert 'class="decided"' not in report_html(run())
 
 
-def test_figures_of_exposed_and_neutral_pictures_are_told_apart(run):
+def test_exposed_and_neutral_figures_are_labelled(run):
     """Oracle: whether the training learnt exposures, in metrics.json; once by the curves, and where
     training views are compared with held-out ones."""
     content = run(split="test")
@@ -149,7 +149,7 @@ def test_figures_of_exposed_and_neutral_pictures_are_told_apart(run):
     assert report_html(content).count("use the mean exposure") == 2
 
 
-def test_a_gap_that_is_exposure_is_told_so(run):
+def test_gap_due_to_exposure_is_explained(run):
     """Oracle: matched colours are within the limit of the training views, or are not; and are not
     asked where photos were taken as they are."""
     content = run(split="test")
@@ -229,7 +229,7 @@ def test_splats_that_fit_only_the_photos_are_explained(run, trained, split, told
         assert "gscore depth" in shown
 
 
-def test_how_a_training_ended_is_told(run):
+def test_reason_of_the_end_is_stated(run):
     """Oracle: the reason in metrics.json."""
     content = run()
     told = {}
@@ -266,7 +266,7 @@ def test_where_pixels_are_ignored_those_that_count_come_first(run):
     assert "25.25" in words and "masked pixels count as equal" in words
 
 
-def test_background_that_counts_is_said(run):
+def test_note_on_the_background_under_photos(run):
     """Oracle: the note below PSNR, where photos are laid over the background, and only there."""
     content = run()
     for mode, is_said in (("composite", True), ("none", False)):

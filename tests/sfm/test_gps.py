@@ -92,7 +92,7 @@ def test_gps_of_a_small_or_a_contradicting_capture_is_not_used() -> None:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_gps_tells_up_as_surely_as_it_says(seed: int) -> None:
+def test_gps_up_error_is_within_its_estimate(seed: int) -> None:
     """Oracle: the turned world's vertical; three times the stated error bounds the real one, also
     with one place off by 80 m."""
     for enu, noise in ((AROUND, 0.0), (AROUND, 2.0), (MAST, 1.0)):
@@ -107,7 +107,7 @@ def test_gps_tells_up_as_surely_as_it_says(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("enu", "noise"), [(LINE, 0.5), (AROUND / 5, 5.0)])
-def test_gps_that_cannot_tell_up_says_so(enu: np.ndarray, noise: float) -> None:
+def test_gps_without_up_is_reported(enu: np.ndarray, noise: float) -> None:
     """Oracle: a line, about which every turn fits, and errors as large as a tenth of the way."""
     found, _ = _found(enu, noise)
     assert found.metres == pytest.approx(METRES, rel=0.3)
@@ -291,7 +291,7 @@ def test_photos_with_gps_give_metres_and_up(
     assert "GPS in EXIF of 1 photo is an outlier" in sentence and "DJI_0004.jpg (" in sentence
 
 
-def test_whoever_reads_the_capture_knows_up(made: Path, tmp_path: Path) -> None:
+def test_up_direction_reaches_all_readers(made: Path, tmp_path: Path) -> None:
     """Oracle: the model's up, in the dataset, in a run's cameras and in a capture cut in blocks."""
     up = read_model(made).up
     cameras = load_dataset(DataConfig(source=made)).scene.cameras

@@ -85,7 +85,7 @@ def test_matches_are_those_of_the_twin(database: Path) -> None:
     assert compared(database) == 2 and len(matches_of(database)) == 1
 
 
-def test_what_is_compared_stays(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compared_pairs_are_kept(database: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the count of compared pairs, none of them twice; none is kept after a stop."""
     seen: list[int] = []
 

@@ -98,7 +98,7 @@ def plain_seam(picture: Image.Image) -> Image.Image:
     return Image.fromarray(pixels)
 
 
-def test_panoramas_are_known_by_their_look(panoramas: list[Image.Image]) -> None:
+def test_panoramas_are_detected_by_content(panoramas: list[Image.Image]) -> None:
     """Oracle: pictures of all directions, each also turned about the vertical, and with a tripod at
     the lower edge; half of one and one that is not twice as wide as high are not detected."""
     for picture in panoramas:
@@ -195,7 +195,7 @@ def test_cameras_that_take_panoramas_alone(camera: str) -> None:
         assert panorama_of(Image.new("RGB", (60, 30)), other, whole=False) == kind
 
 
-def test_what_a_lens_that_is_given_excuses(tmp_path: Path) -> None:
+def test_given_lens_overrides_detection(tmp_path: Path) -> None:
     """Oracle: photos detected by content or by inconsistent XMP, but not those stated by XMP."""
     plain = SearchRequest(photos=tmp_path, output=tmp_path / "o")
     for lens in (replace(plain, focal_length=500.0), replace(plain, camera_model="OPENCV")):
@@ -221,7 +221,7 @@ def test_what_a_lens_that_is_given_excuses(tmp_path: Path) -> None:
         ([SEEN, HINTED, ORDINARY, ORDINARY], 1),
     ],
 )
-def test_how_many_photos_must_look_like_panoramas(
+def test_share_of_photos_that_makes_a_panorama_capture(
     kinds: list[str], refused: int, tmp_path: Path
 ) -> None:
     """Oracle: most of those twice as wide as high, and plain ones alone most of all photos; others

@@ -211,7 +211,7 @@ def test_a_forecast_learns_the_pace() -> None:
     assert math.isnan(forecast.left("writing the capture", 0.0))
 
 
-def test_what_was_found_says_nothing_of_the_pace() -> None:
+def test_loaded_features_do_not_count_for_the_pace() -> None:
     """Oracle: a resumed search that loads half of its features immediately and computes the others
     as fast as forecast; no more time for one whose features are complete."""
     now = [0.0]

@@ -84,7 +84,7 @@ def test_the_capture_is_one(found: tuple[Path, dict, list[Event]], photos: Path)
     assert _hidden(capture.parent) == []
 
 
-def test_progress_is_told(found: tuple[Path, dict, list[Event]]) -> None:
+def test_progress_is_reported(found: tuple[Path, dict, list[Event]]) -> None:
     """Oracle: the phases in their order, and the last event."""
     _, facts, told = found
     phases = [event.phase for event in told if isinstance(event, SfmProgress)]
@@ -186,7 +186,7 @@ def test_a_killed_search_goes_on(photos: Path, tmp_path: Path) -> None:
     assert features > 1000
 
 
-def test_other_photos_begin_anew(photos: Path, tmp_path: Path) -> None:
+def test_changed_photos_restart_the_search(photos: Path, tmp_path: Path) -> None:
     """Oracle: a search from the start where a photo was written again since the stop."""
     mine, control = tmp_path / "photos", Control()
     shutil.copytree(photos, mine)
@@ -288,7 +288,7 @@ def test_a_work_folder_that_is_removed_is_a_sentence(error: Exception, tmp_path:
         run_in_thread(work, folder, tick=lambda: None, cancelled=lambda: False)
 
 
-def test_a_disk_that_fills_up_is_told_before_colmap_dies_of_it(
+def test_full_disk_stops_before_colmap_fails(
     photos: Path, tmp_path: Path, capsys: Out, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: exit code 2 and the sentence; the same command resumes once there is space."""
@@ -419,7 +419,7 @@ def test_bad_photos_are_a_sentence(make, words: str, tmp_path: Path, capsys: Out
     assert list(tmp_path.iterdir()) == [photos] and sorted(photos.rglob("*")) == before
 
 
-def test_what_is_there_is_not_touched(photos: Path, tmp_path: Path, capsys: Out) -> None:
+def test_existing_files_are_not_touched(photos: Path, tmp_path: Path, capsys: Out) -> None:
     """Oracle: exit code 2 and the unchanged file."""
     (tmp_path / "notes.txt").write_text("mine")
     assert main(["sfm", str(photos), "-o", str(tmp_path)]) == 2
@@ -428,7 +428,7 @@ def test_what_is_there_is_not_touched(photos: Path, tmp_path: Path, capsys: Out)
 
 
 @pytest.mark.slow
-def test_two_scenes_are_told_apart(tmp_path: Path) -> None:
+def test_two_scenes_are_reported(tmp_path: Path) -> None:
     """Oracle: the photos of each scene by their names; the larger scene is used."""
     render_cloud(tmp_path / "photos", 1, 8)
     render_cloud(tmp_path / "photos", 2, 5)

@@ -65,7 +65,7 @@ def test_two_folders_and_a_video_are_one_capture(views: Path, tmp_path: Path, ca
     assert "already contains cameras" in capsys.readouterr().err
 
 
-def test_what_was_gathered_is_used_again(views: Path, tmp_path: Path, capsys: Out) -> None:
+def test_staged_folder_is_reused(views: Path, tmp_path: Path, capsys: Out) -> None:
     """Oracle: the time of the folder; a changed source is refused."""
     sources = [_copy(views, tmp_path / "a", range(3)), _copy(views, tmp_path / "b", range(2, 5))]
     request = SearchRequest(photos=sources[0], output=tmp_path / "capture")

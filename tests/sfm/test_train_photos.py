@@ -120,7 +120,7 @@ def test_a_taken_folder_is_refused_before_the_search(
         ("--port", "99999", "port"),
     ],
 )
-def test_what_options_name_is_looked_at_before_the_search(
+def test_option_files_are_checked_before_the_search(
     mine: Path, tmp_path: Path, capsys: Out, flag: str, value: str, said: str
 ) -> None:
     """Oracle: exit code 2, a sentence about the file, and no search."""
@@ -325,7 +325,7 @@ def test_photos_of_a_capture_are_not_plain(mine: Path, tmp_path: Path, capsys: O
     assert not (tmp_path / "out").exists()
 
 
-def test_photos_without_a_camera_are_told(mine: Path, tmp_path: Path, capsys: Out) -> None:
+def test_photos_without_a_camera_are_reported(mine: Path, tmp_path: Path, capsys: Out) -> None:
     """Oracle: a photo of noise without matches: the training reports it, also in its report
     file."""
     shape = np.asarray(Image.open(mine / "front/view 000.jpg")).shape

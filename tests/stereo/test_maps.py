@@ -128,7 +128,7 @@ def test_masked_pixels_have_no_depth(tmp_path: Path) -> None:
     assert found.known == known / (len(ANGLES) * scene.height * (scene.width - 73))
 
 
-def test_what_is_known_counts_all_views(tmp_path: Path) -> None:
+def test_known_share_counts_all_views(tmp_path: Path) -> None:
     """Oracle: the known pixels of all views over the pixels of all."""
     scene = Scene(160, 120)
     away = scene.viewmat(ANGLES[0]) @ np.diag([-1.0, 1, -1, 1])  # faces the other way

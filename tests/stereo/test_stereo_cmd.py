@@ -154,7 +154,7 @@ def test_a_capture_without_depth_says_why(
     assert not (tmp_path / "depths").exists()
 
 
-def test_a_damaged_record_is_told(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_record_is_refused(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: exit code 2 and the file's name, for `gscore depth` and for a training."""
     assert main(["depth", str(own), "--method", "stereo", "--quiet"]) == 0
     (own / "depths" / "stereo.json").write_text("{")

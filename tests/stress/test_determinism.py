@@ -125,7 +125,7 @@ def test_five_hundred_steps(kind, photos, masked, tmp_path):
 @pytest.mark.parametrize(
     ("steps", "bound"), [(30, 0.1), (60, 0.5), pytest.param(500, 2.0, marks=pytest.mark.slow)]
 )
-def test_instruction_sets_train_alike(photos, steps, bound):
+def test_instruction_sets_reach_the_same_quality(photos, steps, bound):
     """Oracle: the other sets, in dB; bit equality is promised within one set alone.
 
     Training amplifies a last bit like any other difference: moving the points by 1e-7 to 4e-7 of

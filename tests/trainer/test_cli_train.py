@@ -110,7 +110,7 @@ def test_a_config_file_repeats_a_run(capture: Path, tmp_path: Path) -> None:
     assert a != c
 
 
-def test_models_side_by_side_are_told(
+def test_ensemble_is_reported(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Oracle: 150 points of the capture, from which each model starts; the messages of a run of one
@@ -135,7 +135,7 @@ def test_models_side_by_side_are_told(
     assert "<tr><th>Merged models</th><td>n/a</td><td>2</td>" in page.read_text()
 
 
-def test_what_photos_decide_is_kept_and_nobody_types_it(
+def test_automatic_choices_are_stored_but_not_in_the_command(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the command line; it is kept in a resumed run and an evaluation."""
@@ -328,7 +328,7 @@ def test_a_place_that_is_refused_is_not_searched(
     assert "is the root folder" in told.err and "they stay" not in told.err
 
 
-def test_other_files_in_the_output_folder_are_told(
+def test_foreign_files_in_the_output_folder_are_reported(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Oracle: their names, and unchanged files."""

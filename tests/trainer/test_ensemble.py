@@ -103,7 +103,9 @@ def test_as_many_splats_in_one_place_take_as_much_light_as_one_did(models: int) 
     assert divide_opacities(extremes, 1) is extremes
 
 
-def test_what_is_shown_is_what_is_written(photos: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rendered_ensemble_equals_the_written_splats(
+    photos: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Oracle: the renderer on the merged splats; the same splats in parts and as a whole."""
     monkeypatch.setattr("gscore.trainer.trainer._ROWS_A_PART", 70)
     trainer = trained(RANDOM, photos, 30)

@@ -34,7 +34,7 @@ def test_a_sound_capture_has_no_warning(photos: Any) -> None:
 
 
 @pytest.mark.parametrize(("degree", "told"), [(4, 1), (3, 0)])
-def test_a_higher_degree_than_a_training_has_is_said(photos: Any, degree: int, told: int) -> None:
+def test_higher_sh_degree_of_start_splats_warns(photos: Any, degree: int, told: int) -> None:
     """Oracle: the degrees; the splats are otherwise the points of the capture."""
     config = replace(CONFIG, sh_degree=3)
     count, rest = 50, (degree + 1) ** 2 - 1
@@ -57,7 +57,7 @@ def test_a_higher_degree_than_a_training_has_is_said(photos: Any, degree: int, t
 
 
 @pytest.mark.parametrize("strange", [False, True])
-def test_splats_of_another_scene_are_told(
+def test_start_splats_of_another_scene_warn(
     photos: Any, known_splats: Splats, tmp_path: Path, strange: bool
 ) -> None:
     """Oracle: the photos; the same with inverted colours."""
@@ -70,7 +70,7 @@ def test_splats_of_another_scene_are_told(
 
 
 @pytest.mark.parametrize("count", [99, 100])
-def test_a_region_that_holds_next_to_nothing_is_told(
+def test_nearly_empty_region_warns(
     photos: Any, known_splats: Splats, tmp_path: Path, count: int
 ) -> None:
     """Oracle: the number of splats."""

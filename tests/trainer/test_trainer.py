@@ -110,7 +110,7 @@ def test_splats_come_back_in_the_world_of_the_capture(make_photos: Callable[...,
     assert splats.sh_degree == 0, "no degree that is not in use yet"
 
 
-def test_a_model_is_told_in_parts_and_as_a_whole_alike(
+def test_model_in_parts_equals_the_whole_model(
     photos: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: `splats` before the end; the steps of a training that did not read them."""

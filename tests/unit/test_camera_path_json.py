@@ -131,7 +131,7 @@ def test_cameras_json_is_read_as_ever(tmp_path: Path) -> None:
         ({"camera_path": 7}, "is no camera path"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path: Path, spoil: dict, words: str) -> None:
+def test_damaged_field_is_named(tmp_path: Path, spoil: dict, words: str) -> None:
     """Oracle: the damaged field."""
     with pytest.raises(FormatError, match=words):
         read_camera_path(written(tmp_path, NERFSTUDIO | spoil))

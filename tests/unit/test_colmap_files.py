@@ -115,7 +115,7 @@ def test_byte_order_marks(make_capture: Callable, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "what"), [("cameras", "cameras"), ("points3D", "points")])
-def test_counts_that_are_not_right_are_told(
+def test_wrong_counts_warn(
     name: str, what: str, make_capture: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Oracle: COLMAP's own comment above the records; no warning where it is right."""

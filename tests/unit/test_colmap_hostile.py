@@ -57,7 +57,7 @@ def test_huge_counts_allocate_nothing(name: str, make_capture: Callable, tmp_pat
 
 
 @pytest.mark.parametrize("name", _FILES)
-def test_bytes_beyond_the_count_are_told(
+def test_trailing_bytes_warn(
     name: str, make_capture: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Oracle: the number of appended bytes; no warning about the original file."""

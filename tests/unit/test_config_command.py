@@ -114,7 +114,7 @@ def test_a_budget_takes_the_place_of_steps() -> None:
     ("limit", "option", "value"),
     [("steps_a_photo", "iterations", 4160), ("splats_a_photo", "max_splats", 312_000)],
 )
-def test_what_photos_limit_is_given_back(limit: str, option: str, value: int) -> None:
+def test_caps_by_photos_survive_the_command(limit: str, option: str, value: int) -> None:
     """Oracle: equality after a round trip, with the limit and without; the preset is unchanged."""
     data, train = PRESETS["high"](CAPTURE)
     limited = replace(train, **{option: value})
@@ -147,7 +147,7 @@ def test_a_command_has_what_was_typed(preset: str, words: str) -> None:
     assert set(shlex.split(command)[7:]) <= set(words.split())
 
 
-def test_what_photos_limited_is_not_stated() -> None:
+def test_capped_options_have_their_requested_values() -> None:
     """Oracle: the requested number; another number set on purpose is kept."""
     data, train = PRESETS["high"](CAPTURE)
     limited = replace(train, iterations=4160, max_splats=312_000)

@@ -179,7 +179,7 @@ def test_photos_turned_by_exif_without_a_trace_in_their_size(
             )
 
 
-def test_copies_of_photos_are_told(make_capture: Callable) -> None:
+def test_duplicate_photos_warn(make_capture: Callable) -> None:
     """Oracle: two copies of one photo, one of them under another ending; none in other captures."""
     capture = make_capture()
     images = capture.root / "images"

@@ -55,7 +55,7 @@ def test_no_more_than_there_is(size: int, together: int) -> None:
     assert most == together
 
 
-def test_what_many_threads_take(tmp_path: Path) -> None:
+def test_memory_of_parallel_decoding(tmp_path: Path) -> None:
     """Oracle: by hand: photos of 100 megapixels one by one, small ones a thread each."""
     large = file_of(tmp_path / "a.jpg", (12_000, 9_000), (400, 300))
     small = file_of(tmp_path / "b.jpg", (1200, 900), (400, 300))

@@ -218,7 +218,7 @@ def test_names_as_long_as_they_may_be(length: int, tmp_path: Path) -> None:
     assert _listing(tmp_path) == [path.name]
 
 
-def test_nothing_stands_under_names_that_cannot_be(tmp_path: Path) -> None:
+def test_impossible_names_do_not_exist(tmp_path: Path) -> None:
     """Oracle: no error and no file."""
     assert not is_file(tmp_path / ("n" * 300))
     assert not is_file(tmp_path / "a\0b")

@@ -145,7 +145,9 @@ def test_a_folder_of_other_things(tmp_path: Path) -> None:
     assert "SOG" in describe_unsupported(bundle)
 
 
-def test_what_gscore_wrote_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_own_folders_are_named_with_their_verb(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Oracle: sentences with the folder, its kind, and the verb for it."""
     blocks, runs, run = (tmp_path / name for name in ("blocks", "runs", "run"))
     for k in range(2):

@@ -49,7 +49,7 @@ def test_the_rule_that_wins_has_the_word() -> None:
     "text",
     ["", "1", "0", "-3", "2.5", "first:", "first:0", "first:x", "frist:3", "last:2,middle:1"],
 )
-def test_what_is_no_form_is_refused(text: str) -> None:
+def test_unknown_forms_are_refused(text: str) -> None:
     """Oracle: the sentence, with all forms and the given text."""
     with pytest.raises(ConfigError, match="first:N, last:N") as error:
         parse_hold_out(text)

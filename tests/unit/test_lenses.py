@@ -47,7 +47,7 @@ def test_lenses_of_no_bend_are_those_of_a_pinhole() -> None:
         np.testing.assert_allclose(undistorted_rays(model, params, wanted), rays, atol=1e-12)
 
 
-def test_what_the_lens_never_reaches_has_no_ray() -> None:
+def test_pixels_outside_the_lens_have_no_ray() -> None:
     """Oracle: a maximum of 0.544 of r (1 - 0.5 r^2); a right angle at pi / 2 focal lengths for an
     equidistant fisheye."""
     pixels = np.array([[0.5, 0.0], [0.53, 0.0], [0.56, 0.0], [0.0, -5.0]])

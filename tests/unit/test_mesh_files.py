@@ -51,7 +51,7 @@ def test_faces_of_an_obj_become_triangles(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.vertices, SQUARE)
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_meshes_round_trip(tmp_path: Path) -> None:
     """Oracle: the arrays, to the bit; the same from plyfile."""
     rng = np.random.default_rng(0)
     vertices, triangles = rng.normal(size=(50, 3)), rng.integers(0, 50, (300_000, 3))
@@ -79,7 +79,7 @@ OBJS = {
 
 
 @pytest.mark.parametrize("name", OBJS)
-def test_what_is_no_mesh_is_refused_in_words(tmp_path: Path, name: str) -> None:
+def test_invalid_meshes_are_refused(tmp_path: Path, name: str) -> None:
     """Oracle: the entry named in the sentence."""
     content, words = OBJS[name]
     path = tmp_path / "a.obj"

@@ -79,7 +79,7 @@ def test_no_option_is_forgotten() -> None:
         ("--iterations 100 --seed 3 --max-splats 7", ""),
     ],
 )
-def test_what_is_idle_is_told_with_the_reason(line: str, words: str) -> None:
+def test_ineffective_options_warn_with_the_reason(line: str, words: str) -> None:
     """Oracle: one sentence, or none."""
     found = show_flags(told(line))
     assert words in found

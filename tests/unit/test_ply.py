@@ -361,7 +361,7 @@ def test_antialiasing_is_told_by_the_header(
         is_antialiased_ply(tmp_path / "none.ply")
 
 
-def test_a_negative_count_is_told(make_splats: Callable, tmp_path: Path) -> None:
+def test_negative_count_is_refused(make_splats: Callable, tmp_path: Path) -> None:
     """Oracle: the sentence, with the count and without text of an array library."""
     path = tmp_path / "a.ply"
     write_splats(path, make_splats())
@@ -373,7 +373,7 @@ def test_a_negative_count_is_told(make_splats: Callable, tmp_path: Path) -> None
         read_ply(path)
 
 
-def test_bytes_after_the_last_row_are_told(
+def test_trailing_bytes_warn(
     make_splats: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Oracle: a header that states a row less than the file has."""
@@ -390,7 +390,7 @@ def test_bytes_after_the_last_row_are_told(
     assert f"{width} bytes after the last row its header announces" in caplog.text
 
 
-def test_lines_after_the_last_row_are_told(
+def test_trailing_lines_warn(
     make_splats: Callable, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Oracle: a text file that states two rows less than it has; empty lines do not count."""

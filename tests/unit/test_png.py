@@ -27,7 +27,7 @@ def test_levels_come_back(tmp_path: Path, shape: tuple[int, int]) -> None:
 @pytest.mark.parametrize(
     "wrong", [np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2)), np.zeros((0, 3), np.uint8)]
 )
-def test_what_is_no_grey_picture(wrong: np.ndarray) -> None:
+def test_invalid_grey_pictures_are_refused(wrong: np.ndarray) -> None:
     """Oracle: three axes, floats, no pixels."""
     with pytest.raises(ShapeError, match="grey picture"):
         gray_png(wrong)

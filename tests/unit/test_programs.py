@@ -224,7 +224,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_no_camera_model_has_is_refused_by_name(case: str, rig: Rig, tmp_path: Path) -> None:
+def test_unsupported_lens_terms_are_refused(case: str, rig: Rig, tmp_path: Path) -> None:
     """Oracle: terms that COLMAP's models lack, each named in the sentence with a remedy."""
     write, terms, words = REFUSED[case]
     rig = replace(rig, terms=terms)

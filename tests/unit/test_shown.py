@@ -45,7 +45,7 @@ def test_long_values_are_cut(value: object) -> None:
     assert len(brief(str(value)[:LARGE])) <= 200
 
 
-def test_what_no_output_prints_is_replaced() -> None:
+def test_unprintable_text_is_replaced() -> None:
     """Oracle: text that UTF-8 can encode."""
     assert brief("a\0b\ud800").encode() == b"a?b?"
     assert len(listing(["n" * 1000] * 9)) < 1100

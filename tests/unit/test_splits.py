@@ -103,7 +103,7 @@ def test_numbers_out_of_range(options: dict[str, object], message: str) -> None:
         split_views(_NAMES, _config(**options))
 
 
-def test_nothing_left(tmp_path: Path) -> None:
+def test_split_without_views_on_one_side_is_refused(tmp_path: Path) -> None:
     """Oracle: the error, because a split needs views on both sides."""
     with pytest.raises(DatasetError, match="leaves no view to train: 20 of 20"):
         split_views(_NAMES, _config(test_last=25))
@@ -114,7 +114,7 @@ def test_nothing_left(tmp_path: Path) -> None:
         split_views(_NAMES, _config(test_list=tmp_path / "empty.txt"))
 
 
-def test_one_view_of_few_is_told(make_capture: Callable[..., SmallCapture]) -> None:
+def test_single_held_out_view_warns(make_capture: Callable[..., SmallCapture]) -> None:
     """Oracle: 9 views: every 40th is the first alone; every 8th are two."""
     capture = make_capture(views=9)
     for every, told in ((40, 1), (8, 0)):

@@ -12,7 +12,7 @@ from gscore.commands.terminal.interrupt import Interrupt
 from gscore.commands.terminal.streams import SafeStream, safe_streams
 
 
-def test_a_closed_pipe_is_told_once_and_then_silent() -> None:
+def test_closed_pipe_is_reported_once() -> None:
     """Oracle: EPIPE of the system; the descriptor is the null device afterwards."""
     reader, writer = os.pipe()
     os.close(reader)
@@ -28,7 +28,7 @@ def test_a_closed_pipe_is_told_once_and_then_silent() -> None:
 @pytest.mark.parametrize(
     ("number", "code"), [(errno.EPIPE, 141), (errno.EIO, 129), (errno.ENOSPC, 2)]
 )
-def test_what_was_lost_has_a_code(
+def test_lost_output_has_an_exit_code(
     number: int, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Oracle: the codes of the documentation; a sentence for a full disk."""

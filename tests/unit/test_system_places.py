@@ -54,7 +54,7 @@ def judged(platform: str, text: str) -> str:
         *(("win32", text, "fine") for text in (r"D:\console\x", r"D:\com10", r"\\server\share\x")),
     ],
 )
-def test_whose_a_place_is(platform: str, text: str, wanted: str) -> None:
+def test_owner_of_a_folder(platform: str, text: str, wanted: str) -> None:
     """Oracle: the system folders of the Filesystem Hierarchy Standard, Apple and Microsoft."""
     assert judged(platform, text) == wanted
 

@@ -405,7 +405,7 @@ class TestInADataset:
             np.testing.assert_allclose(_centroid(image[..., 0]), [x / z, y / z], atol=0.25)
             np.testing.assert_allclose(_centroid(mask), [x / z, y / z], atol=0.25)
 
-    def test_cut_rims_are_told(self, make_capture: Callable) -> None:
+    def test_cropped_borders_are_reported(self, make_capture: Callable) -> None:
         """Oracle: the sentence, and a photo with its halves still left and right of the middle."""
         params = _barrel(-0.43).params.tolist()
         capture = make_capture(model="RADIAL", params=params, size=_SIZE, views=2)

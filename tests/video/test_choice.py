@@ -57,7 +57,7 @@ def test_frames_are_sharp_and_evenly_spread(film: Film, looked: Survey, count: i
     assert steps[~wide].min() > 0.3 * usual
 
 
-def test_a_shaken_stretch_is_told(film: Film, looked: Survey) -> None:
+def test_blurred_parts_are_reported(film: Film, looked: Survey) -> None:
     """Oracle: frames 60 to 75 of 30 a second are shaken."""
     ((begin, end),) = choose(looked, 0).gaps
     assert 1.8 <= begin <= 2.0 and 2.5 <= end <= 2.7

@@ -153,7 +153,7 @@ def test_a_hidden_folder_of_somebody_else_stays(film: Film, tmp_path: Path, name
     assert theirs.read_text() == "mine" and not (tmp_path / "new").exists()
 
 
-def test_what_a_killed_run_left_is_replaced(film: Film, tmp_path: Path) -> None:
+def test_remains_of_a_killed_run_are_replaced(film: Film, tmp_path: Path) -> None:
     """Oracle: the folder afterwards, without a stale lock and half of the frames."""
     left = tmp_path / ".out.frames"
     (left / "frames").mkdir(parents=True)
@@ -270,7 +270,7 @@ def test_events_tell_how_far_it_is(film: Film, tmp_path: Path) -> None:
     assert isinstance(told[-1], FramesDone) and told[-1].frames == 10
 
 
-def test_what_is_called_a_video(tmp_path: Path) -> None:
+def test_names_that_are_videos(tmp_path: Path) -> None:
     """Oracle: names of files; a folder of that name is no video."""
     (tmp_path / "a.MOV").write_bytes(b"")
     (tmp_path / "b.mp4").mkdir()

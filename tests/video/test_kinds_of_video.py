@@ -358,7 +358,7 @@ def _all_blurred(path: Path, walk: list[np.ndarray]) -> None:
         ("missing.mp4", lambda path, walk: None, "There is no video"),
     ],
 )
-def test_what_is_no_video_is_refused_in_words(
+def test_invalid_videos_are_refused(
     name: str,
     make: Callable[[Path, list[np.ndarray]], object],
     says: str,

@@ -45,7 +45,7 @@ def test_points_take_over(seen):
         assert (np.abs(around(seen, name) - around(seen, "live")) > 20).mean() > 0.1
 
 
-def test_what_cannot_be_drawn_is_said_until_it_can(seen):
+def test_drawing_error_is_shown_until_it_succeeds(seen):
     """Oracle: the sentence, which names the object; then the previous pixels."""
     problems = seen[0]["problems"]
     assert "wall has 1 splats whose scale is not finite" in problems["live_spoiled"]
@@ -54,7 +54,7 @@ def test_what_cannot_be_drawn_is_said_until_it_can(seen):
     assert (apart > 4).mean() < 0.01
 
 
-def test_what_is_refused_is_not_asked_for_again(seen):
+def test_refused_allocation_is_not_repeated(seen):
     """Oracle: the number of calls to the card: one, or one with three pauses."""
     calls = seen[0]["calls"]
     assert calls["refused"] == 1 and calls["for_good"] == 3

@@ -84,7 +84,7 @@ def bars(seen: tuple[dict, Path], name: str, kind: str) -> tuple[np.ndarray, np.
     return blue, grey
 
 
-def test_what_is_hidden_is_grey(seen):
+def test_hidden_part_is_grey(seen):
     """Oracle: even opacities, so that there are bars everywhere: blue above the handle, grey below;
     the same picture as without when they are switched off."""
     blue, grey = bars(seen, "on", OPACITY)

@@ -52,7 +52,7 @@ def test_an_import_is_one_undo_step(seen):
     assert found["undone"] == [0, 0] and found["redone"] == 60
 
 
-def test_an_import_anew(seen):
+def test_reimport(seen):
     """Esc keeps manual changes; a complete import does not, and undo restores them."""
     found, _ = seen
     assert (found["moved after Esc"], found["count after Esc"]) == (50, 59)

@@ -41,7 +41,7 @@ def test_colours_of_splats_reach_the_screen(seen):
     assert np.abs(middle(seen, "wall") - COLOR).max() <= 2
 
 
-def test_what_is_stretched_is_named_instead_of_shown(seen):
+def test_stretched_objects_are_named_instead_of_drawn(seen):
     """Oracle: the sentence, and the grey of the empty view in place of the wall's colour."""
     assert "wall cannot be rendered" in seen[0]["uneven"] and "unevenly" in seen[0]["uneven"]
     for aside in (0, 80):

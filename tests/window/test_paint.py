@@ -56,7 +56,7 @@ def test_opacity_erases(seen):
     assert np.abs(color(seen, "erased", 50) - BRUSH).max() <= 2
 
 
-def test_what_keys_do(seen):
+def test_keys_while_painting(seen):
     """Oracle: Blender's state afterwards: splats selected, a view turned, none deleted."""
     found = seen[0]
     assert 10 < found["selected"] < 1000

@@ -66,7 +66,7 @@ def test_a_hole_shows_the_photo_behind_it(seen, name):
     assert (np.abs(held - COLOR).max(axis=2) <= 2).mean() > 0.05
 
 
-def test_nothing_lies_over_a_view_from_elsewhere(seen):
+def test_no_photo_over_a_free_view(seen):
     """Oracle: the same view without a photo: the wall, small, on the grey of the world."""
     found, bare = (around(seen, f"elsewhere{end}", half=100) for end in ("", "_bare"))
     assert np.abs(found - bare).max() <= 2 and np.ptp(bare) > 50

@@ -73,7 +73,7 @@ def test_elsewhere_everything_is_drawn(seen: tuple[dict, Path], name: str) -> No
         assert is_wall(around(seen, name, *place))
 
 
-def test_what_is_edited_shows_as_in_solid_shading(seen: tuple[dict, Path]) -> None:
+def test_edit_mode_looks_as_in_solid_shading(seen: tuple[dict, Path]) -> None:
     """Oracle: black where the wall is hidden, the tint where it is selected, with overlays; the
     wall in Object Mode."""
     assert around(seen, "edited", -ASIDE).max() < 5
@@ -94,7 +94,7 @@ def lines(seen: tuple[dict, Path], name: str) -> int:
     return int((bright[1:] & ~bright[:-1]).sum())
 
 
-def test_what_renders_alone_show_is_said(seen: tuple[dict, Path]) -> None:
+def test_render_only_effects_are_named(seen: tuple[dict, Path]) -> None:
     """Oracle: one line more than Blender's own, only through a camera that blurs."""
     sharp, lens, no_camera = (lines(seen, name) for name in ("sharp", "lens", "no_camera"))
     assert sharp == no_camera >= 2 and lens == sharp + 1

@@ -41,7 +41,7 @@ def test_esc_leaves_all_as_it_was(seen):
 
 
 @pytest.mark.parametrize("name", ["painted", "undone meanwhile"])
-def test_what_changes_meanwhile_is_not_lost(seen, name):
+def test_changes_during_an_edit_are_kept(seen, name):
     """Oracle: the count of splats, most of which the same button deletes in an undisturbed
     scene."""
     found, _ = seen

@@ -27,7 +27,7 @@ def tour(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path, str]:
     return told("tour", tmp_path_factory, longest=900, size=SIZE, prepare=_prepare)
 
 
-def test_nothing_went_wrong(tour):
+def test_tour_completes_without_errors(tour):
     """Oracle: every part was completed, and the console has no errors."""
     seen, folder, output = tour
     assert len(seen["parts"]) == 8
@@ -50,7 +50,7 @@ def test_edits_are_undone_and_redone(tour):
     assert before == back > after == again
 
 
-def test_what_is_written_is_what_shows(tour):
+def test_written_file_equals_the_view(tour):
     """Oracle: some splats in the crop box; half of these after thinning."""
     seen, _, _ = tour
     assert 0 < seen["cropped"] < seen["trained"]

@@ -163,7 +163,7 @@ def test_another_size(scene) -> None:
     np.testing.assert_allclose(half.K[:2], whole.K[:2] / 2)
 
 
-def test_what_an_import_makes(scene) -> None:
+def test_import_matches_the_model(scene) -> None:
     """Oracle: the model: names, sizes, float64 values to the last bit, photos not decoded."""
     made = captures.import_capture(bpy.context.scene, STUDIO / "sparse" / "0")
     model = read_colmap(STUDIO)
@@ -222,7 +222,7 @@ def test_use_camera(scene) -> None:
         captures.use_camera(scene, made.root)
 
 
-def test_pixel_aspect_is_said(scene, capture: Path) -> None:
+def test_pixel_aspect_is_reported(scene, capture: Path) -> None:
     """Oracle: fy / fx of the model, in the scene and in the message."""
     made = captures.import_capture(bpy.context.scene, capture)
     assert any("fx and fy differ" in warning for warning in made.warnings)
@@ -246,7 +246,7 @@ def test_distorted_cameras_come_as_trainings_see_them(scene, capture: Path) -> N
     assert (own.width, own.height) == (plan.width, plan.height) != own.taken
 
 
-def test_a_lens_that_cannot_be_straightened_is_said(scene, tmp_path: Path) -> None:
+def test_lens_without_inverse_is_reported(scene, tmp_path: Path) -> None:
     """Oracle: r (1 - 1.5 r^2) is not monotonic beyond 0.47, inside the photo: the camera is the
     pinhole part of the lens, and its photo is not undistorted."""
     bent = {1: ("SIMPLE_RADIAL", 640, 480, (400.0, 320.0, 240.0, -1.5))}

@@ -296,7 +296,7 @@ def test_without_the_source(made, scene, capture: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(after.points.rgb, model.points.rgb)
 
 
-def test_a_source_that_was_made_anew(made, scene, capture: Path, tmp_path: Path) -> None:
+def test_reconstructed_source_warns(made, scene, capture: Path, tmp_path: Path) -> None:
     """Oracle: the imported poses take precedence over those of another reconstruction; a
     warning."""
     imported = {ob["gs_image"]: co.stated(ob).viewmat for ob in made.cameras}

@@ -82,7 +82,7 @@ def _add_points(made: ImportedCapture) -> None:
         (_add_points, "positions", "studio points was changed"),
     ],
 )
-def test_what_changes_meanwhile_is_refused(
+def test_changes_during_an_export_are_refused(
     made: ImportedCapture, tmp_path: Path, act: Callable, when: str, says: str
 ) -> None:
     """Oracle: an error; nothing is written."""

@@ -148,7 +148,7 @@ def test_camera_paths_go_out_and_come_back(scene, far: Path, tmp_path: Path, kin
     )
 
 
-def test_an_import_anew_keeps_the_origin_and_another_capture_is_told(
+def test_reimport_keeps_the_origin_and_warns_of_another_capture(
     scene, far: Path, tmp_path: Path
 ) -> None:
     """Oracle: the origin of the first import, although a moved model would get another one; a

@@ -130,7 +130,7 @@ def _points_come() -> bool:
     return any(co.is_kind(ob, "points") for one in own for ob in one.objects)
 
 
-def test_what_undo_takes_comes_again(scene, folder: Path) -> None:
+def test_undone_import_is_repeated(scene, folder: Path) -> None:
     """Oracle: the import in one call."""
     captures.import_capture(scene, folder)
     at_once = state()
@@ -174,7 +174,9 @@ def test_a_file_that_is_saved_meanwhile(scene, folder: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("ends", ["saved", "closed", "imported", "undone"])
-def test_what_is_done_right_after_esc(scene, folder: Path, tmp_path: Path, ends: str) -> None:
+def test_cancelled_import_leaves_no_data_or_names(
+    scene, folder: Path, tmp_path: Path, ends: str
+) -> None:
     """Incremental removal. Oracle: none of it is in the file, or blocks a name."""
     bpy.ops.ed.undo_push(message="start")
     work = going(directory=str(folder))
@@ -368,7 +370,7 @@ def test_cameras_that_another_scene_has_too(scene, folder: Path) -> None:
     assert list(bpy.data.objects["view_009"].users_collection) == [scene.collection]
 
 
-def test_what_else_moves_cameras(scene, folder: Path) -> None:
+def test_reimport_resets_deltas_and_keeps_animation(scene, folder: Path) -> None:
     """Deltas are removed; keyframes and constraints stay, with a warning. Oracle: Blender's own
     matrices."""
     listed = captures.import_capture(scene, folder).cameras
@@ -398,7 +400,7 @@ def test_what_else_moves_cameras(scene, folder: Path) -> None:
     assert not captures.import_capture(scene, folder).warnings
 
 
-def test_what_is_written_anew(scene, folder: Path) -> None:
+def test_reimport_writes_changed_properties_only(scene, folder: Path) -> None:
     """Every changed property of a camera, and no other. Oracle: the scene before."""
     listed = captures.import_capture(scene, folder).cameras
     before = state()

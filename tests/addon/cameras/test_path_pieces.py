@@ -139,7 +139,7 @@ def _type(scene: bpy.types.Scene) -> None:
         (_type, "moving is not perspective"),
     ],
 )
-def test_what_changes_meanwhile(
+def test_changes_during_a_path_export(
     scene,
     camera,  # noqa: F811
     tmp_path: Path,

@@ -54,7 +54,7 @@ def poll_until(queue: UndistortQueue, program: object, done: Callable[[list[str]
     return made
 
 
-def test_what_is_asked_for_while_the_program_ends_is_made(run: Run, told: Path) -> None:
+def test_requests_while_the_program_ends_are_served(run: Run, told: Path) -> None:
     """The program needs a second to end, in which it reads nothing more."""
     queue, program = UndistortQueue(), run(BEGINS + ANSWERS + "time.sleep(1)")
     queue.enqueue_first(tasks("a"))
@@ -93,7 +93,7 @@ def test_a_photo_that_ends_the_program_is_left_out(run: Run, told: Path) -> None
     assert copy == "crash" and "at crash (exit code 1). no memory" in queue.problems[copy]
 
 
-def test_what_is_asked_for_last_comes_first(run: Run, told: Path) -> None:
+def test_latest_requests_come_first(run: Run, told: Path) -> None:
     """Except for the copy in progress; no copy is made twice."""
     slow = ANSWERS.replace("    if copy", "    time.sleep(0.3)\n    if copy")
     queue, program = UndistortQueue(), run(BEGINS + slow)

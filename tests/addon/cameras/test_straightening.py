@@ -243,7 +243,7 @@ def test_files_find_their_copies_again(scene, tmp_path: Path, own_copies: Path) 
     assert None not in [copy_needed(ob) for ob in cameras]
 
 
-def test_a_photo_that_cannot_be_read_is_said(scene, tmp_path: Path, own_copies: Path) -> None:
+def test_unreadable_photo_is_reported(scene, tmp_path: Path, own_copies: Path) -> None:
     """Oracle: the message of the operator and in the panel; the other photo is shown."""
     folder = capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"])
     (folder / "images" / "OPENCV.png").write_bytes(b"no picture")
@@ -352,7 +352,7 @@ def test_many_cameras_are_asked_for_at_once(
     ]
 
 
-def test_why_a_lens_is_not_straightened() -> None:
+def test_reason_of_a_refused_lens() -> None:
     """Oracle: the error of the trainer, which refuses the lens too; importing again helps only if a
     lens can be undistorted."""
     known = {"image": "a.png", "photo": "", "viewmat": np.eye(4), "K": np.eye(3)}

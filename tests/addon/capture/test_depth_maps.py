@@ -95,7 +95,7 @@ def test_the_report_of_a_run(tmp_path: Path) -> None:
             read_run_report(tmp_path)
 
 
-def test_nothing_known_of_a_row() -> None:
+def test_row_without_values() -> None:
     """Oracle: no number is invented."""
     assert DepthRow(view="x", verdict=UNKNOWN).lines() == [("Map", "Not compared")]
     assert DepthRow(view="x", verdict=UNKNOWN).fit == "-"

@@ -56,7 +56,7 @@ def test_studio() -> None:
 @pytest.mark.parametrize(
     "inside", ["", "sparse", "sparse/0", "sparse/0/cameras.bin", "images", "images/view_000.jpg"]
 )
-def test_what_people_pick(inside: str) -> None:
+def test_capture_is_found_from_any_of_its_parts(inside: str) -> None:
     """Oracle: the folder above `sparse`, whichever part of the capture was picked."""
     assert find_capture(STUDIO / inside) == STUDIO
     assert inspect(STUDIO / inside).photos == 60

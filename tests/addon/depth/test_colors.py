@@ -138,7 +138,7 @@ def test_undo_takes_the_colors_back(
     assert depth_colors.shown(roots_of(bpy.context.scene)[0])
 
 
-def test_what_is_drawn_lies_on_the_cameras(root: bpy.types.Object) -> None:
+def test_drawn_frames_match_the_cameras(root: bpy.types.Object) -> None:
     """Oracle: by Blender's own projection, the corners are those of the camera's picture."""
     scene = bpy.context.scene
     bpy.ops.gscore.use_camera(index=0, look_through=False)

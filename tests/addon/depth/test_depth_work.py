@@ -133,7 +133,7 @@ def test_cancelling_asks_and_then_ends(
         ([{"say": DONE | {"table": [{"view": "x"}]}}], "unexpected entry"),
     ],
 )
-def test_failures_are_said(studio: bpy.types.Scene, play, script: list, words: str) -> None:
+def test_failures_are_reported(studio: bpy.types.Scene, play, script: list, words: str) -> None:
     """Oracle: an error message; earlier results are still shown."""
     play(*script)
     before = predict_depth.report(studio)
@@ -143,7 +143,7 @@ def test_failures_are_said(studio: bpy.types.Scene, play, script: list, words: s
     assert predict_depth.report(studio) == before
 
 
-def test_what_is_missing_is_said_before_anything_starts(
+def test_missing_inputs_are_reported_before_the_start(
     studio: bpy.types.Scene, play, tmp_path: Path
 ) -> None:
     """Oracle: error messages; no job."""

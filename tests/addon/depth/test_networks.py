@@ -75,7 +75,7 @@ def test_one_that_is_not_here_is_fetched_on_a_click_alone(play: Play, online) ->
     assert "--download" in json.loads(called.read_text())
 
 
-def test_nothing_is_fetched_where_blender_stays_offline(play: Play, online) -> None:
+def test_no_download_while_blender_is_offline(play: Play, online) -> None:
     """Oracle: no process is started, and the message names the switch."""
     online(False)
     called = play({"say": DONE})

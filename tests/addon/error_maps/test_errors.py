@@ -188,7 +188,7 @@ def test_splats_that_the_view_layer_excludes(result: bpy.types.Object, tmp_path:
     assert not result.visible_get() and measure_errors.is_map(bpy.context.object)
 
 
-def test_what_cannot_be_measured(result: bpy.types.Object, tmp_path: Path) -> None:
+def test_unmeasurable_objects_are_refused(result: bpy.types.Object, tmp_path: Path) -> None:
     """Oracle: error messages, and an unchanged scene."""
     (measure_errors.run_of(result) / "point_cloud.ply").unlink()
     with pytest.raises(RuntimeError, match="no finished training"):

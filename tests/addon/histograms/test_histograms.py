@@ -32,7 +32,7 @@ def test_bars_go_with_the_counts():
 
 
 @pytest.mark.parametrize(("smallest", "largest"), [(0.0, 0.0), (0.02, 0.0), (0.01, 0.1)])
-def test_what_the_limits_hide_is_grey(smallest, largest):
+def test_filtered_part_is_grey(smallest, largest):
     """Oracle: the share of the splats that the filters' own mask keeps."""
     sizes = np.exp(np.random.default_rng(0).uniform(np.log(0.001), 0, 100_000))
     found = of_sizes(sizes)

@@ -82,7 +82,7 @@ def shows(panel: type, text: str = SHOWN) -> None:
     ],
     ids=["captures", "forecasts", "runs", "depth runs", "figures", "frames", "trained"],
 )
-def test_what_cannot_be_looked_up(
+def test_failed_lookup(
     studio: bpy.types.Scene, known: Lookup, panel: type, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Any lookup that raises."""
@@ -95,7 +95,7 @@ def test_what_cannot_be_looked_up(
     shows(panel)
 
 
-def test_what_is_wrong_with_a_capture(studio: bpy.types.Scene) -> None:
+def test_capture_errors_are_shown(studio: bpy.types.Scene) -> None:
     """A missing folder of photos: in the panel, and in a training's error."""
     studio.gscore.images = "nothing"
     shows(CapturePanel, '"Photo Folder"')
@@ -138,7 +138,7 @@ def test_why_depth_was_not_used(studio: bpy.types.Scene, tmp_path: Path) -> None
     shows(DepthPanel, 'Depth is not used; "Use Depth: Always" uses it all the same.')
 
 
-def test_what_is_said_of_cameras(
+def test_camera_warnings_are_shown(
     scene: bpy.types.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Warnings of a capture, lenses that cannot be undistorted, a model that can no longer be read,

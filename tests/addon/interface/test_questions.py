@@ -49,7 +49,7 @@ def invoked(operator: Danger) -> tuple[set[str], list[dict]]:
     return operator.invoke(SimpleNamespace(window_manager=manager), None), dialogs
 
 
-def test_it_asks_with_all_sentences() -> None:
+def test_dialog_shows_all_sentences() -> None:
     """The dialog is Blender's, its default is Cancel, and it shows every sentence completely."""
     text = "The run in /somewhere/that/is/rather/long is replaced for good. " * 3
     operator = Danger(text, "And the object.")
@@ -68,7 +68,7 @@ def test_it_asks_with_all_sentences() -> None:
     assert "".join(labels).replace(" ", "") == (text + "And the object.").replace(" ", "")
 
 
-def test_it_asks_nothing_where_there_is_nothing_to_lose() -> None:
+def test_no_dialog_without_loss() -> None:
     """It acts immediately; an error is a report, and nothing is done."""
     operator = Danger()
     assert invoked(operator) == ({"FINISHED"}, [])
@@ -79,7 +79,7 @@ def test_it_asks_nothing_where_there_is_nothing_to_lose() -> None:
 
 
 @pytest.mark.parametrize("cls", [Train, DiscardTraining, PredictDepth, MakeEnvironment])
-def test_who_asks(cls: type) -> None:
+def test_operators_that_need_confirmation(cls: type) -> None:
     """Operators that cannot be undone."""
     assert issubclass(cls, ConfirmMixin) and issubclass(cls, BaseOperator)
     assert cls.confirm != ConfirmMixin.confirm

@@ -320,7 +320,7 @@ def test_settings_of_others_raise_nothing(case: str, library: Path) -> None:
 
 
 @pytest.mark.parametrize("case", ["linked", "mesh", "override", "both", "system"])
-def test_what_the_sentence_says_helps(case: str, library: Path) -> None:
+def test_suggested_remedy_works(case: str, library: Path) -> None:
     """Oracle: the refused operator, after Blender's own Make Local."""
     bring(library, case)
     problem = call("grade_splats", library)

@@ -145,7 +145,7 @@ def test_recoloured_entries_are_those_of_a_new_order():
     assert (got != before).any()
 
 
-def test_which_splats_were_selected_anew():
+def test_newly_selected_splats():
     """Oracle: the bits, counted by hand."""
     before = np.array([0, SELECTED, HIDDEN, 0], np.uint8)
     after = np.array([SELECTED, 0, HIDDEN, 0], np.uint8)

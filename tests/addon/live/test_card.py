@@ -189,7 +189,7 @@ def test_depths_are_blended_like_colours(card):
 
 
 @pytest.mark.parametrize("orthographic", [False, True])
-def test_what_lies_beyond_planes_is_left_out(card, orthographic):
+def test_splats_outside_clip_planes_are_omitted(card, orthographic):
     """Oracle: gscore.render of the splats on the planes' inner sides; an object that is moved."""
     from addon.live.clip import Cuts
 
@@ -205,7 +205,7 @@ def test_what_lies_beyond_planes_is_left_out(card, orthographic):
     assert np.abs(truth(moved, camera).rgb - want.rgb).max() > 0.2
 
 
-def test_what_lies_beyond_the_far_end_is_left_out(card):
+def test_splats_beyond_the_far_plane_are_omitted(card):
     """Oracle: gscore.render of the splats in front of it; of all, if the view has none."""
     from addon.live.clip import Cuts
 

@@ -111,7 +111,7 @@ def test_other_splats_are_left_alone(reader, known, ob) -> None:
     assert len(_marks(known)) == COUNT and (_marks(known) == SELECTED).sum() == (COUNT + 2) // 3
 
 
-def test_nothing_is_held_after_edit_mode(reader, known, ob) -> None:
+def test_bmesh_is_released_after_edit_mode(reader, known, ob) -> None:
     """Oracle: the BMesh is released, and nothing remains to be read."""
     bpy.ops.object.mode_set(mode="OBJECT")
     bpy.context.view_layer.update()

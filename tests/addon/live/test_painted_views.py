@@ -64,7 +64,7 @@ def test_paint_and_selections_go_over_what_they_change(wish, monkeypatch) -> Non
     np.testing.assert_array_equal(got, first)
 
 
-def test_another_view_or_hidden_splats_are_sorted_anew(wish, monkeypatch) -> None:
+def test_new_view_or_hidden_splats_are_sorted_again(wish, monkeypatch) -> None:
     """Oracle: a new view, and the number of sorts."""
     arranger, frozen, calls = views.Arranger(SplatCache()), wish.frozen, []
     arrange = order.arrange

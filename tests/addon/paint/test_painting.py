@@ -65,7 +65,7 @@ def shares(ob: bpy.types.Object, radius: float, hardness: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("does", [COLOR, SELECT])
-def test_what_others_do_during_a_stroke_stays(ob: bpy.types.Object, does: str) -> None:
+def test_edits_during_a_stroke_are_kept(ob: bpy.types.Object, does: str) -> None:
     """Oracle: splats out of the stroke's reach have the values of another edit."""
     chosen = np.arange(900) % 2 == 0
 
@@ -132,7 +132,7 @@ def test_selecting(ob: bpy.types.Object) -> None:
         np.testing.assert_array_equal(getattr(objects.read(ob), field), getattr(before, field))
 
 
-def test_what_is_hidden_is_not_painted(ob: bpy.types.Object) -> None:
+def test_hidden_splats_are_not_painted(ob: bpy.types.Object) -> None:
     """Oracle: hidden in Edit Mode, filtered out, not selected: each unchanged, to the bit."""
     under = shares(ob, 60, 1.0) > 0
     hidden = np.arange(len(under)) % 3 == 0

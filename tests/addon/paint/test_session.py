@@ -162,7 +162,7 @@ def test_keys_that_end(desk: Desk, key: str) -> None:
     assert desk.send("MOUSEMOVE") is Answer.ENDED
 
 
-def test_what_is_for_others(desk: Desk) -> None:
+def test_unrelated_events_pass_through(desk: Desk) -> None:
     """Oracle: navigation, panels, clocks and whatever happens outside of views pass; keys that
     would change the scene do not."""
     for key in ("MIDDLEMOUSE", "WHEELUPMOUSE", "TRACKPADPAN", "NUMPAD_1", "NDOF_MOTION", "HOME"):
@@ -285,7 +285,7 @@ def test_undo_passes_and_what_it_brings_is_shown(
     assert shown == [ob]
 
 
-def test_what_cannot_be_painted_on(ob: bpy.types.Object, desk: Desk) -> None:
+def test_unpaintable_objects_are_refused(ob: bpy.types.Object, desk: Desk) -> None:
     """Oracle: an error for each, after which painting continues."""
     ob.hide_set(True)
     with pytest.raises(ValueError, match="is hidden"):

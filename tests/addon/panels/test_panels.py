@@ -70,7 +70,7 @@ def test_a_deleted_result_is_not_shown(scene: bpy.types.Scene) -> None:
     assert scene.gscore.result == ob and objects.in_question(bpy.context) is None
 
 
-def test_whose_colors_soft_splats_have(scene: bpy.types.Scene) -> None:
+def test_viewpoint_of_soft_splat_colors(scene: bpy.types.Scene) -> None:
     """Oracle: the direction in the display's nodes (test_harmonics.py); no message if it does not
     change colors."""
 
@@ -151,7 +151,7 @@ def test_clock(seconds: float, text: str) -> None:
     assert progress.clock(seconds) == text
 
 
-def test_what_the_output_folder_holds() -> None:
+def test_output_folder_states() -> None:
     """Oracle: one message for each state of a run."""
     data, config = PRESETS["preview"](Path("/s"))
     base = {"path": Path("/o"), "splats": None, "data": data, "train": config, "problem": ""}

@@ -126,7 +126,7 @@ def test_a_poll_ends_within_its_budget(start: Start, monkeypatch: pytest.MonkeyP
     assert job.state.status == run_state.FINISHED
 
 
-def test_silence_is_told(start: Start) -> None:
+def test_silence_is_reported(start: Start) -> None:
     """Oracle: a message after the limit, for which the last line is dated back; none before and
     after the next line."""
     job = start({"say": STARTED}, {"await": "go"}, step(5), {"await": "end"}, finish())
@@ -189,9 +189,7 @@ def test_a_full_disk_is_said_in_the_trainers_words(start: Start) -> None:
         ),
     ],
 )
-def test_a_wrong_python_is_told_what_to_do(
-    start: Start, stderr: str, words: tuple[str, ...]
-) -> None:
+def test_wrong_python_gets_instructions(start: Start, stderr: str, words: tuple[str, ...]) -> None:
     """Oracle: the output of Python and gscore in these cases."""
     state = run_to_end(start({"stderr": stderr}, {"exit": 2}))
     assert state.status == run_state.FAILED

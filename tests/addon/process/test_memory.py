@@ -45,7 +45,7 @@ def test_no_more_is_made_for_nobody(makers: Callable) -> None:
     assert not makers()
 
 
-def test_where_there_is_no_memory_its_owner_hears_of_it() -> None:
+def test_allocation_failure_raises_at_the_owner() -> None:
     """Oracle: numpy's error when the array is taken; later arrays are allocated."""
     memory = Memory([1 << 60, 3])
     until = time.monotonic() + 60

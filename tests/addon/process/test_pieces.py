@@ -51,7 +51,7 @@ def ended(going: TaskRunner) -> list[str]:
     raise AssertionError("it never ends")
 
 
-def test_pieces_are_done_here_and_the_rest_beside():
+def test_steps_run_here_and_threads_in_parallel():
     """In one call everything runs in the calling thread, because no other may run then."""
     log: list[Any] = []
     going = TaskRunner(work(log))

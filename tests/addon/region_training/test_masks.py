@@ -83,7 +83,7 @@ def test_from_button_to_training(studio: bpy.types.Scene, tmp_path: Path) -> Non
     assert facts.refresh(studio)[0].masks == 1
 
 
-def test_what_painting_needs_is_at_hand(studio: bpy.types.Scene) -> None:
+def test_image_editor_is_ready_to_paint(studio: bpy.types.Scene) -> None:
     """Oracle: Blender's own image editor: its mode, and the effect of its brush; the regions around
     it are tested in a window."""
     area = bpy.context.window_manager.windows[0].screen.areas[0]
@@ -118,7 +118,7 @@ def test_a_mask_that_is_there_is_painted_on(studio: bpy.types.Scene, inverted: b
     assert list(file.parent.iterdir()) == [file]
 
 
-def test_what_is_painted_outlives_a_blend_file(studio: bpy.types.Scene, tmp_path: Path) -> None:
+def test_painting_survives_saving_and_loading(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: the pixels after saving and loading the file, and that they are still reported as not
     saved; a second press of the button continues with them."""
     bpy.ops.gscore.paint_mask()
@@ -148,7 +148,7 @@ def test_discarding_leaves_the_file(studio: bpy.types.Scene, tmp_path: Path) -> 
     assert drawn(MaskPanel) == ""
 
 
-def test_undo_of_a_save_is_told(studio: bpy.types.Scene, tmp_path: Path) -> None:
+def test_undo_of_a_save_is_reported(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: the image restored by undo, with its properties, and the remaining file."""
     bpy.ops.gscore.paint_mask()
     image = next(filter(masks.is_mask, bpy.data.images))
@@ -213,7 +213,7 @@ def test_a_mask_that_the_capture_names(scene: bpy.types.Scene, tmp_path: Path) -
     assert not (folder / "masks").exists()
 
 
-def test_what_is_kept_is_small_in_a_file(studio: bpy.types.Scene, tmp_path: Path) -> None:
+def test_packed_masks_are_small(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: Blender's own packing, within a tenth; the levels; and that nothing is unsaved then.
 
     Before, pixels are packed uncompressed, which is fast.

@@ -57,7 +57,7 @@ def in_box(ob: bpy.types.Object, points: np.ndarray) -> np.ndarray:
     return np.abs(local).max(axis=1) <= 1
 
 
-def test_what_a_trainer_is_given(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
+def test_trainer_input_and_result(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
     """Oracle: the box in the file contains the same splats as by Blender's own matrices, and the
     PLY has the object's splats to the bit; the result replaces them, and the earlier folder
     stays."""
@@ -160,7 +160,7 @@ def test_splats_that_were_edited_meanwhile_are_kept(
 
 
 @pytest.mark.parametrize("with_what", ["shape keys", "NLA tracks"])
-def test_a_result_that_has_no_place_is_told_where_it_lies(
+def test_result_without_a_target_names_its_folder(
     studio: bpy.types.Scene, tmp_path: Path, play: Play, with_what: str
 ) -> None:
     """Oracle: the unchanged mesh; the panel names the folder, the file, and the button that imports
@@ -305,7 +305,7 @@ def test_a_start_that_fails_begins_nothing(
     assert job.sentence in ("MemoryError", "no space left")
 
 
-def test_what_is_no_region(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
+def test_invalid_regions_are_refused(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
     """Oracle: an error for each, and that nothing was written."""
     write_splats(tmp_path / "a.ply", splats(50))
     play({"exit": 1})

@@ -76,7 +76,7 @@ def test_circle_of_confusion(scene, tmp_path, depth, focus, diameter):
     np.testing.assert_allclose(across, wanted + 1.5, atol=2)
 
 
-def test_what_is_in_focus_stays_as_it_is(scene, tmp_path):
+def test_splats_in_focus_are_sharp(scene, tmp_path):
     """Oracle: the picture without depth of field, to 2/255 in sRGB; nearer splats differ."""
     lab.prepare(scene, light=0.2)
     lab.add(scene, lab.wall(0.0, (0.2, 0.5, 0.8), half=0.8))
@@ -254,7 +254,7 @@ def test_motion_makes_streaks(scene, tmp_path, what, position, offset):
     assert scene.frame_current_final == 5
 
 
-def test_what_stands_still_is_drawn_once(scene, tmp_path, monkeypatch):
+def test_static_splats_are_drawn_once(scene, tmp_path, monkeypatch):
     """Oracle: the picture without motion blur, and the number of drawings."""
     drawings, drawn = [], pass_renderer.picture.draw
 
@@ -336,7 +336,7 @@ def test_a_sequence_blurs_over_its_frames(scene, tmp_path: Path):
 
 
 @pytest.mark.parametrize("what", ["object", "camera", "instancer", "held", "layer"])
-def test_what_has_no_motion_blur_rests(scene, tmp_path, what):
+def test_objects_without_motion_blur_are_sharp(scene, tmp_path, what):
     """Oracle: the picture of the frame itself; and a streak with one switch on again."""
     camera = lab.prepare(scene)
     scene.render.film_transparent = True

@@ -149,7 +149,7 @@ def only(scene, shown: bpy.types.Object, tmp_path) -> np.ndarray:
 @pytest.mark.parametrize("shown", [2.2, -2.2])
 @pytest.mark.parametrize("soft", [1.1, -1.1])
 @pytest.mark.parametrize("cut", [False, True])
-def test_what_is_before_a_hole_stays(lit, tmp_path, alpha, shown, soft, cut):
+def test_surfaces_in_front_of_a_holdout_stay(lit, tmp_path, alpha, shown, soft, cut):
     """Oracle: alpha blending of layers: soft splats and glass, each in front of or behind a holdout
     plane, and holdout splats far behind it; the splats as rendered alone by their scene. Layers in
     front of the plane stay, and the world shows only outside of it."""

@@ -222,7 +222,7 @@ def test_markers_change_the_camera(mixed, tmp_path):
     assert not other.timeline_markers
 
 
-def test_nothing_happens_by_itself(scene):
+def test_import_and_render_change_no_compositing(scene):
     """Oracle: scene and trees after import and a render by the add-on's engine."""
     lab.prepare(scene)
     lab.add(scene, lab.blob())
@@ -264,7 +264,7 @@ def switch(scene, name: str, *, on: bool) -> None:
 
 
 @pytest.mark.parametrize("hide", ["hide_render", "exclude", "indirect_only", "holdout"])
-def test_what_collections_hide_is_hidden_and_comes_back(mixed, tmp_path, hide):
+def test_hidden_collections_are_respected(mixed, tmp_path, hide):
     """Oracle: the scene by construction without the wall, whose hole shows no mesh behind it
     either; then the earlier picture."""
     in_collection(mixed, bpy.data.objects["splats"])
@@ -352,7 +352,7 @@ def test_soft_splats_that_are_held_out_cut_softly(mixed, tmp_path, lens):
 @pytest.mark.parametrize("alpha", [1.0, 0.6])
 @pytest.mark.parametrize("shown", [2.2, -2.2])
 @pytest.mark.parametrize("held", [1.1, -1.1])
-def test_what_is_held_out_lies_among_all_others(mixed, tmp_path, alpha, shown, held):
+def test_holdout_splats_blend_in_depth_order(mixed, tmp_path, alpha, shown, held):
     """Oracle: alpha blending of layers: soft holdout splats, and others, in front of or behind a
     mesh that fills the picture, and a bright world behind all; the splats as rendered alone by
     their scene."""
@@ -523,7 +523,7 @@ def test_an_older_file_keeps_its_links(mixed, tmp_path, lacking):
     np.testing.assert_allclose(lab.render_exr(tmp_path, "again"), want, atol=1e-4)
 
 
-def test_what_is_chosen_afterwards_stays(mixed):
+def test_later_settings_are_kept(mixed):
     """Oracle: the user's engine, and the earlier film if edges should not blend."""
     paint_world(mixed, 0.1, 0.2, 0.8)
     mixed.render.engine = "GSCORE_SPLATS"

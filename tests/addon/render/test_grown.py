@@ -158,7 +158,7 @@ def test_instances_of_nodes_hide_what_is_behind_them(held, tmp_path, way, shape)
 
 
 @pytest.mark.parametrize("how", ["instance", "collection", "turned off", "not seen"])
-def test_where_the_object_itself_stands(held, tmp_path, way, how):
+def test_instancer_itself_is_included(held, tmp_path, way, how):
     """Oracle: realised, in a holdout or instanced collection; nothing of disabled objects."""
     ob, realize = owner(held, "object")
     if how in ("instance", "collection"):
@@ -235,7 +235,7 @@ def counts() -> dict[tuple[int, float], int]:
 
 
 @pytest.mark.parametrize("nested", [False, True])
-def test_what_an_instanced_object_makes_hides_alone(held, nested):
+def test_instances_of_an_instanced_object_are_holdouts(held, nested):
     """Oracle: the emitter once and each of its hairs; nothing else in the collection."""
     group = bpy.data.collections.new("cut")
     link(group, "before", quad("before", 0.31))
@@ -388,7 +388,7 @@ def test_too_many_triangles_are_refused(held, tmp_path, monkeypatch):
         lab.render_exr(tmp_path, "none")
 
 
-def test_what_makes_instances_is_not_said_to_hide_nothing(held):
+def test_instancers_are_not_reported_as_faceless(held):
     """Oracle: the message about objects without faces, for curves without and with nodes."""
     hair = link(held.collection, "hair", bpy.data.hair_curves.new("hair"))
     hair.is_holdout = True

@@ -54,7 +54,7 @@ def test_a_veil_cuts_its_share_of_what_is_behind(scene, tmp_path, how, transpare
     assert through.min() < 0.25 and alone[..., 3].max() > 0.9
 
 
-def test_what_is_before_it_stays(scene, tmp_path):
+def test_splats_in_front_of_a_holdout_stay(scene, tmp_path):
     """Oracle: the picture of the splats in front of it alone; and an empty one of it alone."""
     lab.prepare(scene)
     scene.render.film_transparent = True
@@ -69,7 +69,7 @@ def test_what_is_before_it_stays(scene, tmp_path):
 
 
 @pytest.mark.parametrize("how", ["camera", "indirect"])
-def test_what_the_camera_does_not_see_is_not_drawn(scene, tmp_path, how):
+def test_camera_invisible_objects_are_not_drawn(scene, tmp_path, how):
     """Oracle: the picture without it."""
     lab.prepare(scene)
     lab.add(scene, lab.blob())

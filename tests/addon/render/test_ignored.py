@@ -126,7 +126,7 @@ def test_every_row_is_tried() -> None:
 
 
 @pytest.mark.parametrize("words", WITHOUT_EFFECT)
-def test_what_has_no_effect_is_said(
+def test_ignored_settings_are_reported(
     scene: bpy.types.Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str], words: str
 ) -> None:
     """One message, in the panel and from the render; the picture does not change."""
@@ -141,7 +141,7 @@ def test_what_has_no_effect_is_said(
     assert sentence.replace(" ", "") in drawn()
 
 
-def test_what_is_held_out_and_has_no_faces_is_named(
+def test_faceless_holdouts_are_named(
     scene: bpy.types.Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Oracle: the volume's name, and not that of a mesh, which does hide splats."""
@@ -169,7 +169,7 @@ def test_mattes_of_materials_are_named(scene: bpy.types.Scene) -> None:
 
 
 @pytest.mark.parametrize("words", REFUSED)
-def test_what_is_refused_is_said_before(scene: bpy.types.Scene, words: str) -> None:
+def test_refusal_is_shown_before_the_render(scene: bpy.types.Scene, words: str) -> None:
     """The panel has the reason before the render ends with it."""
     lab.prepare(scene)
     lab.add(scene, lab.blob())

@@ -134,7 +134,7 @@ def test_mattes_in_every_kind_of_picture(scene, tmp_path, way):
     assert wanted.max() > 0.3 and np.abs(got - wanted).max() < LEVEL
 
 
-def test_what_is_held_out_has_no_matte(scene, tmp_path):
+def test_holdouts_have_no_matte(scene, tmp_path):
     """Oracle: nothing."""
     lab.prepare(scene, SIZE)
     several(scene)
@@ -254,7 +254,7 @@ def test_a_file_tells_its_names(scene, tmp_path):
         assert f"{layer}.CryptoObject00".encode() in content
 
 
-def test_nothing_is_drawn_for_mattes_that_nobody_wants(scene, tmp_path, monkeypatch):
+def test_unrequested_mattes_are_not_drawn(scene, tmp_path, monkeypatch):
     """Oracle: the number of drawings; one more per three objects if mattes are requested."""
     drawings, drawn_before = [], pass_renderer.picture.draw
 

@@ -131,7 +131,7 @@ def test_modifiers_count(scene, tmp_path):
 
 
 @pytest.mark.parametrize("how", ["hidden", "camera", "plain", "behind", "clipped", "no faces"])
-def test_what_hides_nothing(scene, tmp_path, how):
+def test_meshes_without_effect(scene, tmp_path, how):
     """Oracle: the picture without it, bit for bit."""
     camera = lab.prepare(scene)
     scene.render.film_transparent = True

@@ -42,7 +42,7 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize("words", SETTINGS)
-def test_what_a_view_leaves_out_is_named(scene: bpy.types.Scene, words: str) -> None:
+def test_effects_missing_in_a_view_are_named(scene: bpy.types.Scene, words: str) -> None:
     """Oracle: the names of Blender's panels, only in camera perspective."""
     lab.prepare(scene)
     assert not said(scene.camera)
@@ -51,7 +51,7 @@ def test_what_a_view_leaves_out_is_named(scene: bpy.types.Scene, words: str) -> 
     assert not said(None)
 
 
-def test_what_has_no_effect_in_renders_is_not_named(scene: bpy.types.Scene) -> None:
+def test_effects_without_influence_are_not_named(scene: bpy.types.Scene) -> None:
     """Oracle: panoramas are sharp at every distance; a layer may disable motion blur; a shutter
     time of 0 blurs nothing. All effects are in one sentence."""
     lab.prepare(scene)

@@ -144,7 +144,7 @@ def test_only_paint_is_remembered_of_a_copy(ob) -> None:
     assert [array() for array in arrays] == [None] * len(arrays)
 
 
-def test_what_makes_copies_differ(ob) -> None:
+def test_changed_rows_of_copies(ob) -> None:
     """Oracle: the changed rows; None if more has changed, or values are not finite."""
     one = freeze(ob.data, "one")
     base = one.base.copy()

@@ -30,7 +30,7 @@ def picture(path: Path) -> np.ndarray:
         ("GSCORE_SPLATS", "SOFT", False, False),
     ],
 )
-def test_when_it_is_told(
+def test_when_the_warning_is_shown(
     scene: bpy.types.Scene, engine: str, display: str, hidden: bool, told: bool
 ) -> None:
     """Oracle: the displays that render as soft splats; the button removes the warning, in one

@@ -196,7 +196,7 @@ def test_a_copy_waits_for_memory(scene, monkeypatch):
 
 
 @pytest.mark.parametrize("filtered", [False, True])
-def test_what_is_selected_reaches_the_drawing(scene: bpy.types.Scene, filtered: bool) -> None:
+def test_selection_reaches_the_renderer(scene: bpy.types.Scene, filtered: bool) -> None:
     """Oracle: vertices selected and hidden by Blender's own operators. In Edit Mode a selection
     does not change geometry: splats are not copied again, but the selection is."""
     ob = lab.add(scene, lab.blob(200))
@@ -254,7 +254,7 @@ def test_what_is_selected_reaches_the_drawing(scene: bpy.types.Scene, filtered: 
         bpy.app.handlers.depsgraph_update_post.remove(changed)
 
 
-def test_what_is_hidden_and_selected_in_edit_mode(scene: bpy.types.Scene) -> None:
+def test_hidden_and_selected_splats_in_edit_mode(scene: bpy.types.Scene) -> None:
     """Oracle: gscore.render of the visible splats, with selected ones in the mixed color; in Object
     Mode the whole picture. A second object, selected too, is not edited."""
     lab.prepare(scene, (96, 64))
@@ -292,7 +292,7 @@ def test_what_is_hidden_and_selected_in_edit_mode(scene: bpy.types.Scene) -> Non
     assert not any(asked.same(one) for one in (plain, left))
 
 
-def test_what_is_hidden_cuts_no_hole(scene: bpy.types.Scene) -> None:
+def test_hidden_holdout_splats_cut_no_hole(scene: bpy.types.Scene) -> None:
     """Oracle: the picture of holdout splats without the hidden ones; a selection of holdouts, which
     have no color, changes nothing."""
     lab.prepare(scene, (96, 64))
@@ -320,7 +320,7 @@ def test_what_is_hidden_cuts_no_hole(scene: bpy.types.Scene) -> None:
     assert (every[..., 3] < want[..., 3] - 0.1).mean() > 0.02
 
 
-def test_what_lies_over_a_view_shows_its_colours() -> None:
+def test_overlay_has_the_views_colours() -> None:
     """Oracle: Blender's processing of overlays, by IEC 61966-2-1 and its exponent."""
     rgb = np.float32([[[0.4, 0.2, 0.1], [0.0, 0.0, 0.0]]])
     alpha = np.float32([[0.5, 0.0]])

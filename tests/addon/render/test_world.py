@@ -19,7 +19,7 @@ def world(light: float) -> bpy.types.World:
 
 
 @pytest.mark.parametrize("what", ["sky", "override", "both"])
-def test_what_a_layer_shows_of_it(scene, tmp_path, what):
+def test_world_by_view_layer(scene, tmp_path, what):
     """The corner of the picture, where there are no splats."""
     lab.prepare(scene, (20, 16), light=0.3)
     lab.add(scene, lab.blob(20, size=0.1))

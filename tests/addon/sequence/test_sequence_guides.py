@@ -185,7 +185,7 @@ def test_folders_of_results_may_hold_braces(
     assert files == set(folder.iterdir()) and len(files) == (4 if moves else 1)
 
 
-def test_what_a_sequence_does_not_see_is_told(
+def test_unsupported_parts_are_reported(
     video: bpy.types.Scene,  # noqa: F811
     tmp_path: Path,
     play: Play,

@@ -146,7 +146,7 @@ def test_failures_are_told_where_the_button_is(video, play: Play) -> None:
     assert "There is no folder" in drawn(TrainSequencePanel)
 
 
-def test_what_is_missing_is_told_in_words_of_the_panel(video, tmp_path: Path) -> None:
+def test_missing_input_is_named_by_its_panel_field(video, tmp_path: Path) -> None:
     """Oracle: the name of the field of the photos' folder; no flag of the command line."""
     (tmp_path / "empty").mkdir()
     video.gscore.capture_path = str(tmp_path / "empty")

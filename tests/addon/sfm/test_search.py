@@ -208,7 +208,7 @@ def test_another_capture_chosen_meanwhile_stays(
 
 
 @pytest.mark.parametrize("by", ["another capture", "another file"])
-def test_what_is_done_while_cameras_come(
+def test_changes_during_the_camera_import(
     holiday: bpy.types.Scene, tmp_path: Path, play: Play, monkeypatch: pytest.MonkeyPatch, by: str
 ) -> None:
     """Oracle: the scene's objects and its capture; no data of the import are left."""
@@ -259,7 +259,9 @@ def test_cameras_that_fail_to_come_are_not_tried_again(
     assert job.import_task is None and not verb_jobs.import_next(job)
 
 
-def test_what_cannot_be_searched(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
+def test_unsearchable_sources_are_refused(
+    holiday: bpy.types.Scene, tmp_path: Path, play: Play
+) -> None:
     """Oracle: an error for each; no process is started."""
     called = play({"say": DONE})
     for photo in list((tmp_path / "holiday").iterdir())[2:]:

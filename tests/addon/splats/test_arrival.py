@@ -109,7 +109,7 @@ def test_all_or_none(scene: bpy.types.Scene, paths: list[Path]) -> None:
     assert not bpy.data.objects and not bpy.data.meshes
 
 
-def test_what_undo_takes_comes_again(scene: bpy.types.Scene, paths: list[Path]) -> None:
+def test_undone_import_is_repeated(scene: bpy.types.Scene, paths: list[Path]) -> None:
     """Oracle: `import_splats`; undo removes meshes without users, complete ones too."""
     coming = begun(paths)
     bpy.data.meshes.remove(until_filling(coming))
@@ -130,7 +130,7 @@ def test_cancelled(scene: bpy.types.Scene, paths: list[Path]) -> None:
     assert not bpy.data.objects and not bpy.data.meshes
 
 
-def test_what_is_gone_meanwhile(scene: bpy.types.Scene, paths: list[Path]) -> None:
+def test_objects_removed_during_an_import(scene: bpy.types.Scene, paths: list[Path]) -> None:
     """Oracle: Blender's data: no parent, and the scene's own collection; without the scene none."""
     parent = bpy.data.objects.new("capture", None)
     own = bpy.data.collections.new("own")

@@ -152,9 +152,7 @@ def test_attributes_of_all_types_are_joined(ob: bpy.types.Object) -> None:
     assert others_of(bpy.data.objects["other"]) == before
 
 
-def test_what_cannot_be_kept_is_named(
-    ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unsupported_data_is_named(ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the error, and nothing is lost; moving keeps the data and is allowed."""
     give_all(ob)
     before = others_of(ob)
@@ -320,7 +318,7 @@ def test_a_group_may_be_called_as_an_attribute(ob: bpy.types.Object) -> None:
 
 
 @pytest.mark.parametrize("below", [False, True])
-def test_what_hangs_from_joined_objects_stays(ob: bpy.types.Object, below: bool) -> None:
+def test_children_of_joined_objects_stay(ob: bpy.types.Object, below: bool) -> None:
     """Oracle: world matrices before, also of the object itself if its parent is joined into it."""
     other, box = add("other", {}), bpy.data.objects.new("box", None)
     root, between = (bpy.data.objects.new(name, None) for name in ("root", "between"))

@@ -30,7 +30,7 @@ def rows() -> dict[str, np.ndarray]:
     }
 
 
-def test_nothing_set_shows_all(rows: dict[str, np.ndarray]) -> None:
+def test_default_filters_show_all(rows: dict[str, np.ndarray]) -> None:
     """Oracle: every splat."""
     assert mask(**rows, filters=Filters()).all()
 

@@ -69,7 +69,7 @@ def test_the_crop_of_the_finest(scene, lod: Path) -> None:
         np.testing.assert_allclose(rows(found), rows(means[inside]), atol=3e-6)
 
 
-def test_what_cannot_be_imported(scene, lod: Path) -> None:
+def test_failed_import_changes_nothing(scene, lod: Path) -> None:
     """Oracle: an error with the reason, and the scene as before."""
     with pytest.raises(RuntimeError, match="has 3 levels"):
         bpy.ops.gscore.import_splats(filepath=str(lod), level=7)

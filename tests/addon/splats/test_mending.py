@@ -143,7 +143,7 @@ def test_applied_twice(ob: bpy.types.Object, tmp_path: Path) -> None:
     np.testing.assert_allclose(lab.render_exr(tmp_path, "want"), got, atol=2e-3)
 
 
-def test_what_is_right_is_not_said(ob: bpy.types.Object) -> None:
+def test_no_warning_without_defect(ob: bpy.types.Object) -> None:
     """Oracle: pictures need no repair after moves, the add-on's Apply, also of an inversion, edits
     of single points, and a rotation that was applied and reverted."""
     apply(rotation=False, scale=False)
@@ -241,7 +241,7 @@ def test_linked_splats_are_not_mended(ob: bpy.types.Object, tmp_path: Path) -> N
     np.testing.assert_array_equal(attributes.column(linked.data, attributes.ROTATION), before)
 
 
-def test_the_last_apply_is_done_anew(ob: bpy.types.Object) -> None:
+def test_adjusted_apply_is_repaired_again(ob: bpy.types.Object) -> None:
     """Oracle: the rotation of each Apply, with undo in between, as when its settings are adjusted:
     the mark of the first does not apply to the second."""
     name = ob.name

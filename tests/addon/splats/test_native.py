@@ -96,7 +96,7 @@ def test_files_of_another_blender_get_its_display(ob: bpy.types.Object, tmp_path
 
 @needs_native
 @pytest.mark.parametrize(("ending", "up"), [("ply", "Z"), ("spz", "-Y")])
-def test_what_blender_imports_is_taken_over(
+def test_native_import_is_converted(
     scene: bpy.types.Scene, make_splats: Make, tmp_path: Path, ending: str, up: str
 ) -> None:
     """Oracle: Blender's own importers of the add-on's files, and the add-on's readers."""

@@ -148,7 +148,7 @@ def test_cancelled_leaves_all_as_it_was(name: str, settings: dict[str, Any], doi
 
 @pytest.mark.parametrize(("name", "settings"), EDITS, ids=IDS)
 @pytest.mark.parametrize("what", ["edited", "deleted", "undone", "another mode"])
-def test_what_changes_meanwhile_stays(name: str, settings: dict[str, Any], what: str) -> None:
+def test_changes_during_an_edit_are_kept(name: str, settings: dict[str, Any], what: str) -> None:
     """An error; the other changes are kept, and nothing else is done."""
     ob = prepare(name)
     bpy.ops.ed.undo_push(message="before")
@@ -185,7 +185,7 @@ def test_what_changes_meanwhile_stays(name: str, settings: dict[str, Any], what:
     ("name", "moved"),
     [("apply_splat_transform", "splats"), ("join_splats", "splats"), ("join_splats", "other")],
 )
-def test_what_is_moved_meanwhile_stays_there(name: str, moved: str) -> None:
+def test_moves_during_an_edit_are_kept(name: str, moved: str) -> None:
     """An error. Oracle: the state right after the move."""
     prepare(name)
     going = begun(name, {})
@@ -245,7 +245,7 @@ def _places(ob: bpy.types.Object) -> np.ndarray:
     return found + 0.0  # no negative zeros
 
 
-def test_what_others_show_is_not_moved() -> None:
+def test_shared_data_is_not_moved() -> None:
     """Oracle: the earlier matrix and splats, and the object named in the error."""
     ob = prepare("apply_splat_transform")
     other = ob.copy()
@@ -290,7 +290,7 @@ def test_undo_takes_what_is_half_filled() -> None:
     assert len(bpy.data.meshes) == 2
 
 
-def test_what_is_under_way_ends_with_the_add_on() -> None:
+def test_disabling_the_add_on_cancels_edits() -> None:
     """Oracle: the earlier datablocks and values, although Blender does not notify operators."""
     prepare("decimate_splats")
     before = state()

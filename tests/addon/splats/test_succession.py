@@ -212,7 +212,7 @@ def track(ob: bpy.types.Object) -> None:
 
 @pytest.mark.parametrize("edit", EDITS)
 @pytest.mark.parametrize(("give", "why"), [(key, "has shape keys"), (edge, "has edges or faces")])
-def test_what_would_be_lost_is_refused_before_anything_is_read(
+def test_lossy_edits_are_refused_before_reading(
     ob: bpy.types.Object,
     monkeypatch: pytest.MonkeyPatch,
     edit: str,
@@ -242,7 +242,7 @@ def test_what_would_be_lost_is_refused_before_anything_is_read(
 
 
 @pytest.mark.parametrize(("give", "why"), [(key, "has shape keys"), (edge, "has edges or faces")])
-def test_what_join_would_take_away_is_refused(
+def test_join_refuses_to_remove_objects(
     ob: bpy.types.Object, give: Callable[[bpy.types.Object], None], why: str
 ) -> None:
     """Oracle: the message names the object that would be removed, and it stays."""

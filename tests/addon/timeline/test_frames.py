@@ -82,7 +82,7 @@ def test_a_file_chooses_among_several_kinds(tmp_path: Path) -> None:
         name_of_file(tmp_path / "plain.ply")
 
 
-def test_nothing_to_find(tmp_path: Path) -> None:
+def test_folder_without_frames(tmp_path: Path) -> None:
     """Oracle: errors that name the folder, for each reason why there are no frames."""
     with pytest.raises(ValueError, match=r"cannot be read .No such file.*choose where it is now"):
         find_series(tmp_path / "gone")
@@ -112,7 +112,7 @@ def test_nothing_to_find(tmp_path: Path) -> None:
         (Timing(step=2), [0, 0, 0, 0, 2, 2, 4, 4]),
     ],
 )
-def test_what_shows_when(timing: Timing, shown: list[int | None]) -> None:
+def test_frames_over_the_timeline(timing: Timing, shown: list[int | None]) -> None:
     """Oracle: frames -1 to 6 of a timeline, counted by hand for a sequence of five."""
     assert [timing.slot(frame, 5) for frame in range(-1, 7)] == shown
 
@@ -123,7 +123,7 @@ def test_speeds_of_single_precision() -> None:
     assert Timing(speed=0.699999988079071).slot(100_001, 100_000) == 70_000
 
 
-def test_what_comes_is_told_once() -> None:
+def test_upcoming_frames() -> None:
     """Oracle: the frames of the timeline, in their order, around the end of a loop."""
     assert list(Timing(beyond=LOOP).ahead(4, 5, 3)) == [3, 4, 0, 1]
     assert list(Timing(speed=0.5).ahead(1, 5, 3)) == [0, 1]

@@ -81,7 +81,7 @@ def test_frames_are_read_in_the_order_they_are_needed(frames, disk) -> None:
     assert found is not None and found.file == FILES[4] and not problem and frames.fresh
 
 
-def test_what_is_over_makes_room(frames, disk) -> None:
+def test_past_frames_are_dropped(frames, disk) -> None:
     """Oracle: the memory limit at each step; nothing is read twice during playback."""
     for first in range(6):
         frames.request("ob", FILES[first:])
@@ -90,7 +90,7 @@ def test_what_is_over_makes_room(frames, disk) -> None:
     assert disk.read == list(range(9))
 
 
-def test_what_shows_has_room_in_any_case(frames, disk) -> None:
+def test_current_frames_exceed_the_limit(frames, disk) -> None:
     """Oracle: five objects with five current frames, and memory for one."""
     frames.most = SIZE
     for n in range(5):
@@ -130,7 +130,7 @@ def test_waiting_takes_what_is_under_way(frames, disk) -> None:
     assert disk.read == [0]
 
 
-def test_a_damaged_file_is_told_and_others_go_on(frames, disk) -> None:
+def test_damaged_file_is_reported_and_others_continue(frames, disk) -> None:
     """Oracle: the error; it is not read again until Rescan Frames."""
     disk.broken = {1}
     for _ in range(3):
@@ -144,7 +144,7 @@ def test_a_damaged_file_is_told_and_others_go_on(frames, disk) -> None:
     assert frames.frame(FILES[1], wait=True)[0] is not None
 
 
-def test_nothing_runs_after_the_end(frames, disk) -> None:
+def test_no_thread_after_the_end(frames, disk) -> None:
     """Oracle: the threads of the process except those of other libraries; a file being read is not
     kept."""
     others = set(threading.enumerate())

@@ -274,7 +274,7 @@ def test_a_linked_file_plays_but_keeps_its_mesh(scene, playing, tmp_path) -> Non
     assert shown()[0][0] == 340
 
 
-def test_nothing_is_left_of_a_closed_file(scene, playing) -> None:
+def test_closed_file_releases_all_memory(scene, playing) -> None:
     """Oracle: the memory of the session, and Blender's meshes."""
     shown()
     assert LIBRARY.loaded[0] > 0
@@ -306,7 +306,7 @@ def test_the_mesh_follows_bit_by_bit_where_there_is_a_window(scene, playing, mon
     assert [m for m in bpy.data.meshes if "gs_temporary" in m] == []
 
 
-def test_what_is_on_the_mesh_stays_or_stops_it(scene, playing, monkeypatch) -> None:
+def test_mesh_data_is_kept_or_stops_playback(scene, playing, monkeypatch) -> None:
     """Oracle: a user's property on the mesh of a later frame; with an edge, which would be lost,
     the mesh stays, with a message until the edge is removed."""
     monkeypatch.setattr(frame_sync, "_at_once", lambda scene: False)

@@ -224,7 +224,7 @@ def test_a_bad_check_is_an_error_report(prefs: preferences.Preferences, tmp_path
         bpy.ops.gscore.check_trainer(wait=True)
 
 
-def test_nothing_is_downloaded_without_permission(prefs: preferences.Preferences) -> None:
+def test_no_download_without_permission(prefs: preferences.Preferences) -> None:
     """Oracle: Blender's own switch, which is off in a fresh profile."""
     assert not bpy.app.online_access
     with pytest.raises(RuntimeError, match="Allow Online Access"):
@@ -415,7 +415,7 @@ def killed(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], Path]]:
     os.kill(int(number.read_text()), signal.SIGKILL)  # its pip, which no process ends any more
 
 
-def test_what_a_killed_one_left_is_removed(
+def test_remains_of_a_killed_setup_are_removed(
     killed: tuple[subprocess.Popen[str], Path], tmp_path: Path
 ) -> None:
     """Oracle: the listing while it runs, after its end, and after the next one; other folders

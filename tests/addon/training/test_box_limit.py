@@ -43,7 +43,7 @@ def told(tmp_path: Path) -> list[str]:
     return json.loads((tmp_path / "python" / "script.args").read_text())
 
 
-def test_a_training_is_told_the_box(studio: bpy.types.Scene, tmp_path: Path) -> None:
+def test_training_receives_the_box(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: points of the object by Blender's matrices, compared with the box in the file."""
     root = import_capture(bpy.context.scene, STUDIO).root
     root.matrix_world = Matrix.Rotation(0.4, 4, "X") @ Matrix.Scale(2.0, 4) @ root.matrix_world
@@ -58,7 +58,7 @@ def test_a_training_is_told_the_box(studio: bpy.types.Scene, tmp_path: Path) -> 
     np.testing.assert_allclose(there[:, :3], local, atol=1e-4)
 
 
-def test_what_limits_nothing_is_refused(studio: bpy.types.Scene, tmp_path: Path) -> None:
+def test_ineffective_boxes_are_refused(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: the errors; no training begins, and nothing is written."""
     ob = around(studio, (1, 1, 0))
     with pytest.raises(RuntimeError, match="press Import Cameras first"):

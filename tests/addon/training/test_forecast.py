@@ -92,7 +92,7 @@ def test_the_panel_never_waits(scene: bpy.types.Scene) -> None:
     assert wait(scene).seconds == 60
 
 
-def test_what_does_not_fit_is_made_to_fit(scene: bpy.types.Scene) -> None:
+def test_settings_are_fitted_to_memory(scene: bpy.types.Scene) -> None:
     """Oracle: the estimate with the changed settings; without a capture, an error."""
     with pytest.raises(RuntimeError, match="nothing can be reduced"):
         bpy.ops.gscore.fit_training(which="SPLATS")

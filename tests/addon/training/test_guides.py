@@ -182,7 +182,7 @@ def test_texts_in_an_instanced_collection_keep_their_shapes(studio: bpy.types.Sc
     assert len(guides.merged_mesh(studio, into(studio, "surface", sign)).triangles) == wanted
 
 
-def test_a_training_is_told_of_its_guides(studio: bpy.types.Scene, tmp_path: Path) -> None:
+def test_training_receives_its_guides(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: the trainer's arguments and the files named in them; another shape gets a new file,
     so that the first run can be resumed."""
     wall, box = an_object("Wall", a_grid("Wall", 2)), an_object("Box", a_grid("Box", 1, 3.0))
@@ -247,7 +247,7 @@ def test_a_discarded_run_leaves_no_meshes(studio: bpy.types.Scene, tmp_path: Pat
     until(lambda: not (tmp_path / "out").exists())
 
 
-def test_what_cannot_guide_is_told(studio: bpy.types.Scene) -> None:
+def test_unusable_guides_are_refused(studio: bpy.types.Scene) -> None:
     """Oracle: an error for each, and no training."""
     wall = an_object("Wall", a_grid("Wall", 2))
     collection = into(studio, "surface", wall)

@@ -67,7 +67,7 @@ def test_it_needs_no_cameras(scene: bpy.types.Scene, run: Path) -> None:
     np.testing.assert_array_equal(positions(scene.gscore.result), splats(70).means)
 
 
-def test_what_is_not_there_is_a_sentence(scene: bpy.types.Scene, run: Path) -> None:
+def test_missing_result_is_an_error(scene: bpy.types.Scene, run: Path) -> None:
     """Oracle: nothing is imported, with an error."""
     (run / "point_cloud.ply").unlink()
     assert "holds no splats yet" in error_of(bpy.ops.gscore.import_result)
@@ -76,7 +76,7 @@ def test_what_is_not_there_is_a_sentence(scene: bpy.types.Scene, run: Path) -> N
     assert scene.gscore.result is None
 
 
-def test_a_run_that_went_on_elsewhere_is_told(
+def test_run_continued_elsewhere_updates_the_object(
     scene: bpy.types.Scene, run: Path, tmp_path: Path
 ) -> None:
     """Oracle: the PLY. The existing object keeps its transform and display and gets the splats;

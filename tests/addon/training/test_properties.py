@@ -276,7 +276,7 @@ def test_preferences_belong_to_the_add_on() -> None:
     assert entry.preferences == preferences.get()
 
 
-def test_what_a_run_goes_on_to(scene: bpy.types.Scene) -> None:
+def test_settings_of_a_resumed_run(scene: bpy.types.Scene) -> None:
     """Oracle: by hand: the first settings, and the current ones."""
     data, train = PRESETS["draft"](STUDIO)
     known = {"path": STUDIO, "checkpoint": STUDIO, "splats": None, "psnr": None, "problem": ""}

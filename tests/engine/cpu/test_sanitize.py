@@ -77,7 +77,7 @@ def test_a_poisoned_row_of_a_thousand_leaves_all_others_alone(
 
 @pytest.mark.parametrize("name", PARAMETERS)
 @pytest.mark.parametrize("value", [*POISON, 1e30, -1e30])
-def test_what_ran_away_is_taken_out(
+def test_runaway_splats_are_neutralised(
     marked_model: Callable[..., CpuModel], name: str, value: float
 ) -> None:
     """Oracle: row 3, neutral and without moments; the others unchanged. A tiny scale is allowed."""

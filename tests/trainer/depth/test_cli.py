@@ -141,7 +141,7 @@ def test_points_wanted_and_splats_given(deep: Path) -> None:
         assert not [w for w in found.warnings if "No points are added" in w]
 
 
-def test_weights_that_fall_are_told(deep: Path) -> None:
+def test_decaying_weights_are_reported(deep: Path) -> None:
     """Oracle: the options."""
     data = DataConfig(source=deep, depths="depths", depth_align="official")
     config = TrainConfig(depth_weight=0.3, depth_weight_final=0.01)
@@ -150,7 +150,7 @@ def test_weights_that_fall_are_told(deep: Path) -> None:
     assert "a weight of 0.3 at first and 0.01 at the end" in found.why
 
 
-def test_maps_are_in_the_memory_that_is_told(deep: Path, tmp_path: Path) -> None:
+def test_memory_estimate_contains_depth_maps(deep: Path, tmp_path: Path) -> None:
     """Oracle: 11 bytes a pixel of eight maps of 48 x 48 px, on top of a run without them."""
     config = TrainConfig(iterations=2, max_splats=200, sh_degree=0)
     peaks = []

@@ -59,7 +59,7 @@ def test_points_lie_on_the_surface(photos: Any) -> None:
     assert set(map(tuple, found.colors.tolist())) <= set(map(tuple, colors.tolist()))
 
 
-def test_nothing_is_added_where_sfm_has_points(photos: Any) -> None:
+def test_no_points_are_added_next_to_sfm_points(photos: Any) -> None:
     """Oracle: a dense half sphere of SfM points; new points stay on the other half."""
     normals = np.random.default_rng(0).normal(size=(20_000, 3))
     points = RADIUS * normals / np.linalg.norm(normals, axis=1, keepdims=True)
@@ -71,7 +71,7 @@ def test_nothing_is_added_where_sfm_has_points(photos: Any) -> None:
     assert found.points[:, 0].max() < 0.1
 
 
-def test_what_no_other_view_confirms_stays_out(photos: Any) -> None:
+def test_unconfirmed_points_are_rejected(photos: Any) -> None:
     """Oracle: one map of another sphere and refused maps, whose points are all rejected."""
     priors = priors_of(photos)
     priors[0] = sphere(photos.scene.cameras, 0, radius=0.4)

@@ -95,7 +95,7 @@ def test_opacity_loss_is_its_formula() -> None:
 
 
 @pytest.mark.parametrize("masked", [False, True])
-def test_what_passes_is_its_formula(masked: bool) -> None:
+def test_transmittance_loss_matches_its_formula(masked: bool) -> None:
     """Oracle: numpy, and autograd of the same formula in float64."""
     rng = np.random.default_rng(0)
     mask = rng.integers(0, 256, (6, 7)).astype(np.uint8) if masked else None

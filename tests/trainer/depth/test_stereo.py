@@ -56,7 +56,7 @@ def test_the_option_says_how_many(arc: Path) -> None:
 @pytest.mark.parametrize("config", [
     TrainConfig(stereo=Stereo.OFF), TrainConfig(stereo=Stereo.ON, start_splats=Path("x.ply")),
 ])  # fmt: skip
-def test_nothing_is_looked_for_where_nobody_asks(config: TrainConfig, arc: Path) -> None:
+def test_no_stereo_points_unless_requested(config: TrainConfig, arc: Path) -> None:
     """Oracle: no points and no sentence."""
     found = start(arc, config)
     assert found.points is None and found.known is None and found.why == ""
@@ -86,7 +86,7 @@ def test_points_that_are_there_are_enough_where_only_missing_ones_are_asked_for(
     assert found == StereoStart()
 
 
-def test_what_photos_agree_on_by_chance_replaces_nothing(
+def test_chance_agreement_adds_no_points(
     arc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: a share above that on which these photos agree; no harm next to existing points."""
@@ -97,7 +97,7 @@ def test_what_photos_agree_on_by_chance_replaces_nothing(
     assert start(arc).added > 100
 
 
-def test_a_number_of_points_that_nobody_looks_for_is_told(arc: Path) -> None:
+def test_unused_number_of_stereo_points_warns(arc: Path) -> None:
     """Oracle: the text of the option: such points are searched where the capture has none."""
     found = start(arc, TrainConfig(stereo_points=500, max_splats=4000))
     assert found.points is None and "`--stereo on` adds more" in found.why
@@ -111,7 +111,7 @@ def test_random_points_stay_where_photos_agree_on_nothing(tmp_path: Path) -> Non
     assert found.points is None and "at least 3 photos" in found.why
 
 
-def test_it_says_why_it_adds_nothing(arc: Path, tmp_path: Path) -> None:
+def test_reason_for_no_stereo_points(arc: Path, tmp_path: Path) -> None:
     """Oracle: as many points as the cap of splats; two photos."""
     many = PointCloud(points=np.zeros((4000, 3)), colors=np.zeros((4000, 3), np.uint8))
     full = start(arc, known=many)
@@ -177,7 +177,7 @@ def test_splats_are_left_out_where_photos_agree_on_little(
     assert read_ply(tmp_path / "below/point_cloud.ply").means.tobytes() == below
 
 
-def test_what_stereo_found_before_is_kept(tmp_path: Path) -> None:
+def test_resumed_run_keeps_its_stereo_points(tmp_path: Path) -> None:
     """Oracle: an uninterrupted run with photos that agree on no point; the resumed run reports the
     same without another search."""
     scene = Scene(80, 60)

@@ -56,7 +56,7 @@ def test_a_plane_stays_where_the_scaled_camera_sees_it() -> None:
     assert target.at(0, *old) is not small
 
 
-def test_what_is_not_known_does_not_bleed_in() -> None:
+def test_unknown_depths_do_not_bleed_in() -> None:
     """Oracle: by hand. A block with an unknown half: the value of the rest, half its confidence."""
     values = np.full((4, 4), 0.5)
     confidence = np.ones((4, 4))
@@ -95,7 +95,7 @@ def test_three_bytes_a_pixel() -> None:
     assert target.inverse_depth.nbytes + target.confidence.nbytes == 3 * 200
 
 
-def test_the_hash_tells_maps_and_alignments_apart() -> None:
+def test_hash_distinguishes_maps_and_alignments() -> None:
     """Oracle: equal hashes for equal input only."""
 
     def hash_of(*views: Prior | None) -> str:

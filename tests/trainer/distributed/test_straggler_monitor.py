@@ -18,7 +18,7 @@ def test_a_slow_rank_is_named_once() -> None:
     assert sentence.startswith("All wait for rank 1 (b), which works 3.0 times as long")
 
 
-def test_ranks_that_are_about_as_fast_are_not_told() -> None:
+def test_similar_ranks_are_not_reported() -> None:
     """Oracle: a third more work; too few batches or seconds for a decision."""
     assert not told([0.8, 0.6, 0.6], batches=100)
     assert not told([0.3, 0.9, 0.3], batches=12)

@@ -53,7 +53,7 @@ def test_the_same_ranks_give_the_same_bits_and_rank_0_alone_writes(
 
 
 @pytest.mark.parametrize("models", ["1", "2"])
-def test_what_each_rank_has_gathered_is_in_a_checkpoint(
+def test_checkpoint_contains_accumulated_gradients_of_all_ranks(
     capture: Path, tmp_path: Path, models: str
 ) -> None:
     """Oracle: the PLY of the resumed run, to the bit, with the checkpoint between two steps of the
@@ -245,7 +245,7 @@ def test_a_slow_rank_is_named_and_bytes_are_counted(capture: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_a_port_in_use_is_told(capture: Path, tmp_path: Path) -> None:
+def test_port_in_use_is_reported(capture: Path, tmp_path: Path) -> None:
     """Oracle: the sentence of rank 0, its exit code, and no files."""
     line = ["-m", "gscore", "train", str(capture), "-o", str(tmp_path / "o"), *SHORT, "--quiet"]
     with socket.socket() as taken:

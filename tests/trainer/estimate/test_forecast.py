@@ -93,7 +93,7 @@ def test_presets_take_more_and_more() -> None:
     assert [e.peak_bytes for e in found] == sorted(e.peak_bytes for e in found)
 
 
-def test_what_does_not_fit_is_told_with_what_would() -> None:
+def test_proposal_for_too_little_memory_fits() -> None:
     """Oracle: the proposal, which fits when it is requested."""
     config = TrainConfig(max_splats=800_000)
     big = [(2000, 1500)] * 200
@@ -209,7 +209,7 @@ def test_the_machine_is_measured_quickly_and_without_torch() -> None:
     assert machine_pace(1) > 0
 
 
-def test_what_other_programs_take_away_counts_for_a_run_that_begins(
+def test_pace_includes_the_current_load(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Oracle: the mean and the minimum of made-up times, without two warm-up steps."""

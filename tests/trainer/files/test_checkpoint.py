@@ -318,7 +318,7 @@ def _goes_on(capture: Path, out: Path, *, steps: int) -> list[str]:
 @pytest.mark.skipif(
     len(native_library.available_isas()) < 2, reason="there is one instruction set only"
 )
-def test_a_resume_under_another_instruction_set_is_told(capture: Path, tmp_path: Path) -> None:
+def test_resume_under_another_instruction_set_warns(capture: Path, tmp_path: Path) -> None:
     """Oracle: one warning, which names both sets and stays in the report; none for the same set, or
     for a checkpoint without a noted set."""
     first, other = native_library.available_isas()[0], native_library.available_isas()[-1]

@@ -117,9 +117,7 @@ def test_a_folder_of_the_users_is_no_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("config", [None, "{}", "[]", '{"data": {}, "train": {}}', "[" * 100_000])
-def test_what_another_program_wrote_is_never_overwritten(
-    tmp_path: Path, config: str | None
-) -> None:
+def test_foreign_files_are_never_overwritten(tmp_path: Path, config: str | None) -> None:
     """Oracle: the layout of the 3DGS trainer, which has no config.json, and other config.jsons."""
     theirs = ("cfg_args", "cameras.json", "point_cloud/iteration_30000/point_cloud.ply")
     a_run(tmp_path, *theirs)
@@ -341,7 +339,7 @@ def test_old_checkpoints_are_dropped_except_those_asked_for(tmp_path: Path) -> N
         assert folder.checkpoints() == [folder.checkpoint(s) for s in (5, 100, 1000)]
 
 
-def test_what_a_killed_run_was_writing_is_removed(tmp_path: Path) -> None:
+def test_temporary_files_of_a_killed_run_are_removed(tmp_path: Path) -> None:
     """Oracle: the names that atomic_write uses; foreign files stay."""
     junk = (".config.json.0a1b2c3d.tmp", "checkpoints/.step_00000004.safetensors.0a1b2c3d.tmp")
     kept = (".mine.tmp", "checkpoints/.note.tmp", "checkpoints/step_00000003.safetensors")

@@ -100,7 +100,7 @@ def test_another_choice_of_keyframes_is_refused(
 
 
 @pytest.mark.slow
-def test_ranks_without_a_common_folder_or_work_are_told(video: Path, tmp_path: Path) -> None:
+def test_ranks_without_a_common_folder_or_work_are_refused(video: Path, tmp_path: Path) -> None:
     """Oracle: sentences of rank 0, exit codes, and no remaining files."""
     out, there = tmp_path / "out", tmp_path / "there"
     line = ["-m", "gscore", "sequence", video, *SHORT]

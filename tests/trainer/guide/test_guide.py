@@ -66,7 +66,7 @@ def seen_depth(cameras: Cameras, index: int, offset: float) -> np.ndarray:
     return (offset - cameras.centers[index, 2]) / towards[..., 2]
 
 
-def test_what_photos_see_of_a_wall(dataset: Dataset, mesh: Path) -> None:
+def test_depths_of_a_wall_in_photos(dataset: Dataset, mesh: Path) -> None:
     """Oracle: the plane's depth in closed form; none for held-out photos."""
     cameras = dataset.scene.cameras
     views = prepare_guide(TrainConfig(guide_free=mesh), dataset).free

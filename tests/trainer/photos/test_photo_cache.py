@@ -61,7 +61,7 @@ def test_masks_and_depth_maps_are_counted(capture: Path, tmp_path: Path) -> None
     assert maps.peak_bytes - plain.peak_bytes == 11 * pixels
 
 
-def test_masks_of_several_labels_are_told(capture: Path, tmp_path: Path) -> None:
+def test_label_masks_warn(capture: Path, tmp_path: Path) -> None:
     """Oracle: almost zero weight for 0, 1 and 2 of 255; no message for masks that reach white."""
     shutil.copytree(capture, tmp_path / "in")
     for k, photo in enumerate(sorted((capture / "images").iterdir())):
@@ -123,7 +123,7 @@ def test_few_decoded_views_are_held(capture: Path) -> None:
     assert len(whole._views) == len(whole)
 
 
-def test_a_run_with_a_small_cache_ends_alike(capture: Path, tmp_path: Path) -> None:
+def test_small_cache_gives_equal_results(capture: Path, tmp_path: Path) -> None:
     """Oracle: splats and metrics of the run that keeps all photos; a megabyte is room for all."""
     data, events = DataConfig(source=capture, eval=True, test_every=4), list[Event]()
     whole = train(CONFIG, data, tmp_path / "whole", events.append)

@@ -37,7 +37,7 @@ def test_odd_sizes_scale_each_axis_by_its_own_ratio(make_photos: Callable[..., A
     np.testing.assert_allclose(view.K.numpy()[:2], photos.scene.cameras.Ks[0][:2] * 34 / 48)
 
 
-def test_what_a_mask_hides_does_not_bleed_in(make_photos: Callable[..., Any]) -> None:
+def test_masked_pixels_do_not_bleed_in(make_photos: Callable[..., Any]) -> None:
     """Oracle: a red left half next to a hidden green right half, and the mean of the mask."""
     photos = make_photos()
     photos.images[0] = np.zeros((48, 48, 3), np.uint8)

@@ -79,7 +79,7 @@ def test_a_sphere_has_the_colours_that_photos_have_there(make_photos: Callable[.
         np.testing.assert_allclose(colors[row], colors[seen][near].mean(axis=0), atol=1e-4)
 
 
-def test_it_lies_evenly_far_around_all(make_photos: Callable[..., Any]) -> None:
+def test_sky_is_an_even_distant_sphere(make_photos: Callable[..., Any]) -> None:
     """Oracle: a radius of three times the distance of the farthest point that counts; the spacing
     of a hexagonal pattern with as many splats, within a tenth."""
     photos = looking_out(make_photos)
@@ -94,7 +94,7 @@ def test_it_lies_evenly_far_around_all(make_photos: Callable[..., Any]) -> None:
     assert (np.exp(sky.scales) > gaps.min(axis=1)[:, None] / 2).all()
 
 
-def test_what_masks_hide_does_not_count(make_photos: Callable[..., Any]) -> None:
+def test_masked_pixels_do_not_colour_the_sky(make_photos: Callable[..., Any]) -> None:
     """Oracle: the colour of the direction; the photos are blue where masked."""
     photos = looking_out(make_photos)
     photos.mask_mode = "ignore"

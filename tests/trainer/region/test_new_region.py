@@ -44,7 +44,7 @@ def test_only_pixels_that_look_at_the_region_count(capture: Path, narrow: bool) 
             assert mask is None
 
 
-def test_nothing_else_of_photos_is_learnt(capture: Path) -> None:
+def test_pixels_outside_the_region_have_no_effect(capture: Path) -> None:
     """Oracle: the bits of the same training with photos that are black around the region."""
 
     class Blackened(RegionPhotos):

@@ -60,7 +60,7 @@ def bits(splats: Splats, rows: Any = slice(None)) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("strategy", list(Strategy))
-def test_what_stands_around_a_region_keeps_its_bits(
+def test_frozen_splats_keep_their_bits(
     capture: Path, start: Path, region: Path, tmp_path: Path, strategy: Strategy
 ) -> None:
     """Oracle: the bytes of the rows of the given PLY with centres outside the box, in order,
@@ -311,7 +311,7 @@ def test_a_region_is_read_as_it_was_written(tmp_path: Path) -> None:
     )
 
 
-def test_what_cannot_be_a_region_run_is_refused(
+def test_invalid_region_runs_are_refused(
     known_splats: Splats, photos: Any, capture: Path, tmp_path: Path
 ) -> None:
     """Oracle: the defect of each: no splats in the box, SH degrees to cut."""

@@ -6,7 +6,7 @@ from gscore.trainer.schedule.batch_size import batch_size
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 8, 64])
-def test_what_is_due_is_met(size: int) -> None:
+def test_steps_end_at_every_due_event(size: int) -> None:
     """Oracle: a step that ends at every multiple, mark and end; no photo is skipped, and no step
     takes more photos than there are processes."""
     taken, ends = 0, []

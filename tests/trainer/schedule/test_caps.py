@@ -119,7 +119,7 @@ def test_each_photo_is_good_for_so_many_splats(photos: int, splats: int) -> None
     assert why == ("" if photos == 100 else told)
 
 
-def test_both_limits_are_told() -> None:
+def test_both_caps_are_reported() -> None:
     """Oracle: the sentences of each alone."""
     both = replace(TRAIN, max_splats=600_000, splats_a_photo=6000)
     steps, splats = replace(both, splats_a_photo=0), replace(both, steps_a_photo=0)

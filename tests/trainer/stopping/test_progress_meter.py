@@ -25,7 +25,7 @@ def test_the_time_left_holds_while_photos_grow() -> None:
     assert seconds[0] < 0.35 * seconds[-1], "else the time left would be easy to tell"
 
 
-def test_what_was_expected_gives_way_to_what_steps_take() -> None:
+def test_measured_pace_replaces_the_forecast() -> None:
     """Oracle: a machine of half the predicted speed and a first step a hundred times as long; the
     time left is known to a tenth after a tenth of the work, and never reported as double."""
     config = TrainConfig(iterations=2000, max_splats=100)
@@ -43,7 +43,7 @@ def test_what_was_expected_gives_way_to_what_steps_take() -> None:
             assert told == pytest.approx(left, rel=0.02, abs=1e-9)
 
 
-def test_a_machine_that_is_busy_now_and_then_is_not_told_anew_each_moment() -> None:
+def test_remaining_time_is_steady_under_changing_load() -> None:
     """Oracle: steps three times as long as planned in every other half second, and as planned in
     between; a mean of the last fifty steps jumps between both."""
     config = TrainConfig(iterations=4000, max_splats=100)

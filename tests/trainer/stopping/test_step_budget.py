@@ -66,7 +66,7 @@ def test_budget_is_met(seconds: Callable[[Plan, int, int], float], growth: float
     assert plan.means_lr_at(step) == pytest.approx(plan.means_lr[1])
 
 
-def test_nothing_left_ends_now() -> None:
+def test_exhausted_budget_ends_now() -> None:
     """Oracle: the definition."""
     pace = StepBudget(10.0, plan_of)
     assert pace.due(400, 10.5)

@@ -96,7 +96,7 @@ def test_weights_are_what_is_seen_of_a_white_splat(photos: Any, known_splats: Sp
     np.testing.assert_allclose(weights_of(splats, cameras), expected, rtol=2e-4, atol=1e-3)
 
 
-def test_what_a_mask_hides_adds_nothing(photos: Any, known_splats: Splats) -> None:
+def test_masked_pixels_contribute_nothing(photos: Any, known_splats: Splats) -> None:
     """Oracle: as above, pixels weighted by the mask."""
     cameras = first_views(photos.scene.cameras, 2)
     masks = [np.zeros((48, 48), np.uint8) for _ in range(2)]

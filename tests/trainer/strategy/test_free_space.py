@@ -54,7 +54,7 @@ def test_balls_are_those_of_the_definition(offset: float) -> None:
     assert space.contains(many).numpy().tolist() == expected.tolist() * 200
 
 
-def test_what_tells_nothing_frees_nothing() -> None:
+def test_points_that_are_not_finite_free_no_space() -> None:
     """Oracle: the definition, without points that are not finite."""
     rng = np.random.default_rng(0)
     points, camera, here = rng.normal(size=(600, 3)) + 5, np.zeros((1, 3)), torch.zeros(1, 3)
@@ -137,7 +137,7 @@ def test_clearing_goes_on_to_the_end_and_after_a_resume(
         assert torch.equal(resumed.tensors()[key], tensor), key
 
 
-def test_where_many_splats_stand_no_space_is_free(known: Any, known_splats: Splats) -> None:
+def test_crowded_free_space_is_kept(known: Any, known_splats: Splats) -> None:
     """Oracle: the number of splats, all of them in free space; none is removed later, nor after a
     resume."""
     start = with_walls(known_splats, known)
@@ -187,7 +187,7 @@ def test_held_out_cameras_free_nothing(known: Any, known_splats: Splats) -> None
     assert trainer.pruner.around.count == 7
 
 
-def test_many_cleared_splats_are_told(
+def test_many_pruned_splats_warn(
     capture: Path, known: Any, known_splats: Splats, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: a warning with a remedy for 8 of 158 splats."""

@@ -114,7 +114,7 @@ def test_a_refinement_puts_neighbours_together(marked_model: Make) -> None:
         assert p.reshape(6, -1)[:, 0].tolist() == [0, 1, 2, 3, 4, 5]
 
 
-def test_nothing_happens_between_refinements(marked_model: Make) -> None:
+def test_no_change_between_refinements(marked_model: Make) -> None:
     """Oracle: no change in steps off the grid, before the start and after the stop."""
     model = opaque(marked_model(2), 0.005)
     strategy = default(CONFIG, model)
@@ -182,7 +182,7 @@ def mcmc(**options: float) -> tuple[MCMCStrategy, Plan]:
 
 
 @pytest.mark.parametrize("kind", list(Strategy))
-def test_nothing_is_added_beyond_the_cap(marked_model: Make, kind: Strategy) -> None:
+def test_splat_cap_is_respected(marked_model: Make, kind: Strategy) -> None:
     """Oracle: the caps, of splats that would all double; splats above them stay."""
     config = replace(CONFIG, strategy=kind, mcmc_growth=1)
     strategy = make_strategy(config, plan_of(config), extent=EXTENT)
@@ -219,7 +219,7 @@ def test_splats_are_added_only_where_they_may_be(marked_model: Make, kind: Strat
     assert all(mark > 2 for mark in sorted(marks)[3:])
 
 
-def test_nothing_is_added_where_nothing_may_be(marked_model: Make) -> None:
+def test_dead_splats_without_a_target_are_not_relocated(marked_model: Make) -> None:
     """Oracle: the number of splats, for dead ones without a target."""
     strategy, _ = mcmc(mcmc_growth=1)
     strategy._may_grow = lambda means: np.zeros(len(means), bool)

@@ -54,7 +54,7 @@ def studio() -> Dataset:
     return load_dataset(DataConfig(source=STUDIO, resolution=240, eval=True, mask_mode="none"))
 
 
-def test_a_studio_is_exposed_alike(studio: Dataset) -> None:
+def test_studio_photos_have_one_exposure(studio: Dataset) -> None:
     """Oracle: the example was rendered with one exposure."""
     found = prepare_exposure(TrainConfig(), studio, tracks_of(studio))
     assert found.gains is None
