@@ -56,7 +56,7 @@ def queue_copies(cameras: Iterable[bpy.types.Object]) -> int:
 def begin(tasks: Sequence[dict[str, Any]]) -> None:
     """Queue tasks (`undistort_program.task_of`), in this order."""
     if tasks:
-        QUEUE.queue_copies(tasks)
+        QUEUE.enqueue_first(tasks)
         poll_timer.ensure()
     MISSING_COPIES.expire()
 
