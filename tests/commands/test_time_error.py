@@ -124,7 +124,7 @@ def test_photos_of_another_size_measure_the_same_splats() -> None:
     data = replace(data, mask_mode="none", test_every=20, eval=True, resolution=120)
     config = replace(config, iterations=3)
     own, again = (
-        train_measured(config, load_for_bench(data), judged=judged).points[-1]
+        train_measured(config, load_for_bench(data), eval_views=judged).points[-1]
         for judged in (None, load_for_bench(data))
     )
     assert again.psnr == pytest.approx(own.psnr, abs=2e-3)

@@ -55,7 +55,7 @@ def request_for(scene, splats, size=(96, 64), **options):
         placed, complete = made.copied(sources(depsgraph))
     return viewport.Request(
         placed=placed,
-        held=(),
+        holdout_meshes=(),
         camera=render_camera(
             scene.camera, scene, depsgraph=depsgraph, width=size[0], height=size[1]
         ),
