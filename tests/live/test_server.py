@@ -309,7 +309,7 @@ def test_lost_viewer_does_not_delay_the_end(monkeypatch):
     request = viewer_protocol.parse(json.dumps(wish(POSE, K, 4, 4, keep_alive=1)).encode())
     thread = threading.Thread(target=one.request_picture, args=(request,))
     thread.start()
-    wait_until(crowd._asked.is_set)
+    wait_until(crowd._requested.is_set)
     assert crowd.stay and crowd.longest_idle(0.0) is None  # waits for its answer
     crowd.answer(lambda request: bytes(48))
     thread.join()

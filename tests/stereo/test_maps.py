@@ -224,7 +224,9 @@ def test_without_points_the_range_ends_behind_a_subject_alone(
     scene = Scene(80, 60)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES], points=0)
     dataset = opened(tmp_path)
-    tracks = PointVisibility(points=np.zeros((0, 3)), observed=[np.zeros(0, np.int64) for _ in ANGLES])
+    tracks = PointVisibility(
+        points=np.zeros((0, 3)), observed=[np.zeros(0, np.int64) for _ in ANGLES]
+    )
     for plan in plan_views(dataset.scene.cameras, tracks, dataset.train, subject=subject):
         assert plan is not None and 0 < plan.farthest < 1 / 5 < plan.nearest
         assert (1 / plan.farthest > 100) == (not subject)
