@@ -123,7 +123,7 @@ def test_a_limit_makes_no_new_histogram(scene, kept, monkeypatch):
     assert kept.of(ob)[SIZE] is first and kept.waits()
     for _ in range(5):
         assert not kept.collect()
-    assert not any(entry.going for entry in kept._entries.values())
+    assert not any(entry.task for entry in kept._entries.values())
     monkeypatch.setattr(counted, "QUIET", 0.0)
     assert settle(kept) == 0
     assert kept.of(ob)[SIZE] is first
