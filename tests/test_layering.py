@@ -101,6 +101,7 @@ TRAINER = {
     | {"views"},
     "trainer": {"depth", "guide", "host", "photos", "distributed", "region", "model", "schedule"}
     | {"step", "strategy", "views"},
+    "team_trainer": {"distributed", "model", "photos", "schedule", "step", "trainer"},
     "evaluation": {"trainer"},
     "preflight": {"trainer"},
     "stopping": {"estimate", "evaluation", "model", "schedule", "trainer"},
@@ -122,6 +123,7 @@ TRAINER = {
         "region",
         "model",
         "schedule",
+        "team_trainer",
         "trainer",
         "views",
     },
@@ -143,7 +145,7 @@ TRAINER = {
     "sequence": {"files", "frames", "distributed", "run"},
 }
 """What each hall of the trainer, or file beside them, may import of the trainer besides itself."""
-MOST_BESIDE_HALLS = 10
+MOST_BESIDE_HALLS = 11
 MOST_PUBLIC = 40
 IMPORTED = {"gscore", "gscore._version"}
 """What `import gscore` loads of gscore."""

@@ -222,7 +222,7 @@ def _pictures(trainer: Trainer, eval_views: Dataset | None) -> PictureOf:
     """Renderer of the current splats over the fixed background; None: at the trained size."""
     background = trainer.renderer.background
     if eval_views is None:
-        return lambda index: trainer.renderer.picture(index, background=background).numpy()
+        return lambda index: trainer.renderer.picture(index, background=background)
     cameras, splats = eval_views.scene.cameras, trainer.splats()
 
     def picture_of(index: int) -> np.ndarray:

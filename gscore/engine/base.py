@@ -1,19 +1,25 @@
-"""Engine protocol: the model in training on a device, and edits of its rows.
+"""Engine protocol: what a training asks of the device that computes it.
 
-At this border all arrays are numpy, and a column is one parameter or counter of all splats.
+The trainer decides what to train: views, rates, loss terms, edits of rows. An engine owns the
+models, the photos of a step, and all memory for drawing and gradients. At this border all arrays
+are numpy; a column is one parameter or counter of all splats.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from enum import Enum, auto
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from ..raster.request import Frustum
-from ..splats import PARAMETERS
 
 Columns = Mapping[str, np.ndarray]
 """Columns by name, [N, ...] float32."""
+Color = tuple[float, float, float]
+"""RGB."""
+ABSURD_MSE = 1e4
+"""Mean squared error that only runaway splats cause: colours of 100 where photos have 0 to 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +67,11 @@ class EngineModel(Protocol):
         ...
 
     @property
+    def adam_steps(self) -> Mapping[str, int]:
+        """Adam steps that each parameter has taken."""
+        ...
+
+    @property
     def widths(self) -> Mapping[str, tuple[int, ...]]:
         """Shape of a row of each column, by name: `PARAMETERS`, then counters."""
         ...
@@ -99,5 +110,264 @@ class EngineModel(Protocol):
         the splat in its frame (Yu et al. 2024, Mip-Splatting, section 4.2)."""
         ...
 
+    def part(self, begin: int, end: int) -> Columns:
+        """Return the raw parameters of the rows from `begin` to `end`, after all pending steps;
+        valid until the next step."""
+        ...
 
-__all__ = ["PARAMETERS", "Columns", "EngineModel", "RowEdit"]
+    def finish(self) -> None:
+        """Apply all pending steps and free what only further steps need; it can still be drawn."""
+        ...
+
+    def drop_moments(self) -> None:
+        """Free the moments and gradients of a model that is about to be replaced."""
+        ...
+
+    def save(self) -> Columns:
+        """Return all that the next step depends on but `adam_steps`; no copies.
+
+        Names are those of checkpoints: param/, m1/, m2/ and row/ before the name of a column,
+        gathered/shN (accumulated gradients) and drift [256] float64 (pending steps of shN).
+        """
+        ...
+
+
+class ShUpdate(Enum):
+    """Update of shN in a training step."""
+
+    STEP = auto()
+    ACCUMULATE = auto()
+    """Gradients accumulate for a later step."""
+    OFF = auto()
+    """The coefficients are not in use yet."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepPhoto:
+    """A photo at the size of a step."""
+
+    image: np.ndarray
+    """[H, W, 3] uint8."""
+    mask: np.ndarray | None = None
+    """[H, W] uint8; None: all pixels count."""
+    mask_mode: str = "none"
+    """Meaning of the mask: `composite` (opacity) or `ignore` (weight)."""
+    tiles: np.ndarray | None = None
+    """[ceil(H / 16), ceil(W / 16)] uint8, 0 for tiles that need not be drawn; None: all are."""
+    counted: float = 1.0
+    """Share of unmasked pixels: less than 1 only with an `ignore` mask."""
+
+
+class TermKind(Enum):
+    """Loss terms of a step."""
+
+    L1 = auto()
+    """Mean absolute difference to the photo."""
+    SSIM = auto()
+    """1 - SSIM; its weight and that of L1 add up to 1 (Kerbl et al. 2023, eq. 7)."""
+    MASK_ALPHA = auto()
+    """Mean absolute difference of opacity and a `composite` mask."""
+    SEE_THROUGH = auto()
+    """Mean transmittance, weighted by the mask."""
+
+
+class TermGradients(NamedTuple):
+    """Value of a loss term, and its gradients in the picture."""
+
+    value: float
+    v_inverse_depth: np.ndarray | None
+    """[H, W] float32; None: zero."""
+    v_alpha: np.ndarray | None
+    """[H, W] float32; None: zero."""
+
+
+PictureTerm = Callable[[np.ndarray, np.ndarray], TermGradients]
+"""Loss term computed by the trainer from inverse depth and alpha, [H, W] float32 each."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepRequest:
+    """A training step of one model: draw a view, compare it with its photo, update the splats.
+
+    The order is: pending SH steps of the view, dropout, drawing, loss, check of the loss,
+    gradients, screen-space gradient counts, regularisers, Adam.
+    """
+
+    step: int
+    """Number of the step, from 1."""
+    photo: int
+    """Key of the photo, see `Engine.put`."""
+    view: Frustum
+    others: tuple[Frustum, ...] = ()
+    """Views of the same step on other ranks."""
+    background: Color
+    """Background colour, before the gain."""
+    shown_background: Color
+    """Background colour of a `composite` mask, after the gain."""
+    gain: Color | None = None
+    """Exposure gain of the photo; None: 1, without gradients."""
+    antialias: bool = False
+    sh_degree: int
+    """SH degree in use."""
+    sh_update: ShUpdate
+    rates: Mapping[str, float]
+    """Learning rate of each parameter."""
+    drop_rate: float = 0.0
+    """Share of the splats that are not drawn, see `dropout.drop_splats`."""
+    terms: tuple[tuple[TermKind, float], ...]
+    """Loss terms with their weights."""
+    picture_term: PictureTerm | None = None
+    """A further loss term, which needs inverse depth; None: none."""
+    opacity_reg: float = 0.0
+    """Weight of the mean opacity in the loss."""
+    scale_reg: float = 0.0
+    """Weight of the mean scale in the loss."""
+    observe: tuple[str, ...] = ()
+    """Counters of screen-space gradient sums (2 units per side), and of views; empty: none."""
+    learn_gain: bool = False
+    """The gradient in the gain is needed."""
+    learn_pose: bool = False
+    """The gradient in the camera pose is needed."""
+    update_hidden: bool = False
+    """True: splats that the view does not show take an Adam step too."""
+    extent: float
+    """Camera extent, training units, for `clamp_runaways` after an absurd loss."""
+    disable: int = 0
+    """Bits of `raster.header.NO_*`, for tests and benchmarks."""
+    check_finite: str = ""
+    """Name of the view: raise an error at the first number that is not finite; empty: skip it."""
+    compare: bool = False
+    """Compare the model between ranks."""
+
+
+class StepNumbers(NamedTuple):
+    """Result of a step."""
+
+    loss: float
+    mse: float
+    """Mean squared error of the unmasked pixels, before the step."""
+    slopes: np.ndarray
+    """[P, 19] float64, per photo of the step: derivatives of the loss in ln gain of R, G, B, and in
+    the 16 entries of the pose matrix; zeros where not requested."""
+    bad_rows: int
+    """Splats with gradients that were not finite, which were ignored."""
+    lost_rows: int
+    """Runaway splats that were reset."""
+    skipped: bool
+    """True: the update was skipped, because the loss was not finite or came from runaways."""
+    seconds: Mapping[str, float]
+    """Seconds by stage, in their order."""
+    raster: Mapping[str, float]
+    """Counts and milliseconds of the rasterizer (gs_stats)."""
+    costs: tuple[float, ...] = ()
+    """Rendering cost of each photo of the step, any unit; empty: one photo."""
+
+
+class Pending(Protocol):
+    """A step that may still be running."""
+
+    def result(self) -> StepNumbers:
+        """Wait for the step and return its numbers; errors of the step are raised here."""
+        ...
+
+
+class DrawnPicture(NamedTuple):
+    """A drawn view; valid until the engine's next call."""
+
+    rgb: np.ndarray
+    """[H, W, 3] float32, may be changed."""
+    alpha: np.ndarray
+    """[H, W] float32."""
+    inverse_depth: np.ndarray | None = None
+    """[H, W] float32, sum of weight / z, 1/training unit; None: not requested."""
+
+
+class Contribution(NamedTuple):
+    """Blending weights of the splats in one view, summed over pixels, px."""
+
+    kept: np.ndarray
+    """[N] float32: weighted by an `ignore` mask."""
+    whole: np.ndarray
+    """[N] float32."""
+
+
+Model = TypeVar("Model", bound=EngineModel)
+
+
+class Engine(Protocol[Model]):
+    """A device with models of one type in training."""
+
+    in_flight: int
+    """Steps that may be requested before the result of the first is read."""
+
+    def model(
+        self, columns: Columns, *, counters: Sequence[str] = (), frozen: Columns | None = None
+    ) -> Model:
+        """Create a model.
+
+        Args:
+            columns: Raw parameters, as in `Splats`.
+            counters: Names of float32 counters, which start at 0.
+            frozen: Raw parameters of splats that are drawn with the model but never change; its
+                SH degree may be lower. One model per engine may have them.
+        """
+        ...
+
+    def load(self, saved: Columns, adam_steps: Mapping[str, int], like: Model) -> Model:
+        """Create a model from `EngineModel.save`, with the frozen splats of `like`; takes ownership
+        of the arrays."""
+        ...
+
+    def put(self, key: int, photo: StepPhoto) -> None:
+        """Provide a photo for the next step that names it."""
+        ...
+
+    def step(self, model: Model, request: StepRequest) -> Pending:
+        """Start a step."""
+        ...
+
+    def add_noise(self, model: Model, weight: float) -> None:
+        """Move faint splats by covariance @ noise times `weight` (Kheradmand et al. 2024)."""
+        ...
+
+    def draw(
+        self,
+        models: Sequence[Model],
+        view: Frustum,
+        *,
+        background: Color,
+        antialias: bool,
+        inverse_depth: bool = False,
+        scaling: float = 1.0,
+    ) -> DrawnPicture:
+        """Draw the current models, merged if several; changes no bit of the training.
+
+        `scaling`: factor of all standard deviations.
+        """
+        ...
+
+    def merged(self, models: Sequence[Model]) -> Columns:
+        """Return the raw parameters of the current models as one; valid until the next step."""
+        ...
+
+    def contributions(
+        self, model: Model, views: Iterable[tuple[Frustum, StepPhoto]], *, antialias: bool
+    ) -> Iterable[Contribution]:
+        """Yield the contributions of a model's splats to each view, between two steps."""
+        ...
+
+    def pose_gradient(
+        self,
+        models: Sequence[Model],
+        view: Frustum,
+        photo: StepPhoto,
+        *,
+        background: Color,
+        antialias: bool,
+    ) -> np.ndarray:
+        """Return the gradient of a view's photometric loss in its pose, [4, 4] float32."""
+        ...
+
+    def release(self) -> None:
+        """Free the memory of steps, which the next one allocates again."""
+        ...

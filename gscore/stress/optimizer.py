@@ -50,7 +50,7 @@ def _model(values: dict[str, np.ndarray]) -> Any:
 
     from ..engine.cpu.model import CpuModel
 
-    return CpuModel({name: torch.from_numpy(v.copy()) for name, v in values.items()})
+    return CpuModel({n: torch.from_numpy(v.copy()) for n, v in values.items()}, threads=2)
 
 
 def _step(
@@ -61,7 +61,7 @@ def _step(
     for name, g in gradients.items():
         model.grads[name].copy_(torch.from_numpy(g))
     model.set_rates(rates)
-    model.step(torch.from_numpy(seen.astype(np.int32)), threads=2)
+    model.step(torch.from_numpy(seen.astype(np.int32)))
 
 
 @case("S23", "optimizer, splats seen now and then")

@@ -40,7 +40,7 @@ def mean_psnr(trainer: "Trainer", photos: ToyPhotos) -> float:
     """Mean PSNR of the training views, dB."""
     values = []
     for index in photos.train:
-        rgb = np.clip(trainer.renderer.picture(index, background=_BLACK).numpy(), 0, 1)
+        rgb = np.clip(trainer.renderer.picture(index, background=_BLACK), 0, 1)
         mse = float(np.mean((rgb - photos.image(index) / 255.0) ** 2))
         values.append(-10 * math.log10(max(mse, 1e-12)))
     return float(np.mean(values))
@@ -56,7 +56,7 @@ def coordinates(full: bool) -> Iterator[Measure]:
     config = TrainConfig(iterations=15, max_splats=200, sh_degree=1, refine_start=10_000)
     photos = toy_photos()
     first = trainer_of(config, photos)
-    start, picture = mean_psnr(first, photos), first.renderer.picture(0, background=_BLACK).numpy()
+    start, picture = mean_psnr(first, photos), first.renderer.picture(0, background=_BLACK)
     plain = mean_psnr(trained(config, photos), photos)
     if not plain > start + 1:
         raise EmptyTestError(f"the training has no effect: {start:.2f} dB, then {plain:.2f} dB")
@@ -64,7 +64,7 @@ def coordinates(full: bool) -> Iterator[Measure]:
     places += [(f"scale {scale:.0e}", scale, 0.0) for scale in (1e-4, 1e-2, 1e2, 1e4)]
     for name, scale, offset in places:
         away = moved(photos, scale=scale, shift=offset * np.array([1.0, -0.7, 0.3]))
-        begun = trainer_of(config, away).renderer.picture(0, background=_BLACK).numpy()
+        begun = trainer_of(config, away).renderer.picture(0, background=_BLACK)
         error = abs(mean_psnr(trained(config, away), away) - plain)
         yield Measure(f"{name}, first picture", float(np.abs(begun - picture).max()), 1e-4)
         yield Measure(f"{name}, dB after 15 steps", error, 0.01)
@@ -141,6 +141,8 @@ def recovery(full: bool) -> Iterator[Measure]:
 @case("S17b", "trainings with nothing to see", per_isa=False)
 def empty_trainings(full: bool) -> Iterator[Measure]:
     """Oracle: steps without an error, finite splats; a clear error for no photos."""
+    from ..engine.base import RowEdit
+
     config = TrainConfig(iterations=40, max_splats=200, sh_degree=1, refine_start=5, refine_every=5)
     photos = toy_photos()
     blank = replace(photos, masks=[np.zeros((48, 48), np.uint8)] * 8, mask_mode="ignore")
@@ -162,7 +164,8 @@ def empty_trainings(full: bool) -> Iterator[Measure]:
             )
             yield Measure(f"{strategy}, {name}: numbers not finite", float(bad), 0)
         dead = trainer_of(replace(config, strategy=strategy), photos)
-        dead.model.params["opacities"].fill_(-20)
+        gone = np.full(len(dead.model), -20, np.float32)
+        dead.model.edit(RowEdit(values={"opacities": gone}))
         for _ in range(12):
             dead.step()
         bad = int((~np.isfinite(dead.splats().means)).sum())

@@ -37,7 +37,7 @@ class Evaluator:
     def picture(self, index: int) -> np.ndarray:
         """Render view `index`, [H, W, 3] float32, over the background of metrics."""
         trainer = self._trainer
-        return trainer.renderer.picture(index, background=trainer.renderer.background).numpy()
+        return trainer.renderer.picture(index, background=trainer.renderer.background)
 
     def measure(
         self, collector: PictureCollector | None, *, interrupted: Callable[[], bool]
@@ -65,7 +65,7 @@ class Evaluator:
                 shown = self._trainer.renderer.aligned_picture(
                     self.indices[place], background=self._trainer.renderer.background
                 )
-                aligned = psnr(shown.numpy(), target, mask=weights)
+                aligned = psnr(shown, target, mask=weights)
                 values["psnr_aligned"] = aligned if math.isfinite(aligned) else None
             if collector:
                 collector(place, target, render, weights, values)

@@ -28,6 +28,7 @@ from .photos.photo_loading import load_photos, progress_of
 from .region.region_box import RegionBox
 from .region.region_photos import RegionPhotos
 from .schedule.caps import cap_by_photos, expected_points
+from .team_trainer import TeamTrainer
 from .trainer import Trainer
 from .views.exposure import Exposure
 from .views.photo_analysis import analyze_photos
@@ -183,7 +184,8 @@ def prepare(
             added = stereo_start(config, photos, points, on_view=on_view)
             config, caps = limited(known=added.known, compared=True)
         exposure, pose_check = analyze_photos(config, photos)
-        trainer = Trainer(
+        create = Trainer if team is None else partial(TeamTrainer, team=team)
+        trainer = create(
             config,
             photos,
             frame=world,
@@ -194,7 +196,6 @@ def prepare(
             gains=exposure.gains,
             pose_check=pose_check,
             photo_cache=loaded.cache,
-            team=team,
             region=region,
             guide=guide,
             # Start splats already cover the surroundings of a cell; merging blocks drops those.

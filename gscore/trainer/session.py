@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import torch
+import numpy as np
 
 from ..config import DataConfig
 from ..config_file import to_dict
@@ -166,8 +166,9 @@ class Session:
 
     def _render(self, request: FrameRequest) -> bytes:
         """Render a frame request to RGB bytes."""
-        picture = self._trainer.renderer.render_request(request).clamp_(0, 1).mul_(255).add_(0.5)
-        return picture.to(torch.uint8).numpy().tobytes()
+        picture = self._trainer.renderer.render_request(request)
+        pixels = np.clip(picture, 0, 1) * np.float32(255) + np.float32(0.5)
+        return pixels.astype(np.uint8).tobytes()
 
     @contextmanager
     def _checkpoint_on_error(self) -> Iterator[None]:

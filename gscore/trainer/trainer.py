@@ -10,53 +10,49 @@ import numpy as np
 import torch
 
 from ..config import Skip, TrainConfig
-from ..engine.base import RowEdit
-from ..engine.cpu import finite_check
-from ..engine.cpu.model import CpuModel, ShUpdate
-from ..engine.cpu.noise import add_noise, add_regularisers
+from ..engine.base import (
+    Columns,
+    Contribution,
+    Engine,
+    EngineModel,
+    RowEdit,
+    ShUpdate,
+    StepRequest,
+)
+from ..engine.cpu.engine import CpuEngine
+from ..engine.cpu.ensemble import divide_opacities
 from ..engine.random import generator_of
+from ..engine.stage_timer import StageTimer
 from ..errors import DatasetError, GsError
 from ..formats.joined import joined
 from ..io.block_record import BlockRecord
-from ..raster.header import OUT_INVERSE_DEPTH
-from ..raster.memory import zeros
-from ..raster.request import Frustum, Settings
-from ..raster.screen_gradients import add_screen_gradients
-from ..raster.training_rasterizer import Picture
 from ..scene import PointCloud
-from ..splats import Splats
+from ..splats import PARAMETERS, Splats
 from ..text_format import count_words, number
 from .depth.loss import DepthLoss
-from .depth.regularisers import drop_rate_at, drop_rate_of, drop_splats
+from .depth.regularisers import drop_rate_at, drop_rate_of
 from .depth.targets import DepthTargets
-from .distributed import batch_losses, rank_commands
-from .distributed.consistency import crc_of
-from .distributed.ensemble_member import EnsembleMember, count_members
-from .distributed.process_group import ProcessGroup, RankLostError
+from .distributed.process_group import ProcessGroup
 from .guide.loss import GuideLoss
 from .guide.mesh_free_space import MeshFreeSpace
 from .guide.setup import GuideSetup
-from .host.stage_timer import StageTimer
 from .model.checkpoint_schema import as_float, as_int
-from .model.conversion import splats_from_tensors, tensors_from_splats
-from .model.ensemble import divide_opacities
+from .model.ensemble_member import EnsembleMember, count_members
 from .model.training_frame import TrainingFrame
 from .photos.raster_skips import disabled_skips
 from .photos.view_sampler import Photos, ViewSampler
 from .region.frozen_splats import FrozenSplats, split_frozen
 from .region.region_box import RegionBox
-from .schedule.batch_size import batch_size
 from .schedule.caps import max_splats_per_model, model_count
 from .schedule.plan import Plan
-from .step.step_loss import LossAndGradients, StepLoss
+from .step.loss_terms import LossTerms
 from .step.step_result import StepResult, combine_results
 from .step.training_views import TrainingView, ViewBatcher
 from .strategy import Change, all_within, make_strategy
-from .strategy.contribution import Weights, weights_by_view
 from .strategy.initialization import initial_splats
 from .strategy.pruning import Pruner
 from .views.model_renderer import ModelRenderer
-from .views.photo_gains import PhotoGains, without_background
+from .views.photo_gains import PhotoGains, as_color
 from .views.photo_parameters import PhotoParameters, initial_poses
 from .views.pose_check import PoseCheck
 
@@ -65,9 +61,7 @@ _IN_CELL = (
     "`gscore merge` leaves out."
 )
 _MAX_SKIPPED = 100
-_ABSURD_MSE = 1e4
-"""Mean squared error that only runaway splats cause: colours of 100 where photos have 0 to 1."""
-_SANITIZE_EVERY = 100
+SANITIZE_EVERY = 100
 """Steps between two sanitizing passes, see `engine.cpu.sanitize`."""
 _ROWS_A_PART = 1 << 16
 """Splats per part of `parts`."""
@@ -79,6 +73,9 @@ class Trainer:
     All randomness comes from one generator; everything that is summed over splats or pixels is
     summed in a fixed order. Run it with `torch.set_num_threads(1)`, see `session`.
     """
+
+    team: ProcessGroup | None = None
+    """Process group of a distributed training; None: one process."""
 
     def __init__(
         self,
@@ -93,10 +90,10 @@ class Trainer:
         gains: PhotoGains | None = None,
         pose_check: PoseCheck | None = None,
         photo_cache: int | None = None,
-        team: ProcessGroup | None = None,
         region: RegionBox | None = None,
         guide: GuideSetup | None = None,
         block: BlockRecord | None = None,
+        engine: Engine[Any] | None = None,
     ) -> None:
         """Start from `start` or `points`, or from the points of the capture.
 
@@ -111,10 +108,10 @@ class Trainer:
             gains: Initial exposure gains; None: photo colours are used unchanged.
             pose_check: Checked training cameras; None: those of the capture.
             photo_cache: Bytes of photos to keep in memory; None: all.
-            team: Process group of a distributed training; each rank has a trainer.
             region: Box of the splats of `start` that are trained, COLMAP world; None: all.
             guide: Guide meshes.
             block: Block whose cell limits where splats are added; None: everywhere.
+            engine: Computes the steps; None: the CPU.
 
         Raises:
             DatasetError: no training photos.
@@ -129,8 +126,6 @@ class Trainer:
         self.photos = photos
         self._given = start is not None
         self._decide_by_photos(known)
-        self.team = team
-        """Process group of a distributed training; None: one process."""
         self.frame = frame or TrainingFrame.of(photos.scene, near=config.near)
         cloud = photos.scene.points if points is None else points
         most = max_splats_per_model(config, self._models)
@@ -176,7 +171,6 @@ class Trainer:
             config, gains, initial_poses(pose_check, photos.train, self.frame)
         )
         """Optimised exposure gains and camera poses of the photos."""
-        self._v_viewmat = zeros(4, 4)
         self.region = None if region is None else region.in_training(self.frame.similarity)
         """The region box, training frame; its start splats are kept inside."""
         self.frozen: FrozenSplats | None = None
@@ -186,6 +180,8 @@ class Trainer:
         first, free_space = initial_splats(
             config, photos, self.frame, self.plan, cameras, cloud, start=start, count=count
         )
+        self.engine = engine or self._make_engine()
+        """Computes the steps."""
         self.members = self._members_of(first)
         """Models that are trained in parallel; one with start splats."""
         self.renderer = ModelRenderer(
@@ -194,12 +190,12 @@ class Trainer:
             self.frame,
             cameras,
             self.photo_parameters,
-            lambda: [member.model for member in self.members],
+            self.engine,
+            self._all_models,
             cache=photo_cache,
-            frozen=self.frozen,
+            region=self.frozen is not None,
         )
         """Renderer of the current model."""
-        self._rasterizer = self.renderer.rasterizer
         self._view_batcher = ViewBatcher(
             config,
             self.sampler,
@@ -207,9 +203,9 @@ class Trainer:
             self.photo_parameters,
             self.generator,
             mask_mode=photos.mask_mode,
-            team=team,
+            team=self.team,
         )
-        self._loss = StepLoss(
+        self._terms = LossTerms(
             config, mask_mode=photos.mask_mode, depth=self.depth, guide=self.guide
         )
         self.pruner = Pruner(
@@ -230,7 +226,7 @@ class Trainer:
                 member.model.widen_sh(config.sh_degree)
 
     @property
-    def model(self) -> CpuModel:
+    def model(self) -> EngineModel:
         """The first model: splats with their moments and counters."""
         return self.members[0].model
 
@@ -290,176 +286,127 @@ class Trainer:
     def step(self) -> StepResult:
         """Render a view, compute its loss, and update the splats.
 
-        R ranks render R different views in one step, and `steps` rises by R. Rank 0 broadcasts the
-        step; the workers then call this too.
-
         Raises:
             GsError: the loss was not finite for many steps, or once under `detect_anomaly`.
-            DatasetError, FormatError: a photo that is not cached is missing, damaged or changed,
-                on any rank; nothing was changed.
-            RankLostError: another process is gone.
+            DatasetError, FormatError: a photo that is not cached is missing, damaged or changed;
+                nothing was changed.
         """
-        if self.team is None:
-            return self._step(1)
-        self.team.broadcast(rank_commands.take_step(self.plan.iterations, self.rate_factor))
-        with self.team.stepping():
-            return self._step(self._photos_at_once(self.team))
+        return self._step(1)
 
     def _step(self, count: int) -> StepResult:
         """Take a step of `count` views, one of them on this rank."""
         step, laps = self.steps + count, StageTimer()
         self.laps = laps
-        self.renderer.forget()
         cleared = self.pruner.guided.count
         for member in self.members:
             self._widen_to(member, self.plan.sh_degree_at(step))
-        try:
-            view_batcher = self._view_batcher.draw(
-                self.plan, step, photos=count, models=len(self.members)
-            )
-        except RankLostError:
-            raise
-        except GsError:
-            self._collect_now()
-            raise
-        laps.pixels = sum(
-            training_view.view.width * training_view.view.height for training_view in view_batcher
-        )
+        views = self._draw_views(step, count)
+        laps.pixels = sum(one.view.width * one.view.height for one in views)
         laps.lap("photo")
-        pairs = zip(self.members, view_batcher, strict=True)
-        result = combine_results(
-            [self._step_of(member, training_view, step) for member, training_view in pairs]
-        )
+        pairs = zip(self.members, views, strict=True)
+        result = combine_results([self._step_of(*pair, step) for pair in pairs])
         self._note_skipped(result.skipped)
         return result._replace(cleared_rows=self.pruner.guided.count - cleared)
+
+    def _draw_views(self, step: int, count: int) -> list[TrainingView]:
+        """Draw the views of a step, one for each model."""
+        return self._view_batcher.draw(self.plan, step, photos=count, models=len(self.members))
 
     def _step_of(
         self, member: EnsembleMember, training_view: TrainingView, step: int
     ) -> StepResult:
         """Take `step` for one of the models."""
-        config, model, laps, count = (
-            self.config,
-            member.model,
-            self.laps,
-            len(training_view.indices),
-        )
-        for (
-            index
-        ) in training_view.indices:  # views of other ranks too, so that rows stay equal on all
-            model.sync_visible(self.renderer.view(index, self.photo_factor), threads=config.threads)
-        laps.lap("settle")
-        opacities, leaf = self._step_opacities(model, step)
-        picture = self._draw(model, training_view, opacities, step)
-        laps.lap("draw")
-        loss = self._loss.of(picture, training_view, step)
-        values, errors = self._of_all(member, training_view, loss)
-        value, mse = sum(values) / count, sum(errors) / count
+        masked_tiles = Skip.MASKED_TILE in self.config.without
+        photo = training_view.sized.photo(self.photos.mask_mode, masked_tiles=masked_tiles)
+        self.engine.put(training_view.index, photo)
+        request = self._request(training_view, step)
+        numbers = self.engine.step(member.model, request).result()
         self.steps = step
-        laps.lap("loss")
-        self._assert_finite(model, training_view, value)
-        # A loss that is not finite often comes from one runaway splat; reset it immediately.
-        sane = math.isfinite(value) and all(found < _ABSURD_MSE for found in errors)
-        lost_rows = 0 if sane else self._sanitize(model)
-        if lost_rows or not math.isfinite(value):
-            return StepResult(value, mse, Change(), 0, True, lost_rows)
-        v_means2d = self._gradients(member, training_view, picture, loss, opacities, leaf)
-        laps.add_raster(self._rasterizer.stats())
-        self._assert_finite(model, training_view, value)
-        change, bad_rows = self._learn(member, step, v_means2d, training_view.view, count)
-        self.bad_rows += bad_rows
-        least = self.pruner.prune_least(
-            len(model), partial(self._weights, model), self.plan, step, pruned=member.pruned
+        self.laps.add(numbers.seconds, numbers.raster)
+        self.lost_rows += numbers.lost_rows
+        if numbers.costs:
+            self._view_batcher.note_costs(training_view.indices, numbers.costs)
+        result = StepResult(
+            loss=numbers.loss,
+            mse=numbers.mse,
+            change=Change(),
+            bad_rows=numbers.bad_rows,
+            skipped=numbers.skipped,
+            lost_rows=numbers.lost_rows,
         )
+        if numbers.skipped:
+            return result
+        if request.learn_gain or request.learn_pose:
+            self._learn_of_photos(training_view.indices, numbers.slopes)
+        self.bad_rows += numbers.bad_rows
+        change, lost_rows = self._after_step(member, step, request.rates["means"])
+        self.laps.lap("edit")
+        return result._replace(change=change, lost_rows=lost_rows)
+
+    def _request(self, training_view: TrainingView, step: int) -> StepRequest:
+        """What a step computes."""
+        config, plan, count = self.config, self.plan, len(training_view.indices)
+        strategy, photos, factor = self.strategy, self.photo_parameters, self.rate_factor
+        means_lr = factor * plan.means_lr_at(step) * math.sqrt(count)
+        rates = {name: factor * rate for name, rate in plan.rates_at(step, count).items()}
+        names, gain = self.photos.scene.cameras.names, training_view.gain
+        others = list(training_view.indices)
+        others.remove(training_view.index)
+        return StepRequest(
+            step=step,
+            photo=training_view.index,
+            view=training_view.view,
+            others=tuple(self.renderer.view(i, self.photo_factor) for i in others),
+            background=self.renderer.background_before_gain(training_view.background, gain),
+            shown_background=training_view.background,
+            gain=None if gain is None else as_color(gain),
+            antialias=config.antialias,
+            sh_degree=self._sh_degree_at(step),
+            sh_update=self._rest_at(step, count),
+            rates=rates | {"means": means_lr},
+            drop_rate=drop_rate_at(self.drop_rate, step, plan.iterations),
+            terms=self._terms.terms,
+            picture_term=self._terms.picture_term(training_view.index, step),
+            opacity_reg=strategy.opacity_reg,
+            scale_reg=strategy.scale_reg,
+            observe=strategy.counters if strategy.observes_at(step) else (),
+            learn_gain=photos.gains is not None,
+            learn_pose=photos.pose_rate(step / plan.iterations) > 0,
+            update_hidden=Skip.UNSEEN_SH in config.without,
+            extent=self.frame.extent,
+            disable=self._disable,
+            check_finite=names[training_view.index] if config.detect_anomaly else "",
+            compare=self.steps % SANITIZE_EVERY == 0,
+        )
+
+    def _after_step(self, member: EnsembleMember, step: int, means_lr: float) -> tuple[Change, int]:
+        """Densify, prune and sanitize after a step; returns the change, and the number of runaway
+        rows that were reset."""
+        config, plan, model, pruner = self.config, self.plan, member.model, self.pruner
+        weights = partial(self._contributions, model)
+        if plan.refines_at(step):
+            self.engine.release()
+        change = self._apply(model, pruner.prune_free_space(model.column, plan, step))
+        change += self._apply(model, pruner.prune_masked(len(model), weights, plan, step))
+        cap = plan.cap_for(self.photo_factor) - self._frozen_count
+        refined = self.strategy.refine(model.column, step=step, cap=cap, generator=self.generator)
+        change += self._apply(model, refined)
+        noise = self.strategy.noise_at(means_lr)
+        if noise > 0:
+            self.engine.add_noise(model, noise)
+        if self.region is not None and self._given:
+            inside = self.region.keep_inside(model.column("means"))
+            self._apply(model, () if inside is None else (inside,))
+        least = pruner.prune_least(len(model), weights, plan, step, pruned=member.pruned)
         pruned = self._apply(model, least)
         member.pruned += pruned.removed
-        change += pruned
-        laps.lap("learn")
-        lost_rows = self._sanitize(model) if step % _SANITIZE_EVERY == 0 else 0
-        if config.finest > 0 and self.plan.prunes_free_space_at(step):
+        lost_rows = 0
+        if step % SANITIZE_EVERY == 0:
+            lost_rows = model.clamp_runaways(self.frame.extent)
+            self.lost_rows += lost_rows
+        if config.finest > 0 and plan.prunes_free_space_at(step):
             model.apply_min_scale(map(self.renderer.view, self.sampler.indices), config.finest)
-        return StepResult(value, mse, change, bad_rows, False, lost_rows)
-
-    def _draw(
-        self, model: CpuModel, training_view: TrainingView, opacities: torch.Tensor, step: int
-    ) -> Picture:
-        config, counts = self.config, self._loss.uses_depth(training_view, step)
-        return self._rasterizer.draw(
-            tuple((model.params | {"opacities": opacities}).values()),
-            training_view.view,
-            Settings(
-                sh_degree=self._sh_degree_at(step),
-                background=self.renderer.background_before_gain(
-                    training_view.background, training_view.gain
-                ),
-                antialias=config.antialias,
-                outputs=OUT_INVERSE_DEPTH if counts else 0,
-                threads=config.threads,
-                disable=self._disable,
-                tiles=None if Skip.MASKED_TILE in config.without else training_view.sized.tiles,
-            ),
-        )
-
-    def _of_all(
-        self, member: EnsembleMember, training_view: TrainingView, loss: LossAndGradients
-    ) -> tuple[list[float], list[float]]:
-        """Return the losses and mean squared errors of all photos of a batch.
-
-        Raises:
-            DatasetError: another rank cannot read its photo; nothing was changed.
-        """
-        if self.team is None or member.batch is None:
-            return [loss.value], [loss.mse]
-        count = len(training_view.indices)
-        sizes = member.batch.sizes(self._rasterizer.radii, count)
-        try:
-            found = batch_losses.of_all(
-                self.team,
-                loss.value,
-                loss.mse,
-                cost=self._rasterizer.stats()["entries"],
-                photos=count,
-                mark=self._mark(member.model),
-                sizes=sizes,
-            )
-        except DatasetError:
-            self._view_batcher.put_back(count)
-            self._collect_now()
-            raise
-        member.batch.receive(found.sizes)
-        self._view_batcher.note_costs(training_view.indices, found.costs)
-        return found.values, found.errors
-
-    def _gradients(
-        self,
-        member: EnsembleMember,
-        training_view: TrainingView,
-        picture: Picture,
-        loss: LossAndGradients,
-        opacities: torch.Tensor,
-        leaf: torch.Tensor | None,
-    ) -> torch.Tensor:
-        """Compute the model's gradients, and update gains and poses; returns the gradients in the
-        projected means, [N, 2]."""
-        model, batch = member.model, member.batch
-        moves = self.photo_parameters.pose_rate(self.steps / self.plan.iterations) > 0
-        v_means2d = self._rasterizer.gradients(
-            batch.into(model, len(training_view.indices)) if batch else model.grads,
-            loss.v_rgb,
-            loss.v_alpha,
-            loss.v_inverse_depth,
-            viewmat=self._v_viewmat if moves else None,
-        )
-        if leaf is not None:
-            grad = model.grads["opacities"]
-            grad.copy_(torch.autograd.grad(opacities, leaf, grad)[0])
-        self.laps.lap("gradients")
-        v_log_gain = loss.v_log_gain
-        if training_view.gain is not None and self.photos.mask_mode == "composite":
-            v_log_gain = without_background(
-                v_log_gain, training_view.background, training_view.gain, loss.v_rgb, picture.alpha
-            )
-        self._learn_of_photos(training_view.indices, v_log_gain)
-        return v_means2d
+        return change + pruned, lost_rows
 
     def error(self, views: int = 8) -> float:
         """Root mean squared error of the unmasked pixels in about `views` training views, at the
@@ -471,8 +418,8 @@ class Trainer:
     def splats(self) -> Splats:
         """Return the current splats in COLMAP world units, with the SH degree in use; frozen ones
         first."""
-        shown = self.renderer.splats()
-        return self._whole(self._in_world({name: p.clone() for name, p in shown.items()}))
+        merged = self.engine.merged(self._all_models())
+        return self._whole(self._in_world({name: p.copy() for name, p in merged.items()}))
 
     def parts(self) -> Iterator[Splats]:
         """Yield the rows of `splats` in parts, which are valid until the next step."""
@@ -480,24 +427,22 @@ class Trainer:
             yield from self.frozen.parts(_ROWS_A_PART, self.model.sh_degree)
         for member in self.members:
             for at in range(0, len(member.model), _ROWS_A_PART):
-                rows = slice(at, at + _ROWS_A_PART)
-                part = member.model.synced_rows(rows, threads=self.config.threads)
-                opacities = divide_opacities(part["opacities"], len(self.members))
-                yield self._in_world(part | {"opacities": opacities})
+                part = dict(member.model.part(at, at + _ROWS_A_PART))
+                opacities = torch.from_numpy(part["opacities"])
+                part["opacities"] = divide_opacities(opacities, len(self.members)).numpy()
+                yield self._in_world(part)
 
     def free_memory(self) -> None:
-        """Free the memory that the rasterizer keeps between steps."""
-        self.renderer.forget()
-        self._rasterizer.release()
+        """Free the memory that the engine keeps between steps."""
+        self.engine.release()
 
     def finish(self) -> Splats:
         """Return the final splats: as `splats`, but without copying a single model, and the memory
         of steps is freed. Views can still be rendered."""
         self.free_memory()
         for member in self.members:
-            member.model.sync(threads=self.config.threads)
-            member.model.drop_moments()
-        return self._whole(self._in_world(self.renderer.splats()))
+            member.model.finish()
+        return self._whole(self._in_world(self.engine.merged(self._all_models())))
 
     def release(self) -> None:
         """Free the state that `restore` replaces; only `restore` may be called next."""
@@ -521,25 +466,10 @@ class Trainer:
         return found | self._view_batcher.state() | self.pruner.state()
 
     def collect(self) -> None:
-        """Collect on rank 0 the state that only other ranks have; called on rank 0."""
-        if self.team and not self._collected:
-            self.team.broadcast(rank_commands.collect())
-            self._collect_now()
-
-    def _collect_now(self) -> None:
-        """As `collect`, without a broadcast, because all ranks end with the same error."""
-        for member in self.members:
-            if member.batch and not member.batch.complete:
-                member.batch.collect(member.model)
-
-    @property
-    def _collected(self) -> bool:
-        """True if rank 0 has the whole state of a checkpoint; equal on all ranks."""
-        return all(member.batch is None or member.batch.complete for member in self.members)
+        """Collect the state that `tensors` needs; nothing to do for one process."""
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """All tensors that the next step depends on, by name; no copies. With several ranks, those
-        of this rank; after `collect`, rank 0 has all."""
+        """All tensors that the next step depends on, by name; no copies. Call `collect` first."""
         out = {"generator": self.generator.get_state()}
         for member in self.members:
             out |= member.tensors()
@@ -575,15 +505,24 @@ class Trainer:
         return [
             EnsembleMember(
                 place,
-                CpuModel(tensors_from_splats(first), counters=self.strategy.counters),
-                self.team,
+                self.engine.model(
+                    {name: getattr(first, name).copy() for name in PARAMETERS},
+                    counters=self.strategy.counters,
+                    frozen=None if self.frozen is None else self.frozen.columns,
+                ),
             )
             for place in range(self._models)
         ]
 
+    def _make_engine(self) -> Engine[Any]:
+        return CpuEngine(threads=self.config.threads, generator=self.generator)
+
+    def _all_models(self) -> list[EngineModel]:
+        return [member.model for member in self.members]
+
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         """Restore `state` and `tensors` of another trainer with this config, and take ownership of
-        the tensors. Rank 0 sends both to the other ranks.
+        the tensors.
 
         The length of the run is that of the config, or stored with a time budget.
 
@@ -601,25 +540,21 @@ class Trainer:
             if self._given or not by_photos:
                 raise ValueError(f"it has {there} models, expected {models}")
             models = there
-        members = [EnsembleMember(place, like, self.team) for place in range(models)]
+        members = [EnsembleMember(place, like) for place in range(models)]
         for member in members:
-            member.check(tensors, like)
+            member.check(tensors)
         if len({member.of(tensors)["param/shN"].shape[1] for member in members}) > 1:
             raise ValueError("its models have different SH degrees")
-        if self.team and self.team.is_rank0:
-            self.team.broadcast(rank_commands.restore(state))
-            self.team.share(tensors)
+        self._send_restored(state, tensors)
         length = self.config.iterations
         if self.config.time_budget:
             length = as_int("iterations", state.get("iterations", length), low=1)
         self._decide_by_photos(known, models)
         self.replan(length)
-        rank, size = (self.team.rank, self.team.size) if self.team else (0, 1)
-        self._rasterizer.release()
-        self.renderer.forget()
+        self.engine.release()
         self.members = members
         for member in members:
-            member.restore(state, tensors, rank=rank, size=size)
+            member.restore(self.engine, state, tensors)
         self.photo_parameters.restore(self.sampler.indices, len(self.photos.scene.cameras), tensors)
         self.generator.set_state(tensors["generator"])
         self._view_batcher.restore(state)
@@ -635,40 +570,23 @@ class Trainer:
             return trained
         return joined([self.frozen.world, trained])
 
-    def _in_world(self, params: dict[str, torch.Tensor]) -> Splats:
-        return self.frame.similarity.splats_from_training(splats_from_tensors(params))
+    def _send_restored(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
+        """Send the state to the other ranks; nothing to do for one process."""
+
+    def _in_world(self, params: Columns) -> Splats:
+        return self.frame.similarity.splats_from_training(Splats(**params))
 
     def _widen_to(self, member: EnsembleMember, degree: int) -> None:
         if member.model.sh_degree < degree:
-            self._rasterizer.release()
+            self.engine.release()
             member.model.widen_sh(degree)
-            if member.batch:
-                member.batch.forget()
 
-    def _learn_of_photos(
-        self, indices: Sequence[int], v_log_gain: tuple[float, float, float]
-    ) -> None:
-        """Update gains and poses; `v_log_gain` is of this rank's photo."""
+    def _learn_of_photos(self, indices: Sequence[int], slopes: np.ndarray) -> None:
+        """Update gains and poses by `slopes`, `StepNumbers.slopes`."""
         done = self.steps / self.plan.iterations
-        if self.photo_parameters.gains is None and not self.photo_parameters.pose_rate(done):
-            return
-        mine = [*v_log_gain, *self._v_viewmat.flatten().tolist()]
-        slopes = self.team.all_gather(mine) if self.team else np.array([mine])
         # M models train on M photos per step, so each of their M updates has 1/M of the rate.
         factor = self.rate_factor / len(self.members)
         self.photo_parameters.learn(indices, slopes, done=done, factor=factor)
-
-    def _step_opacities(
-        self, model: CpuModel, step: int
-    ) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """Return the opacities of this step, and the leaf tensor of their gradients if dropout
-        changes them."""
-        opacities = model.params["opacities"]
-        rate = drop_rate_at(self.drop_rate, step, self.plan.iterations)
-        if rate <= 0:
-            return opacities, None
-        leaf = opacities.detach().requires_grad_()
-        return drop_splats(leaf, rate, self.generator), leaf
 
     def _sh_degree_at(self, step: int) -> int:
         """SH degree at `step`, at least that of the start splats."""
@@ -678,32 +596,6 @@ class Trainer:
         if self._sh_degree_at(step) == 0:
             return ShUpdate.OFF
         return ShUpdate.STEP if self.plan.harmonics_update_at(step, count) else ShUpdate.ACCUMULATE
-
-    def _photos_at_once(self, team: ProcessGroup) -> int:
-        plan, config = self.plan, self.config
-        return batch_size(
-            team.size,
-            self.steps,
-            every=(
-                *(plan.refine_every, plan.reset_every, plan.kept_every),
-                *(config.snapshot_every, _SANITIZE_EVERY),
-            ),
-            marks=(
-                *config.save_iterations,
-                *config.test_iterations,
-                *config.checkpoint_iterations,
-            ),
-            end=plan.iterations,
-        )
-
-    def _mark(self, model: CpuModel) -> float:
-        """CRC of the splats every `_SANITIZE_EVERY` steps, for comparison between ranks; else 0."""
-        return float(crc_of(model.params)) if self.steps % _SANITIZE_EVERY == 0 else 0.0
-
-    def _assert_finite(self, model: CpuModel, training_view: TrainingView, value: float) -> None:
-        if self.config.detect_anomaly:
-            name = self.photos.scene.cameras.names[training_view.index]
-            finite_check.assert_finite(model, value, step=self.steps, view=name)
 
     def _note_skipped(self, skipped: bool) -> None:
         self._skipped = self._skipped + 1 if skipped else 0
@@ -715,70 +607,20 @@ class Trainer:
                 "finds the first number that is not finite."
             )
 
-    def _sanitize(self, model: CpuModel) -> int:
-        lost = model.clamp_runaways(self.frame.extent)
-        self.lost_rows += lost
-        return lost
-
-    def _learn(
-        self, member: EnsembleMember, step: int, v_means2d: torch.Tensor, view: Frustum, count: int
-    ) -> tuple[Change, int]:
-        """Update the model with its gradients; returns the changes and the number of rows with
-        gradients that were not finite."""
-        model, batch, radii = member.model, member.batch, self._rasterizer.radii
-        counters = batch.counters(model) if batch else model.rows
-        if self.strategy.observes_at(step):
-            sums, views = (counters[name] for name in self.strategy.counters)
-            scale, threads = (0.5 * view.width, 0.5 * view.height), self.config.threads
-            add_screen_gradients(sums, views, v_means2d, radii, scale, threads=threads)
-        if batch:
-            radii = batch.add_up(
-                model, counters=counters, photos=count, threads=self.config.threads
-            )
-        strategy = self.strategy
-        add_regularisers(model, opacity_reg=strategy.opacity_reg, scale_reg=strategy.scale_reg)
-        factor, plan = self.rate_factor, self.plan
-        means_lr = factor * plan.means_lr_at(step) * math.sqrt(count)
-        rates = {name: factor * rate for name, rate in plan.rates_at(step, count).items()}
-        model.set_rates(rates | {"means": means_lr})
-        shown = None if Skip.UNSEEN_SH in self.config.without else radii
-        rest = self._rest_at(step, count)
-        if batch:
-            batch.sum_harmonics(model, rest, threads=self.config.threads)
-        bad_rows = model.step(shown, shN=rest, photos=count, threads=self.config.threads)
-        if self.plan.refines_at(step):
-            self._rasterizer.release()
-        cap = self.plan.cap_for(self.photo_factor) - self._frozen_count
-        change = self._apply(model, self.pruner.prune_free_space(model.column, plan, step))
-        masked = self.pruner.prune_masked(len(model), partial(self._weights, model), plan, step)
-        change += self._apply(model, masked)
-        change += self._apply(
-            model, strategy.refine(model.column, step=step, cap=cap, generator=self.generator)
-        )
-        add_noise(model, strategy.noise_at(means_lr), self.generator)
-        if self.region is not None and self._given:
-            inside = self.region.keep_inside(model.column("means"))
-            self._apply(model, () if inside is None else (inside,))
-        return change, bad_rows
-
-    def _apply(self, model: CpuModel, edits: Iterable[RowEdit]) -> Change:
+    def _apply(self, model: EngineModel, edits: Iterable[RowEdit]) -> Change:
         """Apply edits, each before the next is decided; returns what they change."""
         change = Change()
         for edit in edits:
             if edit.moves_rows:
-                self._rasterizer.release()
+                self.engine.release()
             change += Change.of(edit, len(model))
             model.edit(edit)
         return change
 
-    def _weights(self, model: CpuModel) -> Iterator[Weights]:
+    def _contributions(self, model: EngineModel) -> Iterable[Contribution]:
         """Contributions of the splats to all training views, at the size of the last step."""
-        return weights_by_view(
-            self._rasterizer,
-            model.params,
-            self._view_batcher.training_views(),
-            antialias=self.config.antialias,
-            masks_hide=self.photos.mask_mode == "ignore",
-            scratch=model.grads,  # free after the step
-            threads=self.config.threads,
+        views = (
+            (sized.view, sized.photo(self.photos.mask_mode))
+            for sized in self._view_batcher.training_views()
         )
+        return self.engine.contributions(model, views, antialias=self.config.antialias)

@@ -1,7 +1,7 @@
 """CPU model: parameters, Adam moments and per-splat counters, kept in the same rows."""
 
+import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from enum import Enum, auto
 from functools import partial
 from typing import NamedTuple
 
@@ -12,21 +12,13 @@ from ...raster import adam
 from ...raster.memory import zeros
 from ...raster.request import Frustum
 from ...splats import PARAMETERS, SH_REST_BY_DEGREE
-from ..base import RowEdit
+from ..base import RowEdit, ShUpdate
 from . import filter3d, sanitize
 from .row_order import morton_order
 
 _SEEN, _LAG = "shN_seen", "shN_lag"
-
-
-class ShUpdate(Enum):
-    """Update of shN in a training step."""
-
-    STEP = auto()
-    ACCUMULATE = auto()
-    """Gradients accumulate for a later step."""
-    OFF = auto()
-    """The coefficients are not in use yet."""
+ACCUMULATED = "gathered/shN"
+"""Name of the accumulated gradient of shN in checkpoints; other ranks append /1, /2 ..."""
 
 
 class Moments(NamedTuple):
@@ -57,11 +49,13 @@ class CpuModel:
         moments: Mapping[str, Moments] | None = None,
         *,
         counters: Sequence[str] = (),
+        threads: int = 0,
     ) -> None:
         """Take ownership of raw float32 tensors as in `Splats` and of `moments`; None: zeros.
 
-        `counters`: names of the float32 counters of a strategy.
+        `counters`: names of the float32 counters of a strategy; `threads`: 0: all cores.
         """
+        self._threads = threads
         self.params: dict[str, torch.Tensor] = {}
         self.grads: dict[str, torch.Tensor] = {}
         """Gradients, shaped as `params`. Those of shN accumulate until its next step."""
@@ -96,9 +90,32 @@ class CpuModel:
         """First and second moment of a parameter, same shape."""
         return self._moments[name]
 
-    def steps(self, name: str) -> int:
-        """Adam steps that a parameter has taken."""
-        return self._steps[name]
+    @property
+    def adam_steps(self) -> dict[str, int]:
+        """Adam steps that each parameter has taken."""
+        return dict(self._steps)
+
+    def part(self, begin: int, end: int) -> dict[str, np.ndarray]:
+        """Return the raw parameters of some rows, see `EngineModel.part`."""
+        return {name: t.numpy() for name, t in self.synced_rows(slice(begin, end)).items()}
+
+    def finish(self) -> None:
+        """Apply all pending steps and free moments and gradients."""
+        self.sync()
+        self.drop_moments()
+
+    def save(self) -> dict[str, np.ndarray]:
+        """Return all that the next step depends on, see `EngineModel.save`."""
+        out: dict[str, torch.Tensor] = {}
+        for name, p in self.params.items():
+            out[f"param/{name}"] = p
+            if name in self._moments:
+                out[f"m1/{name}"], out[f"m2/{name}"] = self._moments[name]
+        if "shN" in self.grads:
+            out[ACCUMULATED] = self.grads["shN"]
+        out["drift"] = self.drift
+        out |= {f"row/{name}": counter for name, counter in self.rows.items()}
+        return {name: t.numpy() for name, t in out.items()}
 
     def replace(
         self,
@@ -232,7 +249,6 @@ class CpuModel:
         *,
         shN: ShUpdate = ShUpdate.STEP,
         photos: int = 1,
-        threads: int = 0,
     ) -> int:
         """Take an Adam step with `grads`; gradients that are not finite count as zero.
 
@@ -242,7 +258,6 @@ class CpuModel:
             photos: Number of photos averaged in `grads`: steps are counted in photos, and momentum
                 decays as in that number of steps. shN, which accumulates gradients anyway, counts
                 its own steps.
-            threads: 0: all cores.
 
         Returns:
             Number of splats with gradients that were not finite.
@@ -258,30 +273,30 @@ class CpuModel:
             self._steps[name] += at_once if does is ShUpdate.STEP else 0
             slots.append(self._slot(name, wait=does is ShUpdate.ACCUMULATE, photos=at_once))
         self._settled = None
-        return adam.step(slots, radii, threads=threads)
+        return adam.step(slots, radii, threads=self._threads)
 
-    def sync_visible(self, view: Frustum, *, threads: int = 0) -> None:
+    def sync_visible(self, view: Frustum) -> None:
         """Apply the pending steps of rows that `view` may show."""
         self._settled = None  # a step follows, so the cached copy is not read again
-        self._catch_up(view, threads=threads)
+        self._catch_up(view)
 
-    def sync(self, *, threads: int = 0) -> None:
+    def sync(self) -> None:
         """Apply the pending steps of all rows, for example before rows are reordered."""
         self._settled = None
-        self._catch_up(None, threads=threads)
+        self._catch_up(None)
 
-    def synced(self, *, threads: int = 0) -> dict[str, torch.Tensor]:
+    def synced(self) -> dict[str, torch.Tensor]:
         """Return the parameters as after `sync` without changing the model, so that rendering
         changes no bit of the training."""
         if self._settled is None:
             shN = self.params["shN"]
             if self._waiting():
                 shN = torch.empty_like(shN)
-                self._catch_up(None, out=shN, threads=threads)
+                self._catch_up(None, out=shN)
             self._settled = self.params | {"shN": shN}
         return self._settled
 
-    def synced_rows(self, rows: slice, *, threads: int = 0) -> dict[str, torch.Tensor]:
+    def synced_rows(self, rows: slice) -> dict[str, torch.Tensor]:
         """Return some rows of `synced`, without the memory for all."""
         if self._settled is not None:
             return {name: p[rows] for name, p in self._settled.items()}
@@ -289,7 +304,7 @@ class CpuModel:
         if self._waiting():
             out = torch.empty_like(params["shN"])
             slot = self._slot("shN", wait=False, rows=rows)
-            adam.catch_up(slot, params, None, out=out, threads=threads)
+            adam.catch_up(slot, params, None, out=out, threads=self._threads)
             params["shN"] = out
         return params
 
@@ -301,12 +316,10 @@ class CpuModel:
     def _waiting(self) -> bool:
         return bool(self.rows[_LAG].any()) and self.params["shN"].numel() > 0
 
-    def _catch_up(
-        self, view: Frustum | None, *, out: torch.Tensor | None = None, threads: int
-    ) -> None:
+    def _catch_up(self, view: Frustum | None, *, out: torch.Tensor | None = None) -> None:
         if self._waiting():
             slot = self._slot("shN", wait=False)
-            adam.catch_up(slot, self.params, view, out=out, threads=threads)
+            adam.catch_up(slot, self.params, view, out=out, threads=self._threads)
 
     def _slot(
         self, name: str, *, wait: bool, rows: slice = slice(None), photos: int = 1
@@ -325,3 +338,25 @@ class CpuModel:
             skips=skips,
             photos=photos,
         )
+
+
+def accumulated_of(
+    tensors: Mapping[str, torch.Tensor], rank: int, size: int
+) -> torch.Tensor | None:
+    """Return the accumulated shN gradient of one of `size` ranks from a checkpoint's tensors.
+
+    If `size` ranks wrote the checkpoint, each gets its own; otherwise rank 0 gets the sum and the
+    others zeros. None: the checkpoint has none."""
+    if ACCUMULATED not in tensors:
+        return None
+    names = itertools.takewhile(
+        tensors.__contains__, (f"{ACCUMULATED}/{k}" for k in itertools.count(1))
+    )
+    parts = [tensors[ACCUMULATED], *(tensors[name] for name in names)]
+    if len(parts) == size:
+        return parts[rank]
+    if rank:
+        return torch.zeros_like(parts[0])
+    for part in parts[1:]:
+        parts[0] += part
+    return parts[0]

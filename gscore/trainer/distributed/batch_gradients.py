@@ -1,20 +1,17 @@
 """Batch gradients and counters: each rank adds those of one photo, all ranks get the mean."""
 
-import itertools
 import weakref
-from collections.abc import Mapping
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ...engine.cpu.model import CpuModel, ShUpdate
+from ...engine.base import ShUpdate
+from ...engine.cpu.model import ACCUMULATED, CpuModel
 from ...raster.row_packing import Table, unpack_rows
 from ...splats import PARAMETERS
 from .process_group import ProcessGroup
 from .row_sums import RowSums
-
-_GATHERED = "gathered/shN"
 
 
 class BatchGradients:
@@ -158,24 +155,4 @@ class BatchGradients:
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the accumulated gradients of the other ranks, by their name in checkpoints."""
-        return {f"{_GATHERED}/{rank}": part for rank, part in enumerate(self._others, 1)}
-
-
-def accumulated_of(tensors: Mapping[str, Tensor], rank: int, size: int) -> Tensor | None:
-    """Return the accumulated shN gradient of one of `size` ranks from a checkpoint's tensors.
-
-    If `size` ranks wrote the checkpoint, each gets its own; otherwise rank 0 gets the sum and the
-    others zeros. None: the checkpoint has none."""
-    if _GATHERED not in tensors:
-        return None
-    names = itertools.takewhile(
-        tensors.__contains__, (f"{_GATHERED}/{k}" for k in itertools.count(1))
-    )
-    parts = [tensors[_GATHERED], *(tensors[name] for name in names)]
-    if len(parts) == size:
-        return parts[rank]
-    if rank:
-        return torch.zeros_like(parts[0])
-    for part in parts[1:]:
-        parts[0] += part
-    return parts[0]
+        return {f"{ACCUMULATED}/{rank}": part for rank, part in enumerate(self._others, 1)}

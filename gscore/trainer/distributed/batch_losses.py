@@ -9,6 +9,10 @@ from ...errors import DatasetError, GsError
 from .process_group import ProcessGroup
 
 
+class OtherRankError(DatasetError):
+    """Another rank cannot read its photo; all ranks raise an error in this step."""
+
+
 def fail(team: ProcessGroup, error: GsError) -> None:
     """Notify the other ranks that this rank cannot read its photo."""
     _gather(team, [1.0, 0.0, 0.0, 0.0, 0.0], [0] * team.size)
@@ -51,7 +55,7 @@ def of_all(
         sizes: Rows of gradients that this rank will send to each rank.
 
     Raises:
-        DatasetError: a rank cannot read its photo (`fail`).
+        OtherRankError: a rank cannot read its photo (`fail`).
         GsError: the marks differ.
     """
     found, all_sizes = _gather(team, [0.0, value, mse, cost, mark], sizes)
@@ -59,7 +63,7 @@ def of_all(
     if missing.any():
         rank, texts = int(missing.argmax()), team.texts("")
         team.notified = True
-        raise DatasetError(f"Rank {rank}: {texts[rank]}")
+        raise OtherRankError(f"Rank {rank}: {texts[rank]}")
     if (marks != mark).any() or (marks != marks[0]).any():
         rank = int((marks != marks[0]).argmax())
         team.notified = True

@@ -121,8 +121,8 @@ def load(path: Path) -> Checkpoint:
         ) from error
     if content.get("format") != FORMAT:
         raise FormatError(
-            f"{path} was written by gscore {brief(content.get('gscore'))} in format "
-            f"{brief(content.get('format'))}; this gscore reads format {FORMAT}."
+            f"{path} was written by gscore {brief(str(content.get('gscore')))} in format "
+            f"{brief(str(content.get('format')))}; this gscore reads format {FORMAT}."
         )
     with checkpoint_errors(path):
         as_int("steps", content["trainer"]["steps"])

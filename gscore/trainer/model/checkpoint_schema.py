@@ -7,11 +7,11 @@ import math
 from collections.abc import Collection, Mapping
 from typing import Any
 
+import numpy as np
 import torch
 
-from ...engine.cpu.model import CpuModel
 from ...quoting import quoted
-from ...splats import Splats
+from ...splats import PARAMETERS, Splats
 
 _MOST = 1 << 53
 """Largest count: JSON numbers are not exact beyond."""
@@ -83,23 +83,25 @@ def as_int_dict(what: str, value: Any) -> dict[str, int]:
     return {name: as_int(f"{name} of {what}", count) for name, count in value.items()}
 
 
-def check_tensors(tensors: Mapping[str, torch.Tensor], like: CpuModel) -> None:
-    """Raise ValueError or KeyError unless a trainer's tensors fit each other and `like`, another
-    model of the run; the numbers of splats and of SH coefficients may differ."""
-    splats = Splats(**{name: tensors[f"param/{name}"].numpy() for name in like.params})
-    for name in like.params:
+def check_tensors(tensors: Mapping[str, torch.Tensor], like: Mapping[str, np.ndarray]) -> None:
+    """Raise ValueError or KeyError unless a model's tensors fit each other and `like`, those of
+    another model of the run; the numbers of splats and of SH coefficients may differ."""
+    splats = Splats(**{name: tensors[f"param/{name}"].numpy() for name in PARAMETERS})
+    for name in PARAMETERS:
         expected = tensors[f"param/{name}"]
         _same(f"m1/{name}", tensors[f"m1/{name}"], expected.shape, expected.dtype)
         _same(f"m2/{name}", tensors[f"m2/{name}"], expected.shape, expected.dtype)
     for key in tensors:
         if key.startswith("gathered/"):
             _same(key, tensors[key], tensors["param/shN"].shape, torch.float32)
-    _same("drift", tensors["drift"], like.drift.shape, like.drift.dtype)
-    for name, counter in like.rows.items():
-        _same(f"row/{name}", tensors[f"row/{name}"], (len(splats),), counter.dtype)
-    for key in tensors:
-        if key.startswith("row/") and key.removeprefix("row/") not in like.rows:
+        elif key.startswith("row/") and key not in like:
             raise ValueError(f"{key} is not known")
+    for key, array in like.items():
+        dtype = torch.from_numpy(array).dtype
+        if key == "drift":
+            _same(key, tensors[key], array.shape, dtype)
+        elif key.startswith("row/"):
+            _same(key, tensors[key], (len(splats),), dtype)
 
 
 def _same(

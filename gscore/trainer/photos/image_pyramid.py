@@ -5,9 +5,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
 from ...datasets.resolution import scale_intrinsics
+from ...engine.base import StepPhoto
 from ...io.images.read_image import resize
 from ...raster.request import Frustum
 from ...scene import Cameras
@@ -28,11 +28,22 @@ class SizedView(NamedTuple):
     """[H, W, 3] uint8."""
     mask: np.ndarray | None
     """[H, W] uint8, or None."""
-    tiles: torch.Tensor | None
+    tiles: np.ndarray | None
     """[ceil(H / 16), ceil(W / 16)] uint8, 0 for tiles that an `ignore` mask hides completely; None:
     all tiles are used."""
     counted: float = 1.0
     """Share of unmasked pixels: less than 1 only with an `ignore` mask."""
+
+    def photo(self, mask_mode: str, *, masked_tiles: bool = False) -> StepPhoto:
+        """The photo for an engine; `masked_tiles`: draw tiles that masks hide, too."""
+        tiles = None if masked_tiles else self.tiles
+        return StepPhoto(
+            image=self.image,
+            mask=self.mask,
+            mask_mode=mask_mode,
+            tiles=tiles,
+            counted=self.counted,
+        )
 
 
 class ImagePyramid:
@@ -113,6 +124,6 @@ class ImagePyramid:
                 mask = np.ascontiguousarray(both[..., 3])
         tiles, counted = None, 1.0
         if mask is not None and photos.mask_mode == "ignore":
-            tiles = torch.from_numpy(tiles_of_mask(mask))
+            tiles = tiles_of_mask(mask)
             counted = float(mask.mean()) / 255
         return SizedView(view, image, mask, tiles, counted)

@@ -1,9 +1,6 @@
 """Region tiles: the tiles of a view that splats of the region can change."""
 
-from collections.abc import Mapping
-
 import numpy as np
-import torch
 
 from ...raster import native_library
 from ...raster.request import Frustum
@@ -12,30 +9,30 @@ from ..photos.image_pyramid import SizedView
 from ..photos.raster_skips import tiles_of_mask
 
 
-def mask_to_region(found: SizedView, params: Mapping[str, torch.Tensor]) -> SizedView:
-    """Mask a view to the tiles in which splats with raw `params` may be drawn.
+def mask_to_region(found: SizedView, means: np.ndarray, scales: np.ndarray) -> SizedView:
+    """Mask a view to the tiles in which splats with these raw parameters may be drawn.
 
     All other pixels do not depend on these splats.
     """
     view, side = found.view, native_library.TILE
-    tiles = tiles_of_splats(params, view)
+    tiles = tiles_of_splats(means, scales, view)
     shown = np.repeat(np.repeat(tiles, side, axis=0), side, axis=1) * np.uint8(255)
     mask = np.ascontiguousarray(shown[: view.height, : view.width])
     if found.mask is not None:
         np.minimum(mask, found.mask, out=mask)
     return found._replace(
         mask=mask,
-        tiles=torch.from_numpy(tiles_of_mask(mask)),
+        tiles=tiles_of_mask(mask),
         counted=float(mask.mean()) / 255,
     )
 
 
-def tiles_of_splats(params: Mapping[str, torch.Tensor], view: Frustum) -> np.ndarray:
-    """Return [ceil(H / 16), ceil(W / 16)] uint8, 1 where splats with raw `params` may be drawn,
-    bounded by discs with the radius of the longest axis."""
+def tiles_of_splats(means: np.ndarray, scales: np.ndarray, view: Frustum) -> np.ndarray:
+    """Return [ceil(H / 16), ceil(W / 16)] uint8, 1 where splats with means [N, 3] and log scales
+    [N, 3] may be drawn, bounded by discs with the radius of the longest axis."""
     viewmat, K = (np.asarray(a, np.float64) for a in (view.viewmat, view.K))
-    place = params["means"].numpy() @ viewmat[:3, :3].T + viewmat[:3, 3]
-    widest = params["scales"].numpy().max(axis=1, initial=-np.inf)
+    place = means @ viewmat[:3, :3].T + viewmat[:3, 3]
+    widest = scales.max(axis=1, initial=-np.inf)
     drawn = (place[:, 2] > view.near) & np.isfinite(place).all(axis=1) & np.isfinite(widest)
     (x, y, z), sigma = place[drawn].T, np.exp(widest[drawn].astype(np.float64))
     x, y, focal = x / z, y / z, max(K[0, 0], K[1, 1])

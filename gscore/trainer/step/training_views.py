@@ -1,7 +1,7 @@
 """Training views of a step: cameras, photos and backgrounds."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -105,7 +105,7 @@ class ViewBatcher:
         """Return the last views to the sampler."""
         self._sampler.put_back(count)
 
-    def note_costs(self, indices: list[int], costs: list[float]) -> None:
+    def note_costs(self, indices: list[int], costs: Sequence[float]) -> None:
         """Record rendering costs of views, for the load balance of batches."""
         self._costs.update(zip(indices, costs, strict=True))
 

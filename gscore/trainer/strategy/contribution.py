@@ -1,56 +1,14 @@
 """Contribution of splats to the photos: blending weights, summed over pixels."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Iterable
 
 import torch
 
-from ...raster.memory import ones, zeros
-from ...raster.request import Settings
-from ...raster.training_rasterizer import TrainingRasterizer
-from ..photos.image_pyramid import SizedView
+from ...engine.base import Contribution
+from ...raster.memory import zeros
 
 
-class Weights(NamedTuple):
-    """Blending weights of the splats in one view, summed over pixels; valid until the next view."""
-
-    kept: torch.Tensor
-    """[N] float32, px: sum over pixels, weighted by the mask."""
-    whole: torch.Tensor
-    """[N] float32, px: sum over all pixels."""
-
-
-def weights_by_view(
-    rasterizer: TrainingRasterizer,
-    params: Mapping[str, torch.Tensor],
-    shown: Iterable[SizedView],
-    *,
-    antialias: bool,
-    masks_hide: bool,
-    scratch: Mapping[str, torch.Tensor],
-    threads: int = 0,
-) -> Iterator[Weights]:
-    """Yield the blending weights of the splats in each view (`raster.weights.blending_weights`).
-
-    Args:
-        rasterizer: Its last rendered view becomes invalid.
-        params: Raw parameters, as in `CpuModel.params`; SH coefficients are not read.
-        shown: Views.
-        antialias: As in training.
-        masks_hide: Whether `kept` is weighted by masks.
-        scratch: Tensors with the shapes of `params` by name, overwritten except those of SH.
-        threads: 0: all cores; the result does not depend on it.
-    """
-    for view, _, mask, _, _ in shown:
-        settings = Settings(antialias=antialias, threads=threads)
-        counts = ones(view.height, view.width, 3)
-        if masks_hide and mask is not None:
-            counts[..., 0] = torch.from_numpy(mask).to(counts.dtype) / 255
-        sums = torch.from_numpy(rasterizer.weights(params, view, settings, counts, scratch))
-        yield Weights(sums[:, 0].contiguous(), sums[:, 1].contiguous())
-
-
-def max_contribution(weights: Iterable[Weights], count: int) -> torch.Tensor:
+def max_contribution(weights: Iterable[Contribution], count: int) -> torch.Tensor:
     """Return the largest `kept` weight of each of `count` splats over all views, [N] float32, px.
 
     The maximum keeps splats that a single view needs; the sum would favour the background, which
@@ -58,19 +16,19 @@ def max_contribution(weights: Iterable[Weights], count: int) -> torch.Tensor:
     """
     most = zeros(count)
     for kept, _ in weights:
-        torch.maximum(most, kept, out=most)
+        torch.maximum(most, torch.from_numpy(kept), out=most)
     return most
 
 
-def mostly_masked(weights: Iterable[Weights], count: int, *, share: float) -> torch.Tensor:
+def mostly_masked(weights: Iterable[Contribution], count: int, *, share: float) -> torch.Tensor:
     """Return [N] bool: splats with less than `share` of their weight in unmasked pixels.
 
     No photo constrains their colours, and they occlude splats in other photos.
     """
     kept, whole = zeros(count), zeros(count)
     for of_kept, of_whole in weights:
-        kept += of_kept
-        whole += of_whole
+        kept += torch.from_numpy(of_kept)
+        whole += torch.from_numpy(of_whole)
     return kept < share * whole
 
 

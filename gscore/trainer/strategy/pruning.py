@@ -7,11 +7,11 @@ import numpy as np
 import torch
 
 from ...config import TrainConfig
-from ...engine.base import RowEdit
+from ...engine.base import Contribution, RowEdit
 from ..model.checkpoint_schema import as_int
 from ..schedule.plan import Plan
 from .base import Read
-from .contribution import Weights, lowest_rows, max_contribution, mostly_masked
+from .contribution import lowest_rows, max_contribution, mostly_masked
 
 _CROWD = 0.2
 """Share of all splats in a free space above which it is not considered free."""
@@ -92,7 +92,7 @@ class Pruner:
                 yield RowEdit(keep=np.flatnonzero(~rows.numpy()))
 
     def prune_masked(
-        self, count: int, weights: Callable[[], Iterable[Weights]], plan: Plan, step: int
+        self, count: int, weights: Callable[[], Iterable[Contribution]], plan: Plan, step: int
     ) -> Iterator[RowEdit]:
         """Remove splats with most of their weight in masked pixels.
 
@@ -112,7 +112,7 @@ class Pruner:
     def prune_least(
         self,
         count: int,
-        weights: Callable[[], Iterable[Weights]],
+        weights: Callable[[], Iterable[Contribution]],
         plan: Plan,
         step: int,
         *,

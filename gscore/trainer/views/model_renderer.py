@@ -9,18 +9,15 @@ import numpy as np
 import torch
 
 from ...config import Background, TrainConfig
-from ...engine.cpu.model import CpuModel
+from ...engine.base import DrawnPicture, Engine, EngineModel
+from ...engine.cpu.loss import mse_of_unmasked
 from ...live.viewer_protocol import FrameRequest
-from ...raster.header import OUT_INVERSE_DEPTH
 from ...raster.loss import image_loss
-from ...raster.request import Frustum, Settings
-from ...raster.training_rasterizer import Picture, TrainingRasterizer
+from ...raster.request import Frustum
 from ...scene import Cameras
-from ..model.ensemble import merge_models
 from ..model.training_frame import TrainingFrame
 from ..photos.image_pyramid import ImagePyramid, SizedView, training_camera
 from ..photos.view_sampler import Photos
-from ..region.frozen_splats import FrozenRasterizer, FrozenSplats
 from ..region.region_tiles import mask_to_region
 from .photo_gains import background_before_gain
 from .photo_parameters import PhotoParameters
@@ -49,10 +46,11 @@ class ModelRenderer:
         frame: TrainingFrame,
         cameras: Cameras,
         photo_parameters: PhotoParameters,
-        models: Callable[[], list[CpuModel]],
+        engine: Engine[Any],
+        models: Callable[[], list[EngineModel]],
         *,
         cache: int | None = None,
-        frozen: FrozenSplats | None = None,
+        region: bool = False,
     ) -> None:
         """Create the renderer.
 
@@ -62,42 +60,25 @@ class ModelRenderer:
             frame: The training frame.
             cameras: Cameras of `photos` in the training frame.
             photo_parameters: Optimised gains and poses.
+            engine: Draws the models.
             models: Returns the models, which are merged for rendering.
             cache: Bytes of photos to keep; None: all.
-            frozen: Frozen splats, rendered with the model.
+            region: True: frozen splats surround the model, so photos count only where it may be
+                drawn.
         """
         self._config = config
         self._photos = photos
         self._frame = frame
         self._photo_parameters = photo_parameters
         self._pyramid = ImagePyramid(photos, cameras, near=frame.near, limit=cache)
-        self._frozen = frozen
-        self.rasterizer = TrainingRasterizer() if frozen is None else FrozenRasterizer(frozen)
-        """The rasterizer, shared with the training steps to share its memory."""
-        self.models = models
-        """Returns the models to render."""
-        self._merged: tuple[list[dict[str, torch.Tensor]], dict[str, torch.Tensor]] | None = None
-        """Parameters of the models, and of their merged model."""
+        self._region = region
+        self._engine = engine
+        self._models = models
 
     @property
     def background(self) -> _Color:
         """Background colour for viewers and metrics."""
         return COLORS.get(self._config.background, COLORS[Background.BLACK])
-
-    def splats(self) -> dict[str, torch.Tensor]:
-        """Raw parameters of the rendered splats, training frame; valid until the next step."""
-        parts = [model.synced(threads=self._config.threads) for model in self.models()]
-        if len(parts) == 1:
-            return parts[0]
-        before, merged = self._merged or ([], {})
-        if len(before) != len(parts) or any(a is not b for a, b in zip(before, parts, strict=True)):
-            merged = merge_models(parts)
-            self._merged = parts, merged
-        return merged
-
-    def forget(self) -> None:
-        """Free the cached parameters for rendering between two steps."""
-        self._merged = None
 
     def view(self, index: int, factor: float = 1.0) -> Frustum:
         """View `index` with sides divided by `factor`, at its refined camera pose."""
@@ -109,8 +90,9 @@ class ModelRenderer:
         `upcoming`: the next views, for prefetching.
         """
         found = self._pyramid.at(index, factor, upcoming=upcoming)
-        if self._frozen is not None and self._photos.mask_mode == "ignore":
-            found = mask_to_region(found, self.models()[0].params)
+        if self._region and self._photos.mask_mode == "ignore":
+            (model,) = self._models()
+            found = mask_to_region(found, model.column("means"), model.column("scales"))
         return found._replace(view=self._photo_parameters.at_refined_pose(found.view, index))
 
     def background_before_gain(self, background: _Color, gain: torch.Tensor | None) -> _Color:
@@ -120,37 +102,35 @@ class ModelRenderer:
             return background
         return background_before_gain(background, gain)
 
-    def picture(self, index: int, *, background: _Color) -> torch.Tensor:
+    def picture(self, index: int, *, background: _Color) -> np.ndarray:
         """Render view `index` with the photo's gain, if any: [H, W, 3] float32, a copy."""
-        return self._exposed(index, self.view(index), background).clone()
+        return self._exposed(index, self.view(index), background).copy()
 
-    def aligned_picture(self, index: int, *, background: _Color) -> torch.Tensor:
+    def aligned_picture(self, index: int, *, background: _Color) -> np.ndarray:
         """Render view `index` at the pose that matches its photo best, [H, W, 3] float32, a copy;
         its camera is unchanged."""
-        config, full = self._config, self.view(index)
-        factor = max(1.0, max(full.width, full.height) / _ALIGNED_SIDE)
-        settings = Settings(
-            antialias=config.antialias, threads=config.threads, background=background
-        )
-        synced = self.splats()
-        pose = align_pose(
-            synced if self._frozen is None else self._frozen.before(synced),
-            self.sized(index, factor),
-            settings,
-            mask_mode=self._photos.mask_mode,
-            unit=self._frame.extent,
-        )
-        return self._show(replace(full, viewmat=pose), background=background).rgb.clone()
+        full = self.view(index)
+        sized = self.sized(index, max(1.0, max(full.width, full.height) / _ALIGNED_SIDE))
+        photo = sized.photo(self._photos.mask_mode)
 
-    def render_request(self, request: FrameRequest) -> torch.Tensor:
+        def gradient(view: Frustum) -> np.ndarray:
+            return self._engine.pose_gradient(
+                self._models(),
+                view,
+                photo,
+                background=background,
+                antialias=self._config.antialias,
+            )
+
+        pose = align_pose(gradient, sized.view, unit=self._frame.extent)
+        return self._draw(replace(full, viewmat=pose), background).rgb.copy()
+
+    def render_request(self, request: FrameRequest) -> np.ndarray:
         """Render a frame request of a viewer, [height, width, 3] float32."""
         viewmats = self._frame.similarity.viewmats_to_training(request.viewmat[None])
         size = request.width, request.height
         view = training_camera(viewmats[0], request.K, *size, self._frame.near)
-        shown = dict(self.splats())
-        if request.scaling != 1:
-            shown["scales"] = shown["scales"] + math.log(request.scaling)
-        return self._draw(shown, view, background=self.background).rgb
+        return self._draw(view, self.background, scaling=request.scaling).rgb
 
     def shows_splats(self, index: int) -> bool:
         """Return whether any splat is drawn in view `index`; rendered at an eighth of its size."""
@@ -159,7 +139,7 @@ class ModelRenderer:
         width, height = view.width // factor, view.height // factor
         K = view.K / view.K.new_tensor([[factor], [factor], [1]])
         small = replace(view, K=K, width=width, height=height)
-        return bool((self._show(small).alpha > 0).any())
+        return bool((self._draw(small).alpha > 0).any())
 
     def error(self, indices: Sequence[int], factor: float) -> float:
         """Root mean squared error of the unmasked pixels of these views, with sides divided by
@@ -168,7 +148,7 @@ class ModelRenderer:
         for index in indices:
             view, image, mask, _, counted = self.sized(index, factor)
             loss = image_loss(
-                self._exposed(index, view, background),
+                torch.from_numpy(self._exposed(index, view, background)),
                 torch.from_numpy(image),
                 mask=None if mask is None else torch.from_numpy(mask),
                 mask_mode="none" if mask is None else self._photos.mask_mode,
@@ -181,28 +161,32 @@ class ModelRenderer:
     def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Render accumulated inverse depth, 1/world unit, and opacity of view `index`, [H, W]
         float32 each."""
-        found = self._show(self.view(index), outputs=OUT_INVERSE_DEPTH)
+        found = self._draw(self.view(index), inverse_depth=True)
         assert found.inverse_depth is not None
         scale = np.float32(self._frame.similarity.scale)
-        return found.inverse_depth.numpy() * scale, found.alpha.numpy().copy()
+        return found.inverse_depth * scale, found.alpha.copy()
 
-    def _exposed(self, index: int, view: Frustum, background: _Color) -> torch.Tensor:
+    def _exposed(self, index: int, view: Frustum, background: _Color) -> np.ndarray:
         """Render `view`, the view of photo `index` at any size, with the photo's gain."""
         gain = self._photo_parameters.gain_of(index)
-        picture = self._show(view, background=self.background_before_gain(background, gain)).rgb
-        return picture if gain is None else picture.mul_(gain)
+        picture = self._draw(view, self.background_before_gain(background, gain)).rgb
+        if gain is not None:
+            picture *= gain.numpy()
+        return picture
 
-    def _show(self, view: Frustum, **options: Any) -> Picture:
-        return self._draw(self.splats(), view, **options)
-
-    def _draw(self, splats: dict[str, torch.Tensor], view: Frustum, **options: Any) -> Picture:
-        """Render a view; `options` are those of `Settings`."""
-        config = self._config
-        settings = Settings(antialias=config.antialias, threads=config.threads, **options)
-        return self.rasterizer.draw(tuple(splats.values()), view, settings)
-
-
-def mse_of_unmasked(mse: float, counted: float) -> float:
-    """Mean squared error of the unmasked pixels, a share `counted` of all, if the others have no
-    error; 0 without any."""
-    return mse / counted if counted > 0 else 0.0
+    def _draw(
+        self,
+        view: Frustum,
+        background: _Color = (0.0, 0.0, 0.0),
+        *,
+        inverse_depth: bool = False,
+        scaling: float = 1.0,
+    ) -> DrawnPicture:
+        return self._engine.draw(
+            self._models(),
+            view,
+            background=background,
+            antialias=self._config.antialias,
+            inverse_depth=inverse_depth,
+            scaling=scaling,
+        )

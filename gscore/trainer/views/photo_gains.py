@@ -86,6 +86,12 @@ class PhotoGains:
         self._value[self._train] -= self._value[self._train].mean(axis=0)
 
 
+def as_color(gain: torch.Tensor) -> _Color:
+    """A gain [3] as numbers."""
+    r, g, b = gain.tolist()
+    return (r, g, b)
+
+
 def background_before_gain(background: _Color, gain: torch.Tensor) -> _Color:
     """Return the colour that equals `background` after multiplication by a gain [3].
 
@@ -93,29 +99,4 @@ def background_before_gain(background: _Color, gain: torch.Tensor) -> _Color:
     are rendered over this colour instead.
     """
     r, g, b = (colour / by for colour, by in zip(background, gain.tolist(), strict=True))
-    return (r, g, b)
-
-
-def without_background(
-    v_log_gain: _Color,
-    background: _Color,
-    gain: torch.Tensor,
-    v_rgb: torch.Tensor,
-    alpha: torch.Tensor,
-) -> _Color:
-    """Return the derivative in ln gain if `background_before_gain` follows the gain, so that the
-    visible background is constant.
-
-    Args:
-        v_log_gain: Derivative for a constant background before the gain.
-        background: Visible background colour.
-        gain: [3].
-        v_rgb: [H, W, 3] gradient in the rendered image before the gain.
-        alpha: [H, W] rendered opacity.
-    """
-    if not any(background):
-        return v_log_gain
-    through = torch.mv(v_rgb.reshape(-1, 3).t(), (1 - alpha).flatten()).tolist()
-    parts = zip(v_log_gain, through, background, gain.tolist(), strict=True)
-    r, g, b = (whole - t * colour / by for whole, t, colour, by in parts)
     return (r, g, b)

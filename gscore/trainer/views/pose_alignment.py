@@ -1,15 +1,11 @@
 """Pose alignment: optimisation of a camera pose for trained splats to match a photo."""
 
-from collections.abc import Mapping
+from collections.abc import Callable
 
 import numpy as np
 import torch
 
-from ...raster.loss import image_loss_gradient
-from ...raster.memory import empty, zeros
-from ...raster.request import Frustum, Settings
-from ...raster.training_rasterizer import TrainingRasterizer
-from ..photos.image_pyramid import SizedView
+from ...raster.request import Frustum
 from .photo_adam import PhotoAdam, rate_at
 from .pose_math import moved_pose, pose_gradient
 
@@ -19,45 +15,24 @@ _RATES = 2e-3, 5e-5
 
 
 def align_pose(
-    splats: Mapping[str, torch.Tensor],
-    sized: SizedView,
-    settings: Settings,
-    *,
-    mask_mode: str,
-    unit: float,
+    gradient: Callable[[Frustum], np.ndarray], view: Frustum, *, unit: float
 ) -> torch.Tensor:
     """Return the camera pose, [4, 4] float32, that minimises the photo's loss for fixed splats.
 
     Args:
-        splats: Raw parameters by name.
-        sized: View with its photo and mask.
-        settings: Render settings.
-        mask_mode: Meaning of the mask.
+        gradient: Returns the gradient of the loss in a view's pose, [4, 4] float32.
+        view: The view.
         unit: Translation equivalent to a rotation by 1 rad, world units of the view.
     """
-    rasterizer, adam, scale = TrainingRasterizer(), PhotoAdam(1, 6), np.repeat([1.0, unit], 3)
-    into = {name: zeros(*t.shape) for name, t in splats.items()}
-    pose, v_viewmat = sized.view.viewmat.numpy().astype(np.float64), empty(4, 4)
-    target, mask = torch.from_numpy(sized.image), sized.mask
-    v_rgb = empty(*sized.image.shape)
+    adam, scale = PhotoAdam(1, 6), np.repeat([1.0, unit], 3)
+    pose = view.viewmat.numpy().astype(np.float64)
     for step in range(_STEPS):
-        view = _from(sized.view, pose)
-        picture = rasterizer.draw(tuple(splats.values()), view, settings)
-        image_loss_gradient(
-            picture.rgb,
-            target,
-            v_rgb,
-            mask=None if mask is None else torch.from_numpy(mask),
-            mask_mode="none" if mask is None else mask_mode,
-            background=settings.background,
-            threads=settings.threads,
-        )
-        rasterizer.gradients(into, v_rgb, viewmat=v_viewmat)
-        grad = pose_gradient(pose, v_viewmat.numpy().astype(np.float64)) * scale
+        v_viewmat = gradient(_from(view, pose)).astype(np.float64)
+        grad = pose_gradient(pose, v_viewmat) * scale
         if not np.isfinite(grad).all():
             break
         pose = moved_pose(pose, adam.step(0, grad, rate_at(*_RATES, step / _STEPS)) * scale)
-    return _from(sized.view, pose).viewmat  # pyright: ignore[reportReturnType]
+    return _from(view, pose).viewmat  # pyright: ignore[reportReturnType]
 
 
 def _from(view: Frustum, pose: np.ndarray) -> Frustum:

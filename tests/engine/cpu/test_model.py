@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from gscore.engine.base import RowEdit
-from gscore.engine.cpu.model import CpuModel, ShUpdate
+from gscore.engine.base import RowEdit, ShUpdate
+from gscore.engine.cpu.model import CpuModel
 from gscore.splats import PARAMETERS
 from gscore.trainer.strategy import relocation
 
@@ -33,7 +33,7 @@ def test_steps_are_those_of_adam(marked_model: Callable[..., CpuModel]) -> None:
         model.step()
     for name, p in model.params.items():
         np.testing.assert_allclose(p.numpy(), expected[name], rtol=2e-6, atol=2e-6, err_msg=name)
-        assert model.steps(name) == 5
+        assert model.adam_steps[name] == 5
 
 
 def test_missing_sh_coefficients_take_no_step(marked_model: Callable[..., CpuModel]) -> None:
@@ -45,8 +45,8 @@ def test_missing_sh_coefficients_take_no_step(marked_model: Callable[..., CpuMod
     model.set_rates(dict.fromkeys(PARAMETERS, 0.1))
     model.step()
     assert model.sh_degree == 0
-    assert model.steps("shN") == 7
-    assert model.steps("sh0") == 8
+    assert model.adam_steps["shN"] == 7
+    assert model.adam_steps["sh0"] == 8
     assert (model.params["sh0"] != before).all()
 
 
@@ -209,5 +209,5 @@ def test_a_step_of_several_photos_fades_as_so_many(marked_model: Callable[..., C
         expected -= 1e-3 * hat_m / (np.sqrt(hat_v) + 1e-15)
         model.step(photos=photos)
     np.testing.assert_allclose(model.params["means"].numpy(), expected, rtol=2e-6, atol=2e-6)
-    assert model.steps("means") == 12
-    assert model.steps("shN") == 4
+    assert model.adam_steps["means"] == 12
+    assert model.adam_steps["shN"] == 4

@@ -32,7 +32,7 @@ def test_edit_keeps_and_appends_in_every_tensor(marked_model: Make) -> None:
         for i in (1, 2):
             np.testing.assert_array_equal(got[i][:3], was[i][[4, 0, 5]], err_msg=name)
             assert not got[i][3:].any(), name
-        assert model.steps(name) == 7
+        assert model.adam_steps[name] == 7
     np.testing.assert_array_equal(model.rows["seen"].numpy(), [3004, 3000, 3005, 0, 0])
 
 

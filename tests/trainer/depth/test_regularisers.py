@@ -9,13 +9,12 @@ import pytest
 import torch
 
 from gscore.config import Background, TrainConfig
+from gscore.engine.cpu.dropout import drop_splats
+from gscore.engine.cpu.loss import mean_transmittance, opacity_loss
 from gscore.presets import PRESETS
 from gscore.trainer.depth.regularisers import (
     drop_rate_at,
     drop_rate_of,
-    drop_splats,
-    mean_transmittance,
-    opacity_loss,
 )
 from gscore.trainer.trainer import Trainer
 

@@ -9,7 +9,7 @@ from gscore.config import TrainConfig
 from gscore.errors import DatasetError
 from gscore.stress.capture import toy_photos
 from gscore.trainer.distributed.process_group import ProcessGroup
-from gscore.trainer.trainer import Trainer
+from gscore.trainer.team_trainer import TeamTrainer
 
 CONFIG = TrainConfig(iterations=60, max_splats=300, sh_degree=1, sh_every=1, shN_every=9, threads=1)
 
@@ -23,7 +23,7 @@ def main() -> int:
     """0: both raise, and rank 0 has the gradients accumulated on rank 1, from before or not."""
     torch.set_num_threads(1)
     with ProcessGroup() as team:
-        trainer = Trainer(CONFIG, toy_photos(), team=team)
+        trainer = TeamTrainer(CONFIG, toy_photos(), team=team)
         for act in (trainer.step, trainer.step, trainer.collect)[: 2 + ("before" in sys.argv)]:
             if not team.is_rank0:
                 team.receive()

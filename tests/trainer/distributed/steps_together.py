@@ -8,6 +8,7 @@ import torch
 from gscore.config import TrainConfig
 from gscore.stress.capture import toy_photos
 from gscore.trainer.distributed.process_group import ProcessGroup
+from gscore.trainer.team_trainer import TeamTrainer
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(iterations=60, max_splats=300, sh_degree=1, sh_every=1, shN_every=2, threads=1)
@@ -42,7 +43,7 @@ def main() -> int:
     shN, accumulated over many photos, to the bit."""
     torch.set_num_threads(1)
     with ProcessGroup() as team:
-        trainer = Trainer(CONFIG, toy_photos(), team=team)
+        trainer = TeamTrainer(CONFIG, toy_photos(), team=team)
         trainer._widen_to(trainer.members[0], 1)
         if not team.is_rank0:
             team.receive()

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gscore.engine.cpu.model import accumulated_of
 from gscore.io.ply.splats import read_ply
 from gscore.io.runs import AGENT
-from gscore.trainer.distributed.batch_gradients import accumulated_of
 from gscore.trainer.files import checkpoint
 
 from .processes import rank_of, wait_for

@@ -168,7 +168,7 @@ def test_the_run_goes_on_from_the_checkpoint_before_a_damaged_one(
     for path in folder.checkpoints():
         path.write_bytes(b"x" * 50)
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
-    told = rf"All {len(folder.checkpoints())} checkpoints .* is not a complete .*with --overwrite"
+    told = rf"All {len(folder.checkpoints())} checkpoints .* is not a complete .*with `--overwrite`"
     with pytest.raises(FormatError, match=told):
         train(config, data, tmp_path, resume=True)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before

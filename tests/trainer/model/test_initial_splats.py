@@ -45,7 +45,7 @@ def test_the_first_picture_is_that_of_the_given_splats(make_photos: Callable[...
         K, viewmat = cameras.Ks[i], cameras.viewmats[i]
         wanted = render(start, K, viewmat, int(cameras.widths[i]), int(cameras.heights[i])).rgb
         assert wanted.mean() > 0.05
-        got = trainer.renderer.picture(i, background=(0, 0, 0)).numpy()
+        got = trainer.renderer.picture(i, background=(0, 0, 0))
         np.testing.assert_allclose(got, wanted, atol=2e-4)
 
 

@@ -81,8 +81,8 @@ def test_rare_steps_of_higher_coefficients_can_be_switched_off(photos: Any) -> N
         trainer = Trainer(config, photos)
         for _ in range(30):
             trainer.step()
-        assert trainer.model.steps("means") == 30
-        assert trainer.model.steps("shN") == steps
+        assert trainer.model.adam_steps["means"] == 30
+        assert trainer.model.adam_steps["shN"] == steps
 
 
 def test_small_photos_can_be_switched_off(make_photos: Callable[..., Any]) -> None:

@@ -158,7 +158,7 @@ def test_the_pixels_of_a_step_are_all_that_a_region_can_change(
     for index in photos.train:
         view = trainer.renderer.view(index)
         alpha = TrainingRasterizer().draw(tuple(params.values()), view, Settings()).alpha.numpy()
-        tiles = tiles_of_splats(params, view)
+        tiles = tiles_of_splats(params["means"].numpy(), params["scales"].numpy(), view)
         shown = np.repeat(np.repeat(tiles, 16, axis=0), 16, axis=1)
         shown = shown[: view.height, : view.width]
         assert (alpha[shown == 0] == 0).all()
@@ -179,7 +179,8 @@ def test_tiles_of_splats_anywhere_before_a_camera(photos: Any) -> None:
         params["opacities"][:] = 8.0
         view = trainer.renderer.view(int(rng.integers(len(photos.train))))
         alpha = TrainingRasterizer().draw(tuple(params.values()), view, Settings()).alpha.numpy()
-        shown = np.repeat(np.repeat(tiles_of_splats(params, view), 16, axis=0), 16, axis=1)
+        tiles = tiles_of_splats(params["means"].numpy(), params["scales"].numpy(), view)
+        shown = np.repeat(np.repeat(tiles, 16, axis=0), 16, axis=1)
         assert (alpha[shown[: view.height, : view.width] == 0] == 0).all()
 
 

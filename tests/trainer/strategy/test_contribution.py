@@ -10,24 +10,21 @@ import pytest
 import torch
 
 from gscore.config import Strategy, TrainConfig
+from gscore.engine.base import Contribution, StepPhoto
+from gscore.engine.cpu.engine import CpuEngine
 from gscore.errors import ConfigError
 from gscore.raster.api import render
-from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.scene import Cameras
 from gscore.sh import rgb_to_sh0
 from gscore.splats import PARAMETERS, Splats
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.files import checkpoint
-from gscore.trainer.model.conversion import tensors_from_splats
-from gscore.trainer.photos.image_pyramid import SizedView
 from gscore.trainer.photos.view_sampler import training_camera
 from gscore.trainer.schedule.plan import Plan
 from gscore.trainer.strategy.contribution import (
-    Weights,
     lowest_rows,
     max_contribution,
     mostly_masked,
-    weights_by_view,
 )
 from gscore.trainer.trainer import Trainer
 
@@ -35,27 +32,17 @@ from gscore.trainer.trainer import Trainer
 def weights_of(
     splats: Splats, cameras: Cameras, masks: list[Any] | None = None, threads: int = 1
 ) -> np.ndarray:
-    params = tensors_from_splats(splats)
     shown = []
     for i, name in enumerate(cameras.names):
         w, h = int(cameras.widths[i]), int(cameras.heights[i])
         assert name
         mask = None if masks is None else masks[i]
         blank = np.zeros((h, w, 3), np.uint8)
-        shown.append(
-            SizedView(
-                training_camera(cameras.viewmats[i], cameras.Ks[i], w, h, 0.01), blank, mask, None
-            )
-        )
-    weights = weights_by_view(
-        TrainingRasterizer(),
-        params,
-        shown,
-        antialias=False,
-        masks_hide=masks is not None,
-        scratch={name: torch.zeros_like(p) for name, p in params.items()},
-        threads=threads,
-    )
+        view = training_camera(cameras.viewmats[i], cameras.Ks[i], w, h, 0.01)
+        shown.append((view, StepPhoto(image=blank, mask=mask, mask_mode="ignore")))
+    engine = CpuEngine(threads=threads)
+    model = engine.model({name: getattr(splats, name).copy() for name in PARAMETERS})
+    weights = engine.contributions(model, shown, antialias=False)
     return max_contribution(weights, len(splats)).numpy()
 
 
@@ -219,8 +206,8 @@ def test_a_share_of_one_is_refused(make_photos: Callable[..., Any]) -> None:
 def test_mostly_hidden_counts_all_views() -> None:
     """Oracle: by hand; splats outside all views are not hidden."""
     weights = [
-        Weights(torch.tensor([0.0, 1.0, 0.0, 0.5]), torch.tensor([8.0, 8.0, 0.0, 1.0])),
-        Weights(torch.tensor([0.3, 1.0, 0.0, 0.0]), torch.tensor([2.0, 2.0, 0.0, 9.0])),
+        Contribution(np.float32([0.0, 1.0, 0.0, 0.5]), np.float32([8.0, 8.0, 0.0, 1.0])),
+        Contribution(np.float32([0.3, 1.0, 0.0, 0.0]), np.float32([2.0, 2.0, 0.0, 9.0])),
     ]
     assert mostly_masked(weights, 4, share=0.05).tolist() == [True, False, False, False]
     assert mostly_masked(weights, 4, share=0.06).tolist() == [True, False, False, True]

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from gscore.config import Background
+from gscore.engine.cpu.loss import without_background
 from gscore.raster.loss import image_loss_gradient
 from gscore.raster.reference import image_loss_reference, rasterize_reference
 from gscore.raster.request import Frustum, Settings
@@ -17,7 +18,7 @@ from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
 from gscore.trainer.views.photo_adam import rate_at
-from gscore.trainer.views.photo_gains import PhotoGains, background_before_gain, without_background
+from gscore.trainer.views.photo_gains import PhotoGains, background_before_gain
 from tests.trainer.short_run import CONFIG
 
 BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])

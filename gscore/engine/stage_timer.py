@@ -21,6 +21,13 @@ class StageTimer:
         for name, value in stats.items():
             self.raster[name] = self.raster.get(name, 0.0) + value
 
+    def add(self, seconds: Mapping[str, float], raster: Mapping[str, float]) -> None:
+        """Add the stages and statistics of a step; the time since the last call is theirs."""
+        for name, value in seconds.items():
+            self.seconds[name] = self.seconds.get(name, 0.0) + value
+        self.add_raster(raster)
+        self._last = time.perf_counter()
+
     def lap(self, name: str) -> None:
         """Add the time since the last call to stage `name`."""
         now = time.perf_counter()

@@ -1,0 +1,335 @@
+"""CPU engine: training steps and pictures by the native library."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from ...raster.header import OUT_INVERSE_DEPTH
+from ...raster.loss import image_loss_gradient
+from ...raster.memory import empty, ones, zeros
+from ...raster.request import Frustum, Settings
+from ...raster.screen_gradients import add_screen_gradients
+from ...raster.training_rasterizer import Picture as Drawn
+from ...raster.training_rasterizer import TrainingRasterizer
+from ...splats import PARAMETERS
+from .. import base
+from ..base import ABSURD_MSE, Color, Columns, Contribution, StepNumbers, StepPhoto, StepRequest
+from ..stage_timer import StageTimer
+from . import finite_check
+from .dropout import drop_splats
+from .ensemble import merge_models
+from .frozen_rasterizer import FrozenRasterizer
+from .loss import LossAndGradients, StepLoss
+from .model import CpuModel, Moments, accumulated_of
+from .noise import add_noise, add_regularisers
+
+
+class FinishedStep(NamedTuple):
+    """A step that is already done."""
+
+    numbers: StepNumbers
+
+    def result(self) -> StepNumbers:
+        """Return its numbers."""
+        return self.numbers
+
+
+@dataclass
+class DrawnStep:
+    """A step between its loss and its update."""
+
+    picture: Drawn
+    loss: LossAndGradients
+    opacities: torch.Tensor
+    leaf: torch.Tensor | None
+    """Opacities before dropout; None: no dropout."""
+    timer: StageTimer
+
+
+class CpuEngine:
+    """Engine that computes on the CPU, in one workspace; a step is done when it returns."""
+
+    in_flight = 0
+
+    def __init__(self, *, threads: int = 0, generator: torch.Generator | None = None) -> None:
+        """Create an engine.
+
+        Args:
+            threads: 0: all cores; results do not depend on it.
+            generator: Source of dropout and noise; None: one with seed 0.
+        """
+        self._threads = threads
+        self._generator = generator or torch.Generator(device="cpu").manual_seed(0)
+        self._rasterizer = TrainingRasterizer()
+        self._loss = StepLoss(threads)
+        self._photos: dict[int, StepPhoto] = {}
+        self._v_viewmat = zeros(4, 4)
+        self._scratch: dict[str, torch.Tensor] = {}
+        self._merged: tuple[list[Mapping[str, torch.Tensor]], dict[str, torch.Tensor]] | None = None
+        """Parameters of the models that were merged last, and of their merged model."""
+
+    def model(
+        self, columns: Columns, *, counters: Sequence[str] = (), frozen: Columns | None = None
+    ) -> CpuModel:
+        """Create a model, see `Engine.model`."""
+        if frozen is not None:
+            self._rasterizer = FrozenRasterizer(
+                {name: torch.from_numpy(frozen[name]) for name in PARAMETERS}
+            )
+        return self._new({name: torch.from_numpy(columns[name]) for name in PARAMETERS}, counters)
+
+    def load(self, saved: Columns, adam_steps: Mapping[str, int], like: CpuModel) -> CpuModel:
+        """Create a model from `EngineModel.save`, see `Engine.load`."""
+        tensors = {name: torch.from_numpy(column) for name, column in saved.items()}
+        moments = {
+            name: Moments(
+                tensors[f"m1/{name}"],
+                tensors[f"m2/{name}"],
+                adam_steps[name],
+                self._accumulated(tensors) if name == "shN" else None,
+            )
+            for name in PARAMETERS
+        }
+        model = self._new({name: tensors[f"param/{name}"] for name in PARAMETERS}, (), moments)
+        model.rows = {k.removeprefix("row/"): t for k, t in tensors.items() if k[:4] == "row/"}
+        model.drift = tensors["drift"]
+        return model
+
+    def _accumulated(self, saved: Mapping[str, torch.Tensor]) -> torch.Tensor | None:
+        """Accumulated shN gradient of a saved model."""
+        return accumulated_of(saved, 0, 1)
+
+    def _new(
+        self,
+        tensors: Mapping[str, torch.Tensor],
+        counters: Sequence[str],
+        moments: Mapping[str, Moments] | None = None,
+    ) -> CpuModel:
+        return CpuModel(tensors, moments, counters=counters, threads=self._threads)
+
+    def put(self, key: int, photo: StepPhoto) -> None:
+        """Provide a photo for the next step that names it."""
+        self._photos[key] = photo
+
+    def step(self, model: CpuModel, request: StepRequest) -> base.Pending:
+        """Take a step, see `StepRequest`."""
+        drawn = self._draw_step(model, request)
+        loss = drawn.loss
+        lost_rows, skipped = self._checked(model, request, drawn, [(loss.value, loss.mse)])
+        numbers = StepNumbers(
+            loss.value, loss.mse, np.zeros((1, 19)), 0, lost_rows, skipped, drawn.timer.seconds, {}
+        )
+        if skipped:
+            return FinishedStep(numbers)
+        v_means2d = self._backward(request, drawn, model.grads)
+        slopes = np.array([self._slopes_of(request, loss)])
+        self._observe(request, model.rows, v_means2d)
+        bad_rows = self._update(model, request, self._rasterizer.radii)
+        drawn.timer.lap("learn")
+        return FinishedStep(
+            numbers._replace(slopes=slopes, bad_rows=bad_rows, raster=drawn.timer.raster)
+        )
+
+    def _draw_step(self, model: CpuModel, request: StepRequest) -> DrawnStep:
+        """Draw the view of a step and compute its loss."""
+        timer, photo = StageTimer(), self._photos.pop(request.photo)
+        self._merged = None
+        for view in (request.view, *request.others):
+            model.sync_visible(view)
+        timer.lap("settle")
+        opacities, leaf = model.params["opacities"], None
+        if request.drop_rate > 0:
+            leaf = opacities.detach().requires_grad_()
+            opacities = drop_splats(leaf, request.drop_rate, self._generator)
+        picture = self._rasterizer.draw(
+            tuple((model.params | {"opacities": opacities}).values()),
+            request.view,
+            self._settings(
+                request.background,
+                request.antialias,
+                sh_degree=request.sh_degree,
+                inverse_depth=request.picture_term is not None,
+                disable=request.disable,
+                tiles=photo.tiles,
+            ),
+        )
+        timer.lap("draw")
+        loss = self._loss.of(picture, photo, request)
+        return DrawnStep(picture, loss, opacities, leaf, timer)
+
+    def _checked(
+        self,
+        model: CpuModel,
+        request: StepRequest,
+        drawn: DrawnStep,
+        losses: Sequence[tuple[float, float]],
+    ) -> tuple[int, bool]:
+        """Check the losses and mean squared errors of the photos of a step; returns the number of
+        rows that were reset, and whether the step is skipped."""
+        drawn.timer.lap("loss")
+        value = sum(value for value, _ in losses) / len(losses)
+        self._assert_finite(model, request, value)
+        # A loss that is not finite often comes from one runaway splat; reset it immediately.
+        sane = math.isfinite(value) and all(mse < ABSURD_MSE for _, mse in losses)
+        lost_rows = 0 if sane else model.clamp_runaways(request.extent)
+        return lost_rows, lost_rows > 0 or not math.isfinite(value)
+
+    def _backward(
+        self, request: StepRequest, drawn: DrawnStep, into: Mapping[str, torch.Tensor]
+    ) -> torch.Tensor:
+        """Write the gradients of a step into `into`; returns those of the projected means."""
+        loss = drawn.loss
+        v_means2d = self._rasterizer.gradients(
+            into,
+            loss.v_rgb,
+            loss.v_alpha,
+            loss.v_inverse_depth,
+            viewmat=self._v_viewmat if request.learn_pose else None,
+        )
+        if drawn.leaf is not None:
+            grad = into["opacities"]
+            grad.copy_(torch.autograd.grad(drawn.opacities, drawn.leaf, grad)[0])
+        drawn.timer.lap("gradients")
+        drawn.timer.add_raster(self._rasterizer.stats())
+        return v_means2d
+
+    def _slopes_of(self, request: StepRequest, loss: LossAndGradients) -> list[float]:
+        """Derivatives of the loss in the gain and pose of this engine's photo."""
+        pose = self._v_viewmat.flatten().tolist() if request.learn_pose else [0.0] * 16
+        return [*loss.v_log_gain, *pose]
+
+    def _observe(
+        self, request: StepRequest, rows: Mapping[str, torch.Tensor], v_means2d: torch.Tensor
+    ) -> None:
+        """Count screen-space gradients."""
+        if not request.observe:
+            return
+        sums, views = (rows[name] for name in request.observe)
+        scale = 0.5 * request.view.width, 0.5 * request.view.height
+        radii = self._rasterizer.radii
+        add_screen_gradients(sums, views, v_means2d, radii, scale, threads=self._threads)
+
+    def _update(self, model: CpuModel, request: StepRequest, radii: torch.Tensor) -> int:
+        """Add regularisers and take an Adam step; returns the number of bad rows.
+
+        `radii`: above 0 for splats that receive a step.
+        """
+        self._assert_finite(model, request, 0.0)
+        add_regularisers(model, opacity_reg=request.opacity_reg, scale_reg=request.scale_reg)
+        model.set_rates(request.rates)
+        shown = None if request.update_hidden else radii
+        return model.step(shown, shN=request.sh_update, photos=1 + len(request.others))
+
+    def _assert_finite(self, model: CpuModel, request: StepRequest, value: float) -> None:
+        if request.check_finite:
+            finite_check.assert_finite(model, value, step=request.step, view=request.check_finite)
+
+    def add_noise(self, model: CpuModel, weight: float) -> None:
+        """Move faint splats at random, see `Engine.add_noise`."""
+        add_noise(model, weight, self._generator)
+
+    def draw(
+        self,
+        models: Sequence[CpuModel],
+        view: Frustum,
+        *,
+        background: Color,
+        antialias: bool,
+        inverse_depth: bool = False,
+        scaling: float = 1.0,
+    ) -> base.DrawnPicture:
+        """Draw the current models, see `Engine.draw`."""
+        splats = dict(self._splats(models))
+        if scaling != 1:
+            splats["scales"] = splats["scales"] + math.log(scaling)
+        settings = self._settings(background, antialias, inverse_depth=inverse_depth)
+        drawn = self._rasterizer.draw(tuple(splats.values()), view, settings)
+        depth = None if drawn.inverse_depth is None else drawn.inverse_depth.numpy()
+        return base.DrawnPicture(drawn.rgb.numpy(), drawn.alpha.numpy(), depth)
+
+    def merged(self, models: Sequence[CpuModel]) -> dict[str, np.ndarray]:
+        """Return the raw parameters of the models as one, see `Engine.merged`."""
+        return {name: tensor.numpy() for name, tensor in self._splats(models).items()}
+
+    def contributions(
+        self, model: CpuModel, views: Iterable[tuple[Frustum, StepPhoto]], *, antialias: bool
+    ) -> Iterator[Contribution]:
+        """Yield the contributions of the splats to each view; overwrites the gradients that do not
+        accumulate."""
+        settings = Settings(antialias=antialias, threads=self._threads)
+        for view, photo in views:
+            counts = ones(view.height, view.width, 3)
+            if photo.mask_mode == "ignore" and photo.mask is not None:
+                counts[..., 0] = torch.from_numpy(photo.mask).to(counts.dtype) / 255
+            sums = self._rasterizer.weights(model.params, view, settings, counts, model.grads)
+            yield Contribution(sums[:, 0].copy(), sums[:, 1].copy())
+
+    def pose_gradient(
+        self,
+        models: Sequence[CpuModel],
+        view: Frustum,
+        photo: StepPhoto,
+        *,
+        background: Color,
+        antialias: bool,
+    ) -> np.ndarray:
+        """Return the gradient of a view's loss in its pose, see `Engine.pose_gradient`."""
+        splats = self._splats(models)
+        settings = self._settings(background, antialias)
+        picture = self._rasterizer.draw(tuple(splats.values()), view, settings)
+        v_rgb = empty(*photo.image.shape)
+        image_loss_gradient(
+            picture.rgb,
+            torch.from_numpy(photo.image),
+            v_rgb,
+            mask=None if photo.mask is None else torch.from_numpy(photo.mask),
+            mask_mode="none" if photo.mask is None else photo.mask_mode,
+            background=background,
+            threads=self._threads,
+        )
+        for name, t in splats.items():
+            if name not in self._scratch or self._scratch[name].shape != t.shape:
+                self._scratch[name] = zeros(*t.shape)
+        self._rasterizer.gradients(self._scratch, v_rgb, viewmat=self._v_viewmat)
+        return self._v_viewmat.numpy().copy()
+
+    def release(self) -> None:
+        """Free the memory of steps."""
+        self._rasterizer.release()
+        self._merged, self._scratch = None, {}
+
+    def _splats(self, models: Sequence[CpuModel]) -> Mapping[str, torch.Tensor]:
+        """Raw parameters of the models as one, kept while they do not change."""
+        parts = [model.synced() for model in models]
+        if len(parts) == 1:
+            return parts[0]
+        before, merged = self._merged or ([], {})
+        if len(before) != len(parts) or any(a is not b for a, b in zip(before, parts, strict=True)):
+            merged = merge_models(parts)
+            self._merged = list(parts), merged
+        return merged
+
+    def _settings(
+        self,
+        background: Color,
+        antialias: bool,
+        *,
+        sh_degree: int | None = None,
+        inverse_depth: bool = False,
+        disable: int = 0,
+        tiles: np.ndarray | None = None,
+    ) -> Settings:
+        """The one place where render settings of a training are built."""
+        return Settings(
+            sh_degree=sh_degree,
+            background=background,
+            antialias=antialias,
+            outputs=OUT_INVERSE_DEPTH if inverse_depth else 0,
+            threads=self._threads,
+            disable=disable,
+            tiles=None if tiles is None else torch.from_numpy(tiles),
+        )

@@ -1,0 +1,101 @@
+"""Team trainer: a trainer on each of several ranks, with one photo per rank and step."""
+
+from typing import Any
+
+import torch
+
+from ..config import TrainConfig
+from ..engine.cpu.model import CpuModel
+from ..errors import GsError
+from .distributed import rank_commands
+from .distributed.batch_losses import OtherRankError
+from .distributed.data_parallel import DataParallelEngine
+from .distributed.process_group import ProcessGroup, RankLostError
+from .model.ensemble_member import EnsembleMember
+from .photos.view_sampler import Photos
+from .schedule.batch_size import batch_size
+from .step.step_result import StepResult
+from .step.training_views import TrainingView
+from .trainer import SANITIZE_EVERY, Trainer
+
+
+class TeamTrainer(Trainer):
+    """Trainer of one rank. R ranks render R different views in one step, and `steps` rises by R.
+
+    Rank 0 broadcasts each step, collection and restore; the workers then call the same method.
+    """
+
+    team: ProcessGroup
+
+    def __init__(
+        self, config: TrainConfig, photos: Photos, *, team: ProcessGroup, **options: Any
+    ) -> None:
+        """Start as `Trainer`, whose `options` are the same; each rank has a trainer."""
+        self.team = team
+        super().__init__(config, photos, **options)
+
+    def step(self) -> StepResult:
+        """Take a step with all ranks; errors are those of `Trainer.step`, and RankLostError if
+        another process is gone."""
+        self.team.broadcast(rank_commands.take_step(self.plan.iterations, self.rate_factor))
+        with self.team.stepping():
+            return self._step(self._photos_at_once())
+
+    def _draw_views(self, step: int, count: int) -> list[TrainingView]:
+        try:
+            return super()._draw_views(step, count)
+        except RankLostError:
+            raise
+        except GsError:
+            self._collect_now()
+            raise
+
+    def _step_of(
+        self, member: EnsembleMember, training_view: TrainingView, step: int
+    ) -> StepResult:
+        try:
+            return super()._step_of(member, training_view, step)
+        except OtherRankError:
+            self._view_batcher.put_back(len(training_view.indices))
+            self._collect_now()
+            raise
+
+    def collect(self) -> None:
+        """Collect on rank 0 the state that only other ranks have; called on rank 0."""
+        if not self._engine.collected(self._shared()):
+            self.team.broadcast(rank_commands.collect())
+            self._collect_now()
+
+    def _collect_now(self) -> None:
+        """As `collect`, without a broadcast, because all ranks end with the same error."""
+        self._engine.collect(self._shared())
+
+    def _shared(self) -> list[CpuModel]:
+        return [one for one in self._all_models() if isinstance(one, CpuModel)]
+
+    def _make_engine(self) -> DataParallelEngine:
+        threads = self.config.threads
+        self._engine = DataParallelEngine(self.team, threads=threads, generator=self.generator)
+        return self._engine
+
+    def _send_restored(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
+        if self.team.is_rank0:
+            self.team.broadcast(rank_commands.restore(state))
+            self.team.share(tensors)
+
+    def _photos_at_once(self) -> int:
+        plan, config = self.plan, self.config
+        return batch_size(
+            self.team.size,
+            self.steps,
+            every=(
+                *(plan.refine_every, plan.reset_every, plan.kept_every),
+                *(config.snapshot_every, SANITIZE_EVERY),
+            ),
+            marks=(
+                *config.save_iterations,
+                *config.test_iterations,
+                *config.checkpoint_iterations,
+            ),
+            end=plan.iterations,
+        )

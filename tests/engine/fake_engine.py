@@ -1,0 +1,198 @@
+"""Fake engine: answers as an engine does, by rules that take no time, for tests of the trainer."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from gscore.engine.base import (
+    Color,
+    Columns,
+    Contribution,
+    DrawnPicture,
+    RowEdit,
+    StepNumbers,
+    StepPhoto,
+    StepRequest,
+)
+from gscore.raster.request import Frustum
+from gscore.splats import PARAMETERS, SH_REST_BY_DEGREE
+
+DRIFT = 256
+
+
+class FakeModel:
+    """Parameters, moments and counters in numpy; the moments count the steps of each row."""
+
+    def __init__(self, columns: Columns, counters: Sequence[str] = ()) -> None:
+        self.params = {name: np.array(columns[name]) for name in PARAMETERS}
+        self.first = {name: np.zeros_like(p) for name, p in self.params.items()}
+        self.second = {name: np.zeros_like(p) for name, p in self.params.items()}
+        self.rows = {name: np.zeros(len(self), np.float32) for name in counters}
+        self.adam_steps = dict.fromkeys(PARAMETERS, 0)
+
+    def __len__(self) -> int:
+        return len(self.params["means"])
+
+    @property
+    def sh_degree(self) -> int:
+        return round((self.params["shN"].shape[1] + 1) ** 0.5) - 1
+
+    @property
+    def widths(self) -> dict[str, tuple[int, ...]]:
+        return {name: column.shape[1:] for name, column in (self.params | self.rows).items()}
+
+    def column(self, name: str) -> np.ndarray:
+        return (self.params | self.rows)[name].copy()
+
+    def gather(self, name: str, rows: np.ndarray) -> np.ndarray:
+        return self.column(name)[rows]
+
+    def edit(self, edit: RowEdit) -> None:
+        columns = self.params | self.rows
+        rows = slice(None) if edit.rows is None else edit.rows
+        for name, values in edit.values.items():
+            columns[name][rows] = values
+        for name in edit.forget:
+            self.first[name][rows] = self.second[name][rows] = 0
+        if edit.moved is not None:
+            for column in self.params.values():
+                column[edit.moved] = column[edit.sources]
+            for column in (*self.first.values(), *self.second.values(), *self.rows.values()):
+                column[edit.moved] = 0
+        keep = np.arange(len(self)) if edit.keep is None else edit.keep
+        if edit.morton:
+            keep = keep[np.argsort(self.params["means"][keep, 0], kind="stable")]
+        parents = np.zeros(0, np.int64) if edit.parents is None else edit.parents
+        for name, column in self.params.items():
+            new = edit.changes.get(name, column[parents])
+            self.params[name] = np.concatenate([column[keep], new])
+        for columns in (self.first, self.second, self.rows):
+            for name, column in columns.items():
+                new = np.zeros((len(parents), *column.shape[1:]), column.dtype)
+                columns[name] = np.concatenate([column[keep], new])
+
+    def widen_sh(self, degree: int) -> None:
+        missing = SH_REST_BY_DEGREE[degree] - self.params["shN"].shape[1]
+        for columns in (self.params, self.first, self.second) if missing > 0 else ():
+            columns["shN"] = np.pad(columns["shN"], ((0, 0), (0, missing), (0, 0)))
+
+    def clamp_runaways(self, extent: float) -> int:
+        bad = ~np.isfinite(self.params["means"]).all(axis=1)
+        for column in (*self.params.values(), *self.first.values(), *self.second.values()):
+            column[bad] = 0
+        self.params["opacities"][bad] = -20
+        return int(bad.sum())
+
+    def apply_min_scale(self, views: Iterable[Frustum], pixels: float) -> None:
+        np.maximum(self.params["scales"], -9, out=self.params["scales"])
+
+    def part(self, begin: int, end: int) -> Columns:
+        return {name: column[begin:end] for name, column in self.params.items()}
+
+    def finish(self) -> None:
+        self.drop_moments()
+
+    def drop_moments(self) -> None:
+        self.first.clear()
+        self.second.clear()
+
+    def save(self) -> Columns:
+        out = {f"param/{name}": p for name, p in self.params.items()}
+        out |= {f"m1/{name}": m for name, m in self.first.items()}
+        out |= {f"m2/{name}": m for name, m in self.second.items()}
+        out |= {"gathered/shN": np.zeros_like(self.params["shN"]), "drift": np.zeros(DRIFT)}
+        return out | {f"row/{name}": counter for name, counter in self.rows.items()}
+
+
+class Answer(NamedTuple):
+    """A step that is done."""
+
+    numbers: StepNumbers
+
+    def result(self) -> StepNumbers:
+        return self.numbers
+
+
+class FakeEngine:
+    """A step adds its rate to all parameters; pictures have the mean colour of the splats."""
+
+    in_flight = 0
+
+    def __init__(self) -> None:
+        self.photos: dict[int, StepPhoto] = {}
+        self.requests: list[StepRequest] = []
+
+    def model(
+        self, columns: Columns, *, counters: Sequence[str] = (), frozen: Columns | None = None
+    ) -> FakeModel:
+        return FakeModel(columns, counters)
+
+    def load(self, saved: Columns, adam_steps: Mapping[str, int], like: FakeModel) -> FakeModel:
+        model = FakeModel({name: saved[f"param/{name}"] for name in PARAMETERS})
+        model.first = {name: saved[f"m1/{name}"] for name in PARAMETERS}
+        model.second = {name: saved[f"m2/{name}"] for name in PARAMETERS}
+        model.rows = {k.removeprefix("row/"): v for k, v in saved.items() if k[:4] == "row/"}
+        model.adam_steps = dict(adam_steps)
+        return model
+
+    def put(self, key: int, photo: StepPhoto) -> None:
+        self.photos[key] = photo
+
+    def step(self, model: FakeModel, request: StepRequest) -> Answer:
+        photo = self.photos.pop(request.photo)
+        self.requests.append(request)
+        for name, rate in request.rates.items():
+            model.params[name] += np.float32(1e-3 * rate)
+            model.first[name] += 1
+            model.adam_steps[name] += 1
+        for name in request.observe:
+            model.rows[name] += 1
+        mse = float(np.mean((photo.image / 255.0 - self._color([model])) ** 2))
+        return Answer(
+            StepNumbers(mse, mse, np.zeros((1, 19)), 0, 0, False, {"draw": 0.0}, {"entries": 1})
+        )
+
+    def add_noise(self, model: FakeModel, weight: float) -> None:
+        model.params["means"] += np.float32(weight * 1e-9)
+
+    def draw(
+        self,
+        models: Sequence[FakeModel],
+        view: Frustum,
+        *,
+        background: Color,
+        antialias: bool,
+        inverse_depth: bool = False,
+        scaling: float = 1.0,
+    ) -> DrawnPicture:
+        size = view.height, view.width
+        rgb = np.full((*size, 3), self._color(models), np.float32)
+        return DrawnPicture(rgb, np.ones(size, np.float32), np.ones(size, np.float32))
+
+    def merged(self, models: Sequence[FakeModel]) -> Columns:
+        return {name: np.concatenate([m.params[name] for m in models]) for name in PARAMETERS}
+
+    def contributions(
+        self, model: FakeModel, views: Iterable[tuple[Frustum, StepPhoto]], *, antialias: bool
+    ) -> Iterator[Contribution]:
+        for _ in views:
+            weights = np.arange(len(model), dtype=np.float32)
+            yield Contribution(weights, weights)
+
+    def pose_gradient(
+        self,
+        models: Sequence[FakeModel],
+        view: Frustum,
+        photo: StepPhoto,
+        *,
+        background: Color,
+        antialias: bool,
+    ) -> np.ndarray:
+        return np.zeros((4, 4), np.float32)
+
+    def release(self) -> None:
+        pass
+
+    def _color(self, models: Sequence[FakeModel]) -> np.ndarray:
+        return np.mean([0.5 + 0.28 * m.params["sh0"].mean(axis=(0, 1)) for m in models], axis=0)
