@@ -14,10 +14,10 @@ PLACES = (ROOT, ROOT / "gscore", ROOT / "csrc" / "src", ROOT / "csrc", ROOT / "a
 """Folders from which the page names files."""
 CHANGES = (
     "an option of a training",
-    "a loss term on opacity or depth",
+    "a loss term on rendered opacity or depth",
     "a strategy",
     "a PLY dialect",
-    "a camera model",
+    "a lens model",
     "a metric",
     "an event",
     "a panel button",

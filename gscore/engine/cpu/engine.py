@@ -24,8 +24,8 @@ from .dropout import drop_splats
 from .ensemble import merge_models
 from .frozen_rasterizer import FrozenRasterizer
 from .loss import LossAndGradients, StepLoss
+from .mcmc import add_noise, add_regularisers
 from .model import CpuModel, Moments, accumulated_of
-from .noise import add_noise, add_regularisers
 
 
 class FinishedStep(NamedTuple):

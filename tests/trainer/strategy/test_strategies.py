@@ -10,8 +10,8 @@ import torch
 
 from gscore.config import Doubling, Strategy, TrainConfig
 from gscore.engine.base import RowEdit
+from gscore.engine.cpu.mcmc import add_noise, add_regularisers
 from gscore.engine.cpu.model import CpuModel
-from gscore.engine.cpu.noise import add_noise, add_regularisers
 from gscore.engine.rotation import rotate
 from gscore.raster.screen_gradients import add_screen_gradients
 from gscore.trainer.schedule.plan import Plan

@@ -1,4 +1,4 @@
-"""Noise and regularisers of MCMC training (Kheradmand et al. 2024, section 5)."""
+"""MCMC terms: noise on faint splats, and regularisers (Kheradmand et al. 2024, section 5)."""
 
 import math
 
