@@ -46,7 +46,7 @@ def web(make_planes):
     planes.write_maps(smooth)
     maps, cameras = samples_of(planes)
     views, web = consensus._web(maps, cameras)
-    assert views == list(range(5)) and all(len(asked) == 4 for asked in web.asked)
+    assert views == list(range(5)) and all(len(others) == 4 for others in web.neighbours)
     return planes, web
 
 
