@@ -21,7 +21,7 @@ from gscore.io.cameras_json import read_cameras_json
 from gscore.io.colmap.folder import read_model
 from gscore.scene import camera_centers
 from tests import program_files
-from tests.held_photos import png, stored
+from tests.upright_photos import png, stored
 
 from .conftest import STUDIO, cloud
 from .test_panorama import panorama

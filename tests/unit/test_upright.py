@@ -24,7 +24,7 @@ from gscore.report.cameras_plan import plan_axes
 from gscore.scene import Cameras
 from gscore.upright import turn_cameras, upright_turns
 
-from ..held_photos import SIZE, held_capture
+from ..upright_photos import SIZE, upright_capture
 
 HELD = {
     **{str(turn): (turn,) * 12 for turn in range(1, 9)},
@@ -52,7 +52,7 @@ def cameras_of(folder: Path) -> Cameras:
 def test_up_is_as_the_photos_were_held(held: str, tmp_path: Path) -> None:
     """Oracle: the vertical of the world in which all photos were level, in the dataset, the plan of
     the report and blocks."""
-    up = held_capture(tmp_path / "walk", HELD[held])
+    up = upright_capture(tmp_path / "walk", HELD[held])
     scene = load_dataset(DataConfig(source=tmp_path / "walk")).scene
     cut = cut_capture(DataConfig(source=tmp_path / "walk"), 2)
     if set(HELD[held]) == {1}:  # unchanged files of ordinary captures
@@ -67,7 +67,7 @@ def test_up_is_as_the_photos_were_held(held: str, tmp_path: Path) -> None:
 def test_videos_stand_upright(held: str, path: str, tmp_path: Path) -> None:
     """Oracle: the vertical again, for level cameras that face down by up to 34 degrees, and a
     picture like most photos, neither stretched nor on its side."""
-    up = held_capture(tmp_path, HELD[held])
+    up = upright_capture(tmp_path, HELD[held])
     shots = find_shots(_asked(tmp_path, path=path), _no_model(), is_video=False)
     tops = -shots.cameras.viewmats[:, 1, :3]
     assert degrees(tops, up) < 35
@@ -83,7 +83,7 @@ def test_videos_stand_upright(held: str, path: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("held", HELD)
 def test_pages_show_views_and_photos_upright(held: str, tmp_path: Path) -> None:
     """Oracle: the vertical, and the upper half of each photo, which is white."""
-    up = held_capture(tmp_path, HELD[held])
+    up = upright_capture(tmp_path, HELD[held])
     views = find_views(_asked(tmp_path, photos=12), _no_model(), Status(sys.stderr, quiet=True))
     assert degrees(views.up, up) < 0.1
     for camera in views.cameras:
@@ -95,7 +95,7 @@ def test_pages_show_views_and_photos_upright(held: str, tmp_path: Path) -> None:
 
 def test_a_run_and_its_cameras_keep_up(tmp_path: Path) -> None:
     """Oracle: the vertical, in cameras.json, from which an orbit is made without the capture."""
-    up = held_capture(tmp_path / "walk", (6, 8, 3) * 4)
+    up = upright_capture(tmp_path / "walk", (6, 8, 3) * 4)
     arguments = ["--iterations", "2", "--preset", "preview", "--threads", "1", "--quiet"]
     assert main(["train", str(tmp_path / "walk"), "-o", str(tmp_path / "run"), *arguments]) == 0
     told = json.loads((tmp_path / "run/cameras.json").read_text())
@@ -130,7 +130,7 @@ def test_turned_cameras_see_the_turned_picture() -> None:
 
 def test_pictures_taken_straight_down_turn_like_the_one_before(tmp_path: Path) -> None:
     """Oracle: a portrait, one straight down, one upright, one straight down; none at all."""
-    held_capture(tmp_path, (6, 6, 1, 1) * 3)
+    upright_capture(tmp_path, (6, 6, 1, 1) * 3)
     cameras = cameras_of(tmp_path)
     for i in (1, 3):
         cameras.viewmats[i, :3, :3] = np.roll(np.eye(3), i, axis=0) @ _down(cameras.up)

@@ -23,7 +23,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 from addon.cameras import camera_path, camera_path_import, export_colmap, importing  # noqa: E402
 from addon.cameras.objects import cameras_of, points_of  # noqa: E402
 from addon.interface import modal_status  # noqa: E402
-from tests.window.held import Held  # noqa: E402
+from tests.window.blocking import Held  # noqa: E402
 from tools.window.desk import ScriptRunner, area, clear, leaving, save_screenshot, send, space  # noqa: E402
 
 STUDIO = FOLDER / "studio"

@@ -27,7 +27,7 @@ from addon.core import join_splats  # noqa: E402
 from addon.render import decimate, picture  # noqa: E402
 from addon.splats import objects, selection_masks  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tests.window.held import Held  # noqa: E402
+from tests.window.blocking import Held  # noqa: E402
 from tools.window.desk import ScriptRunner, area, clear, leaving, save_screenshot  # noqa: E402
 
 seen: dict = {"log": []}

@@ -20,8 +20,8 @@ from addon.capture.inspection import inspect
 from addon.compat import matrix_to_numpy
 from addon.core import GsError, plan_undistortion, read_capture, read_colmap, write_colmap
 from tests.addon.captures import STUDIO, write_capture
-from tests.held_photos import held_capture
 from tests.program_files import Rig, write_metashape
+from tests.upright_photos import upright_capture
 
 PIXELS = 1e-3
 """Blender projects in single precision."""
@@ -321,7 +321,7 @@ def test_save_and_load(scene, tmp_path: Path) -> None:
 def test_up_by_the_orientation_of_photos(scene, tmp_path: Path, held: tuple[int, ...]) -> None:
     """Oracle: the vertical of the world in which the photos were taken upright, stored according to
     their EXIF orientation; a ground may be tilted by up to 12 degrees."""
-    up = held_capture(tmp_path / "walk", held)
+    up = upright_capture(tmp_path / "walk", held)
     root = captures.import_capture(bpy.context.scene, tmp_path / "walk").root
     for how in ("", "CAMERAS", "CAPTURE"):
         if how:

@@ -10,7 +10,7 @@ from addon.render import compositor
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 from tests.addon.mesh_scenes import emitter, glass, paint_world, plane
-from tests.addon.render.test_grown import on_points
+from tests.addon.render.test_generated_instances import on_points
 
 SIZE, WORLD = (64, 48), (3.0, 1.0, 0.2)
 

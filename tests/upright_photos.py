@@ -46,7 +46,7 @@ def png(pixels: np.ndarray, orientation: int) -> bytes:
     )  # fmt: skip
 
 
-def held_capture(folder: Path, orientations: Sequence[int], seed: int = 0) -> np.ndarray:
+def upright_capture(folder: Path, orientations: Sequence[int], seed: int = 0) -> np.ndarray:
     """Write a capture of photos around a middle, the upper half of each white as it was held.
 
     Args:
