@@ -1,4 +1,4 @@
-"""CpuModel renderer: images of the splats in training for viewers, metrics and decisions."""
+"""Model renderer: images of the splats in training for viewers, metrics and decisions."""
 
 import math
 from collections.abc import Callable, Sequence
