@@ -5,7 +5,6 @@ from typing import Any
 import torch
 
 from ..config import TrainConfig
-from ..engine.cpu.model import CpuModel
 from ..errors import GsError
 from .distributed import rank_commands
 from .distributed.batch_losses import OtherRankError
@@ -62,16 +61,13 @@ class TeamTrainer(Trainer):
 
     def collect(self) -> None:
         """Collect on rank 0 the state that only other ranks have; called on rank 0."""
-        if not self._engine.collected(self._shared()):
+        if not self._engine.collected(self._all_models()):
             self.team.broadcast(rank_commands.collect())
             self._collect_now()
 
     def _collect_now(self) -> None:
         """As `collect`, without a broadcast, because all ranks end with the same error."""
-        self._engine.collect(self._shared())
-
-    def _shared(self) -> list[CpuModel]:
-        return [one for one in self._all_models() if isinstance(one, CpuModel)]
+        self._engine.collect(self._all_models())
 
     def _make_engine(self) -> DataParallelEngine:
         threads = self.config.threads

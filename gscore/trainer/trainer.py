@@ -180,7 +180,7 @@ class Trainer:
         first, free_space = initial_splats(
             config, photos, self.frame, self.plan, cameras, cloud, start=start, count=count
         )
-        self.engine = engine or self._make_engine()
+        self.engine = self._make_engine() if engine is None else engine
         """Computes the steps."""
         self.members = self._members_of(first)
         """Models that are trained in parallel; one with start splats."""

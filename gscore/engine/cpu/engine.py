@@ -9,11 +9,9 @@ import numpy as np
 import torch
 
 from ...raster.header import OUT_INVERSE_DEPTH
-from ...raster.loss import image_loss_gradient
-from ...raster.memory import empty, ones, zeros
+from ...raster.memory import ones, zeros
 from ...raster.request import Frustum, Settings
 from ...raster.screen_gradients import add_screen_gradients
-from ...raster.training_rasterizer import Picture as Drawn
 from ...raster.training_rasterizer import TrainingRasterizer
 from ...splats import PARAMETERS
 from .. import base
@@ -42,7 +40,6 @@ class FinishedStep(NamedTuple):
 class DrawnStep:
     """A step between its loss and its update."""
 
-    picture: Drawn
     loss: LossAndGradients
     opacities: torch.Tensor
     leaf: torch.Tensor | None
@@ -69,6 +66,7 @@ class CpuEngine:
         self._photos: dict[int, StepPhoto] = {}
         self._v_viewmat = zeros(4, 4)
         self._scratch: dict[str, torch.Tensor] = {}
+        """Gradients of the splats in `pose_gradient`, which are not used; kept between steps."""
         self._merged: tuple[list[Mapping[str, torch.Tensor]], dict[str, torch.Tensor]] | None = None
         """Parameters of the models that were merged last, and of their merged model."""
 
@@ -137,7 +135,7 @@ class CpuEngine:
     def _draw_step(self, model: CpuModel, request: StepRequest) -> DrawnStep:
         """Draw the view of a step and compute its loss."""
         timer, photo = StageTimer(), self._photos.pop(request.photo)
-        self._merged = None
+        self._merged, self._scratch = None, {}
         for view in (request.view, *request.others):
             model.sync_visible(view)
         timer.lap("settle")
@@ -159,7 +157,7 @@ class CpuEngine:
         )
         timer.lap("draw")
         loss = self._loss.of(picture, photo, request)
-        return DrawnStep(picture, loss, opacities, leaf, timer)
+        return DrawnStep(loss, opacities, leaf, timer)
 
     def _checked(
         self,
@@ -281,16 +279,7 @@ class CpuEngine:
         splats = self._splats(models)
         settings = self._settings(background, antialias)
         picture = self._rasterizer.draw(tuple(splats.values()), view, settings)
-        v_rgb = empty(*photo.image.shape)
-        image_loss_gradient(
-            picture.rgb,
-            torch.from_numpy(photo.image),
-            v_rgb,
-            mask=None if photo.mask is None else torch.from_numpy(photo.mask),
-            mask_mode="none" if photo.mask is None else photo.mask_mode,
-            background=background,
-            threads=self._threads,
-        )
+        _, v_rgb = self._loss.photometric(picture.rgb, photo, background=background)
         for name, t in splats.items():
             if name not in self._scratch or self._scratch[name].shape != t.shape:
                 self._scratch[name] = zeros(*t.shape)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from ...raster.loss import image_loss_gradient
+from ...raster.loss import LossValues, image_loss_gradient
 from ...raster.memory import empty
 from ...raster.training_rasterizer import Picture
 from ..base import Color, StepPhoto, StepRequest, TermKind
@@ -35,36 +35,56 @@ class StepLoss:
         self._threads = threads
         self._v_rgb = empty(0)
 
+    def photometric(
+        self,
+        rgb: torch.Tensor,
+        photo: StepPhoto,
+        *,
+        background: Color,
+        ssim_weight: float = 0.2,
+        gain: torch.Tensor | None = None,
+    ) -> tuple[LossValues, torch.Tensor]:
+        """Compute L1 and SSIM of an image, [H, W, 3], against its photo, and their gradient in the
+        image, which is valid until the next call."""
+        if self._v_rgb.shape != rgb.shape:
+            self._v_rgb = empty(*rgb.shape)
+        found = image_loss_gradient(
+            rgb,
+            torch.from_numpy(photo.image),
+            self._v_rgb,
+            ssim_weight=ssim_weight,
+            mask=None if photo.mask is None else torch.from_numpy(photo.mask),
+            mask_mode="none" if photo.mask is None else photo.mask_mode,
+            background=background,
+            threads=self._threads,
+            gain=gain,
+        )
+        return found, self._v_rgb
+
     def of(self, picture: Picture, photo: StepPhoto, request: StepRequest) -> LossAndGradients:
         """Compute the loss of a rendered view."""
-        if self._v_rgb.shape != picture.rgb.shape:
-            self._v_rgb = empty(*picture.rgb.shape)
         gain = (
             None
             if request.gain is None
             else torch.tensor(request.gain, dtype=torch.float32, device="cpu")
         )
-        found = image_loss_gradient(
+        found, v_rgb = self.photometric(
             picture.rgb,
-            torch.from_numpy(photo.image),
-            self._v_rgb,
-            ssim_weight=dict(request.terms)[TermKind.SSIM],
-            mask=None if photo.mask is None else torch.from_numpy(photo.mask),
-            mask_mode="none" if photo.mask is None else photo.mask_mode,
+            photo,
             background=request.shown_background,
-            threads=self._threads,
+            ssim_weight=dict(request.terms)[TermKind.SSIM],
             gain=gain,
         )
         more, v_alpha, v_inverse_depth = _further_terms(picture, photo, request)
         v_log_gain = found.v_log_gain
         if gain is not None and photo.mask_mode == "composite":
             v_log_gain = without_background(
-                v_log_gain, request.shown_background, gain, self._v_rgb, picture.alpha
+                v_log_gain, request.shown_background, gain, v_rgb, picture.alpha
             )
         return LossAndGradients(
             value=found.loss + more,
             mse=mse_of_unmasked(found.mse, photo.counted),
-            v_rgb=self._v_rgb,
+            v_rgb=v_rgb,
             v_log_gain=v_log_gain,
             v_alpha=v_alpha,
             v_inverse_depth=v_inverse_depth,

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from ...engine import base
-from ...engine.base import StepNumbers, StepRequest
+from ...engine.base import EngineModel, StepNumbers, StepRequest
 from ...engine.cpu.engine import CpuEngine, FinishedStep
 from ...engine.cpu.model import CpuModel, Moments, accumulated_of
 from . import batch_losses
@@ -101,12 +101,12 @@ class DataParallelEngine(CpuEngine):
             numbers._replace(slopes=slopes, bad_rows=bad_rows, raster=drawn.timer.raster)
         )
 
-    def collect(self, models: Sequence[CpuModel]) -> None:
+    def collect(self, models: Sequence[EngineModel]) -> None:
         """Collect on rank 0 the state that only other ranks have; all ranks call this."""
         for model in models:
             if isinstance(model, SharedModel) and not model.batch.complete:
                 model.batch.collect(model)
 
-    def collected(self, models: Sequence[CpuModel]) -> bool:
+    def collected(self, models: Sequence[EngineModel]) -> bool:
         """True if rank 0 has the whole state of a checkpoint; equal on all ranks."""
         return all(model.batch.complete for model in models if isinstance(model, SharedModel))

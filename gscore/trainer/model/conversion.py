@@ -1,14 +1,11 @@
-"""Conversions: SfM points to initial splats, and numpy Splats to and from torch tensors."""
-
-from collections.abc import Mapping
+"""Conversion of SfM points to initial splats."""
 
 import numpy as np
-import torch
 
 from ...errors import DatasetError
 from ...scene import PointCloud
 from ...sh import rgb_to_sh0
-from ...splats import PARAMETERS, Splats
+from ...splats import Splats
 from .nearest_points import NearestPoints
 
 
@@ -67,16 +64,6 @@ def splats_from_points(
         sh0=rgb_to_sh0(colors / 255.0)[:, None, :].astype(np.float32),
         shN=np.zeros((n, 0, 3), np.float32),
     )
-
-
-def tensors_from_splats(splats: Splats) -> dict[str, torch.Tensor]:
-    """Copy the arrays to float32 CPU tensors."""
-    return {name: torch.from_numpy(getattr(splats, name).copy()) for name in PARAMETERS}
-
-
-def splats_from_tensors(params: Mapping[str, torch.Tensor]) -> Splats:
-    """Return the tensors as Splats that share their memory."""
-    return Splats(**{name: params[name].detach().numpy() for name in PARAMETERS})
 
 
 def _neighbour_distance(points: np.ndarray, near: NearestPoints, *, lone: float) -> np.ndarray:

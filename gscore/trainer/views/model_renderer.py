@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ...config import Background, TrainConfig
-from ...engine.base import DrawnPicture, Engine, EngineModel
+from ...engine.base import Color, DrawnPicture, Engine, EngineModel
 from ...engine.cpu.loss import mse_of_unmasked
 from ...live.viewer_protocol import FrameRequest
 from ...raster.loss import image_loss
@@ -29,8 +29,6 @@ _ALIGNED_SIDE = 400
 """Longer side of the image for the alignment of a held-out camera, px."""
 _CHECK_FACTOR = 8
 """Divisor of a photo's sides for the check whether a view shows any splat."""
-
-_Color = tuple[float, float, float]
 
 
 class ModelRenderer:
@@ -76,7 +74,7 @@ class ModelRenderer:
         self._models = models
 
     @property
-    def background(self) -> _Color:
+    def background(self) -> Color:
         """Background colour for viewers and metrics."""
         return COLORS.get(self._config.background, COLORS[Background.BLACK])
 
@@ -95,18 +93,18 @@ class ModelRenderer:
             found = mask_to_region(found, model.column("means"), model.column("scales"))
         return found._replace(view=self._photo_parameters.at_refined_pose(found.view, index))
 
-    def background_before_gain(self, background: _Color, gain: torch.Tensor | None) -> _Color:
+    def background_before_gain(self, background: Color, gain: torch.Tensor | None) -> Color:
         """Background colour before the gain, so that `background` shows after it, if photos are
         composited over it. Otherwise the background is part of the scene and exposed with it."""
         if gain is None or self._photos.mask_mode != "composite":
             return background
         return background_before_gain(background, gain)
 
-    def picture(self, index: int, *, background: _Color) -> np.ndarray:
+    def picture(self, index: int, *, background: Color) -> np.ndarray:
         """Render view `index` with the photo's gain, if any: [H, W, 3] float32, a copy."""
         return self._exposed(index, self.view(index), background).copy()
 
-    def aligned_picture(self, index: int, *, background: _Color) -> np.ndarray:
+    def aligned_picture(self, index: int, *, background: Color) -> np.ndarray:
         """Render view `index` at the pose that matches its photo best, [H, W, 3] float32, a copy;
         its camera is unchanged."""
         full = self.view(index)
@@ -166,7 +164,7 @@ class ModelRenderer:
         scale = np.float32(self._frame.similarity.scale)
         return found.inverse_depth * scale, found.alpha.copy()
 
-    def _exposed(self, index: int, view: Frustum, background: _Color) -> np.ndarray:
+    def _exposed(self, index: int, view: Frustum, background: Color) -> np.ndarray:
         """Render `view`, the view of photo `index` at any size, with the photo's gain."""
         gain = self._photo_parameters.gain_of(index)
         picture = self._draw(view, self.background_before_gain(background, gain)).rgb
@@ -177,7 +175,7 @@ class ModelRenderer:
     def _draw(
         self,
         view: Frustum,
-        background: _Color = (0.0, 0.0, 0.0),
+        background: Color = (0.0, 0.0, 0.0),
         *,
         inverse_depth: bool = False,
         scaling: float = 1.0,

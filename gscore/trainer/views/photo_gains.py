@@ -11,9 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from ...engine.base import Color
 from .photo_adam import PhotoAdam, checked_tensor
-
-_Color = tuple[float, float, float]
 
 _BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
 """Rows: ln gain of R, G and B by exposure, by warmth and by green; orthogonal."""
@@ -86,13 +85,13 @@ class PhotoGains:
         self._value[self._train] -= self._value[self._train].mean(axis=0)
 
 
-def as_color(gain: torch.Tensor) -> _Color:
+def as_color(gain: torch.Tensor) -> Color:
     """A gain [3] as numbers."""
     r, g, b = gain.tolist()
     return (r, g, b)
 
 
-def background_before_gain(background: _Color, gain: torch.Tensor) -> _Color:
+def background_before_gain(background: Color, gain: torch.Tensor) -> Color:
     """Return the colour that equals `background` after multiplication by a gain [3].
 
     For photos composited over a background, whose colour does not depend on the exposure: splats

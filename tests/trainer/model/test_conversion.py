@@ -5,12 +5,7 @@ import pytest
 
 from gscore.errors import DatasetError
 from gscore.scene import PointCloud
-from gscore.splats import PARAMETERS
-from gscore.trainer.model.conversion import (
-    splats_from_points,
-    splats_from_tensors,
-    tensors_from_splats,
-)
+from gscore.trainer.model.conversion import splats_from_points
 
 
 def cloud(points: np.ndarray) -> PointCloud:
@@ -74,11 +69,3 @@ def test_points_that_are_not_finite_are_left_out() -> None:
     assert len(splats_from_points(cloud(points), **OPTIONS)) == 2
     with pytest.raises(DatasetError, match="no finite 3D points to start from"):
         splats_from_points(cloud(points[1:3]), **OPTIONS)
-
-
-def test_tensors_and_back() -> None:
-    """Oracle: the same bits, and only the stored coefficients."""
-    made = splats_from_points(cloud(np.random.default_rng(0).normal(size=(5, 3))), **OPTIONS)
-    back = splats_from_tensors(tensors_from_splats(made))
-    for name in PARAMETERS:
-        np.testing.assert_array_equal(getattr(back, name), getattr(made, name))
