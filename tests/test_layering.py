@@ -99,9 +99,10 @@ TRAINER = {
     "views": {"photos", "region", "model"},
     "step": {"depth", "guide", "host", "photos", "distributed", "model", "schedule", "strategy"}
     | {"views"},
+    "analysis": {"depth", "guide", "model", "photos", "region", "views"},
     "trainer": {"depth", "guide", "host", "photos", "distributed", "region", "model", "schedule"}
-    | {"step", "strategy", "views"},
-    "team_trainer": {"distributed", "model", "photos", "schedule", "step", "trainer"},
+    | {"analysis", "step", "strategy", "views"},
+    "team_trainer": {"analysis", "distributed", "model", "schedule", "step", "trainer"},
     "evaluation": {"trainer"},
     "preflight": {"trainer"},
     "stopping": {"estimate", "evaluation", "model", "schedule", "trainer"},
@@ -116,6 +117,7 @@ TRAINER = {
         "views",
     },
     "prepare": {
+        "analysis",
         "depth",
         "guide",
         "photos",

@@ -8,6 +8,7 @@ from ..config import TrainConfig
 from ..metrics.machine import peak_memory_bytes
 from ..raster import native_library
 from ..splats import Splats
+from ..trainer.analysis.analysis import Analysis
 from ..trainer.host.isolated_state import isolated_torch_state
 from ..trainer.host.malloc import mmap_large_blocks
 from ..trainer.photos.view_sampler import Photos
@@ -77,7 +78,7 @@ def bench_step(
     pairs = pixels = 0.0
     mmap_large_blocks()
     with isolated_torch_state():
-        trainer = Trainer(config, photos, start=splats, photo_cache=photo_cache)
+        trainer = Trainer(config, Analysis(photos=photos, start=splats, photo_cache=photo_cache))
         for step in range(total):
             began = time.perf_counter()
             trainer.step()

@@ -13,6 +13,7 @@ from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr, ssim
 from ..raster.api import render_camera
 from ..splats import Splats
+from ..trainer.analysis.analysis import Analysis
 from ..trainer.depth.stereo import stereo_start
 from ..trainer.host.isolated_state import isolated_torch_state
 from ..trainer.photos.view_sampler import Photos
@@ -180,11 +181,13 @@ def train_measured(
         exposure, pose_check = analyze_photos(config, photos)
         trainer = Trainer(
             config,
-            photos,
-            points=start.points,
-            known=start.known,
-            gains=exposure.gains,
-            pose_check=pose_check,
+            Analysis(
+                photos=photos,
+                points=start.points,
+                known=start.known,
+                gains=exposure.gains,
+                pose_check=pose_check,
+            ),
         )
         for step in range(1, config.iterations + 1):
             began = time.perf_counter()

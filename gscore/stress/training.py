@@ -23,9 +23,10 @@ _BLACK = (0.0, 0.0, 0.0)
 
 def trainer_of(config: TrainConfig, photos: ToyPhotos) -> "Trainer":
     """A trainer; imported late because it loads torch."""
+    from ..trainer.analysis.analysis import Analysis
     from ..trainer.trainer import Trainer
 
-    return Trainer(config, photos)
+    return Trainer(config, Analysis(photos=photos))
 
 
 def trained(config: TrainConfig, photos: ToyPhotos) -> "Trainer":

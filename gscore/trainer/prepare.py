@@ -18,6 +18,7 @@ from ..errors import BackendError, ConfigError
 from ..events import TOPICS, Decision, Event
 from ..formats import Decoded
 from ..io.block_record import read_block
+from .analysis.analysis import Analysis
 from .depth.setup import DepthSetup, prepare_depth
 from .depth.stereo import StereoStart, stereo_start
 from .distributed.consistency import crc_of
@@ -184,23 +185,22 @@ def prepare(
             added = stereo_start(config, photos, points, on_view=on_view)
             config, caps = limited(known=added.known, compared=True)
         exposure, pose_check = analyze_photos(config, photos)
-        create = Trainer if team is None else partial(TeamTrainer, team=team)
-        trainer = create(
-            config,
-            photos,
+        analysis = Analysis(
+            photos=photos,
             frame=world,
             start=given_splats,
-            depth=depth.loss_targets,
             points=points if added.points is None else added.points,
             known=added.known,
             gains=exposure.gains,
             pose_check=pose_check,
-            photo_cache=loaded.cache,
-            region=region,
+            depth=depth.loss_targets,
             guide=guide,
+            region=region,
             # Start splats already cover the surroundings of a cell; merging blocks drops those.
             block=read_block(photos.source) if start is not None and region is None else None,
+            photo_cache=loaded.cache,
         )
+        trainer = Trainer(config, analysis) if team is None else TeamTrainer(config, analysis, team)
     return Prepared(
         trainer=trainer,
         warnings=[*photos.warnings, *loaded.warnings],

@@ -6,12 +6,12 @@ import torch
 
 from ..config import TrainConfig
 from ..errors import GsError
+from .analysis.analysis import Analysis
 from .distributed import rank_commands
 from .distributed.batch_losses import OtherRankError
 from .distributed.data_parallel import DataParallelEngine
 from .distributed.process_group import ProcessGroup, RankLostError
 from .model.ensemble_member import EnsembleMember
-from .photos.view_sampler import Photos
 from .schedule.batch_size import batch_size
 from .step.step_result import StepResult
 from .step.training_views import TrainingView
@@ -26,12 +26,10 @@ class TeamTrainer(Trainer):
 
     team: ProcessGroup
 
-    def __init__(
-        self, config: TrainConfig, photos: Photos, *, team: ProcessGroup, **options: Any
-    ) -> None:
-        """Start as `Trainer`, whose `options` are the same; each rank has a trainer."""
+    def __init__(self, config: TrainConfig, analysis: Analysis, team: ProcessGroup) -> None:
+        """Start as `Trainer`; each rank has a trainer."""
         self.team = team
-        super().__init__(config, photos, **options)
+        super().__init__(config, analysis)
 
     def step(self) -> StepResult:
         """Take a step with all ranks; errors are those of `Trainer.step`, and RankLostError if

@@ -25,24 +25,20 @@ from ..engine.random import generator_of
 from ..engine.stage_timer import StageTimer
 from ..errors import DatasetError, GsError
 from ..formats.joined import joined
-from ..io.block_record import BlockRecord
-from ..scene import PointCloud
 from ..splats import PARAMETERS, Splats
 from ..text_format import count_words, number
+from .analysis.analysis import Analysis
 from .depth.loss import DepthLoss
 from .depth.regularisers import drop_rate_at, drop_rate_of
-from .depth.targets import DepthTargets
 from .distributed.process_group import ProcessGroup
 from .guide.loss import GuideLoss
 from .guide.mesh_free_space import MeshFreeSpace
-from .guide.setup import GuideSetup
 from .model.checkpoint_schema import as_float, as_int
 from .model.ensemble_member import EnsembleMember, count_members
 from .model.training_frame import TrainingFrame
 from .photos.raster_skips import disabled_skips
-from .photos.view_sampler import Photos, ViewSampler
+from .photos.view_sampler import ViewSampler
 from .region.frozen_splats import FrozenSplats, split_frozen
-from .region.region_box import RegionBox
 from .schedule.caps import max_splats_per_model, model_count
 from .schedule.plan import Plan
 from .step.loss_terms import LossTerms
@@ -52,9 +48,8 @@ from .strategy import Change, all_within, make_strategy
 from .strategy.initialization import initial_splats
 from .strategy.pruning import Pruner
 from .views.model_renderer import ModelRenderer
-from .views.photo_gains import PhotoGains, as_color
+from .views.photo_gains import as_color
 from .views.photo_parameters import PhotoParameters, initial_poses
-from .views.pose_check import PoseCheck
 
 _IN_CELL = (
     "Splats are added only in the block's cell: the start splats cover its surroundings, which "
@@ -78,45 +73,20 @@ class Trainer:
     """Process group of a distributed training; None: one process."""
 
     def __init__(
-        self,
-        config: TrainConfig,
-        photos: Photos,
-        *,
-        frame: TrainingFrame | None = None,
-        start: Splats | None = None,
-        depth: DepthTargets | None = None,
-        points: PointCloud | None = None,
-        known: float | None = None,
-        gains: PhotoGains | None = None,
-        pose_check: PoseCheck | None = None,
-        photo_cache: int | None = None,
-        region: RegionBox | None = None,
-        guide: GuideSetup | None = None,
-        block: BlockRecord | None = None,
-        engine: Engine[Any] | None = None,
+        self, config: TrainConfig, analysis: Analysis, engine: Engine[Any] | None = None
     ) -> None:
-        """Start from `start` or `points`, or from the points of the capture.
+        """Start from the splats or points of `analysis`.
 
         Args:
             config: Training options.
-            photos: The capture; with a `region` and no `start`, masked to the region.
-            frame: Training frame; None: fitted to the capture.
-            start: Start splats, COLMAP world.
-            depth: Targets of depth supervision.
-            points: Start points, COLMAP world.
-            known: Share of the unmasked pixels with stereo depth; None: stereo did not run.
-            gains: Initial exposure gains; None: photo colours are used unchanged.
-            pose_check: Checked training cameras; None: those of the capture.
-            photo_cache: Bytes of photos to keep in memory; None: all.
-            region: Box of the splats of `start` that are trained, COLMAP world; None: all.
-            guide: Guide meshes.
-            block: Block whose cell limits where splats are added; None: everywhere.
+            analysis: The capture and what was found out about it.
             engine: Computes the steps; None: the CPU.
 
         Raises:
             DatasetError: no training photos.
-            ConfigError: `start` has more splats than the config allows, or none in `region`.
+            ConfigError: more start splats than the config allows, or none in the region.
         """
+        photos, start, guide = analysis.photos, analysis.start, analysis.guide
         if not photos.train:
             raise DatasetError(
                 "The capture has no training photos, because all views are held out for the test; "
@@ -125,9 +95,9 @@ class Trainer:
         self.config = config
         self.photos = photos
         self._given = start is not None
-        self._decide_by_photos(known)
-        self.frame = frame or TrainingFrame.of(photos.scene, near=config.near)
-        cloud = photos.scene.points if points is None else points
+        self._decide_by_photos(analysis.known)
+        self.frame = analysis.frame or TrainingFrame.of(photos.scene, near=config.near)
+        cloud = photos.scene.points if analysis.points is None else analysis.points
         most = max_splats_per_model(config, self._models)
         count = min(len(cloud), most) if start is None else len(start)
         given = photos.scene.cameras
@@ -141,17 +111,17 @@ class Trainer:
         )
         self.depth: DepthLoss | None = None
         """The depth loss; None: no depth supervision."""
-        if depth is not None:
-            self.depth = DepthLoss(config, depth, scale=self.frame.similarity.scale)
+        if analysis.depth is not None:
+            self.depth = DepthLoss(config, analysis.depth, scale=self.frame.similarity.scale)
         self.guide: GuideLoss | None = None
         """The loss of the surface mesh; None: no surface mesh."""
-        if guide is not None and guide.surface is not None:
+        if guide.surface is not None:
             self.guide = GuideLoss(
                 guide.surface, weight=config.guide_weight, scale=self.frame.similarity.scale
             )
-        self.guide_digest = "" if guide is None else guide.digest
+        self.guide_digest = guide.digest
         """Hash of the guide meshes; empty: none."""
-        self._block = block
+        self._block = analysis.block
         self.replan(config.iterations)
         self.generator = generator_of(config.seed)
         self.sampler = ViewSampler(photos.train)
@@ -168,9 +138,12 @@ class Trainer:
         """Seconds of the stages of the last step."""
         cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self.photo_parameters = PhotoParameters(
-            config, gains, initial_poses(pose_check, photos.train, self.frame)
+            config,
+            analysis.gains,
+            initial_poses(analysis.pose_check, photos.train, self.frame),
         )
         """Optimised exposure gains and camera poses of the photos."""
+        region = analysis.region
         self.region = None if region is None else region.in_training(self.frame.similarity)
         """The region box, training frame; its start splats are kept inside."""
         self.frozen: FrozenSplats | None = None
@@ -192,7 +165,7 @@ class Trainer:
             self.photo_parameters,
             self.engine,
             self._all_models,
-            cache=photo_cache,
+            cache=analysis.photo_cache,
             region=self.frozen is not None,
         )
         """Renderer of the current model."""
@@ -212,9 +185,7 @@ class Trainer:
             config,
             free_space,
             masks_hide=photos.mask_mode == "ignore",
-            guided=MeshFreeSpace(guide.free, given, self.frame.similarity)
-            if guide is not None and guide.free
-            else None,
+            guided=MeshFreeSpace(guide.free, given, self.frame.similarity) if guide.free else None,
         )
         """Pruning in addition to that of the strategy."""
         self._disable = disabled_skips(config.without)

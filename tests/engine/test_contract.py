@@ -11,6 +11,7 @@ from gscore.engine.cpu.engine import CpuEngine
 from gscore.raster.request import Frustum
 from gscore.splats import PARAMETERS, Splats
 from gscore.stress.capture import ToyPhotos
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.photos.view_sampler import training_camera
 from gscore.trainer.trainer import Trainer
 from tests.engine.fake_engine import FakeEngine
@@ -203,7 +204,7 @@ def test_a_training_runs(engine: Any, photos: ToyPhotos) -> None:
     from a second engine."""
     runs = []
     for one in (engine, type(engine)()):
-        trainer = Trainer(CONFIG, photos, engine=one)
+        trainer = Trainer(CONFIG, Analysis(photos=photos), engine=one)
         first = trainer.splat_count
         changes = [trainer.step().change for _ in range(CONFIG.iterations)]
         assert trainer.steps == CONFIG.iterations

@@ -36,6 +36,7 @@ from gscore.io.world_file import WORLD_FILE, read_up, write_up
 from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.stress.capture import toy_photos
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.model.training_frame import TrainingFrame
@@ -380,7 +381,7 @@ def _session(trainer: Trainer, root: Path) -> Session:
 
 
 def _write_checkpoint(root: Path) -> None:
-    trainer = Trainer(_TRAIN, _PHOTOS)
+    trainer = Trainer(_TRAIN, Analysis(photos=_PHOTOS))
     session = _session(trainer, root)
     for _ in range(2):
         trainer.step()
@@ -394,7 +395,7 @@ def _read_checkpoint(root: Path) -> None:
     checkpoint.check_compatible(found, _TRAIN, _PHOTOS)
     with checkpoint.checkpoint_errors(found.path):
         frame = TrainingFrame.from_dict(found.trainer["frame"])
-    trainer = Trainer(_TRAIN, _PHOTOS, frame=frame)
+    trainer = Trainer(_TRAIN, Analysis(photos=_PHOTOS, frame=frame))
     checkpoint.check_same_depth(found, trainer)
     session = _session(trainer, root)
     with checkpoint.checkpoint_errors(found.path):

@@ -15,6 +15,7 @@ from gscore.raster.api import render
 from gscore.stress.capture import toy_photos, toy_splats
 from gscore.stress.native import with_isa
 from gscore.stress.training import mean_psnr
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
@@ -66,8 +67,8 @@ def masked(photos: Any) -> tuple[Any, DepthTargets]:
 
 def trainer_of(kind: str, config: TrainConfig, photos: Any, masked: Any) -> Trainer:
     if kind == "everything":
-        return Trainer(config, masked[0], depth=masked[1])
-    return Trainer(config, photos)
+        return Trainer(config, Analysis(photos=masked[0], depth=masked[1]))
+    return Trainer(config, Analysis(photos=photos))
 
 
 def bits(trainer: Trainer) -> tuple[dict[str, bytes], dict[str, Any]]:
@@ -136,7 +137,7 @@ def test_instruction_sets_reach_the_same_quality(photos, steps, bound):
     found = {}
     for isa in native_library.available_isas():
         with with_isa(isa):
-            found[isa] = mean_psnr(run(Trainer(config, photos), steps), photos)
+            found[isa] = mean_psnr(run(Trainer(config, Analysis(photos=photos)), steps), photos)
     assert max(found.values()) - min(found.values()) < bound, found
     assert min(found.values()) > 12
 
@@ -144,5 +145,7 @@ def test_instruction_sets_reach_the_same_quality(photos, steps, bound):
 def test_another_seed_gives_other_bits(photos):
     """The comparisons above can fail."""
     config = config_of("default", 60)
-    one, other = (run(Trainer(replace(config, seed=s), photos), 12) for s in (0, 1))
+    one, other = (
+        run(Trainer(replace(config, seed=s), Analysis(photos=photos)), 12) for s in (0, 1)
+    )
     assert bits(one) != bits(other)

@@ -7,6 +7,7 @@ import numpy as np
 from gscore.blocks.block_cells import Cells
 from gscore.config import TrainConfig
 from gscore.io.block_record import BlockRecord
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.model.training_frame import TrainingFrame
 from gscore.trainer.trainer import Trainer
 from gscore.transforms import Similarity
@@ -32,7 +33,7 @@ def test_a_cell_moves_with_the_training_world(photos: Any) -> None:
     """Oracle: the same splats, moved and scaled as they are."""
     similarity = Similarity(scale=0.125, shift=np.array([30.0, -4.0, 7.0]))
     frame = TrainingFrame(similarity=similarity, extent=1.0, near=0.01)
-    trainer = Trainer(TrainConfig(iterations=1), photos, frame=frame, block=RECORD)
+    trainer = Trainer(TrainConfig(iterations=1), Analysis(photos=photos, frame=frame, block=RECORD))
     means = np.random.default_rng(1).normal(size=(500, 3))
     moved = similarity.points_to_training(means)
     np.testing.assert_array_equal(trainer._may_grow(moved), RECORD.contains(means))

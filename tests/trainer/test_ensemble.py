@@ -18,6 +18,7 @@ from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.splats import PARAMETERS, Splats
 from gscore.trainer import trainer as trainer_module
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.model.ensemble_member import count_members
 from gscore.trainer.photos.view_sampler import ViewSampler
@@ -36,7 +37,7 @@ def bits(tensors: dict[str, torch.Tensor]) -> dict[str, bytes]:
 
 
 def trained(config: TrainConfig, photos: Any, steps: int = 60) -> Trainer:
-    trainer = Trainer(config, photos)
+    trainer = Trainer(config, Analysis(photos=photos))
     for _ in range(steps):
         trainer.step()
     return trainer
@@ -151,7 +152,7 @@ def test_same_bits_for_any_number_of_threads_and_after_going_on(
     """Oracle: bit equality of all state after 60 steps, and of a run that goes on from step 33."""
     config = replace(RANDOM, strategy=strategy)
     once, threads = trained(config, photos), trained(replace(config, threads=3), photos)
-    begun, after = trained(config, photos, 33), Trainer(config, photos)
+    begun, after = trained(config, photos, 33), Trainer(config, Analysis(photos=photos))
     after.restore(begun.state(), {name: t.clone() for name, t in begun.tensors().items()})
     for _ in range(27):
         after.step()
@@ -172,7 +173,7 @@ def test_a_run_keeps_the_models_that_photos_decided_on(
     for _ in range(15):
         begun.step()
     monkeypatch.setattr(trainer_module, "model_count", lambda *_, **__: (3 - models, "now"))
-    after = Trainer(config, photos)
+    after = Trainer(config, Analysis(photos=photos))
     after.restore(state, tensors)
     for _ in range(15):
         after.step()
@@ -203,7 +204,7 @@ def test_where_one_loss_is_not_finite_the_other_model_takes_its_step(
     photos: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the bits of a run with finite losses, and those before the step."""
-    well, ill = Trainer(TWO, photos), Trainer(TWO, photos)
+    well, ill = Trainer(TWO, Analysis(photos=photos)), Trainer(TWO, Analysis(photos=photos))
     before = bits(ill.members[1].tensors())
     found = step_loss.image_loss_gradient
     bad = iter((False, True))
@@ -276,14 +277,17 @@ def test_given_splats_are_one_model(photos: Any) -> None:
     """Oracle: the number of given splats."""
     start = trained(ONE, photos, 20).splats()
     assert Trainer(
-        replace(TWO, start_splats=Path("x.ply")), photos, start=start
+        replace(TWO, start_splats=Path("x.ply")), Analysis(photos=photos, start=start)
     ).splat_count == len(start)
 
 
 def test_models_share_the_splats_and_cost_more(photos: Any) -> None:
     """Oracle: halves; the initial splats of two runs; a step of two models of half the splats costs
     more than one of them and less than twice that of one with all."""
-    one, two = Trainer(replace(TWO, ensemble=1), photos), Trainer(TWO, photos)
+    one, two = (
+        Trainer(replace(TWO, ensemble=1), Analysis(photos=photos)),
+        Trainer(TWO, Analysis(photos=photos)),
+    )
     assert two.plan.max_splats == 200 and one.plan.max_splats == 400
     assert two.splat_count == 2 * one.splat_count
     costs = [Cost(trainer.plan).seconds_at(50, 400) for trainer in (one, two)]
@@ -297,13 +301,16 @@ def test_no_more_splats_start_than_are_allowed(photos: Any, sky: bool) -> None:
     """Oracle: 150 points; the limit, shared by the models."""
     for models, most in ((2, 60), (3, 60), (2, 5)):
         config = replace(TWO, ensemble=models, max_splats=most, sky=sky)
-        trainer = Trainer(config, photos)
+        trainer = Trainer(config, Analysis(photos=photos))
         assert models <= trainer.splat_count <= max(most, models)
 
 
 def test_pictures_between_steps_are_of_the_splats_there_are(photos: Any) -> None:
     """Oracle: a trainer without earlier pictures."""
-    looked, fresh = Trainer(RANDOM, photos), Trainer(RANDOM, photos)
+    looked, fresh = (
+        Trainer(RANDOM, Analysis(photos=photos)),
+        Trainer(RANDOM, Analysis(photos=photos)),
+    )
     for _ in range(3):
         looked.renderer.picture(0, background=(0.0, 0.0, 0.0))
         looked.step()

@@ -12,6 +12,7 @@ from gscore.errors import DatasetError
 from gscore.formats import write_splat_file
 from gscore.scene import PointCloud
 from gscore.splats import Splats
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.preflight import check_training
 from gscore.trainer.region.region_box import RegionBox
 from gscore.trainer.trainer import Trainer
@@ -20,7 +21,7 @@ CONFIG = TrainConfig(iterations=10, max_splats=500, sh_degree=0)
 
 
 def warnings(photos: Any) -> list[str]:
-    return check_training(Trainer(CONFIG, photos))
+    return check_training(Trainer(CONFIG, Analysis(photos=photos)))
 
 
 def with_points(photos: Any, points: np.ndarray) -> Any:
@@ -46,7 +47,7 @@ def test_higher_sh_degree_of_start_splats_warns(photos: Any, degree: int, told: 
         sh0=np.zeros((count, 1, 3), np.float32),
         shN=np.ones((count, rest, 3), np.float32),
     )
-    trainer = Trainer(config, photos, start=start)
+    trainer = Trainer(config, Analysis(photos=photos, start=start))
     assert trainer.model.params["shN"].shape[1] == 15
     assert [sentence for sentence in check_training(trainer) if "have SH degree 4" in sentence] == [
         sentence
@@ -64,7 +65,7 @@ def test_start_splats_of_another_scene_warn(
     start = replace(known_splats, sh0=-3 * known_splats.sh0) if strange else known_splats
     write_splat_file(tmp_path / "a.ply", start)
     config = replace(CONFIG, start_splats=tmp_path / "a.ply", sh_degree=1)
-    trainer = Trainer(config, photos, start=start)
+    trainer = Trainer(config, Analysis(photos=photos, start=start))
     told = [text for text in check_training(trainer) if "Are they of this capture" in text]
     assert len(told) == strange
 
@@ -78,7 +79,8 @@ def test_nearly_empty_region_warns(
     write_splat_file(tmp_path / "a.ply", start)
     given = {"start_splats": tmp_path / "a.ply", "region": tmp_path / "r.json", "sh_degree": 1}
     trainer = Trainer(
-        replace(CONFIG, **given), photos, start=start, region=RegionBox(10 * np.eye(4))
+        replace(CONFIG, **given),
+        Analysis(photos=photos, start=start, region=RegionBox(10 * np.eye(4))),
     )
     told = [text for text in check_training(trainer) if "are in the region" in text]
     assert len(told) == (count < 100)

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from gscore.config import Strategy
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
@@ -33,7 +34,7 @@ def bits(trainer: Trainer) -> tuple[dict[str, bytes], dict[str, Any]]:
 def test_resume_is_bit_equal(photos: Any, tmp_path: Path, strategy: Strategy) -> None:
     """Oracle: all tensors and all other state after the last step, from checkpoints on disk."""
     config = replace(CONFIG, strategy=strategy)
-    whole = Trainer(config, photos)
+    whole = Trainer(config, Analysis(photos=photos))
     for step in range(1, 61):
         whole.step()
         if step in STOPS:
@@ -43,7 +44,7 @@ def test_resume_is_bit_equal(photos: Any, tmp_path: Path, strategy: Strategy) ->
     for stop in STOPS:
         found = checkpoint.load(tmp_path / f"{stop}.safetensors")
         checkpoint.check_compatible(found, config, photos)
-        resumed = Trainer(config, photos)
+        resumed = Trainer(config, Analysis(photos=photos))
         resumed.restore(found.trainer, found.tensors)
         assert resumed.steps == stop
         while resumed.steps < 60:
@@ -58,7 +59,7 @@ def test_resume_while_gradients_gather_is_bit_equal(
     """Oracle: as above, between two steps of the higher SH coefficients, which use the accumulated
     gradients of four views, in the visible rows."""
     config = replace(CONFIG, strategy=strategy, shN_every=4)
-    whole, stops = Trainer(config, near), (14, 22, 35, 59)
+    whole, stops = Trainer(config, Analysis(photos=near)), (14, 22, 35, 59)
     for step in range(1, 61):
         whole.step()
         if step in stops:
@@ -68,7 +69,7 @@ def test_resume_while_gradients_gather_is_bit_equal(
             assert seen.any() and not seen.all()
     for stop in stops:
         found = checkpoint.load(tmp_path / f"{stop}.safetensors")
-        resumed = Trainer(config, near)
+        resumed = Trainer(config, Analysis(photos=near))
         resumed.restore(found.trainer, found.tensors)
         while resumed.steps < 60:
             resumed.step()
@@ -77,14 +78,14 @@ def test_resume_while_gradients_gather_is_bit_equal(
 
 def test_resume_with_other_threads_is_bit_equal(photos: Any, tmp_path: Path) -> None:
     """Oracle: as above, with another number of threads after the resume."""
-    whole = Trainer(replace(CONFIG, threads=1), photos)
+    whole = Trainer(replace(CONFIG, threads=1), Analysis(photos=photos))
     for _ in range(15):
         whole.step()
     checkpoint.save(tmp_path / "c.safetensors", whole, {})
     found = checkpoint.load(tmp_path / "c.safetensors")
     other = replace(CONFIG, threads=2)
     checkpoint.check_compatible(found, other, photos)
-    resumed = Trainer(other, photos)
+    resumed = Trainer(other, Analysis(photos=photos))
     resumed.restore(found.trainer, found.tensors)
     for _ in range(15):
         whole.step()

@@ -38,6 +38,7 @@ from gscore.io.metrics_file import metrics_problem, read_metrics
 from gscore.io.ply.splats import read_ply, write_splats
 from gscore.io.runs import checkpoints_in, read_course
 from gscore.report import results
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.estimate import memory
 from gscore.trainer.estimate.forecast import estimate
 from gscore.trainer.files.checkpoint import load
@@ -380,6 +381,9 @@ def test_a_capture_far_from_its_origin_is_trained_and_warned_about(
     offset = np.array([1e6, -2e6, 3e6])
     cameras.viewmats[:, :3, 3] -= np.einsum("cij,j->ci", cameras.viewmats[:, :3, :3], offset)
     np.add(cloud.points, offset, out=cloud.points)
-    pictures = [Trainer(CONFIG, p).renderer.picture(0, background=(0, 0, 0)) for p in (near, far)]
+    pictures = [
+        Trainer(CONFIG, Analysis(photos=p)).renderer.picture(0, background=(0, 0, 0))
+        for p in (near, far)
+    ]
     assert pictures[0].mean() > 0.1
     np.testing.assert_allclose(*pictures, atol=1e-4)

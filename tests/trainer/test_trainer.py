@@ -16,6 +16,7 @@ from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.splats import PARAMETERS
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.schedule import plan as schedules
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
@@ -41,7 +42,7 @@ def test_overfit(
     """
     photos = make_photos(held_out=(2, 5))
     config = TrainConfig(iterations=1000, max_splats=800, sh_degree=1, strategy=strategy)
-    trainer = Trainer(config, photos)
+    trainer = Trainer(config, Analysis(photos=photos))
     first = [psnr(trainer, i) for i in photos.train]
     for _ in range(config.iterations):
         trainer.step()
@@ -74,7 +75,9 @@ def test_same_bits_for_any_number_of_threads(photos: Any, strategy: Strategy) ->
     """Oracle: bit equality of all state after 60 steps with refinements, resets and noise."""
     seen = []
     for threads in (1, 2, 3):
-        trainer = Trainer(replace(SHORT, strategy=strategy, threads=threads), photos)
+        trainer = Trainer(
+            replace(SHORT, strategy=strategy, threads=threads), Analysis(photos=photos)
+        )
         for _ in range(60):
             trainer.step()
         seen.append(all_bits(trainer))
@@ -86,7 +89,7 @@ def test_another_seed_gives_another_result(photos: Any) -> None:
     """Oracle: another order of the views, hence other positions."""
     results = []
     for seed in (0, 1):
-        trainer = Trainer(replace(SHORT, seed=seed), photos)
+        trainer = Trainer(replace(SHORT, seed=seed), Analysis(photos=photos))
         for _ in range(5):
             trainer.step()
         results.append(trainer.splats().means)
@@ -95,7 +98,7 @@ def test_another_seed_gives_another_result(photos: Any) -> None:
 
 def test_each_view_comes_once_an_epoch(photos: Any) -> None:
     """Oracle: the set of views for each epoch, in different orders."""
-    trainer = Trainer(SHORT, photos)
+    trainer = Trainer(SHORT, Analysis(photos=photos))
     epochs = [[trainer.sampler.next(trainer.generator) for _ in range(8)] for _ in range(5)]
     assert all(sorted(epoch) == list(range(8)) for epoch in epochs)
     assert len({tuple(epoch) for epoch in epochs}) == 5
@@ -104,7 +107,7 @@ def test_each_view_comes_once_an_epoch(photos: Any) -> None:
 def test_splats_come_back_in_the_world_of_the_capture(make_photos: Callable[..., Any]) -> None:
     """Oracle: the points, which are the means before the first step."""
     photos = make_photos()
-    trainer = Trainer(SHORT, photos)
+    trainer = Trainer(SHORT, Analysis(photos=photos))
     splats = trainer.splats()
     np.testing.assert_allclose(splats.means, photos.scene.points.points, atol=1e-5)
     assert splats.sh_degree == 0, "no degree that is not in use yet"
@@ -115,7 +118,10 @@ def test_model_in_parts_equals_the_whole_model(
 ) -> None:
     """Oracle: `splats` before the end; the steps of a training that did not read them."""
     monkeypatch.setattr("gscore.trainer.trainer._ROWS_A_PART", 40)
-    ours, theirs = Trainer(CONFIG, photos), Trainer(CONFIG, photos)
+    ours, theirs = (
+        Trainer(CONFIG, Analysis(photos=photos)),
+        Trainer(CONFIG, Analysis(photos=photos)),
+    )
     for step in range(50):
         for trainer in (ours, theirs):
             trainer.step()
@@ -142,7 +148,7 @@ def test_the_background_is_behind_the_splats(
     photos: Any, background: Background, expected: float
 ) -> None:
     """Oracle: the background colour alone, for a model of one tiny transparent splat."""
-    trainer = Trainer(replace(SHORT, background=background), photos)
+    trainer = Trainer(replace(SHORT, background=background), Analysis(photos=photos))
     trainer.model.params["opacities"].data.fill_(-20)
     shown = trainer.renderer.picture(0, background=trainer.renderer.background)
     assert np.unique(shown).tolist() == [expected]
@@ -157,7 +163,9 @@ def test_masks_of_opacity_are_learnt_over_changing_backgrounds(
     photos.masks = [np.zeros((48, 48), np.uint8) for _ in photos.images]
     for mask in photos.masks:
         mask[12:36, 12:36] = 255
-    trainer = Trainer(TrainConfig(iterations=400, max_splats=400, sh_degree=0), photos)
+    trainer = Trainer(
+        TrainConfig(iterations=400, max_splats=400, sh_degree=0), Analysis(photos=photos)
+    )
     for _ in range(400):
         trainer.step()
     black, white = (
@@ -175,7 +183,7 @@ def test_pictures_show_rows_that_wait_as_they_will_be(make_photos: Callable[...,
     cameras = photos.scene.cameras
     cameras.Ks[:, :2, :2] *= 4  # no view shows all, so that rows wait
     config = TrainConfig(iterations=60, max_splats=300, sh_degree=1, sh_every=1, shN_lr=0.05)
-    trainer = Trainer(config, photos)
+    trainer = Trainer(config, Analysis(photos=photos))
     for _ in range(20):
         trainer.step()
     assert trainer.model.rows["shN_lag"].any()
@@ -203,7 +211,7 @@ def test_ignored_pixels_do_not_teach(make_photos: Callable[..., Any]) -> None:
         for mask, image in zip(photos.masks, photos.images, strict=True):
             mask[:, 10:] = 255
             image[:, :10] = garbage
-        trainer = Trainer(SHORT, photos)
+        trainer = Trainer(SHORT, Analysis(photos=photos))
         for _ in range(20):
             trainer.step()
         results.append(all_bits(trainer))
@@ -212,7 +220,7 @@ def test_ignored_pixels_do_not_teach(make_photos: Callable[..., Any]) -> None:
 
 def test_a_splat_that_is_not_finite_does_no_harm(photos: Any) -> None:
     """Oracle: finite other splats, and its removal by the next refinement."""
-    trainer = Trainer(SHORT, photos)
+    trainer = Trainer(SHORT, Analysis(photos=photos))
     trainer.model.params["opacities"].data[3] = math.nan
     trainer.model.params["means"].data[5] = math.inf
     before = len(trainer.model)
@@ -229,7 +237,7 @@ def test_bad_gradients_are_left_out_and_counted(
     photos: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the unchanged row 4, whose gradient is NaN; the others move."""
-    trainer = Trainer(SHORT, photos)
+    trainer = Trainer(SHORT, Analysis(photos=photos))
     real = TrainingRasterizer.gradients
 
     def poisoned(rasterizer: Any, into: dict[str, torch.Tensor], *args: Any, **options: Any) -> Any:
@@ -261,7 +269,7 @@ def broken_loss(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("broken_loss")
 def test_a_loss_that_is_not_finite_teaches_nothing_and_ends_in_an_error(photos: Any) -> None:
     """Oracle: equal bits of the parameters; an error at the hundredth step."""
-    trainer = Trainer(replace(SHORT, sh_degree=0), photos)
+    trainer = Trainer(replace(SHORT, sh_degree=0), Analysis(photos=photos))
     before = {k: v for k, v in all_bits(trainer).items() if k != "generator"}
     for _ in range(99):
         assert trainer.step().skipped
@@ -273,7 +281,7 @@ def test_a_loss_that_is_not_finite_teaches_nothing_and_ends_in_an_error(photos: 
 @pytest.mark.usefixtures("broken_loss")
 def test_detect_anomaly_stops_at_once_and_says_where(photos: Any) -> None:
     """Oracle: the message names step and view."""
-    trainer = Trainer(replace(SHORT, detect_anomaly=True), photos)
+    trainer = Trainer(replace(SHORT, detect_anomaly=True), Analysis(photos=photos))
     with pytest.raises(GsError, match=r"Step 1, view view_\d\d.png: the loss is nan"):
         trainer.step()
 
@@ -282,7 +290,7 @@ def test_no_view_to_train_on_is_an_error(make_photos: Callable[..., Any]) -> Non
     """Oracle: a message with a remedy."""
     photos = make_photos(held_out=tuple(range(8)))
     with pytest.raises(DatasetError, match="hold out fewer"):
-        Trainer(SHORT, photos)
+        Trainer(SHORT, Analysis(photos=photos))
 
 
 def test_splats_grow_with_the_photos_shown(photos: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -297,7 +305,7 @@ def test_splats_grow_with_the_photos_shown(photos: Any, monkeypatch: pytest.Monk
         grow_grad=1e-7,
     )
     monkeypatch.setattr(schedules, "_FEWEST_STEPS", 80)
-    trainer, counts = Trainer(config, photos), {}
+    trainer, counts = Trainer(config, Analysis(photos=photos)), {}
     for step in range(1, 81):
         trainer.step()
         counts[trainer.plan.factor_at(step)] = len(trainer.model)

@@ -14,6 +14,7 @@ from pathlib import Path
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import load_dataset
 from gscore.io.ply.splats import read_ply
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.depth.setup import prepare_depth
 from gscore.trainer.host.isolated_state import isolated_torch_state
 from gscore.trainer.trainer import Trainer
@@ -49,8 +50,8 @@ def main() -> None:
     targets = prepare_depth(data, config, photos).loss_targets
     assert targets is not None
     with isolated_torch_state():
-        plain = Trainer(config, photos, start=splats)
-        deep = Trainer(config, photos, start=splats, depth=targets)
+        plain = Trainer(config, Analysis(photos=photos, start=splats))
+        deep = Trainer(config, Analysis(photos=photos, start=splats, depth=targets))
         times = [(_step(plain), _step(deep)) for _ in range(WARM_UP + args.pairs)][WARM_UP:]
     width, height = int(photos.scene.cameras.widths[0]), int(photos.scene.cameras.heights[0])
     print(f"{len(splats)} splats, {width} x {height} px, {args.pairs} pairs of steps")

@@ -87,10 +87,10 @@ class PhotoParameters:
 
 
 def initial_poses(
-    pose_check: PoseCheck | None, train: Sequence[int], frame: TrainingFrame
+    pose_check: PoseCheck, train: Sequence[int], frame: TrainingFrame
 ) -> PhotoPoses | None:
     """Initial poses in the training frame; None: the poses of the capture."""
-    if pose_check is None or pose_check.viewmats is None:
+    if pose_check.viewmats is None:
         return None
     return PhotoPoses(
         train,

@@ -16,6 +16,7 @@ from gscore.errors import GsError
 from gscore.raster.autograd import RasterAux, rasterize
 from gscore.raster.loss import image_loss
 from gscore.splats import PARAMETERS
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(iterations=200, max_splats=300, sh_degree=1, refine_start=150)
@@ -125,7 +126,7 @@ def test_sizes_are_bounded_by_the_distance(marked_model: Callable[..., CpuModel]
 
 def test_screen_filling_splats_do_not_outlive_a_short_run(photos: Any) -> None:
     """Oracle: the allowed size, in a run too short for opacity resets."""
-    trainer = Trainer(CONFIG, photos)
+    trainer = Trainer(CONFIG, Analysis(photos=photos))
     assert not trainer.plan.reset_every
     trainer.model.params["scales"].data[:10] = math.log(50.0 * trainer.frame.extent)
     for _ in range(CONFIG.iterations):
@@ -140,7 +141,7 @@ def test_screen_filling_splats_do_not_outlive_a_short_run(photos: Any) -> None:
 def test_an_exploded_colour_costs_one_step_not_the_run(photos: Any, value: float) -> None:
     """Oracle: no update by the first view that shows it, updates by all others; the row is
     counted."""
-    trainer = Trainer(CONFIG, photos)
+    trainer = Trainer(CONFIG, Analysis(photos=photos))
     for _ in range(3):
         trainer.step()
     trainer.model.params["sh0"].data[7] = value
@@ -155,7 +156,7 @@ def test_healthy_training_is_not_touched(photos: Any, monkeypatch: pytest.Monkey
     """Oracle: the bits of the same run without bounds."""
 
     def trained() -> dict[str, torch.Tensor]:
-        trainer = Trainer(CONFIG, photos)
+        trainer = Trainer(CONFIG, Analysis(photos=photos))
         for _ in range(120):
             trainer.step()
         assert trainer.lost_rows == 0
@@ -169,7 +170,7 @@ def test_healthy_training_is_not_touched(photos: Any, monkeypatch: pytest.Monkey
 
 def test_all_rows_may_be_lost_without_a_crash(photos: Any) -> None:
     """Oracle: an empty picture and finite numbers."""
-    trainer = Trainer(replace(CONFIG, refine_start=2, refine_every=2), photos)
+    trainer = Trainer(replace(CONFIG, refine_start=2, refine_every=2), Analysis(photos=photos))
     trainer.model.params["sh0"].data[:] = 1e30
     try:
         for _ in range(8):

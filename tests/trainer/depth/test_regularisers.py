@@ -12,6 +12,7 @@ from gscore.config import Background, TrainConfig
 from gscore.engine.cpu.dropout import drop_splats
 from gscore.engine.cpu.loss import mean_transmittance, opacity_loss
 from gscore.presets import PRESETS
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.depth.regularisers import (
     drop_rate_at,
     drop_rate_of,
@@ -116,7 +117,7 @@ def test_black_surfaces_are_no_holes(make_photos: Any) -> None:
     config = TrainConfig(iterations=40, max_splats=200, coarse_factor=1, sh_degree=0)
 
     def opacity(weight: float) -> float:
-        trainer = Trainer(replace(config, opaque_weight=weight), photos)
+        trainer = Trainer(replace(config, opaque_weight=weight), Analysis(photos=photos))
         for _ in range(40):
             trainer.step()
         return float(torch.sigmoid(trainer.model.params["opacities"]).detach().mean())
@@ -132,11 +133,11 @@ def test_black_surfaces_are_no_holes(make_photos: Any) -> None:
 def test_splats_left_out_are_not_drawn_and_do_not_change(photos: Any) -> None:
     """Oracle: no gradient at all for about half of the splats in the last step of a run."""
     config = TrainConfig(iterations=1, max_splats=400, drop_rate=0.5, coarse_factor=1)
-    trainer = Trainer(config, photos)
+    trainer = Trainer(config, Analysis(photos=photos))
     before = trainer.model.params["opacities"].detach().clone()
     trainer.step()
     same = float((trainer.model.params["opacities"].detach() == before).float().mean())
-    whole = Trainer(replace(config, drop_rate=0.0), photos)
+    whole = Trainer(replace(config, drop_rate=0.0), Analysis(photos=photos))
     whole.step()
     hidden = float((whole.model.params["opacities"].detach() == before).float().mean())
     assert hidden < 0.2
@@ -155,7 +156,7 @@ def test_masks_ask_for_opacity(make_photos: Any) -> None:
     )
     means = []
     for weight in (0.0, 1.0):
-        trainer = Trainer(replace(config, alpha_weight=weight), photos)
+        trainer = Trainer(replace(config, alpha_weight=weight), Analysis(photos=photos))
         for _ in range(40):
             trainer.step()
         means.append(float(torch.sigmoid(trainer.model.params["opacities"]).detach().mean()))

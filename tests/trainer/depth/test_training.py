@@ -16,6 +16,7 @@ from gscore.raster.autograd import rasterize
 from gscore.raster.header import OUT_INVERSE_DEPTH
 from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.scene import PointCloud
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
@@ -57,7 +58,7 @@ def run(trainer: Trainer, steps: int) -> Trainer:
 
 def test_inverse_depth_is_that_of_the_world(photos: Any, known_splats: Any) -> None:
     """Oracle: the same splats rendered in COLMAP world by another entry point."""
-    trainer = Trainer(CONFIG, photos, start=known_splats)
+    trainer = Trainer(CONFIG, Analysis(photos=photos, start=known_splats))
     assert trainer.frame.similarity.scale != 1
     cameras = photos.scene.cameras
     view = render(known_splats, cameras.Ks[3], cameras.viewmats[3], 48, 48)
@@ -70,7 +71,7 @@ def test_true_splats_have_no_depth_loss(
 ) -> None:
     """Oracle: zero at the true splats, in the training world and at a coarse size; not
     elsewhere."""
-    trainer = Trainer(CONFIG, photos, start=known_splats, depth=targets)
+    trainer = Trainer(CONFIG, Analysis(photos=photos, start=known_splats, depth=targets))
     assert trainer.depth is not None
     for index in (0, 1):  # aligned and not
         for factor, limit in ((1.0, 4e-3), (2.0, 0.03)):
@@ -105,12 +106,12 @@ def test_depth_off_is_the_training_without_depth(
         return plain(rasterizer, splats, view, settings)
 
     monkeypatch.setattr(TrainingRasterizer, "draw", watched)
-    without = run(Trainer(CONFIG, photos), 30)
+    without = run(Trainer(CONFIG, Analysis(photos=photos)), 30)
     weightless = replace(CONFIG, depth_weight=0.0, depth_weight_final=0.0)
-    with_zero = run(Trainer(weightless, photos, depth=targets), 30)
+    with_zero = run(Trainer(weightless, Analysis(photos=photos, depth=targets)), 30)
     assert bits(without) == bits(with_zero)
     assert asked == [False] * 60
-    supervised = run(Trainer(CONFIG, photos, depth=targets), 30)
+    supervised = run(Trainer(CONFIG, Analysis(photos=photos, depth=targets)), 30)
     assert bits(supervised) != bits(without)
     assert asked[60:] == [True] * 30
 
@@ -130,7 +131,7 @@ def test_weights_scale_the_gradients_and_terms_add_up(
     targets = DepthTargets(true_priors(masked, known_splats), train=masked.train, views=8)
     for depth, alpha in ((1.0, 0.0), (0.25, 0.0), (0.0, 0.5), (0.25, 0.5)):
         config = replace(CONFIG, depth_weight=depth, depth_weight_final=depth, depth_warmup=0.0)
-        run(Trainer(replace(config, alpha_weight=alpha), masked, depth=targets), 1)
+        run(Trainer(replace(config, alpha_weight=alpha), Analysis(photos=masked, depth=targets)), 1)
     (full_alpha, full), (quarter_alpha, quarter), (mask_alpha, nothing), (both_alpha, both) = given
     assert nothing is None and full.abs().max() > 0 and mask_alpha.abs().max() > 0
     torch.testing.assert_close(quarter, 0.25 * full)
@@ -149,7 +150,9 @@ def test_depth_makes_depth_better(make_photos: Callable[..., Any], known_splats:
     config = TrainConfig(iterations=400, max_splats=400, sh_degree=0, depth_weight_final=0.1)
     errors = []
     for depth in (None, DepthTargets(truth, train=photos.train, views=8)):
-        trainer = run(Trainer(config, photos, points=points, depth=depth), config.iterations)
+        trainer = run(
+            Trainer(config, Analysis(photos=photos, points=points, depth=depth)), config.iterations
+        )
         found = []
         for i in photos.train:
             sure = truth[i].confidence > 0
@@ -167,7 +170,7 @@ def test_resume_with_everything_on_is_bit_equal(
 ) -> None:
     """Oracle: all tensors and other state after the last step, from checkpoints on disk."""
     config = replace(EVERYTHING, strategy=strategy)
-    whole = Trainer(config, masked, depth=targets)
+    whole = Trainer(config, Analysis(photos=masked, depth=targets))
     stops = (1, 9, 20, 37)
     for step in range(1, 61):
         whole.step()
@@ -176,7 +179,7 @@ def test_resume_with_everything_on_is_bit_equal(
     for stop in stops:
         found = checkpoint.load(tmp_path / f"{stop}.safetensors")
         checkpoint.check_compatible(found, config, masked)
-        resumed = Trainer(config, masked, depth=targets)
+        resumed = Trainer(config, Analysis(photos=masked, depth=targets))
         checkpoint.check_same_depth(found, resumed)
         resumed.restore(found.trainer, found.tensors)
         run(resumed, 60 - stop)
@@ -189,17 +192,19 @@ def test_other_depths_cannot_go_on(
 ) -> None:
     """Oracle: the message, for the same maps with the same loss, other maps and missing maps."""
     path = tmp_path / "c.safetensors"
-    checkpoint.save(path, run(Trainer(CONFIG, photos, depth=targets), 2), {})
+    checkpoint.save(path, run(Trainer(CONFIG, Analysis(photos=photos, depth=targets)), 2), {})
     found = checkpoint.load(path)
     checkpoint.check_compatible(found, CONFIG, photos)
     other = DepthTargets(true_priors(photos, known_splats), train=photos.train, views=8)
     with pytest.raises(ConfigError, match="other depth maps"):
-        checkpoint.check_same_depth(found, Trainer(CONFIG, photos, depth=other))
+        checkpoint.check_same_depth(found, Trainer(CONFIG, Analysis(photos=photos, depth=other)))
     with pytest.raises(ConfigError, match="with depth maps"):
-        checkpoint.check_same_depth(found, Trainer(CONFIG, photos))
-    checkpoint.save(path, run(Trainer(CONFIG, photos), 2), {})
+        checkpoint.check_same_depth(found, Trainer(CONFIG, Analysis(photos=photos)))
+    checkpoint.save(path, run(Trainer(CONFIG, Analysis(photos=photos)), 2), {})
     with pytest.raises(ConfigError, match="without depth maps"):
-        checkpoint.check_same_depth(checkpoint.load(path), Trainer(CONFIG, photos, depth=targets))
+        checkpoint.check_same_depth(
+            checkpoint.load(path), Trainer(CONFIG, Analysis(photos=photos, depth=targets))
+        )
 
 
 def test_same_bits_for_any_number_of_threads(masked: Any, targets: DepthTargets) -> None:
@@ -207,5 +212,5 @@ def test_same_bits_for_any_number_of_threads(masked: Any, targets: DepthTargets)
     seen = []
     for threads in (1, 3):
         config = replace(EVERYTHING, threads=threads)
-        seen.append(bits(run(Trainer(config, masked, depth=targets), 40)))
+        seen.append(bits(run(Trainer(config, Analysis(photos=masked, depth=targets)), 40)))
     assert seen[0] == seen[1]

@@ -8,6 +8,7 @@ import torch
 from gscore.config import TrainConfig
 from gscore.errors import DatasetError
 from gscore.stress.capture import toy_photos
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.distributed.process_group import ProcessGroup
 from gscore.trainer.team_trainer import TeamTrainer
 
@@ -23,7 +24,7 @@ def main() -> int:
     """0: both raise, and rank 0 has the gradients accumulated on rank 1, from before or not."""
     torch.set_num_threads(1)
     with ProcessGroup() as team:
-        trainer = TeamTrainer(CONFIG, toy_photos(), team=team)
+        trainer = TeamTrainer(CONFIG, Analysis(photos=toy_photos()), team=team)
         for act in (trainer.step, trainer.step, trainer.collect)[: 2 + ("before" in sys.argv)]:
             if not team.is_rank0:
                 team.receive()

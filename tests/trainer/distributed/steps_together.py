@@ -7,6 +7,7 @@ import torch
 
 from gscore.config import TrainConfig
 from gscore.stress.capture import toy_photos
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.distributed.process_group import ProcessGroup
 from gscore.trainer.team_trainer import TeamTrainer
 from gscore.trainer.trainer import Trainer
@@ -31,7 +32,7 @@ def learnt_from(trainer: Trainer) -> dict[str, torch.Tensor]:
 
 def alone(index: int) -> dict[str, torch.Tensor]:
     """As `learnt_from`, of one photo, at the step that both ranks take together."""
-    trainer = Trainer(CONFIG, toy_photos())
+    trainer = Trainer(CONFIG, Analysis(photos=toy_photos()))
     trainer.steps = 1
     trainer._widen_to(trainer.members[0], 1)
     trainer.sampler.order, trainer.sampler.position = [index], 0
@@ -43,7 +44,7 @@ def main() -> int:
     shN, accumulated over many photos, to the bit."""
     torch.set_num_threads(1)
     with ProcessGroup() as team:
-        trainer = TeamTrainer(CONFIG, toy_photos(), team=team)
+        trainer = TeamTrainer(CONFIG, Analysis(photos=toy_photos()), team=team)
         trainer._widen_to(trainer.members[0], 1)
         if not team.is_rank0:
             team.receive()

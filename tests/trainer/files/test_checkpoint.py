@@ -17,6 +17,7 @@ from gscore.config import Background, DataConfig, TrainConfig
 from gscore.errors import ConfigError, FormatError, GsError
 from gscore.events import Event, Warn
 from gscore.raster import native_library
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.run import train
@@ -29,7 +30,7 @@ CONFIG = TrainConfig(iterations=20, max_splats=300, lpips=Path("a/b.onnx"), save
 @pytest.fixture
 def saved(photos: Any, tmp_path: Path) -> tuple[Trainer, Path]:
     """A trainer after three steps, and its checkpoint."""
-    trainer = Trainer(CONFIG, photos)
+    trainer = Trainer(CONFIG, Analysis(photos=photos))
     for _ in range(3):
         trainer.step()
     path = tmp_path / "step.safetensors"

@@ -20,13 +20,14 @@ from gscore.io.mesh.ply import write_mesh
 from gscore.raster.api import render
 from gscore.scene import Cameras
 from gscore.splats import Splats
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.estimate.forecast import estimate
 from gscore.trainer.estimate.memory import depth_bytes
 from gscore.trainer.guide.mesh_free_space import MeshFreeSpace
 from gscore.trainer.guide.mesh_support import MeshSupport, weighted_views
 from gscore.trainer.guide.mesh_views import MeshView
-from gscore.trainer.guide.setup import prepare_guide
+from gscore.trainer.guide.setup import GuideSetup, prepare_guide
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 from gscore.transforms import Similarity
@@ -147,8 +148,8 @@ def test_splats_before_a_wall_are_taken_out(
     flat[:5] = [0.1, 0.1, -1.5], [0, 0, 1.5], [0.2, 0, -1], [0, 0.2, 1], [0, 0, -0.9]
     start = replace(known_splats, means=flat, opacities=np.full(len(flat), 6.0, np.float32))
     config = replace(CONFIG, prune_opacity=0.0, grow_grad=1e9, free_space=0.0)
-    trainer = Trainer(config, all_photos, start=start, guide=guide)
-    plain = Trainer(config, all_photos, start=start)
+    trainer = Trainer(config, Analysis(photos=all_photos, start=start, guide=guide))
+    plain = Trainer(config, Analysis(photos=all_photos, start=start))
     for _ in range(10):
         assert trainer.step().change.removed in (0, 5)
         plain.step()
@@ -163,12 +164,12 @@ def test_a_crowd_before_a_wall_stays(all_photos: Dataset, known_splats: Splats, 
     moved[:, 2] -= 1.2
     start = replace(known_splats, means=moved)
     config = replace(CONFIG, prune_opacity=0.0, grow_grad=1e9, free_space=0.0)
-    trainer = Trainer(config, all_photos, start=start, guide=guide)
+    trainer = Trainer(config, Analysis(photos=all_photos, start=start, guide=guide))
     for _ in range(10):
         trainer.step()
     assert trainer.pruner.guided.crowded and trainer.pruner.guided.count == 0
     assert len(trainer.model) == len(moved)
-    again = Trainer(config, all_photos, start=start, guide=guide)
+    again = Trainer(config, Analysis(photos=all_photos, start=start, guide=guide))
     again.restore(trainer.state(), dict(trainer.tensors()))
     assert again.pruner.guided.crowded
 
@@ -191,8 +192,8 @@ def test_splats_come_to_lie_on_a_wall(dataset: Dataset, mesh: Path) -> None:
     guide = prepare_guide(TrainConfig(guide_surface=mesh), dataset)
     config = replace(CONFIG, iterations=300, refine_stop=250, reset_every=-1)
     found = {}
-    for name, given in (("with", guide), ("without", None)):
-        trainer = Trainer(config, dataset, guide=given)
+    for name, given in (("with", guide), ("without", GuideSetup())):
+        trainer = Trainer(config, Analysis(photos=dataset, guide=given))
         for _ in range(300):
             trainer.step()
         found[name] = off_wall(trainer.splats(), dataset)
@@ -202,8 +203,8 @@ def test_splats_come_to_lie_on_a_wall(dataset: Dataset, mesh: Path) -> None:
 def test_a_weight_of_zero_changes_no_bit(dataset: Dataset, mesh: Path) -> None:
     """Oracle: the training without a guide."""
     guide = prepare_guide(TrainConfig(guide_surface=mesh), dataset)
-    plain = Trainer(CONFIG, dataset)
-    guided = Trainer(replace(CONFIG, guide_weight=0.0), dataset, guide=guide)
+    plain = Trainer(CONFIG, Analysis(photos=dataset))
+    guided = Trainer(replace(CONFIG, guide_weight=0.0), Analysis(photos=dataset, guide=guide))
     for _ in range(20):
         assert plain.step().loss == guided.step().loss
     for name, tensor in plain.tensors().items():
@@ -370,9 +371,13 @@ def test_maps_and_a_guide_count_both(dataset: Dataset, known_splats: Splats, mes
     maps = DepthTargets(true_priors(dataset, known_splats), train=dataset.train, views=8)
     config = replace(CONFIG, depth_warmup=0.0)
     found = {
-        (bool(depth), bool(given)): Trainer(config, dataset, depth=depth, guide=given).step().loss
+        (bool(depth), given is guide): Trainer(
+            config, Analysis(photos=dataset, depth=depth, guide=given)
+        )
+        .step()
+        .loss
         for depth in (None, maps)
-        for given in (None, guide)
+        for given in (GuideSetup(), guide)
     }
     by_maps, by_mesh = (found[key] - found[False, False] for key in ((True, False), (False, True)))
     assert min(by_maps, by_mesh) > 1e-3

@@ -16,6 +16,7 @@ from gscore.events import Event, Started, Warn
 from gscore.io.ply.splats import read_ply, write_splats
 from gscore.raster.api import render
 from gscore.splats import Splats
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.run import train
 from gscore.trainer.schedule.plan import Plan
 from gscore.trainer.trainer import Trainer
@@ -32,14 +33,14 @@ def with_harmonics(splats: Splats, degree: int) -> Splats:
 
 def first_splats(photos: Any) -> Splats:
     """Some splats in COLMAP world."""
-    return Trainer(CONFIG, photos).splats()
+    return Trainer(CONFIG, Analysis(photos=photos)).splats()
 
 
 def test_the_first_picture_is_that_of_the_given_splats(make_photos: Callable[..., Any]) -> None:
     """Oracle: `gscore.render` of the same splats with the capture's own cameras."""
     photos = make_photos()
     start = with_harmonics(first_splats(photos).subset(np.arange(0, 150, 2)), 2)
-    trainer = Trainer(CONFIG, photos, start=start)
+    trainer = Trainer(CONFIG, Analysis(photos=photos, start=start))
     cameras = photos.scene.cameras
     for i in (0, 5):
         K, viewmat = cameras.Ks[i], cameras.viewmats[i]
@@ -54,7 +55,9 @@ def test_opacities_may_be_carried_in_part(make_photos: Callable[..., Any]) -> No
     photos = make_photos()
     start = first_splats(photos)
     start.opacities[:3] = [-4, 0, 20]
-    faded = Trainer(replace(CONFIG, start_opacity=0.6), photos, start=start).splats()
+    faded = Trainer(
+        replace(CONFIG, start_opacity=0.6), Analysis(photos=photos, start=start)
+    ).splats()
     before, after = (1 / (1 + np.exp(-s.opacities.astype(np.float64))) for s in (start, faded))
     np.testing.assert_allclose(after, 0.6 * before, rtol=1e-5)
     with pytest.raises(ConfigError, match="start_opacity must be more than 0, at most 1"):
@@ -65,12 +68,12 @@ def test_the_config_bounds_degree_and_number(make_photos: Callable[..., Any]) ->
     """Oracle: the shapes that TrainConfig allows."""
     photos = make_photos()
     start = with_harmonics(first_splats(photos), 2)
-    trainer = Trainer(replace(CONFIG, sh_degree=1), photos, start=start)
+    trainer = Trainer(replace(CONFIG, sh_degree=1), Analysis(photos=photos, start=start))
     np.testing.assert_array_equal(trainer.splats().shN, start.shN[:, :3])
     with pytest.raises(ConfigError, match="raise `--max-splats`"):
-        Trainer(replace(CONFIG, max_splats=149), photos, start=start)
+        Trainer(replace(CONFIG, max_splats=149), Analysis(photos=photos, start=start))
     with pytest.raises(ConfigError, match="are 0"):
-        Trainer(CONFIG, photos, start=start.subset(np.zeros(0, np.int64)))
+        Trainer(CONFIG, Analysis(photos=photos, start=start.subset(np.zeros(0, np.int64))))
 
 
 def test_a_run_starts_from_a_ply_and_goes_on_from_its_checkpoint(

@@ -14,6 +14,7 @@ from gscore.control import Control
 from gscore.datasets import load_dataset
 from gscore.events import Estimated, Event
 from gscore.io.images.read_image import write_png
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.photos.image_pyramid import ImagePyramid
 from gscore.trainer.photos.photo_loading import load_photos
 from gscore.trainer.run import train
@@ -24,7 +25,10 @@ CONFIG = TrainConfig(iterations=40, max_splats=200, refine_start=10, refine_ever
 
 def test_a_small_cache_gives_the_same_bits(photos: Any) -> None:
     """Oracle: all tensors after 40 steps through several sizes, with a cache of two photos."""
-    trainers = [Trainer(CONFIG, photos), Trainer(CONFIG, photos, photo_cache=2 * 48 * 48 * 3)]
+    trainers = [
+        Trainer(CONFIG, Analysis(photos=photos)),
+        Trainer(CONFIG, Analysis(photos=photos, photo_cache=2 * 48 * 48 * 3)),
+    ]
     for _ in range(40):
         for trainer in trainers:
             trainer.step()

@@ -9,6 +9,7 @@ import torch
 
 from gscore.config import Skip, TrainConfig
 from gscore.splats import PARAMETERS
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.photos.raster_skips import tiles_of_mask
 from gscore.trainer.trainer import Trainer
 
@@ -31,7 +32,7 @@ def _trained(photos: Any, *without: Skip, work: str = "forward_pairs") -> tuple[
     config = TrainConfig(
         iterations=40, sh_degree=2, sh_every=15, refine_start=10, refine_every=10, without=without
     )
-    trainer, done = Trainer(config, photos), 0.0
+    trainer, done = Trainer(config, Analysis(photos=photos)), 0.0
     for _ in range(40):
         trainer.step()
         done += trainer.laps.raster[work]
@@ -78,7 +79,7 @@ def test_rare_steps_of_higher_coefficients_can_be_switched_off(photos: Any) -> N
     """Oracle: the plan, and the number of steps of the optimizer."""
     for without, steps in (((), 4), ((Skip.RARE_SH,), 29)):  # there are none before step 2
         config = TrainConfig(iterations=30, sh_degree=1, sh_every=1, shN_every=9, without=without)
-        trainer = Trainer(config, photos)
+        trainer = Trainer(config, Analysis(photos=photos))
         for _ in range(30):
             trainer.step()
         assert trainer.model.adam_steps["means"] == 30
@@ -89,9 +90,9 @@ def test_small_photos_can_be_switched_off(make_photos: Callable[..., Any]) -> No
     """Oracle: the size of the first step's photo."""
     photos = make_photos()
     config = TrainConfig(iterations=40, coarse_factor=2.0)
-    assert Trainer(config, photos).plan.factor_at(1) == 2.0
+    assert Trainer(config, Analysis(photos=photos)).plan.factor_at(1) == 2.0
     config = TrainConfig(iterations=40, coarse_factor=2.0, without=(Skip.SMALL_PHOTOS,))
-    assert Trainer(config, photos).plan.factor_at(1) == 1.0
+    assert Trainer(config, Analysis(photos=photos)).plan.factor_at(1) == 1.0
 
 
 def test_tiles_of_a_mask() -> None:

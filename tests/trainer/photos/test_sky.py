@@ -13,6 +13,7 @@ from gscore.errors import ConfigError
 from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.stress.capture import SIZE
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.photos.sky import sky_splats
 from gscore.trainer.trainer import Trainer
 
@@ -123,11 +124,11 @@ def test_there_is_none_unless_asked_for_or_where_nothing_has_a_size(
 def test_a_training_starts_with_it_and_keeps_its_cap(make_photos: Callable[..., Any]) -> None:
     """Oracle: the splats of a start without a sky; a cap that points alone would fill."""
     photos = looking_out(make_photos)
-    plain = Trainer(replace(CONFIG, sky=False), photos).splats()
-    found = Trainer(CONFIG, photos).splats()
+    plain = Trainer(replace(CONFIG, sky=False), Analysis(photos=photos)).splats()
+    found = Trainer(CONFIG, Analysis(photos=photos)).splats()
     assert len(found) == len(plain) + 400
     np.testing.assert_array_equal(found.means[: len(plain)], plain.means)
-    full = Trainer(replace(CONFIG, max_splats=100), photos).splats()
+    full = Trainer(replace(CONFIG, max_splats=100), Analysis(photos=photos)).splats()
     assert len(full) == 100
     away = np.linalg.norm(full.means, axis=1)
     assert (away > 2 * np.linalg.norm(plain.means, axis=1).max()).sum() == 10
@@ -137,16 +138,18 @@ def test_large_splats_stay_since_opacities_are_not_reset(make_photos: Callable[.
     """Oracle: the plans of both runs; an interval set by the option is kept."""
     photos = looking_out(make_photos)
     long = replace(CONFIG, iterations=7000)
-    assert Trainer(replace(long, sky=False), photos).plan.reset_every == 3000
-    assert Trainer(long, photos).plan.reset_every == 0
-    assert Trainer(replace(long, reset_every=500), photos).plan.reset_every == 500
+    assert Trainer(replace(long, sky=False), Analysis(photos=photos)).plan.reset_every == 3000
+    assert Trainer(long, Analysis(photos=photos)).plan.reset_every == 0
+    assert Trainer(replace(long, reset_every=500), Analysis(photos=photos)).plan.reset_every == 500
 
 
 def test_given_splats_have_the_last_word(make_photos: Callable[..., Any]) -> None:
     """Oracle: the given splats."""
     photos = looking_out(make_photos)
-    start = Trainer(replace(CONFIG, sky=False), photos).splats()
-    np.testing.assert_array_equal(Trainer(CONFIG, photos, start=start).splats().means, start.means)
+    start = Trainer(replace(CONFIG, sky=False), Analysis(photos=photos)).splats()
+    np.testing.assert_array_equal(
+        Trainer(CONFIG, Analysis(photos=photos, start=start)).splats().means, start.means
+    )
 
 
 def test_there_is_no_sky_behind_a_subject_or_a_region(
@@ -156,7 +159,7 @@ def test_there_is_no_sky_behind_a_subject_or_a_region(
     photos = looking_out(make_photos)
     photos.mask_mode = "composite"
     with pytest.raises(ConfigError, match=r"composite.*leave out `--sky`"):
-        Trainer(CONFIG, photos)
+        Trainer(CONFIG, Analysis(photos=photos))
     photos.mask_mode = "none"
     with pytest.raises(ConfigError, match=r"region.*leave out `--sky`"):
-        Trainer(replace(CONFIG, region=tmp_path / "box.json"), photos)
+        Trainer(replace(CONFIG, region=tmp_path / "box.json"), Analysis(photos=photos))

@@ -14,6 +14,7 @@ from gscore.errors import ConfigError, DatasetError
 from gscore.events import Started
 from gscore.io.region_file import write_region
 from gscore.text_format import psnr_name
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.region.region_box import RegionBox
 from gscore.trainer.region.region_photos import RegionPhotos
 from gscore.trainer.run import train
@@ -57,7 +58,7 @@ def test_pixels_outside_the_region_have_no_effect(capture: Path) -> None:
         dataset = load_dataset(DataConfig(source=capture))
         photos = kind(dataset, RegionBox(BOX), near=0.01, narrow=True)
         # Other tests cover exposure and stereo on whole photos; here they only enter the loss.
-        trainer = Trainer(ANEW, photos, region=RegionBox(BOX))
+        trainer = Trainer(ANEW, Analysis(photos=photos, region=RegionBox(BOX)))
         for _ in range(30):
             trainer.step()
         return trainer.splats().means.tobytes()

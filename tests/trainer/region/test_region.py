@@ -18,6 +18,7 @@ from gscore.io.region_file import read_region, write_region
 from gscore.raster.request import Settings
 from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.splats import PARAMETERS, Splats
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
 from gscore.trainer.region.region_box import RegionBox
 from gscore.trainer.region.region_photos import RegionPhotos
@@ -98,7 +99,9 @@ def test_a_region_goes_on_bit_by_bit(
     photos.mask_mode = "ignore"
 
     def made() -> Trainer:
-        return Trainer(config, photos, start=known_splats, region=RegionBox(TURNED))
+        return Trainer(
+            config, Analysis(photos=photos, start=known_splats, region=RegionBox(TURNED))
+        )
 
     def state(trainer: Trainer) -> tuple[Any, Any]:
         return {k: t.numpy().tobytes() for k, t in trainer.tensors().items()}, trainer.state()
@@ -116,7 +119,10 @@ def test_a_region_goes_on_bit_by_bit(
             resumed.step()
         assert state(resumed) == state(whole)
     moved = Trainer(
-        config, photos, start=known_splats, region=RegionBox(TURNED @ np.diag([2, 1, 1, 1]))
+        config,
+        Analysis(
+            photos=photos, start=known_splats, region=RegionBox(TURNED @ np.diag([2, 1, 1, 1]))
+        ),
     )
     with pytest.raises(ConfigError, match="its region or its frozen"):
         checkpoint.check_same_region(found, moved)
@@ -152,7 +158,10 @@ def test_the_pixels_of_a_step_are_all_that_a_region_can_change(
     config = replace(CONFIG, start_splats=Path("a.ply"), region=Path("r"))
     small = replace(known_splats, scales=known_splats.scales - np.float32(2))
     trainer = Trainer(
-        config, photos, start=small, region=RegionBox(TURNED @ np.diag([0.7, 0.7, 0.7, 1]))
+        config,
+        Analysis(
+            photos=photos, start=small, region=RegionBox(TURNED @ np.diag([0.7, 0.7, 0.7, 1]))
+        ),
     )
     params, hidden = trainer.model.params, 0
     for index in photos.train:
@@ -170,7 +179,7 @@ def test_the_pixels_of_a_step_are_all_that_a_region_can_change(
 def test_tiles_of_splats_anywhere_before_a_camera(photos: Any) -> None:
     """Oracle: as above, for 400 models of one splat: outside, behind, near and long splats."""
     rng = np.random.default_rng(0)
-    trainer = Trainer(CONFIG, photos)
+    trainer = Trainer(CONFIG, Analysis(photos=photos))
     for _ in range(400):
         params = {name: p[:1].clone() for name, p in trainer.model.params.items()}
         params["means"][:] = params["means"].new_tensor(rng.normal(size=3))
@@ -320,12 +329,12 @@ def test_invalid_region_runs_are_refused(
     away = TURNED.copy()
     away[:3, 3] = 50
     with pytest.raises(ConfigError, match="None of the"):
-        Trainer(config, photos, start=known_splats, region=RegionBox(away))
+        Trainer(config, Analysis(photos=photos, start=known_splats, region=RegionBox(away)))
     rest = np.zeros((len(known_splats), 15, 3), np.float32)
     with pytest.raises(ConfigError, match="`--sh-degree 3`"):
         Trainer(
             replace(config, sh_degree=1),
-            photos,
-            start=replace(known_splats, shN=rest),
-            region=RegionBox(TURNED),
+            Analysis(
+                photos=photos, start=replace(known_splats, shN=rest), region=RegionBox(TURNED)
+            ),
         )

@@ -14,6 +14,7 @@ from gscore.config import DataConfig, TrainConfig
 from gscore.events import Done, Eval, Event
 from gscore.io.runs import read_run
 from gscore.metrics.image import psnr
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.evaluation import Evaluator
 from gscore.trainer.run import train
 from gscore.trainer.stopping.criteria import StoppingCriteria
@@ -59,7 +60,7 @@ def test_a_target_ends_the_run(capture: Path, tmp_path: Path) -> None:
 
 def goals_of(photos: Any, course: Callable[[int], float], config: TrainConfig) -> StoppingCriteria:
     """Goals of a trainer that has taken all steps and measures `course`, up to its end."""
-    trainer = Trainer(config, photos)
+    trainer = Trainer(config, Analysis(photos=photos))
     goals = StoppingCriteria(config, trainer, Evaluator(trainer, lpips=None, lpips_reason=""))
     for step in range(1, config.iterations + 1):
         trainer.steps = step
@@ -77,7 +78,7 @@ def test_only_pixels_that_count_are_measured(make_photos: Callable[..., Any]) ->
     photos.masks = [np.zeros((48, 48), np.uint8) for _ in photos.images]
     for mask in photos.masks[:-1]:
         mask[:, 10:] = 255
-    trainer = Trainer(CONFIG, photos)
+    trainer = Trainer(CONFIG, Analysis(photos=photos))
     evaluator = Evaluator(trainer, lpips=None, lpips_reason="")
     found = StoppingCriteria(CONFIG, trainer, evaluator).measure()
     seen = [i for i in evaluator.indices if photos.masks[i].any()]
@@ -104,7 +105,7 @@ def test_small_photos_have_not_converged(photos: Any) -> None:
     """Oracle: a flat course, which ends with photos at full size and not before."""
     config = replace(CONFIG, iterations=4000, early_stop=True, coarse_factor=4, coarse_until=0.5)
     flat = goals_of(photos, lambda step: 20.0, config)
-    plan = Trainer(config, photos).plan
+    plan = Trainer(config, Analysis(photos=photos)).plan
     full_size = next(step for step in range(1, 4001) if plan.factor_at(step) == 1)
     assert full_size <= 0.8 * flat.length <= full_size + 200
     at_once = goals_of(photos, lambda step: 20.0, replace(config, coarse_factor=1))

@@ -17,6 +17,7 @@ from gscore.raster.api import render
 from gscore.scene import Cameras
 from gscore.sh import rgb_to_sh0
 from gscore.splats import PARAMETERS, Splats
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.files import checkpoint
 from gscore.trainer.photos.view_sampler import training_camera
@@ -126,7 +127,10 @@ def test_the_least_useful_go_when_refinements_are_over(photos: Any, strategy: St
     """Oracle: the same training without pruning, rendered for the contributions; 0.6 of the maximum
     number stay, with all of their numbers."""
     config = replace(CONFIG, strategy=strategy)
-    trainer, whole = Trainer(config, photos), Trainer(replace(config, prune_share=0.0), photos)
+    trainer, whole = (
+        Trainer(config, Analysis(photos=photos)),
+        Trainer(replace(config, prune_share=0.0), Analysis(photos=photos)),
+    )
     for _ in range(29):
         whole.step()
         assert trainer.step().change.removed <= len(trainer.model)
@@ -154,7 +158,7 @@ def test_pruning_is_the_same_for_any_threads_and_after_a_resume(
     photos: Any, tmp_path: Path
 ) -> None:
     """Oracle: bit equality of all tensors after the last step."""
-    whole = Trainer(replace(CONFIG, threads=1), photos)
+    whole = Trainer(replace(CONFIG, threads=1), Analysis(photos=photos))
     for step in range(1, 61):
         whole.step()
         if step in (29, 30, 31):
@@ -162,7 +166,7 @@ def test_pruning_is_the_same_for_any_threads_and_after_a_resume(
     assert len(whole.model) == 180
     for stop in (29, 30, 31):
         found = checkpoint.load(tmp_path / f"{stop}.safetensors")
-        resumed = Trainer(replace(CONFIG, threads=2), photos)
+        resumed = Trainer(replace(CONFIG, threads=2), Analysis(photos=photos))
         resumed.restore(found.trainer, found.tensors)
         while resumed.steps < 60:
             resumed.step()
@@ -252,7 +256,7 @@ def test_splats_that_masks_hide_go(make_photos: Any, strategy: Strategy) -> None
             strategy=strategy,
             hidden_share=limit,
         )
-        trainer = Trainer(config, hidden_left_half(make_photos(), mode))
+        trainer = Trainer(config, Analysis(photos=hidden_left_half(make_photos(), mode)))
         return trainer, [trainer.step().change.removed for _ in range(10)][-1]
 
     whole, removed = after_ten_steps(0.0, "ignore")

@@ -15,6 +15,7 @@ from gscore.io.ply.splats import write_splats
 from gscore.scene import PointCloud
 from gscore.splats import PARAMETERS, Splats
 from gscore.trainer import session
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
 from gscore.trainer.model.nearest_points import NearestPoints
 from gscore.trainer.run import train
@@ -99,14 +100,14 @@ def test_walls_before_cameras_go(known: Any, known_splats: Splats, strategy: Str
     walls = len(known.scene.cameras.centers)
     config = replace(CONFIG, strategy=strategy, max_splats=len(known_splats) + walls, grow_grad=1e9)
     start = with_walls(known_splats, known)
-    trainer = Trainer(config, known, start=start)
+    trainer = Trainer(config, Analysis(photos=known, start=start))
     removed = [trainer.step().change.removed for _ in range(40)]
     assert trainer.pruner.around.count == walls == removed[9]
     centers, near = known.scene.cameras.centers, trainer.splats().means[:, None]
     assert np.linalg.norm(near - centers, axis=2).min() > 0.2
     assert len(trainer.model) >= len(known_splats) - 5
 
-    left = Trainer(replace(config, free_space=0.0), known, start=start)
+    left = Trainer(replace(config, free_space=0.0), Analysis(photos=known, start=start))
     for _ in range(40):
         left.step()
     near = np.linalg.norm(left.splats().means[:, None] - centers, axis=2).min(axis=0)
@@ -119,7 +120,7 @@ def test_clearing_goes_on_to_the_end_and_after_a_resume(
     """Oracle: bit equality; walls added after the refinements are removed by the next clearing."""
     walls = len(known.scene.cameras.centers)
     config = replace(CONFIG, max_splats=1000, threads=1)
-    whole = Trainer(config, known, start=with_walls(known_splats, known))
+    whole = Trainer(config, Analysis(photos=known, start=with_walls(known_splats, known)))
     for step in range(1, 41):
         whole.step()
         if step == 25:
@@ -128,7 +129,7 @@ def test_clearing_goes_on_to_the_end_and_after_a_resume(
             checkpoint.save(tmp_path / "25.safetensors", whole, {})
     assert whole.pruner.around.count == 2 * walls
     found = checkpoint.load(tmp_path / "25.safetensors")
-    resumed = Trainer(replace(config, threads=2), known, start=known_splats)
+    resumed = Trainer(replace(config, threads=2), Analysis(photos=known, start=known_splats))
     resumed.restore(found.trainer, found.tensors)
     while resumed.steps < 40:
         resumed.step()
@@ -144,7 +145,7 @@ def test_crowded_free_space_is_kept(known: Any, known_splats: Splats) -> None:
     walls = len(known.scene.cameras.centers)
     start = replace(start, **{name: getattr(start, name)[-walls:] for name in PARAMETERS})
     config = replace(CONFIG, strategy=Strategy.MCMC, max_splats=walls)
-    trainer = Trainer(config, known, start=start)
+    trainer = Trainer(config, Analysis(photos=known, start=start))
     for _ in range(12):
         trainer.step()
     assert (
@@ -152,7 +153,7 @@ def test_crowded_free_space_is_kept(known: Any, known_splats: Splats) -> None:
         and trainer.pruner.around.count == 0
         and trainer.pruner.around.crowded
     )
-    resumed = Trainer(config, known, start=start)
+    resumed = Trainer(config, Analysis(photos=known, start=start))
     resumed.restore(trainer.state(), dict(trainer.tensors()))
     resumed.model.params["means"][1:] = 0.0
     while resumed.steps < 40:
@@ -171,7 +172,7 @@ def test_points_that_are_made_up_free_nothing(known: Any, known_splats: Splats) 
         colors=np.concatenate([cloud.colors, np.zeros((len(nearer), 3), np.uint8)]),
     )
     for points, gone in ((cloud, 8), (replace(cloud, made_up=True), 0), (near, 0)):
-        trainer = Trainer(config, known, start=start, points=points)
+        trainer = Trainer(config, Analysis(photos=known, start=start, points=points))
         for _ in range(10):
             trainer.step()
         assert trainer.pruner.around.count == gone
@@ -181,7 +182,7 @@ def test_held_out_cameras_free_nothing(known: Any, known_splats: Splats) -> None
     """Oracle: the wall in front of the held-out view, which stays."""
     seven = replace(known, train=list(range(7)), test=[7])
     config = replace(CONFIG, max_splats=1000, grow_grad=1e9)
-    trainer = Trainer(config, seven, start=with_walls(known_splats, known))
+    trainer = Trainer(config, Analysis(photos=seven, start=with_walls(known_splats, known)))
     for _ in range(10):
         trainer.step()
     assert trainer.pruner.around.count == 7

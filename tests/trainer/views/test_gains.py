@@ -15,6 +15,7 @@ from gscore.raster.loss import image_loss_gradient
 from gscore.raster.reference import image_loss_reference, rasterize_reference
 from gscore.raster.request import Frustum, Settings
 from gscore.raster.training_rasterizer import TrainingRasterizer
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
 from gscore.trainer.views.photo_adam import rate_at
@@ -162,7 +163,9 @@ def test_gains_of_photos_are_found(make_photos: Callable[..., Any]) -> None:
         CONFIG, iterations=400, background=Background.BLACK, exposure_lr=0.03, sh_degree=0
     )
     photos = exposed(plain, truth)
-    trainer = Trainer(config, photos, gains=PhotoGains(photos.train, np.zeros((8, 3))))
+    trainer = Trainer(
+        config, Analysis(photos=photos, gains=PhotoGains(photos.train, np.zeros((8, 3))))
+    )
     for _ in range(config.iterations):
         trainer.step()
     assert trainer.photo_parameters.gains is not None
@@ -180,7 +183,9 @@ def test_resume_is_bit_equal(photos: Any, tmp_path: Path, mask_mode: str) -> Non
     config = replace(CONFIG, threads=1)
 
     def begun() -> Trainer:
-        return Trainer(config, photos, gains=PhotoGains(photos.train, some_gains(photos)))
+        return Trainer(
+            config, Analysis(photos=photos, gains=PhotoGains(photos.train, some_gains(photos)))
+        )
 
     whole = begun()
     for step in range(1, 41):
@@ -189,7 +194,7 @@ def test_resume_is_bit_equal(photos: Any, tmp_path: Path, mask_mode: str) -> Non
             checkpoint.save(tmp_path / f"{step}.safetensors", whole, {})
     for stop in (1, 13, 21):
         found = checkpoint.load(tmp_path / f"{stop}.safetensors")
-        resumed = Trainer(replace(config, threads=2), photos)
+        resumed = Trainer(replace(config, threads=2), Analysis(photos=photos))
         resumed.restore(found.trainer, found.tensors)
         while resumed.steps < 40:
             resumed.step()
@@ -201,10 +206,12 @@ def test_resume_is_bit_equal(photos: Any, tmp_path: Path, mask_mode: str) -> Non
 
 def test_a_run_that_began_without_goes_on_without(photos: Any) -> None:
     """Oracle: a checkpoint without gains, loaded by a trainer with gains."""
-    plain = Trainer(CONFIG, photos)
+    plain = Trainer(CONFIG, Analysis(photos=photos))
     plain.step()
     state, tensors = plain.state(), {k: t.clone() for k, t in plain.tensors().items()}
-    other = Trainer(CONFIG, photos, gains=PhotoGains(photos.train, some_gains(photos)))
+    other = Trainer(
+        CONFIG, Analysis(photos=photos, gains=PhotoGains(photos.train, some_gains(photos)))
+    )
     other.restore(state, tensors)
     plain.step()
     other.step()

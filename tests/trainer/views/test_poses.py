@@ -16,6 +16,7 @@ from gscore.raster.reference import image_loss_reference, rasterize_reference
 from gscore.raster.request import Frustum
 from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.scene import camera_centers
+from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
 from gscore.trainer.views.photo_poses import PhotoPoses
@@ -134,7 +135,7 @@ def test_disturbed_poses_come_back(make_photos: Callable[..., Any]) -> None:
     )
 
     def trained(placing: PoseCheck) -> Trainer:
-        trainer = Trainer(config, photos, pose_check=placing)
+        trainer = Trainer(config, Analysis(photos=photos, pose_check=placing))
         for _ in range(config.iterations):
             trainer.step()
         return trainer
@@ -182,7 +183,7 @@ def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
     """Oracle: the bits of the poses up to `pose_start` and from `pose_stop` on."""
     config = replace(CONFIG, pose_start=0.25, pose_stop=0.5)
     placing = PoseCheck(viewmats=photos.scene.cameras.viewmats, learns=True)
-    trainer, seen = Trainer(config, photos, pose_check=placing), []
+    trainer, seen = Trainer(config, Analysis(photos=photos, pose_check=placing)), []
     assert trainer.photo_parameters.poses is not None
     for _ in range(60):
         trainer.step()
@@ -195,14 +196,14 @@ def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
 def test_resume_is_bit_equal(photos: Any, tmp_path: Path) -> None:
     """Oracle: all tensors and other state of an uninterrupted run, with other threads."""
     placing = PoseCheck(viewmats=disturbed(photos, degrees=0.5, shift=0.01), learns=True)
-    whole = Trainer(replace(CONFIG, threads=1), photos, pose_check=placing)
+    whole = Trainer(replace(CONFIG, threads=1), Analysis(photos=photos, pose_check=placing))
     for step in range(1, 61):
         whole.step()
         if step in (3, 21, 50):
             checkpoint.save(tmp_path / f"{step}.safetensors", whole, {})
     for stop in (3, 21, 50):
         found = checkpoint.load(tmp_path / f"{stop}.safetensors")
-        resumed = Trainer(replace(CONFIG, threads=2), photos)
+        resumed = Trainer(replace(CONFIG, threads=2), Analysis(photos=photos))
         resumed.restore(found.trainer, found.tensors)
         while resumed.steps < 60:
             resumed.step()

@@ -1,0 +1,44 @@
+"""Analysis: all that a training knows about its capture and its start before the first step."""
+
+from dataclasses import dataclass, field
+
+from ...io.block_record import BlockRecord
+from ...scene import PointCloud
+from ...splats import Splats
+from ..depth.targets import DepthTargets
+from ..guide.setup import GuideSetup
+from ..model.training_frame import TrainingFrame
+from ..photos.view_sampler import Photos
+from ..region.region_box import RegionBox
+from ..views.photo_gains import PhotoGains
+from ..views.pose_check import PoseCheck
+
+
+@dataclass(frozen=True, kw_only=True)
+class Analysis:
+    """A capture as a trainer receives it. Only `photos` is needed; the world is that of COLMAP."""
+
+    photos: Photos
+    """The capture; with a `region` and no `start`, masked to the region."""
+    frame: TrainingFrame | None = None
+    """Training frame; None: fitted to the capture."""
+    start: Splats | None = None
+    """Start splats; None: the run starts from points."""
+    points: PointCloud | None = None
+    """Start points; None: those of the capture."""
+    known: float | None = None
+    """Share of the unmasked pixels with stereo depth; None: stereo did not run."""
+    gains: PhotoGains | None = None
+    """Initial exposure gains; None: photo colours are used unchanged."""
+    pose_check: PoseCheck = field(default_factory=PoseCheck)
+    """Checked training cameras."""
+    depth: DepthTargets | None = None
+    """Targets of depth supervision; None: no depth supervision."""
+    guide: GuideSetup = field(default_factory=GuideSetup)
+    """Guide meshes."""
+    region: RegionBox | None = None
+    """Box of the splats of `start` that are trained; None: all."""
+    block: BlockRecord | None = None
+    """Block whose cell limits where splats are added; None: everywhere."""
+    photo_cache: int | None = None
+    """Bytes of photos to keep in memory; None: all."""
