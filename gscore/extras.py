@@ -1,7 +1,7 @@
 """Optional packages (extras): the extra that installs each, and the message if one is missing."""
 
 import sys
-from collections.abc import Mapping
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -81,28 +81,47 @@ def _is_loading(module: Any) -> bool:
     return bool(getattr(getattr(module, "__spec__", None), "_initializing", False))
 
 
-def offered(door: str, name: str, modules: Mapping[str, str]) -> Any:
-    """Load a name that a module re-exports lazily, for that module's `__getattr__`.
+def stub_name(door: str, name: str) -> Any:
+    """Load a name that the stub of a module re-exports, for that module's `__getattr__`.
 
     Args:
-        door: Name of the re-exporting module, for messages.
-        name: The requested name.
-        homes: Module within gscore of each re-exported name; `module:name` if it has another name
-            there.
+        door: Name of the re-exporting module, whose stub is beside its file.
+        name: The requested name; `__all__` gives the list of names.
 
     Raises:
         AttributeError: the module does not export the name.
         ModuleNotFoundError: a required package is not installed; the message names it.
     """
-    home = modules.get(name)
-    if home is None:
+    homes = _stub(door)
+    if name == "__all__":
+        return list(homes)
+    if name not in homes:
         raise AttributeError(f"module {door!r} has no attribute {name!r}")
-    module, _, inner = home.partition(":")
+    module, inner = homes[name]
     try:
-        return getattr(import_module(f".{module}", __package__), inner or name)
+        return getattr(import_module(module, __package__), inner)
     except ModuleNotFoundError as error:
         needed = error.name or ""
         if not install_hint(needed):
             raise
         sentence = missing(needed, f"{door}.{name}")
         raise ModuleNotFoundError(sentence, name=error.name) from error
+
+
+@cache
+def _stub(door: str) -> dict[str, tuple[str, str]]:
+    """Module of each name of a stub, and its name there.
+
+    Its lines are `from .MODULE import NAME as NAME`; or `from .MODULE import NAME`, and below them
+    `OFFERED = NAME`.
+    """
+    homes: dict[str, tuple[str, str]] = {}
+    with open(f"{sys.modules[door].__file__}i", encoding="utf-8") as stub:  # noqa: PTH123 - light
+        for line in stub:
+            if line.startswith("from "):
+                _, module, _, names = line.split(maxsplit=3)
+                homes |= {name.split()[-1]: (module, name.split()[0]) for name in names.split(",")}
+            elif " = " in line:
+                offered, _, name = line.split()
+                homes[offered] = homes.pop(name)
+    return homes
