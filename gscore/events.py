@@ -24,22 +24,21 @@ class Event:
 Show = Callable[[Event], None]
 """Receives each event."""
 
-TOPICS = (
-    "region",
-    "masks",
-    "enough",
-    "stereo",
-    "drops",
-    "ensemble",
-    "depth",
-    "guide",
-    "exposure",
-    "poses",
-    "viewer",
-)
-"""Topics of decisions, in the order in which they are shown. `enough` means caps by the number of
-photos, `drops` dropout. Each is also a key of a `started` event in JSON, for versions without
-`decisions`."""
+TOPICS = {
+    "region": "Region",
+    "masks": "Masks",
+    "enough": "Caps",
+    "stereo": "Stereo",
+    "drops": "Dropout",
+    "ensemble": "Ensemble",
+    "depth": "Depth",
+    "guide": "Guide meshes",
+    "exposure": "Exposure",
+    "poses": "Camera poses",
+    "viewer": "Viewer",
+}
+"""Topics of decisions with their labels, in the order in which they are shown. Each topic is also a
+key of a `started` event in JSON, for versions without `decisions`."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +46,14 @@ class Decision:
     """Decision of a training for its photos and options."""
 
     topic: str
-    """One of `TOPICS`."""
+    """One of `TOPICS`; empty for a file of a version that stored no topics."""
     text: str
-    """Sentences for people."""
+    """Sentences for people, with marked options."""
+
+    @property
+    def label(self) -> str:
+        """The label of the topic; empty if the topic is unknown."""
+        return TOPICS.get(self.topic, "")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -34,6 +34,7 @@ from .edit import reached_from as reached_from
 from .edit.pipeline import EditViews as EditViews
 from .edit.pipeline import apply_edits as apply_edits
 from .edit.request import EditRequest as EditRequest
+from .events import Decision as Decision
 from .events import DepthDone as DepthDone
 from .events import DepthProgress as DepthProgress
 from .events import Done as Done

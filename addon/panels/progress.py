@@ -70,7 +70,8 @@ class DecisionsPanel(TabPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        for text in job(context).state.decisions:
+        for one in job(context).state.decisions:
+            text = f"{one.label}: {one.text}" if one.label else one.text
             sentence(self.layout, context, text, icon="DOT")
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, get_origin
 
 from ..core import (
+    Decision,
     Done,
     Eval,
     Event,
@@ -100,10 +101,10 @@ class RunState:
     """Message on the end; empty before it."""
 
     @property
-    def decisions(self) -> list[str]:
-        """Decisions of the training for this capture, as sentences with panel labels."""
+    def decisions(self) -> list[Decision]:
+        """Decisions of the training for this capture, with panel labels in their texts."""
         found = self.started.decisions if self.started else ()
-        return [panel_words(one.text) for one in found]
+        return [replace(one, text=panel_words(one.text)) for one in found]
 
     @property
     def ended(self) -> bool:

@@ -118,6 +118,13 @@ def _are_poses(value: Any) -> bool:
     )
 
 
+def _are_decisions(value: Any) -> bool:
+    """True for a list of objects with the texts `topic` and `text`."""
+    return _are_objects(value) and all(
+        _is_text(one.get("topic")) and _is_text(one.get("text")) for one in value
+    )
+
+
 _Kind = Callable[[Any], bool]
 _KEYS: tuple[tuple[re.Pattern[str], _Kind], ...] = tuple(
     (re.compile(names), kind)
@@ -127,6 +134,7 @@ _KEYS: tuple[tuple[re.Pattern[str], _Kind], ...] = tuple(
         (r"psnr\w*|ssim\w*|d_ssim|ms_ssim|lpips\w*|fps|train_seconds", is_number),
         (r"steps|splats|sh_degree|storage_bytes|peak_memory_bytes", _is_whole),
         (r"train_views|test_views|decided", _are_texts),
+        (r"decisions", _are_decisions),
         (r"history|evals", _are_rows),
         (r"views", _are_objects),
         (r"machine|depth", _is_object),

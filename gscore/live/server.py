@@ -10,6 +10,7 @@ import time
 from typing import Self
 
 from ..errors import ConfigError
+from ..events import Decision
 from ..live_options import LiveOptions
 from . import viewer_protocol
 from .viewer_clients import ViewerClient, ViewerClients
@@ -45,8 +46,10 @@ class Server:
             ConfigError: the port is in use or not permitted, or this computer lacks the address.
         """
         self._options = options
-        why = f"Viewers can connect to {options.ip}, port {options.port}."
-        self.viewers = ViewerClients(why=why, after_the_end=after_the_end)
+        text_of_port = f"Viewers can connect to {options.ip}, port {options.port}."
+        self.viewers = ViewerClients(
+            decision=Decision("viewer", text_of_port), after_the_end=after_the_end
+        )
         """Connected viewers."""
         self._text = text
         self._socket = self._listening()

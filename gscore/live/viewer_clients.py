@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 
 from ..errors import GsError
+from ..events import Decision
 from .viewer_protocol import FrameRequest
 
 _log = logging.getLogger(__name__)
@@ -66,10 +67,10 @@ class ViewerClient:
 class ViewerClients:
     """All connected viewers. Without any, `answer` reads one attribute."""
 
-    def __init__(self, *, why: str = "", after_the_end: bool = False) -> None:
+    def __init__(self, *, decision: Decision | None = None, after_the_end: bool = False) -> None:
         """`after_the_end`: viewers may stay after the last step."""
-        self.why = why
-        """Message on how viewers connect."""
+        self.decision = decision
+        """How viewers connect; None: no port is open."""
         self._after_the_end = after_the_end
         self._all: list[ViewerClient] = []
         self._lock = threading.Lock()

@@ -3,17 +3,20 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from .._version import __version__
+from ..events import Decision
 from ..io.files import atomic_write
 from .evaluate import Evaluation
 from .machine import machine, peak_memory_bytes
 
-_LISTS = frozenset({"views", "train_views", "test_views", "history", "evals", "decided"})
-_PARTS = ("models", "depth", "exposure", "poses", "ranks", "decided", "asked")
+_LISTS = frozenset(
+    {"views", "train_views", "test_views", "history", "evals", "decided", "decisions"}
+)
+_PARTS = ("models", "depth", "exposure", "poses", "ranks", "asked")
 """Fields of a `Course` that are omitted when empty."""
 
 
@@ -46,17 +49,18 @@ class Course:
     ranks: dict[str, Any] | None = None
     """Distributed training: `count`, `batches` since the start or the last resumption, and per rank
     the bytes sent, working time and waiting time per batch."""
-
-    decided: Sequence[str] | None = None
-    """Messages on automatic decisions of the run; None: unknown."""
+    decisions: Sequence[Decision] = ()
+    """Decisions of the run for its photos and options; empty: none, or unknown."""
     asked: Mapping[str, int] | None = None
     """Requested values of options that were limited by the number of photos; None: none was."""
 
     @classmethod
     def of_file(cls, metrics: Mapping[str, Any]) -> "Course":
         """Course from the metrics.json of a training, as returned by `read_metrics`."""
-        names = (each.name for each in fields(cls))
-        return cls(**{name: metrics[name] for name in names if metrics.get(name) is not None})
+        names = [each.name for each in fields(cls) if metrics.get(each.name) is not None]
+        values: dict[str, Any] = {name: metrics[name] for name in names}
+        values["decisions"] = _decisions_of(metrics)
+        return cls(**values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +117,25 @@ class Metrics:
         }
         parts = {name: getattr(course, name) for name in _PARTS}
         parts["model"] = self.model or None
+        if course.decisions:
+            # `decided` is for readers of versions without `decisions`.
+            parts["decided"] = [one.text for one in course.decisions]
+            parts["decisions"] = [asdict(one) for one in course.decisions]
         return content | {key: part for key, part in parts.items() if part is not None}
+
+
+def _decisions_of(metrics: Mapping[str, Any]) -> list[Decision]:
+    """Decisions of a metrics.json. A version without `decisions` stored texts alone, some of them
+    again as the reason of a part, which gives their topic."""
+    if metrics.get("decisions") is not None:
+        return [Decision(one["topic"], one["text"]) for one in metrics["decisions"]]
+    reasons = {
+        part: (metrics.get(part) or {}).get("why") for part in ("depth", "exposure", "poses")
+    }
+    return [
+        Decision(next((part for part, why in reasons.items() if why == text), ""), text)
+        for text in metrics.get("decided") or ()
+    ]
 
 
 def _finite_row(row: dict[str, Any]) -> dict[str, Any]:

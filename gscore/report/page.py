@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..events import headline_psnr
+from ..events import Decision, headline_psnr
 from ..metrics.named import NAMED_METRICS, NamedMetric
 from ..text_format import count_words, has_exposure_correction, number_words, psnr_name, size_words
 from .cameras_plan import CamerasSection, cameras_html
@@ -72,7 +72,7 @@ def report_html(report: Report) -> str:
             warnings_html(report.warnings),
             tiles_html(metrics),
             meaning_html(metrics, report.depth_command),
-            _decided(metrics),
+            _decisions(report),
             SEAM,
             _curves(metrics.get("history") or [], metrics.get("evals") or [], metrics),
             _view_cards(views, metrics),
@@ -92,16 +92,17 @@ def _worths(metrics: dict[str, Any]) -> dict[str, float | None]:
     return {view["name"]: headline_psnr(view) for view in metrics["views"]}
 
 
-def _decided(metrics: dict[str, Any]) -> str:
+def _decisions(report: Report) -> str:
     """Decisions of the run, without those that have a section of their own."""
-    shown = [(metrics.get(part) or {}).get("why") for part in ("depth", "poses")]
+    sections = {"depth": report.depth, "poses": report.metrics.get("poses")}
+    found = [Decision(**one) for one in report.metrics.get("decisions") or ()]
     items = "".join(
-        f"<li>{html.escape(sentence)}</li>"
-        for sentence in metrics.get("decided") or ()
-        if sentence not in shown
+        f"<li>{f'<b>{one.label}:</b> ' if one.label else ''}{html.escape(one.text)}</li>"
+        for one in found
+        if not sections.get(one.topic)
     )
     return (
-        f'<section class="decided"><h2>Decided by itself</h2><ul>{items}</ul></section>\n'
+        f'<section class="decisions"><h2>Decisions</h2><ul>{items}</ul></section>\n'
         if items
         else ""
     )

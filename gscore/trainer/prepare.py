@@ -1,6 +1,6 @@
 """Preparation of a training: creates the trainer from options and capture, equal on every rank."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -36,14 +36,20 @@ from .views.photo_analysis import analyze_photos
 from .views.pose_check import PoseCheck
 
 _MASKS = {
-    "ignore": "Masks are used: masked pixels are neither trained nor measured. `--mask-mode none` "
-    "trains whole photos, composite only the subject.",
-    "composite": "Masks are used as the opacity of the subject, and only the subject is trained. "
-    "`--mask-mode none` trains whole photos, ignore does not constrain masked pixels.",
+    "ignore": Decision(
+        "masks",
+        "Masks are used: masked pixels are neither trained nor measured. `--mask-mode none` trains "
+        "whole photos, composite only the subject.",
+    ),
+    "composite": Decision(
+        "masks",
+        "Masks are used as the opacity of the subject, and only the subject is trained. "
+        "`--mask-mode none` trains whole photos, ignore does not constrain masked pixels.",
+    ),
 }
 """Decision on masks, by `mask_mode`."""
 _KEPT = ("stereo", "drops", "ensemble", "exposure", "poses")
-"""Topics that a resumed run may not decide again: its earlier decisions still hold."""
+"""Topics that a resumed run may not decide again: its earlier decisions still apply."""
 
 
 @dataclass(kw_only=True)
@@ -53,8 +59,8 @@ class Prepared:
     trainer: Trainer
     warnings: Sequence[str] = ()
     """Warnings of reading the photos."""
-    caps: str = ""
-    """Message on caps of steps and splats; empty: none applies."""
+    caps: Decision | None = None
+    """Caps of steps and splats; None: none applies."""
     requested: dict[str, int] = field(default_factory=dict)
     """Requested values of the options that were capped by the number of photos."""
     depth: DepthSetup = field(default_factory=DepthSetup)
@@ -68,24 +74,14 @@ class Prepared:
         """Meaning of the capture's masks; `none` for a region, whose masks are computed."""
         return "none" if self.trainer.region is not None else self.trainer.photos.mask_mode
 
-    def decisions(self, earlier: Mapping[str, str]) -> list[Decision]:
-        """Decisions in the order of `TOPICS`; `earlier`: texts by topic of the resumed run."""
-        trainer = self.trainer
-        texts = {topic: earlier.get(topic, "") for topic in _KEPT}
-        found = {
-            "region": trainer.region_words,
-            "masks": _MASKS.get(self.mask_mode, ""),
-            "enough": self.caps,
-            "stereo": self.stereo.why,
-            "drops": trainer.drop_words,
-            "ensemble": trainer.ensemble_words,
-            "depth": self.depth.decision,
-            "guide": self.guide.why,
-            "exposure": self.exposure.why,
-            "poses": self.pose_check.why,
-        }
-        texts |= {topic: text for topic, text in found.items() if text}
-        return [Decision(topic, texts[topic]) for topic in TOPICS if texts.get(topic)]
+    def decisions(self, earlier: Sequence[Decision] = ()) -> list[Decision]:
+        """Decisions in the order of `TOPICS`; `earlier`: those of the resumed run."""
+        rules = (self.stereo, self.depth, self.guide, self.exposure, self.pose_check)
+        found = [*self.trainer.decisions, self.caps, _MASKS.get(self.mask_mode)]
+        found += [rule.decision for rule in rules]
+        by_topic = {one.topic: one for one in earlier if one.topic in _KEPT}
+        by_topic |= {one.topic: one for one in found if one is not None}
+        return [by_topic[topic] for topic in TOPICS if topic in by_topic]
 
     def facts(self) -> dict[str, Any]:
         """Values that must be equal on all ranks, JSON values by name."""

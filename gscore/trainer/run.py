@@ -101,8 +101,9 @@ def train(
                 session.warn(message, "depth")
             for message in found.guide.warnings:
                 session.warn(message, "guide")
-            if found.stereo.why and not found.stereo.added and config.stereo == Stereo.ON:
-                session.warn(found.stereo.why, "stereo")
+            stereo = found.stereo.decision
+            if stereo is not None and not found.stereo.added and config.stereo == Stereo.ON:
+                session.warn(stereo.text, "stereo")
             with _kept_for(agent, folder) as end:
                 result = session.run()
                 if team and result.reason in ENDED:

@@ -81,7 +81,7 @@ class Session:
         self._evaluator = Evaluator(trainer, lpips=lpips, lpips_reason=lpips_reason)
         self._results = RunOutputs(trainer, folder, data)
         self._viewers = viewers or ViewerClients()
-        self._earlier: dict[str, str] = {}
+        self._earlier: list[Decision] = []
         pace = current_pace(self._config.threads)
         budget = self._config.time_budget or math.inf
         self._meter = ProgressMeter(
@@ -105,7 +105,8 @@ class Session:
         self._evals = as_records("evals", state["evals"])
         self._warnings = as_str_list("warnings", state["warnings"])
         self._steering.restore(state.get("steering"))
-        self._earlier = as_str_dict("decided", state.get("decided", {}))
+        decided = as_str_dict("decided", state.get("decided", {}))
+        self._earlier = [Decision(topic, text) for topic, text in decided.items()]
         self._last_checkpoint = self._last_preview = self._meter.train_seconds
         if "watchdog" in state:
             self._watchdog.restore(state["watchdog"])
@@ -202,7 +203,7 @@ class Session:
 
     def _started(self) -> None:
         photos, cameras = self._trainer.photos, self._trainer.photos.scene.cameras
-        viewer = [Decision("viewer", self._viewers.why)] if self._viewers.why else []
+        viewer = self._viewers.decision
         self._emit(
             Started(
                 source=str(self._data.source),
@@ -219,7 +220,7 @@ class Session:
                 models=len(self._trainer.members),
                 left_s=self._meter.progress().eta_s,
                 mask_mode=self._prepared.mask_mode,
-                decisions=[*self._decisions(), *viewer],
+                decisions=self._decisions() + ([viewer] if viewer else []),
                 config={"data": to_dict(self._data), "train": to_dict(self._config)},
             )
         )
@@ -398,8 +399,9 @@ class Session:
             )
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
         splats = trainer.finish()
+        poses = self._prepared.pose_check.decision
         photo_parameters = self._results.write_photo_parameters(
-            self._prepared.exposure.numbers, self._prepared.pose_check.why
+            self._prepared.exposure.numbers, poses.text if poses else ""
         )
         self._results.write_splats(self._folder.point_cloud)
         self._emit(Saved(step=trainer.steps, path=str(self._folder.point_cloud)))
@@ -414,7 +416,7 @@ class Session:
             warnings=self._warnings,
             depth=self._depth_report() if evaluation else None,
             photo_parameters=photo_parameters,
-            decided=[one.text for one in self._decisions()],
+            decisions=self._decisions(),
             asked=self._prepared.requested,
             reason=reason,
         )

@@ -24,6 +24,7 @@ from ..engine.cpu.ensemble import divide_opacities
 from ..engine.random import generator_of
 from ..engine.stage_timer import StageTimer
 from ..errors import DatasetError, GsError
+from ..events import Decision
 from ..formats.joined import joined
 from ..splats import PARAMETERS, Splats
 from ..text_format import count_words, number
@@ -216,15 +217,18 @@ class Trainer:
         return 0 if self.frozen is None else len(self.frozen)
 
     @property
-    def region_words(self) -> str:
-        """Message on the trained region, or on the cell in which splats are added; empty: no
-        limit."""
+    def decisions(self) -> list[Decision]:
+        """Decisions on the region, or the cell in which splats are added, and by the photos on
+        dropout and ensemble."""
+        return [one for one in (self._region_decision(), *self._by_photos) if one is not None]
+
+    def _region_decision(self) -> Decision | None:
         if self.region is None:
-            return _IN_CELL if self._block else ""
+            return Decision("region", _IN_CELL) if self._block else None
         if not self._given:
-            return "Only pixels that show the region are trained."
-        count = count_words(self.trained_count, "splat")
-        return f"{count} in the region; {number(self._frozen_count)} around it are frozen."
+            return Decision("region", "Only pixels that show the region are trained.")
+        count, frozen = count_words(self.trained_count, "splat"), number(self._frozen_count)
+        return Decision("region", f"{count} in the region; {frozen} around it are frozen.")
 
     def plan_of(self, iterations: int) -> Plan:
         """Return the plan of a run with `iterations` steps; cheap."""
@@ -451,17 +455,17 @@ class Trainer:
         the number of models if it was decided before."""
         config, mask_mode = self.config, self.photos.mask_mode
         self._known = known
-        self.drop_rate, self.drop_words = drop_rate_of(config, known=known, mask_mode=mask_mode)
-        """Dropout rate at the last step, and a message on it if the photos decided; empty: no
-        dropout, or set by the options."""
-        self._models, self.ensemble_words = self._models_for(known)
+        self.drop_rate, dropout = drop_rate_of(config, known=known, mask_mode=mask_mode)
+        """Dropout rate at the last step."""
+        self._models, ensemble = self._models_for(known)
         if models is not None and models != self._models:
-            self._models, self.ensemble_words = models, ""
+            self._models, ensemble = models, None
+        self._by_photos = (dropout, ensemble)
 
-    def _models_for(self, known: float | None) -> tuple[int, str]:
-        """Number of models, and a message if the photos decided it."""
+    def _models_for(self, known: float | None) -> tuple[int, Decision | None]:
+        """Number of models, and the decision if the photos led to it."""
         if self._given:
-            return 1, ""
+            return 1, None
         photos = self.photos
         return model_count(
             self.config,

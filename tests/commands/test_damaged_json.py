@@ -48,6 +48,7 @@ def measured(gscore, run_folder):
         "reason": "finished",
         "depth": {},
         "poses": moved,
+        "decisions": [{"topic": "poses", "text": "They missed."}],
     }
     assert before.keys() <= full.keys()
     return folder, full
@@ -95,6 +96,19 @@ def test_a_metrics_json_with_odd_values_goes_through_all_verbs(gscore, measured,
     ):
         (folder / "metrics.json").write_text(text)
         _assert_said(gscore(*arguments))
+
+
+@pytest.mark.parametrize("part", ["topic", "text"])
+@pytest.mark.parametrize("value", ODD)
+def test_decisions_may_be_odd(gscore, measured, value, part):
+    """Oracle: only a text is read; a new measurement, which needs none of them."""
+    folder, full = measured
+    odd = full["decisions"][0] | {part: "@"}
+    (folder / "metrics.json").write_text(
+        json.dumps(full | {"decisions": [odd]}).replace('"@"', value)
+    )
+    assert (read_metrics(folder).get("decisions") is not None) == value.startswith('"')
+    _assert_said(gscore("eval", folder, "--quiet"), (0,))
 
 
 @pytest.mark.parametrize("key", ["exposure", "poses"])

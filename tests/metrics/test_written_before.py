@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from gscore.events import Decision
 from gscore.io.metrics_file import metrics_problem, read_metrics
 from gscore.metrics import Course, Evaluation, Metrics, summary
 from gscore.report import Report
@@ -44,6 +45,18 @@ def test_a_file_written_before_is_read_whole() -> None:
     assert metrics_problem(FOLDER) == "" and read_metrics(FOLDER) == STORED
     page = report_html(Report(title="x", metrics=read_metrics(FOLDER)))
     assert "24.50" in page and "10 steps" in page
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_decisions_of_either_version_are_read(listed: bool) -> None:
+    """Oracle: a list with topics; texts alone, whose topic is that of the part with this reason."""
+    texts = {"enough" if listed else "": "Fewer steps.", "poses": "Cameras moved."}
+    stored: dict[str, Any] = {"decided": list(texts.values())}
+    stored["poses"] = {"why": "Cameras moved.", "cameras": {}}
+    if listed:
+        stored["decisions"] = [{"topic": topic, "text": text} for topic, text in texts.items()]
+    course = Course.of_file(STORED | stored)
+    assert list(course.decisions) == [Decision(topic, text) for topic, text in texts.items()]
 
 
 def test_values_that_are_not_finite_are_null(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from gscore.errors import GsError
+from gscore.events import Decision
 from gscore.metrics import headline
 from gscore.report import PictureCollector, Report, cameras_section, splat_histograms, write_report
 from gscore.report.colormap import colorize
@@ -128,14 +129,16 @@ def test_the_head_says_what_was_done(run):
 
 
 def test_decisions_are_listed(run):
-    """Oracle: the sentences; one that has a section of its own is there once, and none make no
-    section."""
-    report = run(decided=["5 of <9> steps.", "Cameras moved."])
+    """Oracle: labels and sentences; one that has a section of its own is there once, one without
+    a known topic has no label, and none make no section."""
+    found = [Decision("enough", "5 of <9> steps."), Decision("poses", "Cameras moved.")]
+    report = run(decisions=[*found, Decision("", "By hand.")])
     report.metrics["poses"] = {"why": "Cameras moved.", "cameras": {}}
     words = Page(report_html(report)).words
-    assert "5 of <9> steps." in words and words.count("Cameras moved.") == 1
-    assert 'class="decided"' in report_html(report)
-    assert 'class="decided"' not in report_html(run())
+    assert "Decisions Caps: 5 of <9> steps. By hand." in " ".join(word.strip() for word in words)
+    assert words.count("Cameras moved.") == 1
+    assert 'class="decisions"' in report_html(report)
+    assert 'class="decisions"' not in report_html(run())
 
 
 def test_exposed_and_neutral_figures_are_labelled(run):

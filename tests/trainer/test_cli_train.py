@@ -148,7 +148,7 @@ def test_automatic_choices_are_stored_but_not_in_the_command(
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         page = (tmp_path / "report.html").read_text()
         assert (metrics["steps"], metrics["asked"]) == (16, {"iterations": 4000})
-        (section,) = re.findall('<section class="decided">.*?</section>', page)
+        (section,) = re.findall('<section class="decisions">.*?</section>', page)
         assert section.count(told) == 1 and "stereo" in section
         (command,) = re.findall('<pre class="command">(.*?)</pre>', page)
         assert command.endswith("--preset draft --steps-a-photo 2")

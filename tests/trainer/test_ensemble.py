@@ -13,6 +13,7 @@ import torch
 from gscore.config import Background, Stereo, Strategy, TrainConfig
 from gscore.engine.cpu import loss as step_loss
 from gscore.engine.cpu.ensemble import divide_opacities
+from gscore.events import Decision
 from gscore.presets import PRESETS
 from gscore.raster.api import render
 from gscore.raster.loss import LossValues
@@ -167,18 +168,20 @@ def test_a_run_keeps_the_models_that_photos_decided_on(
 ) -> None:
     """Oracle: bit equality with the uninterrupted run, though the rule now finds another number."""
     config = replace(TWO, ensemble_below=0.35)
-    monkeypatch.setattr(trainer_module, "model_count", lambda *_, **__: (models, "then"))
+    monkeypatch.setattr(
+        trainer_module, "model_count", lambda *_, **__: (models, Decision("ensemble", "then"))
+    )
     begun = trained(config, photos, 20)
     state, tensors = begun.state(), {name: t.clone() for name, t in begun.tensors().items()}
     for _ in range(15):
         begun.step()
-    monkeypatch.setattr(trainer_module, "model_count", lambda *_, **__: (3 - models, "now"))
+    monkeypatch.setattr(trainer_module, "model_count", lambda *_, **__: (3 - models, None))
     after = Trainer(config, Analysis(photos=photos))
     after.restore(state, tensors)
     for _ in range(15):
         after.step()
     assert bits(after.tensors()) == bits(begun.tensors())
-    assert (after.plan.models, after.ensemble_words) == (models, "")
+    assert (after.plan.models, after.decisions) == (models, [])
 
 
 def test_a_state_of_other_models_is_refused(photos: Any) -> None:
@@ -247,7 +250,9 @@ def test_how_many_models_there_are(
     condition; an expectation before photos are compared that is no less, but for a subject; one
     model for a subject without dropout."""
     config = TrainConfig(ensemble=ensemble, ensemble_below=below, stereo=Stereo.AUTO, drop_rate=0.1)
-    found, words = model_count(config, photos=50, mask_mode=mask_mode, known=known, points=points)
+    found, decision = model_count(
+        config, photos=50, mask_mode=mask_mode, known=known, points=points
+    )
     subject = mask_mode == "composite"
     expected = expected_model_count(config, photos=50, points=points, subject=subject)
     assert expected == 1 if subject and below else expected >= models
@@ -260,10 +265,11 @@ def test_how_many_models_there_are(
     given = replace(config, start_splats=Path("x.ply"))
     assert expected_model_count(given, photos=50, points=points, subject=False) == 1
     assert found == models
-    assert bool(words) == (models > 1 and below > 0)
-    if words:
+    assert (decision is not None) == (models > 1 and below > 0)
+    if decision is not None:
         whose = "75% of the subject's pixels," if subject else "25% of their pixels, less"
-        assert f"the depth of {whose}" in words and f"{models} models" in words
+        assert f"the depth of {whose}" in decision.text and f"{models} models" in decision.text
+        assert decision.topic == "ensemble"
 
 
 def test_which_presets_train_several() -> None:

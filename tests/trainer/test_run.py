@@ -1,10 +1,11 @@
 """Runs from a folder on disk to results; oracle: the events' contract and the files."""
 
 import json
+import re
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -96,8 +97,8 @@ def test_a_run_takes_as_many_steps_as_its_photos_are_good_for(
 
 
 def test_decisions_are_one_list_everywhere(capture: Path, tmp_path: Path) -> None:
-    """Oracle: the list of the first event, in the order of the topics; the same texts in the
-    terminal, metrics.json, the checkpoint and the event of the resumed run."""
+    """Oracle: the list of the first event, in the order of the topics; the same in the terminal,
+    metrics.json, the report, the checkpoint and the event of the resumed run."""
     config = replace(CONFIG, iterations=4, splats_a_photo=1, max_splats=10**6)
     config = replace(config, exposure=Switch.AUTO, refine_poses=Switch.AUTO, stereo=Stereo.AUTO)
     data, out, events = data_of(capture), tmp_path / "run", list[Event]()
@@ -107,6 +108,10 @@ def test_decisions_are_one_list_everywhere(capture: Path, tmp_path: Path) -> Non
     assert {"enough", "stereo", "exposure", "poses"} <= set(texts) and all(texts.values())
     assert list(texts) == [topic for topic in TOPICS if topic in texts]
     assert result.metrics["decided"] == list(texts.values())
+    assert result.metrics["decisions"] == [asdict(one) for one in started.decisions]
+    page = (out / "report.html").read_text(encoding="utf-8")
+    (section,) = re.findall('<section class="decisions">.*?</section>', page)
+    assert re.findall("<b>(.*?):</b>", section) == [one.label for one in started.decisions]
     assert load(RunFolder(out).checkpoint(4)).session["decided"] == texts
     assert list(_texts(started))[2:] == list(texts.values())
     again: list[Event] = []

@@ -1,10 +1,13 @@
 """Dropout rate: whether and how many splats the steps of a run leave out."""
 
 from ...config import TrainConfig
+from ...events import Decision
 from ..schedule.caps import drops_splats_of_subject
 
 
-def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) -> tuple[float, str]:
+def drop_rate_of(
+    config: TrainConfig, *, known: float | None, mask_mode: str
+) -> tuple[float, Decision | None]:
     """Return the dropout rate of the last step for these photos.
 
     Args:
@@ -13,22 +16,23 @@ def drop_rate_of(config: TrainConfig, *, known: float | None, mask_mode: str) ->
         mask_mode: Use of the masks, as `Dataset.mask_mode`.
 
     Returns:
-        The rate in [0, 1), and a message if a condition led to it; otherwise empty.
+        The rate in [0, 1), and the decision if a condition led to it.
     """
     rate = config.drop_rate
     if not (rate and config.drop_below):
-        return rate, ""
+        return rate, None
     if mask_mode == "composite":
         if not drops_splats_of_subject(config, mask_mode=mask_mode, known=known):
-            return 0.0, ""
+            return 0.0, None
         why = f"Photos agree on the depth of {known:.0%} of the subject's pixels"
     elif known is None or known >= config.drop_below:
-        return 0.0, ""
+        return 0.0, None
     else:
         why = f"Photos agree on the depth of {known:.0%} of their pixels"
-    return rate, (
+    return rate, Decision(
+        "drops",
         f"{why}, so steps drop up to {rate:.0%} of the splats, which improves unseen views "
-        "(`--drop-rate 0` drops none)."
+        "(`--drop-rate 0` drops none).",
     )
 
 

@@ -10,6 +10,7 @@ from ...config import DataConfig, Switch, TrainConfig
 from ...datasets import Dataset
 from ...depth import load_priors
 from ...errors import ConfigError
+from ...events import Decision
 from ...scene import PointCloud
 from ...text_format import count_words, number
 from ..schedule.caps import MOST_ADDED, SPLATS_A_POINT
@@ -39,9 +40,10 @@ class DepthSetup:
     """Warnings for the user, as sentences."""
 
     @property
-    def decision(self) -> str:
-        """`why`, unless it is already a warning."""
-        return "" if self.why in self.warnings else self.why
+    def decision(self) -> Decision | None:
+        """The decision, unless there are no maps or `why` is already a warning."""
+        listed = self.why and self.why not in self.warnings
+        return Decision("depth", self.why) if listed else None
 
     @property
     def loss_targets(self) -> DepthTargets | None:

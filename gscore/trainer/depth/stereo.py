@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from ...config import Stereo, TrainConfig
 from ...datasets import Dataset
+from ...events import Decision
 from ...scene import PointCloud
 from ...stereo import dense_points, stereo_maps
 from ...text_format import count_words, number
@@ -32,8 +33,8 @@ class StereoStart:
     """Number of points of stereo."""
     known: float | None = None
     """Share of the unmasked pixels with a confirmed depth; None: stereo has not run."""
-    why: str = ""
-    """The number of added points or the reason for none, as a sentence; empty without stereo."""
+    decision: Decision | None = None
+    """The number of added points or the reason for none; None without stereo."""
 
 
 def stereo_start(
@@ -73,8 +74,15 @@ def stereo_start(
         points=added if known.made_up else known.with_more(added),
         added=len(added),
         known=found.known,
-        why=f"{count_words(len(added), 'stereo point')} "
-        + (f"were added to {number(given)} of the capture." if given else "are the start points."),
+        decision=Decision(
+            "stereo",
+            f"{count_words(len(added), 'stereo point')} "
+            + (
+                f"were added to {number(given)} of the capture."
+                if given
+                else "are the start points."
+            ),
+        ),
     )
 
 
@@ -83,4 +91,5 @@ def _is_enabled(stereo: Stereo, known: PointCloud) -> bool:
 
 
 def _nothing(why: str, *, known: float | None = None) -> StereoStart:
-    return StereoStart(known=known, why=f"No points were added by stereo: {why}.")
+    text = f"No points were added by stereo: {why}."
+    return StereoStart(known=known, decision=Decision("stereo", text))

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...config import Background, DataConfig
 from ...config_file import config_json
+from ...events import Decision
 from ...io.block_record import RUN_BLOCK, read_block
 from ...io.cameras_json import write_cameras
 from ...io.exposure_json import EXPOSURE_FILE, write_exposures
@@ -108,7 +109,7 @@ class RunOutputs:
         warnings: list[str],
         depth: DepthReport | None = None,
         photo_parameters: dict[str, Any] | None = None,
-        decided: Sequence[str] = (),
+        decisions: Sequence[Decision] = (),
         asked: Mapping[str, int] | None = None,
         reason: str,
     ) -> dict[str, Any]:
@@ -123,7 +124,7 @@ class RunOutputs:
             warnings: Warnings for the report, as sentences.
             depth: Depth report; None: there are no depth maps.
             photo_parameters: Result of `write_photo_parameters`.
-            decided: Automatic decisions of the run, as sentences.
+            decisions: Decisions of the run for its photos and options.
             asked: Requested values of options that the number of photos limited.
             reason: Reason why training ended.
         """
@@ -139,7 +140,7 @@ class RunOutputs:
             models=trainer.plan.models if trainer.plan.models > 1 else None,
             depth=None if depth is None else depth.numbers,
             ranks=_of_ranks(trainer.team),
-            decided=list(decided) or None,
+            decisions=decisions,
             asked=dict(asked or {}) or None,
             **(photo_parameters or {}),
         )

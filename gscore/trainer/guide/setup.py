@@ -10,6 +10,7 @@ import numpy as np
 from ...config import TrainConfig
 from ...datasets import Dataset
 from ...errors import ConfigError
+from ...events import Decision
 from ...io.mesh.files import read_mesh
 from ...io.mesh.triangles import TriangleMesh
 from ...scene import offset_between
@@ -40,8 +41,8 @@ class GuideSetup:
     """Views of the free-space mesh; empty: no free-space mesh."""
     digest: str = ""
     """Hash of the meshes; empty: none."""
-    why: str = ""
-    """Messages on the coverage and the support of the meshes."""
+    decision: Decision | None = None
+    """Coverage and support of the meshes; None: no meshes."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
 
@@ -85,7 +86,7 @@ def prepare_guide(
         surface=surface,
         free=found.get("free", ()),
         digest=digest.hexdigest()[:16],
-        why=" ".join(messages),
+        decision=Decision("guide", " ".join(messages)),
         warnings=tuple(warnings),
     )
 

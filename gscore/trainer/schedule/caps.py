@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from ...config import Stereo, TrainConfig
 from ...datasets.points import RANDOM_POINTS
+from ...events import Decision
 from ...text_format import count_words, number
 
 MOST_ADDED = 10_000
@@ -111,7 +112,7 @@ def config_where_photos_agree(
 
 def model_count(
     config: TrainConfig, *, photos: int, points: int, mask_mode: str, known: float | None
-) -> tuple[int, str]:
+) -> tuple[int, Decision | None]:
     """Decide the number of models that are trained in parallel for these photos.
 
     Args:
@@ -122,24 +123,25 @@ def model_count(
         known: As `drops_splats_of_subject`.
 
     Returns:
-        The number, and a message if the photos led to several models; otherwise empty.
+        The number, and the decision if the photos led to several models.
     """
     models = expected_model_count(config, photos=photos, points=points, subject=False)
     if models == 1 or not config.ensemble_below:
-        return models, ""
+        return models, None
     if mask_mode == "composite":
         drops = drops_splats_of_subject(config, mask_mode=mask_mode, known=known)
         if known is None or known < _AGREE_WELL or not drops:
-            return 1, ""
+            return 1, None
         why = f"{known:.0%} of the subject's pixels"
     elif known is None or known >= config.ensemble_below:
-        return 1, ""
+        return 1, None
     else:
         why = f"{known:.0%} of their pixels, less than {config.ensemble_below:.0%}"
-    return models, (
+    return models, Decision(
+        "ensemble",
         f"Photos agree on the depth of {why}, so {models} models that share the splats are trained "
         "in parallel and merged. That takes longer but improves views between the photos "
-        "(`--ensemble 1` trains one)."
+        "(`--ensemble 1` trains one).",
     )
 
 
@@ -152,7 +154,7 @@ def cap_by_photos(
     known: float | None = None,
     compared: bool = False,
     taken: int = 0,
-) -> tuple[TrainConfig, str]:
+) -> tuple[TrainConfig, Decision | None]:
     """Cap steps and splats by the number of photos, against overfitting.
 
     With `composite` masks splats are not capped, because all photos show the subject and no splats
@@ -171,7 +173,7 @@ def cap_by_photos(
         taken: Steps that the run has already taken, a lower limit.
 
     Returns:
-        The options, and one sentence per cap that applied; empty without.
+        The options, and the decision with one sentence per cap that applied; None without caps.
     """
     subject = mask_mode == "composite"
     reasons, of_photos = [], count_words(photos, "photo")
@@ -197,4 +199,4 @@ def cap_by_photos(
             f"The model grows to {number(splats)} of {number(most)} splats: more do not improve "
             f"unseen views with {of_photos} (`--splats-a-photo 0` allows them all)."
         )
-    return config, " ".join(reasons)
+    return config, Decision("enough", " ".join(reasons)) if reasons else None

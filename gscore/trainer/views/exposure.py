@@ -11,6 +11,7 @@ from ...config import Switch, TrainConfig
 from ...datasets import Dataset
 from ...datasets.dataset import map_threads
 from ...datasets.tracks import Tracks
+from ...events import Decision
 from ...io.images.exposure_exif import stated_exposure
 from .gain_fit import fit_gains
 from .photo_gains import PhotoGains
@@ -36,8 +37,8 @@ class Exposure:
 
     gains: PhotoGains | None = None
     """Gains to optimise; None: photo colours are used unchanged."""
-    why: str = ""
-    """Message on the decision; empty: no analysis."""
+    decision: Decision | None = None
+    """The decision and its reason; None: no analysis."""
     numbers: dict[str, Any] | None = None
     """Measurements for metrics.json; None: no analysis."""
 
@@ -75,7 +76,7 @@ def prepare_exposure(config: TrainConfig, photos: Dataset, tracks: Tracks | None
     log_gains[train] = found
     return Exposure(
         gains=PhotoGains(train, log_gains) if learns else None,
-        why=why,
+        decision=Decision("exposure", why),
         numbers={"learnt": learns, "why": why, "stops_apart": apart, "known_by": known or None},
     )
 

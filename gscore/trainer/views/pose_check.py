@@ -8,6 +8,7 @@ import numpy as np
 from ...config import Switch, TrainConfig
 from ...datasets import Dataset
 from ...datasets.tracks import Tracks
+from ...events import Decision
 from ...text_format import count_words
 from .resection import PointObservations, median_residual, resection_pose
 
@@ -19,6 +20,7 @@ _BETTER = 0.5
 _DOUBT = 0.1
 """Share of training cameras with a wrong pose after resection above which poses are refined from
 the photos; a smaller share may just have wrong points."""
+_REQUESTED = Decision("poses", "Training poses are refined (requested).")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +32,8 @@ class PoseCheck:
     refined; None: the poses of the capture."""
     learns: bool = False
     """True if poses are refined from the photos during the training."""
-    why: str = ""
-    """Message on the decision; empty: no check."""
+    decision: Decision | None = None
+    """The decision and its reason; None: no check."""
 
 
 def check_poses(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> PoseCheck:
@@ -57,11 +59,9 @@ def check_poses(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> 
     bad = [i for i, error in errors.items() if error > BAD]
     if not bad:
         if forced:
-            return PoseCheck(
-                viewmats=viewmats, learns=True, why="Training poses are refined (requested)."
-            )
+            return PoseCheck(viewmats=viewmats, learns=True, decision=_REQUESTED)
         why = f"Cameras agree with their points ({fact}), so their poses are unchanged."
-        return PoseCheck(why=why)
+        return PoseCheck(decision=Decision("poses", why))
     better = _realign(photos, observed, errors, viewmats, bad)
     left = len(bad) - better
     why = (
@@ -70,17 +70,18 @@ def check_poses(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> 
     )
     learns = forced or left > _DOUBT * len(photos.train)
     why += ", and poses are refined from the photos." if learns else "."
-    return PoseCheck(viewmats=viewmats, learns=learns, why=why)
+    return PoseCheck(viewmats=viewmats, learns=learns, decision=Decision("poses", why))
 
 
 def _unknown(viewmats: np.ndarray, *, forced: bool) -> PoseCheck:
     if forced:
-        return PoseCheck(
-            viewmats=viewmats, learns=True, why="Training poses are refined (requested)."
-        )
+        return PoseCheck(viewmats=viewmats, learns=True, decision=_REQUESTED)
     return PoseCheck(
-        why="No observed points can check the camera poses, so they are unchanged "
-        "(`--refine-poses on` refines them)."
+        decision=Decision(
+            "poses",
+            "No observed points can check the camera poses, so they are unchanged "
+            "(`--refine-poses on` refines them).",
+        )
     )
 
 

@@ -251,7 +251,7 @@ def test_the_bar_is_on_top_while_a_training_runs(
 def test_decisions_are_told_in_words_of_panels(
     scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the messages of the trainer, with names of fields for its flags."""
+    """Oracle: labels and messages of the trainer, with names of fields for its flags."""
     state = running()
     monkeypatch.setattr(progress, "job", lambda _: SimpleNamespace(state=state))
     assert drawn(progress.DecisionsPanel) == ""
@@ -260,8 +260,8 @@ def test_decisions_are_told_in_words_of_panels(
         Decision("depth", "Depth is not used; `--depth-mode on` uses it."),
     ]
     state.started = replace(state.started, decisions=decisions)
-    told = drawn(progress.DecisionsPanel)
-    assert told == 'Enough steps. Depth is not used; "Use Depth: Always" uses it.'
+    text = drawn(progress.DecisionsPanel)
+    assert text == 'Caps: Enough steps. Depth: Depth is not used; "Use Depth: Always" uses it.'
 
 
 def test_a_training_that_starts_says_so(

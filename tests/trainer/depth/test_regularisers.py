@@ -40,12 +40,13 @@ def test_where_splats_are_left_out(
 ) -> None:
     """Oracle: the text of the option; the sentence that comes with the condition."""
     config = TrainConfig(drop_rate=0.1, drop_below=below)
-    found, words = drop_rate_of(config, known=known, mask_mode=mask_mode)
+    found, decision = drop_rate_of(config, known=known, mask_mode=mask_mode)
     assert found == rate
-    assert bool(words) == bool(below and rate)
-    if words:
-        whose = "the subject's" if mask_mode == "composite" else "their"
-        assert f"{known:.0%} of {whose} pixels" in words and "10% of the splats" in words
+    assert (decision is not None) == bool(below and rate)
+    if decision is not None:
+        whose, text = "the subject's" if mask_mode == "composite" else "their", decision.text
+        assert f"{known:.0%} of {whose} pixels" in text and "10% of the splats" in text
+        assert decision.topic == "drops"
     assert drop_rate_of(replace(config, drop_rate=0.0), known=known, mask_mode=mask_mode)[0] == 0
 
 

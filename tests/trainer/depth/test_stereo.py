@@ -43,7 +43,7 @@ def test_points_are_added_and_none_is_lost(arc: Path) -> None:
     np.testing.assert_array_equal(found.points.points[: len(known)], known.points)
     assert len(found.points) == len(known) + found.added
     assert np.quantile(off_surfaces(found.points.points[len(known) :]), 0.95) < 0.06
-    assert f"{found.added:,} stereo points" in found.why
+    assert f"{found.added:,} stereo points" in found.decision.text
     assert found.known is not None and 0.1 < found.known < 0.9
 
 
@@ -59,7 +59,7 @@ def test_the_option_says_how_many(arc: Path) -> None:
 def test_no_stereo_points_unless_requested(config: TrainConfig, arc: Path) -> None:
     """Oracle: no points and no sentence."""
     found = start(arc, config)
-    assert found.points is None and found.known is None and found.why == ""
+    assert found.points is None and found.known is None and found.decision is None
 
 
 def without_points(folder: Path) -> Path:
@@ -77,7 +77,7 @@ def test_made_up_points_make_room(stereo: Stereo, tmp_path: Path) -> None:
     assert found.points is not None and not found.points.made_up
     assert len(found.points) == found.added > 100
     assert np.quantile(off_surfaces(found.points.points), 0.95) < 0.08
-    assert found.why.endswith("are the start points.")
+    assert found.decision.text.endswith("are the start points.")
 
 
 def test_points_that_are_there_are_enough_where_only_missing_ones_are_asked_for(arc: Path) -> None:
@@ -93,14 +93,14 @@ def test_chance_agreement_adds_no_points(
     monkeypatch.setattr("gscore.trainer.depth.stereo._CHANCE", 0.95)
     found = start(without_points(tmp_path), TrainConfig(max_splats=4000))
     assert found.points is None and found.known is not None and found.known > 0.1
-    assert "almost no pixels" in found.why
+    assert "almost no pixels" in found.decision.text
     assert start(arc).added > 100
 
 
 def test_unused_number_of_stereo_points_warns(arc: Path) -> None:
     """Oracle: the text of the option: such points are searched where the capture has none."""
     found = start(arc, TrainConfig(stereo_points=500, max_splats=4000))
-    assert found.points is None and "`--stereo on` adds more" in found.why
+    assert found.points is None and "`--stereo on` adds more" in found.decision.text
 
 
 def test_random_points_stay_where_photos_agree_on_nothing(tmp_path: Path) -> None:
@@ -108,22 +108,22 @@ def test_random_points_stay_where_photos_agree_on_nothing(tmp_path: Path) -> Non
     scene = Scene(80, 60)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES[:2]], points=0)
     found = start(tmp_path, TrainConfig(max_splats=4000))
-    assert found.points is None and "at least 3 photos" in found.why
+    assert found.points is None and "at least 3 photos" in found.decision.text
 
 
 def test_reason_for_no_stereo_points(arc: Path, tmp_path: Path) -> None:
     """Oracle: as many points as the cap of splats; two photos."""
     many = PointCloud(points=np.zeros((4000, 3)), colors=np.zeros((4000, 3), np.uint8))
     full = start(arc, known=many)
-    assert "leave no room" in full.why and full.known is None
+    assert "leave no room" in full.decision.text and full.known is None
     half = PointCloud(points=many.points[:2100], colors=many.colors[:2100])
-    assert "leave no room" in start(arc, known=half).why
+    assert "leave no room" in start(arc, known=half).decision.text
     asked = start(arc, replace(ON, stereo=Stereo.ON), known=half)
     assert 0 < asked.added <= 800
     scene = Scene(80, 60)
     write_capture(tmp_path, scene, [scene.viewmat(angle) for angle in ANGLES[:2]])
     found = start(tmp_path)
-    assert found.points is None and "at least 3 photos" in found.why and found.known == 0
+    assert found.points is None and "at least 3 photos" in found.decision.text and found.known == 0
 
 
 LINE = ["--max-splats", "900", "--stereo", "auto", "--seed", "3", "--quiet"]

@@ -229,7 +229,7 @@ def tracked(capture: Path, tmp_path: Path) -> Dataset:
 
 
 def told(found: Any) -> str:
-    return found.why.partition("; ")[2]
+    return found.decision.text.partition("; ")[2]
 
 
 def test_points_say_where_a_mesh_is(tracked: Dataset, dataset: Dataset, tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from gscore.config import Stereo, TrainConfig
+from gscore.events import Decision
 from gscore.presets import PRESETS
 from gscore.trainer.schedule.caps import cap_by_photos, drops_splats_of_subject, expected_points
 
@@ -20,14 +21,15 @@ def test_each_photo_is_good_for_so_many(photos: int, steps: int) -> None:
     found, why = cap_by_photos(TRAIN, photos=photos)
     assert found == replace(TRAIN, iterations=steps)
     assert bool(why) == (steps < 7000)
-    assert cap_by_photos(found, photos=photos) == (found, "")
+    assert cap_by_photos(found, photos=photos) == (found, None)
 
 
 def test_the_sentence() -> None:
     """Oracle: by hand."""
-    assert cap_by_photos(TRAIN, photos=52)[1] == (
+    assert cap_by_photos(TRAIN, photos=52)[1] == Decision(
+        "enough",
         "4,160 of 7,000 steps are taken: more do not improve unseen views with 52 photos "
-        "(`--steps-a-photo 0` takes them all)."
+        "(`--steps-a-photo 0` takes them all).",
     )
 
 
@@ -37,7 +39,7 @@ def test_a_subject_that_is_cut_out_is_good_for_twice_as_many() -> None:
     for photos, steps in ((5, 1500), (50, 8000), (100, 15_000)):
         found, why = cap_by_photos(long, photos=photos, mask_mode="composite")
         assert found == replace(long, iterations=steps)
-        assert why.count("steps are taken") == (steps < 15_000)
+        assert (why is not None and "steps are taken" in why.text) == (steps < 15_000)
 
 
 def test_how_many_points_are_expected() -> None:
@@ -77,7 +79,7 @@ def test_a_subject_of_which_splats_are_left_out(
 )
 def test_where_all_are_taken(config: TrainConfig, mask_mode: str) -> None:
     """Oracle: the text of the option."""
-    assert cap_by_photos(config, photos=10, mask_mode=mask_mode) == (config, "")
+    assert cap_by_photos(config, photos=10, mask_mode=mask_mode) == (config, None)
 
 
 def test_which_presets_have_the_limit() -> None:
@@ -93,7 +95,7 @@ def test_each_model_may_have_as_many_splats_as_one_alone() -> None:
     config = TrainConfig(max_splats=900_000, splats_a_photo=6000, ensemble=2)
     found, why = cap_by_photos(config, photos=60)
     assert found == replace(config, max_splats=720_000)
-    assert "grows to 720,000 of 900,000 splats" in why
+    assert why is not None and "grows to 720,000 of 900,000 splats" in why.text
     high = PRESETS["high"](Path())[1]
     assert cap_by_photos(high, photos=30)[0].max_splats == high.max_splats
     agreeing, _ = cap_by_photos(high, photos=30, known=0.5, compared=True)
@@ -109,14 +111,14 @@ def test_each_photo_is_good_for_so_many_splats(photos: int, splats: int) -> None
     config = TrainConfig(max_splats=600_000, splats_a_photo=6000)
     found, why = cap_by_photos(config, photos=photos)
     assert found == replace(config, max_splats=splats)
-    assert cap_by_photos(found, photos=photos) == (found, "")
-    assert cap_by_photos(config, photos=photos, mask_mode="composite") == (config, "")
-    assert cap_by_photos(replace(config, splats_a_photo=0), photos=photos)[1] == ""
+    assert cap_by_photos(found, photos=photos) == (found, None)
+    assert cap_by_photos(config, photos=photos, mask_mode="composite") == (config, None)
+    assert cap_by_photos(replace(config, splats_a_photo=0), photos=photos)[1] is None
     told = (
         f"The model grows to {splats:,} of 600,000 splats: more do not improve unseen views with "
         f"{photos} photos (`--splats-a-photo 0` allows them all)."
     )
-    assert why == ("" if photos == 100 else told)
+    assert why == (None if photos == 100 else Decision("enough", told))
 
 
 def test_both_caps_are_reported() -> None:
@@ -124,4 +126,5 @@ def test_both_caps_are_reported() -> None:
     both = replace(TRAIN, max_splats=600_000, splats_a_photo=6000)
     steps, splats = replace(both, splats_a_photo=0), replace(both, steps_a_photo=0)
     alone = [cap_by_photos(one, photos=20)[1] for one in (steps, splats)]
-    assert cap_by_photos(both, photos=20)[1] == " ".join(alone)
+    found = cap_by_photos(both, photos=20)[1]
+    assert found == Decision("enough", " ".join(one.text for one in alone if one is not None))

@@ -58,7 +58,7 @@ def test_studio_photos_have_one_exposure(studio: Dataset) -> None:
     """Oracle: the example was rendered with one exposure."""
     found = prepare_exposure(TrainConfig(), studio, tracks_of(studio))
     assert found.gains is None
-    assert "have similar exposure (0.0" in found.why
+    assert "have similar exposure (0.0" in found.decision.text
     assert found.numbers is not None and found.numbers["stops_apart"] < LEAST_STOPS / 1.5
 
 
@@ -68,7 +68,7 @@ def test_gains_of_a_capture_begin_near_the_truth(studio: Dataset) -> None:
     truth = np.random.default_rng(0).normal(0, 0.12, (len(studio), 3))
     found = prepare_exposure(TrainConfig(), Exposed(studio, truth), tracks_of(studio))
     assert found.gains is not None
-    assert "differ in exposure (0.3" in found.why and "points seen" in found.why
+    assert "differ in exposure (0.3" in found.decision.text and "points seen" in found.decision.text
     train_views = studio.train
     error = found.gains.log_gains[train_views] - truth[train_views]
     error -= error.mean(axis=0)
@@ -131,7 +131,7 @@ def together(log_gains: np.ndarray, centers: np.ndarray) -> float:
 def test_off_looks_at_nothing(studio: Dataset) -> None:
     """Oracle: no sentence, no numbers, no gains."""
     found = prepare_exposure(TrainConfig(exposure=Switch.OFF), studio, None)
-    assert (found.gains, found.why, found.numbers) == (None, "", None)
+    assert (found.gains, found.decision, found.numbers) == (None, None, None)
 
 
 def _photo(path: Path, tags: dict[int, Any]) -> Path:

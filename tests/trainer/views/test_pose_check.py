@@ -86,7 +86,7 @@ def test_good_cameras_stay() -> None:
     """Oracle: the example with its SfM cameras, which stay."""
     found = analyze_photos(TrainConfig(exposure=Switch.OFF), _studio(STUDIO))[1]
     assert found.viewmats is None and not found.learns
-    assert found.why.startswith("Cameras agree with their points (0.")
+    assert found.decision.text.startswith("Cameras agree with their points (0.")
 
 
 def test_disturbed_cameras_come_back(tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_disturbed_cameras_come_back(tmp_path: Path) -> None:
     photos = _studio(_disturbed(tmp_path))
     found = analyze_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
     assert found.viewmats is not None and not found.learns
-    assert "52 training cameras miss their points" in found.why
+    assert "52 training cameras miss their points" in found.decision.text
     before, _ = pose_distances(photos.scene.cameras.viewmats[photos.train], true[photos.train])
     after, distance = pose_distances(found.viewmats[photos.train], true[photos.train])
     assert np.median(after) < 0.1 * np.median(before)
@@ -107,7 +107,7 @@ def test_off_and_on(tmp_path: Path) -> None:
     """Oracle: no check with `off`; refinement of good cameras too with `on`."""
     photos = _studio(STUDIO)
     off = check_poses(TrainConfig(refine_poses=Switch.OFF), photos, None)
-    assert (off.viewmats, off.learns, off.why) == (None, False, "")
+    assert (off.viewmats, off.learns, off.decision) == (None, False, None)
     on = check_poses(TrainConfig(refine_poses=Switch.ON), photos, tracks_of(photos))
     assert on.learns and on.viewmats is not None
     assert (on.viewmats == photos.scene.cameras.viewmats).all()
