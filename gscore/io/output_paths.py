@@ -1,12 +1,13 @@
-"""Output paths: refusal of outputs inside their inputs or in system folders."""
+"""Output paths: refusal of outputs among their inputs or the files of others."""
 
 import contextlib
+import stat
+import tempfile
 from pathlib import Path
 
 from ..config import DataConfig
 from ..errors import ConfigError
 from ..quoting import brief
-from .system_folders import is_shared, system_tree
 
 
 def check_output_path(folder: Path, data: DataConfig | None = None, *, depths: bool = True) -> None:
@@ -18,8 +19,8 @@ def check_output_path(folder: Path, data: DataConfig | None = None, *, depths: b
         depths: Whether its folder of depth maps is an input.
 
     Raises:
-        ConfigError: it is the root, the home folder, a system or shared folder, the capture or its
-            folder of photos, masks or maps.
+        ConfigError: it is the root, the home folder, a folder of temporary files, the capture or
+            its folder of photos, masks or maps.
     """
     real = _real(folder)
     if real == Path(real.anchor):
@@ -29,7 +30,7 @@ def check_output_path(folder: Path, data: DataConfig | None = None, *, depths: b
     if data is not None and real == _real(_root(data)):
         raise _mixed(folder, "the capture itself", "photos")
     check_separate(folder, data, depths=depths)
-    if is_shared(real):
+    if _is_shared(real):
         raise ConfigError(
             f"{brief(folder)} is shared by many programs. Choose a new folder in it, such as "
             f"{brief(folder / 'gscore')}."
@@ -37,12 +38,8 @@ def check_output_path(folder: Path, data: DataConfig | None = None, *, depths: b
 
 
 def check_separate(folder: Path, data: DataConfig | None = None, *, depths: bool = True) -> None:
-    """As `check_output_path`, for single files: the folder must be neither a system folder nor that
-    of the photos, masks or maps."""
-    if what := system_tree(_real(folder)):
-        raise ConfigError(
-            f"{brief(folder)} {what}, where no results can be written. Choose a folder of your own."
-        )
+    """As `check_output_path`, for single files: the folder must not be that of the photos, masks or
+    maps."""
     if data is None:
         return
     parts = {"photos": data.images or "images", "masks": data.masks or "masks"}
@@ -58,6 +55,14 @@ def _mixed(folder: Path, what: str, others: str) -> ConfigError:
         f"{brief(folder)} is {what}, where results would mix with {others}. Choose a separate "
         "folder."
     )
+
+
+def _is_shared(real: Path) -> bool:
+    """True for a folder in which all users and programs create files, as /tmp."""
+    with contextlib.suppress(OSError):
+        if real.stat().st_mode & stat.S_ISVTX:
+            return True
+    return real == _real(Path(tempfile.gettempdir()))
 
 
 def _root(data: DataConfig) -> Path:

@@ -45,23 +45,9 @@ def proc_bytes(path: Path, key: str) -> int | None:
 def _windows_memory() -> tuple[int | None, int | None]:
     """Physical and available memory from GlobalMemoryStatusEx."""
     import ctypes
-    from ctypes import wintypes
 
-    class MemoryStatus(ctypes.Structure):  # MEMORYSTATUSEX of sysinfoapi.h
-        _fields_ = [
-            ("dwLength", wintypes.DWORD),
-            ("dwMemoryLoad", wintypes.DWORD),
-            ("ullTotalPhys", ctypes.c_uint64),
-            ("ullAvailPhys", ctypes.c_uint64),
-            ("ullTotalPageFile", ctypes.c_uint64),
-            ("ullAvailPageFile", ctypes.c_uint64),
-            ("ullTotalVirtual", ctypes.c_uint64),
-            ("ullAvailVirtual", ctypes.c_uint64),
-            ("ullAvailExtendedVirtual", ctypes.c_uint64),
-        ]
-
-    status = MemoryStatus(dwLength=ctypes.sizeof(MemoryStatus))
-    kernel = ctypes.WinDLL("kernel32")  # type: ignore[attr-defined]
-    if not kernel.GlobalMemoryStatusEx(ctypes.byref(status)):
+    # MEMORYSTATUSEX of sysinfoapi.h: its size and the load, 4 bytes each; then numbers of 8 bytes.
+    status = (ctypes.c_uint64 * 8)(64)
+    if not ctypes.WinDLL("kernel32").GlobalMemoryStatusEx(status):  # type: ignore[attr-defined]
         return None, None
-    return int(status.ullTotalPhys), int(status.ullAvailPhys)
+    return status[1], status[2]

@@ -79,27 +79,10 @@ def machine() -> dict[str, Any]:
 
 def _windows_peak() -> int | None:
     import ctypes
-    from ctypes import wintypes
 
-    class Counters(ctypes.Structure):  # PROCESS_MEMORY_COUNTERS of psapi.h
-        _fields_ = [
-            ("cb", wintypes.DWORD),
-            ("PageFaultCount", wintypes.DWORD),
-            ("PeakWorkingSetSize", ctypes.c_size_t),
-            ("WorkingSetSize", ctypes.c_size_t),
-            ("QuotaPeakPagedPoolUsage", ctypes.c_size_t),
-            ("QuotaPagedPoolUsage", ctypes.c_size_t),
-            ("QuotaPeakNonPagedPoolUsage", ctypes.c_size_t),
-            ("QuotaNonPagedPoolUsage", ctypes.c_size_t),
-            ("PagefileUsage", ctypes.c_size_t),
-            ("PeakPagefileUsage", ctypes.c_size_t),
-        ]
-
-    counters = Counters(cb=ctypes.sizeof(Counters))
-    kernel = ctypes.WinDLL("kernel32")  # type: ignore[attr-defined]
-    kernel.GetCurrentProcess.restype = wintypes.HANDLE
-    query = kernel.K32GetProcessMemoryInfo
-    query.argtypes = [wintypes.HANDLE, ctypes.POINTER(Counters), wintypes.DWORD]
-    if not query(kernel.GetCurrentProcess(), ctypes.byref(counters), counters.cb):
-        return None
-    return int(counters.PeakWorkingSetSize)
+    # PROCESS_MEMORY_COUNTERS of psapi.h on 64 bits: its size and the page faults in 4 bytes each,
+    # then sizes of 8 bytes, the first of which is the peak. -1 is the handle of this process.
+    counters = (ctypes.c_uint64 * 9)(72)
+    query = ctypes.WinDLL("kernel32").K32GetProcessMemoryInfo  # type: ignore[attr-defined]
+    found = query(ctypes.c_void_p(-1), counters, 72)
+    return counters[1] if found else None

@@ -7,6 +7,7 @@ layout of arrays; the library checks their values.
 import ctypes as ct
 import os
 import stat
+import struct
 import sys
 import threading
 from collections import deque
@@ -22,7 +23,6 @@ from ..quoting import brief
 from ..text_format import number
 from . import arguments, header
 from .buffers import INT32, INT64, Array, address, optional
-from .library_size import bytes_missing
 from .request import Frustum, Settings
 
 _pointer = ct.c_void_p
@@ -90,7 +90,7 @@ def _opened(path: Path) -> ct.CDLL:
 def _check_whole(path: Path, name: str) -> None:
     """Raise BackendError if the file is truncated."""
     try:
-        missing = bytes_missing(path)
+        missing = _bytes_missing(path)
     except OSError:  # the loader reports why it cannot be read
         return
     if missing:
@@ -98,6 +98,20 @@ def _check_whole(path: Path, name: str) -> None:
             f"{name} is truncated: {number(missing)} bytes are missing, perhaps because it was "
             f"copied onto a full disk. {_what_to_do()}"
         )
+
+
+def _bytes_missing(path: Path) -> int:
+    """Bytes missing at the end of a 64-bit ELF library, 0 for other formats.
+
+    Linux maps a truncated library, and the process dies when it reads a missing page. Linkers write
+    the section table last (System V ABI, "Object Files"): its offset, entry size and entry count.
+    """
+    with path.open("rb") as file:
+        head, size = file.read(64), os.fstat(file.fileno()).st_size
+    if len(head) < 64 or not head.startswith(b"\x7fELF\x02\x01"):
+        return 0
+    begin, entry, count = struct.unpack("<40xQ10xHH2x", head)
+    return max(begin + entry * count - size, 0)
 
 
 def _path_source() -> str:
