@@ -27,13 +27,13 @@ def marked_model() -> Callable[..., CpuModel]:
                 "sh0": row[:, None, None].repeat(1, 1, 3),
                 "shN": row[:, None, None].repeat(1, sh_rest, 3),
             },
-            counters=("pull", "seen"),
+            counters=("grad2d", "views"),
         )
         for name, p in model.params.items():
             shape = [n] + [1] * (p.ndim - 1)
             first = (1000 + row).reshape(shape).expand(p.shape).clone()
             model.replace(name, p, first, first + 1000, steps=7)
-        model.rows["seen"] = 3000 + row
+        model.rows["views"] = 3000 + row
         return model
 
     return make

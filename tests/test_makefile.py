@@ -102,8 +102,8 @@ def environment_made(folder: Path, pip: str, *more: str) -> tuple[str, list[str]
     """What `make VENV/.installed` prints with this pip, and the arguments of every call of pip."""
     (folder / "new").mkdir()
     variables = ("PYTHON=true", f"PIP={pip}", f"VENV={folder / 'new'}", *more)
-    told = make("--silent", *variables, folder / "new/.installed")
-    return told, (folder / "log").read_text().splitlines()
+    reported = make("--silent", *variables, folder / "new/.installed")
+    return reported, (folder / "log").read_text().splitlines()
 
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="CUDA comes on Linux alone")
@@ -112,8 +112,8 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="CUDA comes on Linux 
 @linux
 def test_torch_without_cuda_comes_first(tmp_path: Path) -> None:
     """Oracle: pip's arguments: PyTorch's index for torch alone, before everything else."""
-    told, calls = environment_made(tmp_path, fake_pip(tmp_path, index="true"))
-    assert told.count("\n") == 1 and told.startswith("Installing into")
+    reported, calls = environment_made(tmp_path, fake_pip(tmp_path, index="true"))
+    assert reported.count("\n") == 1 and reported.startswith("Installing into")
     first, rest = calls[1], calls[2:]
     assert "--index-url https://download.pytorch.org/whl/cpu " in first
     assert first.endswith("--constraint constraints.txt torch") and "--no-deps" in first
@@ -124,8 +124,8 @@ def test_torch_without_cuda_comes_first(tmp_path: Path) -> None:
 def test_without_the_cpu_build_the_usual_one_is_taken(tmp_path: Path) -> None:
     """Oracle: a pip that fails for that index: one sentence, and the installation goes on."""
     pip = fake_pip(tmp_path, index="exit 1")
-    told, calls = environment_made(tmp_path, pip, "TORCH_INDEX=https://example.org/torch")
-    _, sentence = told.splitlines()
+    reported, calls = environment_made(tmp_path, pip, "TORCH_INDEX=https://example.org/torch")
+    _, sentence = reported.splitlines()
     assert "2.7 GB" in sentence and "https://example.org/torch" in sentence
     assert "--editable .[all]" in calls[-1]
 
@@ -144,8 +144,8 @@ def test_an_index_that_refuses_costs_seconds(tmp_path: Path) -> None:
     log = tmp_path / "pip.log"
     real = f'{sys.executable} -m pip "$@" --dry-run --ignore-installed --log {log}'
     pip = fake_pip(tmp_path, index=real)
-    told, calls = environment_made(tmp_path, pip, "TORCH_INDEX=http://127.0.0.1:9/simple")
-    assert "comes from PyPI" in told
+    reported, calls = environment_made(tmp_path, pip, "TORCH_INDEX=http://127.0.0.1:9/simple")
+    assert "comes from PyPI" in reported
     (call,) = [call for call in calls if "--index-url" in call]
     assert "--retries 1 --timeout 15 --no-deps" in call and call.endswith(" torch")
     assert log.read_text().count("Retrying (Retry(") == 1
@@ -159,16 +159,16 @@ def test_an_index_that_refuses_is_one_sentence(tmp_path: Path) -> None:
         own = tmp_path / folder
         own.mkdir()
         pip = fake_pip(own, index=f'{sys.executable} -m pip "$@" --dry-run --ignore-installed')
-        told, _ = environment_made(own, f"{pip} 2>&1", f"TORCH_INDEX={index}")
-        assert [line.split()[0] for line in told.splitlines()] == ["Installing", index]
+        reported, _ = environment_made(own, f"{pip} 2>&1", f"TORCH_INDEX={index}")
+        assert [line.split()[0] for line in reported.splitlines()] == ["Installing", index]
 
 
 def test_help_lists_every_target() -> None:
     """Oracle: .PHONY; plain `make` says the same, in lines a terminal shows whole."""
     (phony,) = re.findall(r"^\.PHONY: (.*)$", MAKEFILE, re.M)
-    told = make("help")
-    lines = told.splitlines()
+    reported = make("help")
+    lines = reported.splitlines()
     targets = [line.split()[1] for line in lines]
     assert targets == re.findall(r"^([a-z-]+):", MAKEFILE, re.M)
     assert set(targets) == set(phony.split())
-    assert max(map(len, lines)) <= 120 and make() == told
+    assert max(map(len, lines)) <= 120 and make() == reported

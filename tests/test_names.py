@@ -9,14 +9,22 @@ from pathlib import Path
 from tests.for_each import for_each
 
 ROOT = Path(__file__).parent.parent
-FILES = sorted([*(ROOT / "gscore").rglob("*.py"), *(ROOT / "addon").rglob("*.py")])
+FILES = sorted(
+    path for name in ("gscore", "addon", "tools", "tests") for path in (ROOT / name).rglob("*.py")
+)
+PRODUCT = [path for path in FILES if path.relative_to(ROOT).parts[0] in ("gscore", "addon")]
+NATIVE = sorted(path for path in (ROOT / "csrc").rglob("*") if path.suffix in (".h", ".cpp"))
 GLOSSARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 STOPPED = {
     *("told", "hear", "heard", "glance", "glances", "sight", "sightings", "beside", "aside"),
     *("wish", "onlooker", "onlookers", "judged", "learnt", "apart", "alike", "premises"),
-    *("succession", "leaving", "placing", "strangers", "together"),
+    *("succession", "leaving", "placing", "strangers", "together", "pull", "drift"),
+    *("settle", "settled", "judge", "learned", "taught", "rival", "witness"),
 }
-"""Words that no public class, function or module uses: the field has a noun for each of them."""
+"""Words that no name of a module, class, function, method or constant uses: the field has a noun
+for each of them."""
+IN_SENTENCES = {"together", "beside", "apart", "alike", "leaving", "settle", "aside"}
+"""Those that names of tests, which are sentences, may use."""
 
 
 def _words(name: str) -> set[str]:
@@ -24,17 +32,34 @@ def _words(name: str) -> set[str]:
     return set(re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", name).lower().split("_"))
 
 
-def _public(tree: ast.Module) -> Iterator[str]:
-    """Public classes and functions of a module."""
-    for node in tree.body:
-        if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
+def _defined(tree: ast.Module) -> Iterator[str]:
+    """Classes, functions and methods of a module, and its constants and fields."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
             yield node.name
+        if isinstance(node, ast.Module | ast.ClassDef):
+            for line in node.body:
+                targets = (
+                    line.targets
+                    if isinstance(line, ast.Assign)
+                    else [getattr(line, "target", None)]
+                )
+                yield from (target.id for target in targets if isinstance(target, ast.Name))
 
 
 @for_each(FILES)
-def test_public_names_avoid_stopped_words(path: Path) -> None:
+def test_names_avoid_stopped_words(path: Path) -> None:
     """Oracle: STOPPED."""
-    names = [path.stem, path.parent.name, *_public(ast.parse(path.read_text(encoding="utf-8")))]
+    names = [path.stem, path.parent.name, *_defined(ast.parse(path.read_text(encoding="utf-8")))]
+    stopped = STOPPED - IN_SENTENCES if "tests" in path.parts else STOPPED
+    assert {name for name in names if _words(name) & stopped} == set()
+
+
+@for_each(NATIVE)
+def test_native_names_avoid_stopped_words(path: Path) -> None:
+    """Oracle: STOPPED; all words of the code, which has no strings of prose."""
+    code = re.sub(r"//.*|/\*[\s\S]*?\*/|\"[^\"]*\"", "", path.read_text(encoding="utf-8"))
+    names = {path.stem, *re.findall(r"\w+", code)}
     assert {name for name in names if _words(name) & STOPPED} == set()
 
 
@@ -53,6 +78,6 @@ def test_the_glossary_names_what_is_there() -> None:
     """Oracle: the code: each name that the glossary gives in its second column is defined."""
     rows = re.findall(r"^\| [^|]+ \| ([^|]+) \| [^|]+ \|$", GLOSSARY, flags=re.MULTILINE)[1:]
     names = {name for row in rows for name in re.findall(r"`(\w+)`", row)}
-    text = "\n".join(path.read_text(encoding="utf-8") for path in FILES)
+    text = "\n".join(path.read_text(encoding="utf-8") for path in PRODUCT)
     assert len(names) > 40
     assert {name for name in names if not re.search(rf"\b{name}\b", text)} == set()

@@ -290,8 +290,8 @@ def test_photos_start_no_programs_in_a_command(
     write_png(tmp_path / good, np.zeros((48, 64, 3), np.uint8))
     (tmp_path / bad).write_bytes(EPS)
     assert main(["info", str(tmp_path)]) == 2
-    told = capfd.readouterr()
-    assert f"{bad} cannot be read as an image" in told.err and "Traceback" not in told.err
+    reported = capfd.readouterr()
+    assert f"{bad} cannot be read as an image" in reported.err and "Traceback" not in reported.err
     assert not ghostscript.exists()
 
 

@@ -86,8 +86,8 @@ def test_trains_from_the_wheel_with_its_extra(
     short = ["--iterations", "20", "--max-splats", "5000", "-r", "8"]
     options = ["-o", "run", *short, "--eval", "--json", "--quiet"]
     capture = ROOT / "examples" / "studio"
-    told = _run(python, "-I", "-m", "gscore", "train", capture, *options, cwd=tmp_path)
-    assert json.loads(told)["psnr"] > 12
+    reported = _run(python, "-I", "-m", "gscore", "train", capture, *options, cwd=tmp_path)
+    assert json.loads(reported)["psnr"] > 12
     assert (tmp_path / "run" / "report.html").is_file()
 
 

@@ -84,7 +84,7 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
     image[_CAPTURE], image[_PHOTO] = source, own.image
     image[_FILE] = str(file or mask_place(camera) / f"{own.image}.png")
     image.use_fake_user = True  # keeps it until its file is written
-    _settle(image, levels_of(rgba))
+    _finish(image, levels_of(rgba))
     return image
 
 
@@ -113,7 +113,7 @@ def save(scene: bpy.types.Scene, image: bpy.types.Image) -> Path:
     levels = pixels[..., -1]
     atomic_write(file, gray_png(255 - levels if scene.gscore.invert_masks else levels))
     image[_FILE] = str(file)
-    _settle(image, pixels)
+    _finish(image, pixels)
     lookups.captures.expire()
     facts.capture(scene)
     return file
@@ -125,7 +125,7 @@ def discard(image: bpy.types.Image) -> None:
     undo.push("Discard Mask")
 
 
-def _settle(image: bpy.types.Image, pixels: np.ndarray) -> None:
+def _finish(image: bpy.types.Image, pixels: np.ndarray) -> None:
     """Pack the pixels into the .blend file, and mark the image as saved.
 
     Args:

@@ -3,7 +3,7 @@
 `HOLDOUT` is the share of light that holdout splats block by themselves. `HOLDOUT_BEHIND` is the
 share of the background to remove, beyond the picture's alpha. `HOLDOUT_DEPTH` is the depth of the
 holdout splats; *Depth* is then that of the other splats. `MESHES` is the film's pass of holdout
-meshes, and `HOLDOUT_BESIDE` the picture's alpha in the part of a pixel that those meshes leave
+meshes, and `HOLDOUT_EDGE` the picture's alpha in the part of a pixel that those meshes leave
 free.
 """
 
@@ -17,8 +17,8 @@ from .pass_renderer import MESHES, SHARE, Film
 from .shutter_lens import View
 
 HOLDOUT, HOLDOUT_BEHIND, HOLDOUT_DEPTH = "Holdout", "Holdout Behind", "Holdout Depth"
-HOLDOUT_BESIDE = "Holdout Beside"
-NAMES = HOLDOUT, HOLDOUT_BEHIND, HOLDOUT_DEPTH, MESHES, HOLDOUT_BESIDE
+HOLDOUT_EDGE = "Holdout Beside"
+NAMES = HOLDOUT, HOLDOUT_BEHIND, HOLDOUT_DEPTH, MESHES, HOLDOUT_EDGE
 """Names of the passes, in their order."""
 _FULL = 1e-4
 """Transmittance below which the background is taken as hidden."""
@@ -63,7 +63,7 @@ def completed(found: dict[str, np.ndarray], shot: dict[str, np.ndarray]) -> dict
     picture = shot["Combined"]
     nothing = np.zeros(picture.shape[:2], np.float32)
     meshes, share = (shot.get(n, nothing).reshape(nothing.shape) for n in (MESHES, SHARE))
-    found = {MESHES: meshes, HOLDOUT_BESIDE: _beside(picture[..., 3], meshes, share), **found}
+    found = {MESHES: meshes, HOLDOUT_EDGE: _edge_alpha(picture[..., 3], meshes, share), **found}
     if HOLDOUT not in found:
         far = np.full_like(nothing, NOTHING)
         return {**found, HOLDOUT: nothing, HOLDOUT_BEHIND: nothing, HOLDOUT_DEPTH: far}
@@ -72,7 +72,7 @@ def completed(found: dict[str, np.ndarray], shot: dict[str, np.ndarray]) -> dict
     return {**found, HOLDOUT_BEHIND: 1 - np.clip(kept, 0, 1)}
 
 
-def _beside(alpha: np.ndarray, meshes: np.ndarray, share: np.ndarray) -> np.ndarray:
+def _edge_alpha(alpha: np.ndarray, meshes: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Alpha in the part of each pixel outside holdout meshes, or of the whole pixel where they
     cover all. At least the whole pixel's alpha, because the meshes hide splats behind them."""
     more = (meshes - share * (1 - alpha)) / np.maximum(1 - share, _PART)

@@ -162,7 +162,7 @@ class AsyncImport:
             mesh = filling.take()
             mesh.name = read.wanted.path.stem
             ob = objects.around(mesh, read.size, collection=collection)
-            splat_files.settle(ob, read.wanted, read)
+            splat_files.set_up_object(ob, read.wanted, read)
             if read.wanted.parent and ob.parent is None:
                 self.warnings.append(
                     f"The parent of {ob.name} was removed during the import; it has no parent."

@@ -88,7 +88,7 @@ def exporting(
             one.drop()
 
     splats, total = yield from run_in_thread(
-        _in_words(partial(_together, parts, read)), "Collecting"
+        _in_words(partial(_same_file, parts, read)), "Collecting"
     )
     how = {"antialiased": antialiased, "comments": comments, "origin": origin}
 
@@ -123,7 +123,7 @@ def _in_words(work: Callable[[Check], ResultT]) -> Callable[[Check], ResultT]:
     return done
 
 
-def _together(
+def _same_file(
     parts: list[_Part], read: list[dict[str, np.ndarray]], check: Check
 ) -> tuple[Splats, int]:
     """All splats of a file, and their number before filters; `read` is emptied."""

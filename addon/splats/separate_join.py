@@ -143,7 +143,7 @@ def joined(guard: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object
         tables.append((yield from ChunkedRead(one.there()).table()))
     names = [other.name for other in others]
     points = yield from run_in_thread(
-        partial(_together, tables, matrices, names), f"Joining splats with {guard.name}"
+        partial(_joined_columns, tables, matrices, names), f"Joining splats with {guard.name}"
     )
 
     def check() -> None:
@@ -164,7 +164,7 @@ def joined(guard: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object
     return ob
 
 
-def _together(
+def _joined_columns(
     tables: list[list[Column]], matrices: list[np.ndarray], names: list[str], check: Check
 ) -> Points:
     """Points of all objects, transformed in place except those of the first."""

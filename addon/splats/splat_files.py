@@ -105,7 +105,7 @@ def import_requested(context: bpy.types.Context, wanted: ImportRequest) -> bpy.t
     """As `import_splats`, for a request of `import_request`."""
     file = read(wanted)
     ob = objects.create(file.splats, wanted.path.stem, collection=context.collection)
-    settle(ob, wanted, file)
+    set_up_object(ob, wanted, file)
     return ob
 
 
@@ -175,7 +175,7 @@ class FileMetadata(Protocol):
     def comments(self) -> Sequence[str]: ...
 
 
-def settle(ob: bpy.types.Object, wanted: ImportRequest, metadata: FileMetadata) -> None:
+def set_up_object(ob: bpy.types.Object, wanted: ImportRequest, metadata: FileMetadata) -> None:
     """Place the object of a file as requested; without a parent if that was removed."""
     if metadata.antialiased:
         ob[ANTIALIAS] = True

@@ -99,14 +99,14 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
         folder, options = self._options(context)
         coming = SequenceImport(context, folder, **options)
         made = yield from stepped(coming)
-        return self._settle(context, made[0], coming.series, coming.warnings)
+        return self._finish(context, made[0], coming.series, coming.warnings)
 
     def act(self, context: bpy.types.Context) -> str:
         """Import synchronously."""
         folder, options = self._options(context)
         with collected_warnings() as warnings:
             ob, series = importing.import_sequence(context, folder, **options)
-        return self._settle(context, ob, series, warnings)
+        return self._finish(context, ob, series, warnings)
 
     def _options(self, context: bpy.types.Context) -> tuple[Path, dict[str, Any]]:
         """Arguments of `import_sequence`."""
@@ -114,7 +114,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
         parent = self._parent(context)
         return folder, {"called": called, "start": self.start, "parent": parent, "up": self.up}
 
-    def _settle(
+    def _finish(
         self,
         context: bpy.types.Context,
         ob: bpy.types.Object,

@@ -11,12 +11,12 @@ namespace fuzz {
 struct AdamState {
     size_t n, width;
     std::vector<float> param, grad, moment1, moment2;
-    std::vector<uint8_t> seen, lag;
-    std::vector<double> drift = std::vector<double>(GS_ADAM_LAGS);
+    std::vector<uint8_t> visible, pending;
+    std::vector<double> factors = std::vector<double>(GS_ADAM_PENDING_SIZE);
 
     AdamState(size_t rows, size_t columns, Noise &noise)
-        : n(rows), width(columns), param(n * width), grad(n * width), moment1(n * width), moment2(n * width), seen(n),
-          lag(n) {
+        : n(rows), width(columns), param(n * width), grad(n * width), moment1(n * width), moment2(n * width),
+          visible(n), pending(n) {
         for (float &v : param)
             v = noise(-1, 1);
     }
@@ -29,9 +29,9 @@ struct AdamState {
                 mode,
                 lr,
                 step,
-                mode == GS_ADAM_ALL ? nullptr : seen.data(),
-                mode == GS_ADAM_ALL ? nullptr : lag.data(),
-                mode == GS_ADAM_ALL ? nullptr : drift.data()};
+                mode == GS_ADAM_ALL ? nullptr : visible.data(),
+                mode == GS_ADAM_ALL ? nullptr : pending.data(),
+                mode == GS_ADAM_ALL ? nullptr : factors.data()};
     }
 };
 
@@ -46,8 +46,8 @@ inline bool equal(const AdamState &a, const AdamState &b) {
     const auto same = [](const auto &x, const auto &y) {
         return x.empty() || std::memcmp(x.data(), y.data(), x.size() * sizeof x[0]) == 0;
     };
-    return same(a.param, b.param) && same(a.moment1, b.moment1) && same(a.moment2, b.moment2) && same(a.seen, b.seen) &&
-           same(a.lag, b.lag) && same(a.drift, b.drift);
+    return same(a.param, b.param) && same(a.moment1, b.moment1) && same(a.moment2, b.moment2) &&
+           same(a.visible, b.visible) && same(a.pending, b.pending) && same(a.factors, b.factors);
 }
 
 } // namespace fuzz

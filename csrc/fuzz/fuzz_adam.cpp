@@ -14,10 +14,10 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     const bool many = few >= 248;
     const size_t n = many ? 1020 + (few - 248) * 16u : 1 + few % 80;
     AdamState all(n, 1 + in.byte() % 4, noise), late(n, 1 + in.byte() % (many ? 5 : 45), noise);
-    for (uint8_t &lag : late.lag) // as after many steps; some rows have the maximum lag
-        lag = noise(0, 1) < 0.8f ? uint8_t(noise(0, 9)) : uint8_t(GS_ADAM_LAGS - 1 - int(noise(0, 3)));
-    for (size_t k = 1; k < late.drift.size(); ++k)
-        late.drift[k] = late.drift[k - 1] + noise(0, 0.01f);
+    for (uint8_t &pending : late.pending) // as after many steps; some rows have the maximum
+        pending = noise(0, 1) < 0.8f ? uint8_t(noise(0, 9)) : uint8_t(GS_ADAM_PENDING_SIZE - 1 - int(noise(0, 3)));
+    for (size_t k = 1; k < late.factors.size(); ++k)
+        late.factors[k] = late.factors[k - 1] + noise(0, 0.01f);
     const int64_t start = in.byte() % 2 ? 1 : 1 + int64_t(in.word() % 1000000);
     std::vector<int32_t> radii(n);
     const float rate = 0.01f;

@@ -1,4 +1,4 @@
-// gs_add_pull, gs_exp2, gs_pack_rows and gs_unpack_rows on any bits: nothing is written beyond the arrays, and results
+// gs_add_screen_gradients, gs_exp2, gs_pack_rows and gs_unpack_rows on any bits: nothing is written beyond the arrays, and results
 // are as the header states.
 #include "scene.h"
 
@@ -28,7 +28,7 @@ float flush(float v) { return std::fabs(v) < std::numeric_limits<float>::min() ?
 
 float length(float x, float y) { return std::sqrt(flush(flush(x * x) + flush(y * y))); }
 
-void pull(size_t n, Bytes &in, Noise &noise) {
+void screen_gradients(size_t n, Bytes &in, Noise &noise) {
     const std::vector<float> v = numbers(2 * n, in, noise), before = numbers(n, in, noise);
     std::vector<int32_t> radii(n);
     for (int32_t &r : radii)
@@ -41,8 +41,8 @@ void pull(size_t n, Bytes &in, Noise &noise) {
         if (n)
             std::memcpy(sums[k].data(), before.data(), n * sizeof(float));
         std::fill_n(counts[k].data(), n, 5.0f);
-        REQUIRE(gs_add_pull(int64_t(n), v.data(), radii.data(), sums[k].data(), counts[k].data(), scale_x, scale_y,
-                            1 + 2 * k) == GS_OK);
+        REQUIRE(gs_add_screen_gradients(int64_t(n), v.data(), radii.data(), sums[k].data(), counts[k].data(), scale_x,
+                                        scale_y, 1 + 2 * k) == GS_OK);
         REQUIRE(sums[k].guards_hold() && counts[k].guards_hold());
     }
     REQUIRE(sums[0].same_bits(sums[1]) && counts[0].same_bits(counts[1]));
@@ -52,8 +52,9 @@ void pull(size_t n, Bytes &in, Noise &noise) {
         REQUIRE(counts[0][i] == (taken ? 6.0f : 5.0f));
         REQUIRE(same(sums[0][i], flush(flush(before[i]) + (taken ? length(x, y) : 0.0f))));
     }
-    const gs_status status = gs_add_pull(int64_t(n) - in.byte() % 3 * int64_t(n + 1), v.data(), radii.data(),
-                                         sums[0].data(), counts[0].data(), 1, 1, int(in.byte()) - 9);
+    const gs_status status =
+        gs_add_screen_gradients(int64_t(n) - in.byte() % 3 * int64_t(n + 1), v.data(), radii.data(), sums[0].data(),
+                                counts[0].data(), 1, 1, int(in.byte()) - 9);
     REQUIRE(status == GS_OK || (status == GS_BAD_ARGUMENT && std::strlen(gs_last_error()) > 0));
 }
 
@@ -128,7 +129,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     fuzz::use_isa(in.byte());
     Noise noise(in.word());
     const uint8_t few = in.byte();
-    pull(few < 250 ? few : 8190 + (few - 250), in, noise); // about a chunk of the library
+    screen_gradients(few < 250 ? few : 8190 + (few - 250), in, noise); // about a chunk of the library
     powers(in.byte(), in, noise);
     const uint8_t some = in.byte();
     packing(some < 250 ? some : 4090 + 4 * (some - 250), in, noise); // about two chunks

@@ -19,10 +19,10 @@ AdamState late_state(size_t rows, Bytes &in, Noise &noise) {
         m = noise(-1, 1);
     for (float &m : s.moment2)
         m = noise(0, 1) < 0.1f ? 0.0f : noise(0, 1);
-    for (uint8_t &lag : s.lag)
-        lag = noise(0, 1) < 0.3f ? 0 : uint8_t(noise(0, GS_ADAM_LAGS));
-    for (size_t k = 1; k < s.drift.size(); ++k)
-        s.drift[k] = s.drift[k - 1] + noise(0, 0.01f);
+    for (uint8_t &pending : s.pending)
+        pending = noise(0, 1) < 0.3f ? 0 : uint8_t(noise(0, GS_ADAM_PENDING_SIZE));
+    for (size_t k = 1; k < s.factors.size(); ++k)
+        s.factors[k] = s.factors[k - 1] + noise(0, 0.01f);
     return s;
 }
 
@@ -31,7 +31,7 @@ bool same_row(const AdamState &a, const AdamState &b, size_t row) {
         return std::memcmp(&x[row * a.width], &y[row * a.width], a.width * sizeof(float)) == 0;
     };
     return same(a.param, b.param) && same(a.moment1, b.moment1) && same(a.moment2, b.moment2) &&
-           a.lag[row] == b.lag[row];
+           a.pending[row] == b.pending[row];
 }
 
 // Whether the camera is rigid and its numbers leave enough float32 precision for pixels: the bounds of splats on screen
@@ -77,7 +77,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     const AdamState all = caught_up(nullptr, 1, &status);
     REQUIRE(status == GS_OK && all_finite(all.param) && all_finite(all.moment1) && all_finite(all.moment2));
     for (size_t i = 0; i < n; ++i)
-        REQUIRE(all.lag[i] == 0 && (before.lag[i] || same_row(all, before, i)));
+        REQUIRE(all.pending[i] == 0 && (before.pending[i] || same_row(all, before, i)));
 
     gs_raster *raster = nullptr;
     REQUIRE(gs_raster_create(&raster) == GS_OK);
@@ -98,8 +98,8 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     }
     for (size_t i = 0; i < n; ++i) {
         if (drawn == GS_OK && radii[i] > 0 && is_usual(scene.view))
-            REQUIRE(seen.lag[i] == 0);
-        REQUIRE(same_row(seen, before.lag[i] && seen.lag[i] ? before : all, i));
+            REQUIRE(seen.pending[i] == 0);
+        REQUIRE(same_row(seen, before.pending[i] && seen.pending[i] ? before : all, i));
     }
     REQUIRE(equal(seen, caught_up(&scene.view, 3, &status)) && status == GS_OK);
 

@@ -131,20 +131,20 @@ void sweep(Bytes &in, Noise &noise) {
     REQUIRE(Swept(args, pixels).status == GS_CANCELLED);
 }
 
-struct Judged {
+struct Checked {
     std::vector<uint8_t> agree, contradict;
     Output inverse_depth;
     gs_status status;
 
     // The counts have an extra byte, which must not change.
-    Judged(const gs_stereo_check_args &args, size_t pixels)
+    Checked(const gs_stereo_check_args &args, size_t pixels)
         : agree(pixels + 1, 251), contradict(pixels + 1, 251), inverse_depth(pixels) {
         status = gs_stereo_check(&args, agree.data(), contradict.data(), inverse_depth.data());
         REQUIRE(inverse_depth.guards_hold() && agree.back() == 251 && contradict.back() == 251);
     }
 };
 
-void check_judged(const Judged &found, const gs_stereo_check_args &args) {
+void check_results(const Checked &found, const gs_stereo_check_args &args) {
     const size_t pixels = size_t(args.width) * size_t(args.height);
     for (size_t i = 0; i < pixels; ++i) {
         const float own = args.inverse_depth[i], mean = found.inverse_depth[i];
@@ -197,14 +197,14 @@ void check(Bytes &in, Noise &noise) {
             shrink(what % 2 ? args.width : args.height, by);
     }
 
-    const Judged found(args, pixels);
+    const Checked found(args, pixels);
     if (found.status != GS_OK) {
         REQUIRE(refused(found.status));
         return;
     }
-    check_judged(found, args);
+    check_results(found, args);
     args.threads = args.threads == 1 ? 4 : 1;
-    const Judged again(args, pixels);
+    const Checked again(args, pixels);
     REQUIRE(again.status == GS_OK && found.agree == again.agree && found.contradict == again.contradict);
     REQUIRE(found.inverse_depth.same_bits(again.inverse_depth));
 }

@@ -21,13 +21,13 @@ double root(int64_t step) { return std::sqrt(-std::expm1(double(step) * std::log
 double bias1(int64_t step) { return -std::expm1(double(step) * std::log(kBeta1)); }
 
 struct Tables {
-    float drift[GS_ADAM_LAGS] = {}, decay1[GS_ADAM_LAGS], decay2[GS_ADAM_LAGS];
+    float factors[GS_ADAM_PENDING_SIZE] = {}, decay1[GS_ADAM_PENDING_SIZE], decay2[GS_ADAM_PENDING_SIZE];
 
     explicit Tables(const double *sums) {
         double d1 = 1, d2 = 1;
-        for (int k = 0; k < GS_ADAM_LAGS; ++k) {
+        for (int k = 0; k < GS_ADAM_PENDING_SIZE; ++k) {
             if (sums)
-                drift[k] = float(sums[k]);
+                factors[k] = float(sums[k]);
             decay1[k] = float(d1);
             decay2[k] = float(d2);
             d1 *= kBeta1;
@@ -50,7 +50,7 @@ AdamTensor constants(const gs_adam_tensor &t, const Tables &tables) {
         a.rate = float(double(t.lr) * root(t.step) / bias1(t.step));
         a.eps2 = float(eps * eps);
     }
-    a.drift = tables.drift;
+    a.factors = tables.factors;
     a.decay1 = tables.decay1;
     a.decay2 = tables.decay2;
     return a;
@@ -59,9 +59,9 @@ AdamTensor constants(const gs_adam_tensor &t, const Tables &tables) {
 // Updates the sums for rows that skip this step too.
 void add_skipped_step(const gs_adam_tensor &t) {
     const double ratio = kBeta1 / std::sqrt(kBeta2), first = double(t.lr) * root(t.step) / bias1(t.step);
-    double power = std::pow(ratio, kMaxLag);
-    for (int k = kMaxLag; k > 0; --k, power /= ratio)
-        t.drift[k] = t.drift[k - 1] + first * power;
+    double power = std::pow(ratio, kMaxPending);
+    for (int k = kMaxPending; k > 0; --k, power /= ratio)
+        t.factors[k] = t.factors[k - 1] + first * power;
 }
 
 } // namespace
@@ -71,7 +71,7 @@ int64_t adam_step(const gs_adam &in) {
     std::vector<AdamTensor> tensors;
     tables.reserve(size_t(in.tensor_count));
     for (int i = 0; i < in.tensor_count; ++i) {
-        tables.emplace_back(in.tensors[i].mode == GS_ADAM_VISIBLE ? in.tensors[i].drift : nullptr);
+        tables.emplace_back(in.tensors[i].mode == GS_ADAM_VISIBLE ? in.tensors[i].factors : nullptr);
         tensors.push_back(constants(in.tensors[i], tables.back()));
     }
     const AdamArgs args = {in.count, tensors.data(), in.tensor_count, in.radii};
@@ -90,7 +90,7 @@ int64_t adam_step(const gs_adam &in) {
 
 void adam_catch_up(const gs_adam_tensor &tensor, const gs_splats &splats, const gs_view *view, float *out,
                    int threads) {
-    const Tables tables(tensor.drift);
+    const Tables tables(tensor.factors);
     const AdamTensor constant = constants(tensor, tables);
     const CatchUpArgs args = {&constant, &splats, view, out};
     const Kernels &k = kernels();

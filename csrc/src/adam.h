@@ -7,7 +7,7 @@
 namespace gs {
 
 // Maximum number of pending steps of a row: the limit of its counter, a byte.
-constexpr int kMaxLag = GS_ADAM_LAGS - 1;
+constexpr int kMaxPending = GS_ADAM_PENDING_SIZE - 1;
 // Gradients are clamped to this, so that their squares stay finite.
 constexpr float kGradientMax = 1e18f;
 
@@ -18,10 +18,10 @@ void adam_catch_up(const gs_adam_tensor &, const gs_splats &, const gs_view *, f
 // A tensor under Adam with the constants of its step.
 struct AdamTensor {
     gs_adam_tensor t;
-    float beta1, beta2, gain1, gain2;     // gain = 1 - beta
-    float eps2;                           // eps^2 (1 - beta2^t): added to second moments without bias correction
-    float rate;                           // lr sqrt(1 - beta2^t) / (1 - beta1^t)
-    const float *drift, *decay1, *decay2; // [GS_ADAM_LAGS] by number of pending steps
+    float beta1, beta2, gain1, gain2;       // gain = 1 - beta
+    float eps2;                             // eps^2 (1 - beta2^t): added to second moments without bias correction
+    float rate;                             // lr sqrt(1 - beta2^t) / (1 - beta1^t)
+    const float *factors, *decay1, *decay2; // [GS_ADAM_PENDING_SIZE] by number of pending steps
 };
 
 struct AdamArgs {

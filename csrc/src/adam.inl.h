@@ -84,14 +84,14 @@ template <class Body> static inline void update(const gs_adam_tensor &t, int64_t
     });
 }
 
-static inline Vec drifted(const AdamTensor &a, const Move &x, int lag) {
-    return x.param - a.drift[lag] * (x.moment1 * inverse_root(x.moment2 + a.eps2));
+static inline Vec caught_up(const AdamTensor &a, const Move &x, int pending) {
+    return x.param - a.factors[pending] * (x.moment1 * inverse_root(x.moment2 + a.eps2));
 }
 
-static inline void catch_up(const AdamTensor &a, Move &x, int lag) {
-    x.param = drifted(a, x, lag);
-    x.moment1 *= a.decay1[lag];
-    x.moment2 *= a.decay2[lag];
+static inline void catch_up(const AdamTensor &a, Move &x, int pending) {
+    x.param = caught_up(a, x, pending);
+    x.moment1 *= a.decay1[pending];
+    x.moment2 *= a.decay2[pending];
 }
 
 static inline void adam(const AdamTensor &a, Move &x, Vec g) {
@@ -145,8 +145,8 @@ static int64_t zero_bad_rows(const AdamArgs &a, int64_t begin, int64_t end) {
 // Rows processed at a time, so that data read twice is still in the L1 cache.
 constexpr int64_t kRows = 64;
 
-// Steps rows [begin, end), all with `lag` pending steps; their gradients become zero.
-static int64_t move_rows(const AdamTensor &a, int64_t begin, int64_t end, int lag) {
+// Steps rows [begin, end), all with `pending` pending steps; their gradients become zero.
+static int64_t move_rows(const AdamTensor &a, int64_t begin, int64_t end, int pending) {
     const gs_adam_tensor &t = a.t;
     const int64_t first = begin * t.width, size = (end - begin) * t.width;
     float *const grad = t.grad + first;
@@ -158,30 +158,30 @@ static int64_t move_rows(const AdamTensor &a, int64_t begin, int64_t end, int la
                 ++bad;
             }
     update(t, first, size, [&](Move &x, int64_t i, int n) {
-        if (lag)
-            catch_up(a, x, lag);
+        if (pending)
+            catch_up(a, x, pending);
         adam(a, x, n == kLanes ? load(grad + i) : load_part(grad + i, n));
     });
     std::memset(grad, 0, size_t(size) * sizeof(float));
-    std::memset(t.seen + begin, 0, size_t(end - begin));
-    std::memset(t.lag + begin, 0, size_t(end - begin));
+    std::memset(t.visible + begin, 0, size_t(end - begin));
+    std::memset(t.pending + begin, 0, size_t(end - begin));
     return bad;
 }
 
-static int64_t move_seen_rows(const AdamTensor &a, int64_t begin, int64_t end) {
+static int64_t move_visible_rows(const AdamTensor &a, int64_t begin, int64_t end) {
     const gs_adam_tensor &t = a.t;
-    const auto moves = [&](int64_t row) { return t.seen[row] || t.lag[row] == kMaxLag; };
+    const auto moves = [&](int64_t row) { return t.visible[row] || t.pending[row] == kMaxPending; };
     int64_t bad = 0;
     for (int64_t row = begin; row < end;) {
         if (!moves(row)) {
-            ++t.lag[row++];
+            ++t.pending[row++];
             continue;
         }
-        const int lag = t.lag[row];
+        const int pending = t.pending[row];
         int64_t last = row + 1;
-        while (last < end && moves(last) && t.lag[last] == lag)
+        while (last < end && moves(last) && t.pending[last] == pending)
             ++last;
-        bad += move_rows(a, row, last, lag);
+        bad += move_rows(a, row, last, pending);
         row = last;
     }
     return bad;
@@ -204,9 +204,9 @@ static int64_t adam_step(const AdamArgs &a, int64_t chunk) {
                 continue;
             }
             for (int64_t row = begin; row < end; ++row)
-                t.seen[row] |= uint8_t(!a.radii || a.radii[row] > 0);
+                t.visible[row] |= uint8_t(!a.radii || a.radii[row] > 0);
             if (t.mode == GS_ADAM_VISIBLE)
-                bad += move_seen_rows(tensor, begin, end);
+                bad += move_visible_rows(tensor, begin, end);
         }
     }
     return bad;
@@ -215,7 +215,7 @@ static int64_t adam_step(const AdamArgs &a, int64_t chunk) {
 // Mask of the splats [begin, begin + kLanes) that may reach the picture: all that `project` draws, and some more. The
 // Jacobian's rows are at most f / z sqrt(1 + ratio^2) long, so the largest scale bounds the splat on screen, with
 // sqrt(2 ln 255) deviations to alpha = 1/255, and more if an activated opacity exceeds 1.
-static inline uint32_t may_be_seen(const CatchUpArgs &a, int64_t begin, int lanes) {
+static inline uint32_t may_be_visible(const CatchUpArgs &a, int64_t begin, int lanes) {
     const gs_splats &in = *a.splats;
     const gs_view &c = *a.view;
     Vec mean[3], largest = set1(-3e38f);
@@ -264,21 +264,21 @@ static void adam_catch_up(const CatchUpArgs &a, int64_t chunk) {
         const int lanes = end - first < kLanes ? int(end - first) : kLanes;
         uint32_t late = 0;
         for (int l = 0; l < lanes; ++l)
-            late |= uint32_t(t.lag[first + l] != 0) << l;
+            late |= uint32_t(t.pending[first + l] != 0) << l;
         if (late && a.view)
-            late &= may_be_seen(a, first, lanes);
+            late &= may_be_visible(a, first, lanes);
         for (int l = 0; l < lanes; ++l) {
             const int64_t row = first + l, at = row * t.width;
-            const int lag = t.lag[row];
+            const int pending = t.pending[row];
             if (a.out) {
                 vectors(t.width, [&](int64_t i, int n) {
                     const Move x = {load_part(t.param + at + i, n), load_part(t.moment1 + at + i, n),
                                     load_part(t.moment2 + at + i, n)};
-                    store_part(a.out + at + i, late >> l & 1 ? drifted(tensor, x, lag) : x.param, n);
+                    store_part(a.out + at + i, late >> l & 1 ? caught_up(tensor, x, pending) : x.param, n);
                 });
             } else if (late >> l & 1) {
-                update(t, at, t.width, [&](Move &x, int64_t, int) { catch_up(tensor, x, lag); });
-                t.lag[row] = 0;
+                update(t, at, t.width, [&](Move &x, int64_t, int) { catch_up(tensor, x, pending); });
+                t.pending[row] = 0;
             }
         }
     }

@@ -1,8 +1,8 @@
 // C API of rows in training: checks arguments and calls Adam, densification statistics and row packing.
 #include "adam.h"
 #include "api.h"
-#include "pull.h"
 #include "row_packing.h"
+#include "screen_gradients.h"
 
 #include <cmath>
 
@@ -21,8 +21,8 @@ gs_status check_tensor(const gs_adam_tensor &t, int64_t count) {
         return fail(GS_BAD_ARGUMENT, "tensor.lr must be finite, got %g", double(t.lr));
     if (count > 0 && (!t.param || !t.moment1 || !t.moment2))
         return fail(GS_BAD_ARGUMENT, "an array of a tensor is null");
-    if (t.mode != GS_ADAM_ALL && (!t.drift || (count > 0 && (!t.seen || !t.lag))))
-        return fail(GS_BAD_ARGUMENT, "tensor.seen, lag and drift are needed unless the mode is GS_ADAM_ALL");
+    if (t.mode != GS_ADAM_ALL && (!t.factors || (count > 0 && (!t.visible || !t.pending))))
+        return fail(GS_BAD_ARGUMENT, "tensor.visible, pending and factors are needed unless the mode is GS_ADAM_ALL");
     if (t.photos < 0 || (t.photos > 1 && t.mode != GS_ADAM_ALL))
         return fail(GS_BAD_ARGUMENT,
                     "tensor.photos must be at least 0, and at most 1 unless the mode is GS_ADAM_ALL, got %d", t.photos);
@@ -76,16 +76,16 @@ gs_status gs_adam_catch_up(const gs_adam_tensor *tensor, const gs_splats *splats
     });
 }
 
-gs_status gs_add_pull(int64_t count, const float *v_means2d, const int32_t *radii, float *pull, float *seen,
-                      float scale_x, float scale_y, int32_t threads) {
-    if (const gs_status s = check_splat_count(count, "gs_add_pull: count"))
+gs_status gs_add_screen_gradients(int64_t count, const float *v_means2d, const int32_t *radii, float *grad2d,
+                                  float *views, float scale_x, float scale_y, int32_t threads) {
+    if (const gs_status s = check_splat_count(count, "gs_add_screen_gradients: count"))
         return s;
     if (const gs_status s = check_threads(threads))
         return s;
-    if (count > 0 && (!v_means2d || !radii || !pull || !seen))
-        return fail(GS_BAD_ARGUMENT, "gs_add_pull: an array is null");
-    return guarded("gs_add_pull", [&] {
-        add_pull(count, v_means2d, radii, pull, seen, scale_x, scale_y, threads);
+    if (count > 0 && (!v_means2d || !radii || !grad2d || !views))
+        return fail(GS_BAD_ARGUMENT, "gs_add_screen_gradients: an array is null");
+    return guarded("gs_add_screen_gradients", [&] {
+        add_screen_gradients(count, v_means2d, radii, grad2d, views, scale_x, scale_y, threads);
         return GS_OK;
     });
 }

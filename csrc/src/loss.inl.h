@@ -314,10 +314,10 @@ class LossTile {
     void chain_gain(const float *xs, const float *ys, float *v) {
         const Vec white = set1(1.0f - kShift);
         for (int i = 0; i < n_; i += kLanes) {
-            const Vec x = load(xs + i), taught = load(v + i);
-            const Vec learnt = taught - keep(both(ge(x, white), ge(load(ys + i), white)), taught);
-            store(by_gain_ + i, fma(inside(i, learnt), x + kShift, load(by_gain_ + i)));
-            store(v + i, learnt * load(gain_ + i));
+            const Vec x = load(xs + i), gradient = load(v + i);
+            const Vec used = gradient - keep(both(ge(x, white), ge(load(ys + i), white)), gradient);
+            store(by_gain_ + i, fma(inside(i, used), x + kShift, load(by_gain_ + i)));
+            store(v + i, used * load(gain_ + i));
         }
     }
 

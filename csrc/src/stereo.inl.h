@@ -143,9 +143,9 @@ class StereoSweep {
     void measure_reference() {
         clear_columns();
         for (int y = 0; y < entering(); ++y) {
-            const float *const entering_row = reference(y), *const leaving_row = reference(y - layout_.window);
+            const float *const added_row = reference(y), *const removed_row = reference(y - layout_.window);
             for (int x = 0; x < in_.width; x += kLanes) {
-                const Vec now = load(entering_row + x), old = load(leaving_row + x);
+                const Vec now = load(added_row + x), old = load(removed_row + x);
                 store(columns_[0] + x, load(columns_[0] + x) + (now - old));
                 store(columns_[1] + x, load(columns_[1] + x) + (now * now - old * old));
             }
@@ -180,7 +180,7 @@ class StereoSweep {
     // Replaces a row of the source that has left the windows.
     void enter(const StereoSource &source, int y, float inverse_depth) {
         const StereoRow line(source.warp, float(top_ - layout_.radius + y) + 0.5f, inverse_depth);
-        const float *const entering_row = reference(y), *const leaving_row = reference(y - layout_.window);
+        const float *const added_row = reference(y), *const removed_row = reference(y - layout_.window);
         float *const ring = slot(ring_, y), *const penalty = slot(penalty_, y);
         float *const sums = columns_[0], *const squares = columns_[1], *const products = columns_[2];
         const float rim = float(layout_.radius);
@@ -192,7 +192,7 @@ class StereoSweep {
             store(penalty + x, sample.penalty);
             store(sums + x, load(sums + x) + (now - old));
             store(squares + x, load(squares + x) + (now * now - old * old));
-            store(products + x, load(products + x) + (now * load(entering_row + x) - old * load(leaving_row + x)));
+            store(products + x, load(products + x) + (now * load(added_row + x) - old * load(removed_row + x)));
         }
     }
 

@@ -486,16 +486,16 @@ struct Learner {
     int64_t rows;
     int width;
     std::vector<float> param, grad, moment1, moment2;
-    std::vector<uint8_t> seen, lag;
-    std::vector<double> drift;
+    std::vector<uint8_t> visible, pending;
+    std::vector<double> factors;
 
     Learner(int64_t n, int w)
         : rows(n), width(w), param(size_t(n * w), 1.0f), grad(size_t(n * w)), moment1(size_t(n * w)),
-          moment2(size_t(n * w)), seen(size_t(n)), lag(size_t(n)), drift(GS_ADAM_LAGS) {}
+          moment2(size_t(n * w)), visible(size_t(n)), pending(size_t(n)), factors(GS_ADAM_PENDING_SIZE) {}
 
     gs_adam_tensor view(int mode, int64_t step) {
-        return {param.data(), grad.data(), moment1.data(), moment2.data(), width,       mode,
-                0.01f,        step,        seen.data(),    lag.data(),     drift.data()};
+        return {param.data(), grad.data(), moment1.data(), moment2.data(), width,         mode,
+                0.01f,        step,        visible.data(), pending.data(), factors.data()};
     }
 };
 
@@ -529,7 +529,7 @@ std::vector<float> learn(int threads) {
     CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, shown.data(), threads) == GS_OK);
     CHECK(gs_adam_catch_up(&tensor, &splats, nullptr, nullptr, threads) == GS_OK);
     CHECK(same_bits(shown, late.param));
-    for (const uint8_t l : late.lag)
+    for (const uint8_t l : late.pending)
         CHECK(l == 0);
     all.param.insert(all.param.end(), late.param.begin(), late.param.end());
     all.param.push_back(float(bad));
@@ -554,7 +554,7 @@ void adam_skips_rows_for_any_number_of_threads() {
             CHECK(gs_adam_step(&args, nullptr) == GS_OK);
         }
     }
-    CHECK(late.lag[0] == 20);
+    CHECK(late.pending[0] == 20);
     gs_splats splats = {};
     splats.count = 1;
     const gs_adam_tensor tensor = late.view(GS_ADAM_VISIBLE, 600);
@@ -575,7 +575,7 @@ void adam_names_bad_arguments() {
     CHECK(step(t, 4, -1) == GS_BAD_ARGUMENT);
     CHECK(step(x.view(3, 1)) == GS_BAD_ARGUMENT);
     CHECK(step(x.view(GS_ADAM_ALL, 0)) == GS_BAD_ARGUMENT);
-    t.lag = nullptr;
+    t.pending = nullptr;
     CHECK(step(t) == GS_BAD_ARGUMENT);
     t = x.view(GS_ADAM_ALL, 1);
     t.lr = std::numeric_limits<float>::infinity();
@@ -592,8 +592,8 @@ void adam_names_bad_arguments() {
     CHECK(gs_adam_catch_up(&t, nullptr, nullptr, nullptr, 0) == GS_BAD_ARGUMENT);
     t.mode = GS_ADAM_ALL;
     CHECK(gs_adam_catch_up(&t, &splats, nullptr, nullptr, 0) == GS_BAD_ARGUMENT);
-    CHECK(gs_add_pull(1, nullptr, nullptr, nullptr, nullptr, 1, 1, 0) == GS_BAD_ARGUMENT);
-    CHECK(gs_add_pull(0, nullptr, nullptr, nullptr, nullptr, 1, 1, 0) == GS_OK);
+    CHECK(gs_add_screen_gradients(1, nullptr, nullptr, nullptr, nullptr, 1, 1, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_add_screen_gradients(0, nullptr, nullptr, nullptr, nullptr, 1, 1, 0) == GS_OK);
 }
 
 void packing_names_bad_arguments() {

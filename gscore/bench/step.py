@@ -33,7 +33,7 @@ class StepBench(BenchSetting):
     laps_ms: dict[str, float]
     """Mean by part of the step."""
     raster_ms: dict[str, float]
-    """Mean by stage of the rasterizer, within the laps of rendering and its gradients."""
+    """Mean by stage of the rasterizer, within the parts of rendering and its gradients."""
     raster_share: float
     """Stages of the rasterizer / the whole step."""
     pairs_per_pixel: float
@@ -73,7 +73,7 @@ def bench_step(
         **given,
     )
     seconds: list[float] = []
-    laps: dict[str, float] = {}
+    parts: dict[str, float] = {}
     stages = dict.fromkeys(STAGES, 0.0)
     pairs = pixels = 0.0
     mmap_large_blocks()
@@ -86,12 +86,12 @@ def bench_step(
             if step < _WARM_UP:
                 continue
             seconds.append(took)
-            for name, value in trainer.laps.seconds.items():
-                laps[name] = laps.get(name, 0.0) + value
+            for name, value in trainer.stage_timer.seconds.items():
+                parts[name] = parts.get(name, 0.0) + value
             for name in STAGES:
-                stages[name] += trainer.laps.raster[name]
-            pairs += trainer.laps.raster["forward_pairs"]
-            pixels += trainer.laps.pixels
+                stages[name] += trainer.stage_timer.raster[name]
+            pairs += trainer.stage_timer.raster["forward_pairs"]
+            pixels += trainer.stage_timer.pixels
     cameras = photos.scene.cameras
     raster = sum(stages.values()) / 1000
     return StepBench(
@@ -104,7 +104,7 @@ def bench_step(
         steps=steps,
         step_ms=1000 * statistics.median(seconds),
         mean_ms=1000 * statistics.mean(seconds),
-        laps_ms={name: 1000 * value / steps for name, value in laps.items()},
+        laps_ms={name: 1000 * value / steps for name, value in parts.items()},
         raster_ms={name.removesuffix("_ms"): value / steps for name, value in stages.items()},
         raster_share=raster / sum(seconds),
         pairs_per_pixel=pairs / pixels,

@@ -193,8 +193,8 @@ def train_measured(
             began = time.perf_counter()
             trainer.step()
             seconds += time.perf_counter() - began
-            forward += trainer.laps.raster.get("forward_pairs", 0)
-            backward += trainer.laps.raster.get("backward_pairs", 0)
+            forward += trainer.stage_timer.raster.get("forward_pairs", 0)
+            backward += trainer.stage_timer.raster.get("backward_pairs", 0)
             if step in at or step == config.iterations:
                 background = trainer.renderer.background
                 targets = trainer.photos if eval_views is None else eval_views

@@ -66,7 +66,7 @@ def with_cameras(
         use_masks=data.mask_mode != "none",
         invert_masks=data.invert_masks,
         threads=threads,
-        apart=output,
+        excluded=output,
     )
     if not (capture / "sparse").exists():
         whole = not (is_video(data.source) or is_staged(request, [data.source]))

@@ -75,7 +75,7 @@ def train_in_turn(
         if not team.is_rank0:
             args.quiet, args.events, args.json = True, None, False
         try:
-            _check_alike(args, team)
+            _check_same_arguments(args, team)
             args.port = args.port if team.is_rank0 else None
             return work(args, team)
         except RankLostError:
@@ -110,7 +110,7 @@ def _lead(
     team: "ProcessGroup",
     lead: Callable[[argparse.Namespace, "ProcessGroup | None"], int],
 ) -> int:
-    _check_alike(args, team)
+    _check_same_arguments(args, team)
     try:
         code = lead(args, team)
     except BaseException:
@@ -138,7 +138,7 @@ def _follow(args: argparse.Namespace, team: "ProcessGroup") -> int:
     source = args.source or args.source_option
     with interrupts() as interrupt, interrupt.stopped_by(lambda reason: None, quiet=True):
         try:
-            _check_alike(args, team)
+            _check_same_arguments(args, team)
             return 0 if run_worker(team, source) else 2
         except RankLostError:
             return 2
@@ -148,7 +148,7 @@ def _follow(args: argparse.Namespace, team: "ProcessGroup") -> int:
             raise DatasetError(f"Rank {team.rank} ({platform.node()}): {error}") from error
 
 
-def _check_alike(args: argparse.Namespace, team: "ProcessGroup") -> None:
+def _check_same_arguments(args: argparse.Namespace, team: "ProcessGroup") -> None:
     from ..trainer.distributed.consistency import check_equal, versions
 
     check_equal(team, versions() | _given(args))

@@ -30,7 +30,7 @@ _ROUGH_PIXELS = 5000
 """Approximate number of sampled pixels of all maps in the search for the best start."""
 _FACTORS = (4.0, 2.0, 1.0)
 """Widths of the penalties of successive minimisations, see `place`."""
-_SETTLED = 0.03
+_DETERMINED = 0.03
 """Maximum expected relative error at both ends of a map that needs no others."""
 _NEAR = 0.15
 """Maximum log ratio of inverse depths of a map and an agreeing point or map."""
@@ -58,8 +58,8 @@ def agreed(
         for part, fit in zip(maps, fits, strict=True)
     ]
     found, (views, web) = list(fits), _web(usable, cameras)
-    settled = {i for k, i in enumerate(views) if _settled(web.charts[k], fits[i])}
-    if len(views) < 2 or len(settled) == len(views):
+    determined = {i for k, i in enumerate(views) if _determined(web.charts[k], fits[i])}
+    if len(views) < 2 or len(determined) == len(views):
         return found
     logs = _placed(web, [fits[i] for i in views])
     reasons = [_refusal(web, k, logs) for k in range(len(views))]
@@ -68,7 +68,7 @@ def agreed(
         logs[good] = place(web.only(good), logs[good])[1]
     for k, i in enumerate(views):
         reason = reasons[k]
-        if reason is not None and i not in settled:
+        if reason is not None and i not in determined:
             fit = fit_of(*web.charts[k].line(np.exp(logs[k])), *_own_points(maps[i]))
             found[i] = fit.refused(reason) if reason else fit
     return with_errors(found, maps, cameras)
@@ -86,11 +86,11 @@ def with_errors(
         and fit.accepted
         and (ends := web.charts[k].ends(fit)) is not None
     }
-    if len(known) < 2 or all(_settled(web.charts[k], fit) for k, (fit, _) in known.items()):
+    if len(known) < 2 or all(_determined(web.charts[k], fit) for k, (fit, _) in known.items()):
         return found
     errors = covariances(web.only(list(known)), np.log([ends for _, ends in known.values()]))
     for (k, (fit, ends)), covariance in zip(known.items(), errors, strict=True):
-        if not _settled(web.charts[k], fit):
+        if not _determined(web.charts[k], fit):
             found[views[k]] = replace(fit, **web.charts[k].uncertainty(ends, covariance))
     return found
 
@@ -128,11 +128,11 @@ def _placed(web: Web, fits: Sequence[Fit | None]) -> np.ndarray:
     return place(web, min(tried, key=lambda found: found[0])[1])[1]
 
 
-def _settled(chart: Chart, fit: Fit | None) -> bool:
+def _determined(chart: Chart, fit: Fit | None) -> bool:
     """Whether the points alone determine the map better than other maps would."""
     if fit is None or not fit.accepted:
         return False
-    return bool((fit.relative_error(np.array([chart.low, chart.high])) < _SETTLED).all())
+    return bool((fit.relative_error(np.array([chart.low, chart.high])) < _DETERMINED).all())
 
 
 def _through_points(chart: Chart, middle: float, ratio: float) -> np.ndarray:

@@ -71,7 +71,7 @@ def align_views(
         if data.depth_align == "official":
             return stated
         return _checked(stated, path, samples, dataset, together=together)
-    found, warnings = settled_kind(kind, samples, dataset)
+    found, warnings = resolved_kind(kind, samples, dataset)
     if data.depth_align == "none":
         fits = [None if part is None else _evaluated(1.0, 0.0, part, found) for part in samples]
         alignment = Alignment(fits=fits, kind=found, warnings=warnings)
@@ -109,7 +109,7 @@ def robust(
     )
 
 
-def settled_kind(
+def resolved_kind(
     kind: DepthKind, samples: list[Samples | None], dataset: Dataset
 ) -> tuple[DepthKind, tuple[str, ...]]:
     """Kind of the maps, AUTO resolved from the training views, and messages for the user."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import ConfigError
 
-_PLACING = ("scale", "rotate", "move")
+_TRANSFORMS = ("scale", "rotate", "move")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class EditRequest:
             raise ConfigError("A gap is one between clusters: give their least size too.")
         if self.count is not None and self.size is not None:
             raise ConfigError("Give the splats to keep or the megabytes, not both.")
-        given = [name for name in _PLACING if getattr(self, name) is not None]
+        given = [name for name in _TRANSFORMS if getattr(self, name) is not None]
         if self.matrix is not None and given:
             raise ConfigError(f"A matrix is complete: leave out {', '.join(given)}.")
 
@@ -84,7 +84,7 @@ class EditRequest:
     @property
     def moves(self) -> bool:
         """True if the splats are transformed."""
-        return self.matrix is not None or any(getattr(self, n) is not None for n in _PLACING)
+        return self.matrix is not None or any(getattr(self, n) is not None for n in _TRANSFORMS)
 
     def cleaned(self, count: int, *, with_cameras: bool) -> "EditRequest":
         """The request with default values for cleaning `count` splats, where none is given."""

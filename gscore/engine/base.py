@@ -16,6 +16,7 @@ from ..raster.request import Frustum
 
 Columns = Mapping[str, np.ndarray]
 """Columns by name, [N, ...] float32."""
+T = TypeVar("T")
 Color = tuple[float, float, float]
 """RGB."""
 ABSURD_MSE = 1e4
@@ -53,6 +54,27 @@ class RowEdit:
     def moves_rows(self) -> bool:
         """True if rows are copied, removed, added or reordered."""
         return not (self.moved is None and self.keep is None and self.parents is None)
+
+
+_COUNTER_KEYS = {
+    "grad2d": "pull",
+    "views": "seen",
+    "shN_visible": "shN_seen",
+    "shN_pending": "shN_lag",
+}
+"""Names of counters in checkpoints, where they differ."""
+
+
+def counter_key(name: str) -> str:
+    """Return the key of a counter in a checkpoint."""
+    return f"row/{_COUNTER_KEYS.get(name, name)}"
+
+
+def counters_of(saved: Mapping[str, T]) -> dict[str, T]:
+    """Return the counters of a checkpoint by their names."""
+    names = {key: name for name, key in _COUNTER_KEYS.items()}
+    rows = {key[4:]: value for key, value in saved.items() if key.startswith("row/")}
+    return {names.get(key, key): value for key, value in rows.items()}
 
 
 class EngineModel(Protocol):
@@ -126,8 +148,9 @@ class EngineModel(Protocol):
     def save(self) -> Columns:
         """Return all that the next step depends on but `adam_steps`; no copies.
 
-        Names are those of checkpoints: param/, m1/, m2/ and row/ before the name of a column,
-        gathered/shN (accumulated gradients) and drift [256] float64 (pending steps of shN).
+        Names are those of checkpoints: param/, m1/ and m2/ before the name of a parameter,
+        `counter_key` of a counter, gathered/shN (accumulated gradients) and drift [256] float64
+        (factors of the pending steps of shN).
         """
         ...
 

@@ -184,7 +184,7 @@ def _declare(lib: ct.CDLL) -> None:
             ct.c_int64,
             ct.c_int32,
         ]
-    lib.gs_add_pull.argtypes = [
+    lib.gs_add_screen_gradients.argtypes = [
         ct.c_int64,
         *[_pointer] * 4,
         ct.c_float,
@@ -448,23 +448,23 @@ def adam_step(
     return bad.value
 
 
-def add_pull(
-    pull: Array,
-    seen: Array,
+def add_screen_gradients(
+    grad2d: Array,
+    views: Array,
     v_means2d: Array,
     radii: Array,
     scale: tuple[float, float],
     threads: int,
 ) -> None:
-    """gs_add_pull; arrays of N rows."""
-    n = len(pull)
+    """gs_add_screen_gradients; arrays of N rows."""
+    n = len(grad2d)
     raise_status(
-        library().gs_add_pull(
+        library().gs_add_screen_gradients(
             n,
             address("v_means2d", v_means2d, (n, 2)),
             address("radii", radii, (n,), INT32),
-            address("pull", pull, (n,)),
-            address("seen", seen, (n,)),
+            address("grad2d", grad2d, (n,)),
+            address("views", views, (n,)),
             *scale,
             arguments.library_threads(threads),
         )

@@ -9,19 +9,19 @@ from ..shared_constants import EPS2D
 from . import _native, arguments, header
 from .request import Frustum
 
-LAGS = header.ADAM_LAGS
+PENDING_SIZE = header.ADAM_PENDING_SIZE
 
 
 @dataclass
 class Skips:
     """State of rows that skip steps, for lazy Adam (gs_adam_tensor)."""
 
-    seen: Tensor
+    visible: Tensor
     """[N] uint8: 1 where a gradient arrived since the row's last step."""
-    lag: Tensor
+    pending: Tensor
     """[N] uint8: number of pending steps."""
-    drift: Tensor
-    """[LAGS] float64: sums of the pending steps."""
+    factors: Tensor
+    """[PENDING_SIZE] float64: sums of the pending steps."""
     wait: bool = False
     """No row steps; gradients accumulate for a later call."""
 
@@ -114,9 +114,9 @@ def _struct(slot: Slot, count: int) -> header.AdamTensorStruct:
         arguments.allow_lazy_rows(
             struct,
             count=count,
-            seen=skips.seen,
-            lag=skips.lag,
-            drift=skips.drift,
+            visible=skips.visible,
+            pending=skips.pending,
+            factors=skips.factors,
             mode=header.ADAM_WAIT if skips.wait else header.ADAM_VISIBLE,
         )
     return struct

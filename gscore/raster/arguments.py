@@ -227,13 +227,13 @@ def allow_lazy_rows(
     tensor: header.AdamTensorStruct,
     *,
     count: int,
-    seen: Array,
-    lag: Array,
-    drift: Array,
+    visible: Array,
+    pending: Array,
+    factors: Array,
     mode: int,
 ) -> None:
     """Set the fields of a gs_adam_tensor whose rows skip steps; `mode` is one of `ADAM_*`."""
     tensor.mode = mode
-    tensor.seen = address("seen", seen, (count,), UINT8)
-    tensor.lag = address("lag", lag, (count,), UINT8)
-    tensor.drift = address("drift", drift, (header.ADAM_LAGS,), FLOAT64)
+    tensor.visible = address("visible", visible, (count,), UINT8)
+    tensor.pending = address("pending", pending, (count,), UINT8)
+    tensor.factors = address("factors", factors, (header.ADAM_PENDING_SIZE,), FLOAT64)

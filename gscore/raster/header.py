@@ -7,7 +7,7 @@ meshes and descriptors. All check the arrays first.
 import ctypes as ct
 from typing import Any
 
-ABI_VERSION = 9
+ABI_VERSION = 10
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
 DEPTH_OUTPUTS = {
@@ -24,7 +24,7 @@ LIST_TILE = 16, 32
 MAX_SIDE = 65536
 THREADS_MAX = 1024
 ADAM_ALL, ADAM_VISIBLE, ADAM_WAIT = 0, 1, 2
-ADAM_LAGS = 256
+ADAM_PENDING_SIZE = 256
 MASK_MODES = {"none": 0, "composite": 1, "ignore": 2}
 STEREO_SOURCES_MAX, STEREO_RADIUS_MAX, STEREO_SIDE_MAX = 8, 7, 8192
 STEREO_PLANES_MIN, STEREO_PLANES_MAX = 3, 1024
@@ -156,7 +156,7 @@ class AdamTensorStruct(ct.Structure):
         "int32 width mode",
         "float lr",
         "int64 step",
-        "pointer seen lag drift",
+        "pointer visible pending factors",
         "int32 photos",
     )
 

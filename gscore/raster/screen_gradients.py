@@ -6,19 +6,19 @@ from . import _native
 
 
 def add_screen_gradients(
-    pull: Tensor,
-    seen: Tensor,
+    grad2d: Tensor,
+    views: Tensor,
     v_means2d: Tensor,
     radii: Tensor,
     scale: tuple[float, float],
     *,
     threads: int = 0,
 ) -> None:
-    """Accumulate one view: add |v * scale| to `pull`, and 1 to `seen`, of splats it drew.
+    """Accumulate one view: add |v * scale| to `grad2d`, and 1 to `views`, of splats it drew.
 
     Args:
-        pull: [N] float32, changed in place.
-        seen: [N] float32, changed in place.
+        grad2d: [N] float32, changed in place.
+        views: [N] float32, changed in place.
         v_means2d: [N, 2] float32, gradient in the projected means.
         radii: [N] int32, 0 where a splat was not drawn.
         scale: Factors on x and y of the gradients.
@@ -27,4 +27,4 @@ def add_screen_gradients(
     Raises:
         ShapeError: a tensor has a wrong shape, dtype or layout.
     """
-    _native.add_pull(pull, seen, v_means2d, radii, scale, threads)
+    _native.add_screen_gradients(grad2d, views, v_means2d, radii, scale, threads)

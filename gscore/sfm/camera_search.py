@@ -301,7 +301,7 @@ class _Search:
     def _state(self, found: dict[str, Path]) -> dict[str, Any]:
         """Key of a resumable search: photos, masks and options that must be equal."""
         options = asdict(self._request)
-        for name in ("output", "apart", "threads", "mapper", "video"):
+        for name in ("output", "excluded", "threads", "mapper", "video"):
             del options[name]  # these change neither features nor matches
         return {
             "pycolmap": colmap().__version__,

@@ -132,7 +132,7 @@ def photos_of(request: SearchRequest) -> list[list[Any]]:
 
 def excluded_folders(request: SearchRequest, root: Path) -> tuple[Path, ...]:
     """Folders below the photo folder that are not searched for photos."""
-    places = (mask_folder(root, request.masks), request.output, request.apart)
+    places = (mask_folder(root, request.masks), request.output, request.excluded)
     return tuple(place for place in places if place is not None)
 
 

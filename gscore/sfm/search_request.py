@@ -33,8 +33,8 @@ class SearchRequest:
     """Source video of the photos; None: they are photos."""
     output: Path
     """The capture to make: a new folder, an empty one, or the one whose `images` the photos are."""
-    apart: Path | None = None
-    """Folder of results, excluded from the photos."""
+    excluded: Path | None = None
+    """Folder that is not searched for photos: that of the results."""
     masks: Path | None = None
     """Folder of masks; None: `masks` among the photos or next to their folder `images`."""
     use_masks: bool = True

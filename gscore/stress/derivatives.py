@@ -7,7 +7,7 @@ import numpy as np
 
 from ..shared_constants import COMPENSATION_MIN, EPS2D, JACOBIAN_MARGIN
 from . import truth
-from .scenes import SplatScene, settle
+from .scenes import SplatScene, first_scene_without
 
 _STEP = 1e-3
 """Step of the five-point formula: truncation (step^4) and rounding (1e-16 / step) are both about
@@ -88,4 +88,4 @@ def smooth_scene(
     seed: int, *, edit: Callable[[SplatScene], SplatScene] | None = None, **options: Any
 ) -> SplatScene:
     """The first scene from `seed` on without kinks and with an empty band, also antialiased."""
-    return settle(seed, has_jump, edit=edit, **options)
+    return first_scene_without(seed, has_jump, edit=edit, **options)

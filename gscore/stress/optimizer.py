@@ -109,12 +109,12 @@ def adam(full: bool) -> Iterator[Measure]:
             model.edit(RowEdit(values={"opacities": lowered}, forget=("opacities",)))
             twin.reset_opacities(ceiling)
             true.reset_opacities(ceiling)
-    moved, settled = 0.0, model.synced()
+    moved, synced = 0.0, model.synced()
     # Rounding of a thousand steps: two trainings in float32 differ by 2.4e-6, and both by 2.7e-6
     # from float64.
     tolerance = 4e-6 if full else 2e-6
     for name, values64 in true.values.items():
-        found = settled[name].detach().numpy()
+        found = synced[name].detach().numpy()
         size = np.maximum(np.abs(values64), 1.0)
         moved = max(moved, float(np.abs(values64[unseen:]).std()))
         # Delayed rows of shN catch up in one sum instead of step by step.
@@ -126,5 +126,5 @@ def adam(full: bool) -> Iterator[Measure]:
             yield Measure(f"{name}, {other}", float((np.abs(found - dense) / size).max()), limit)
     if not moved > 0.5 or (true.values["means"][unseen] == start).all():
         raise EmptyTestError("the parameters did not move")
-    still = np.abs(settled["means"].numpy()[0] - start).max()
+    still = np.abs(synced["means"].numpy()[0] - start).max()
     yield Measure("a row never seen, movement", float(still), 0)

@@ -129,7 +129,7 @@ def draw_scene(
     return SplatScene(**arrays, width=width, height=height)
 
 
-def settle(
+def first_scene_without(
     seed: int,
     rough: Callable[[SplatScene], bool],
     *,

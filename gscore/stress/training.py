@@ -88,13 +88,13 @@ def long_training(full: bool) -> Iterator[Measure]:
         )
         trainer = trainer_of(config, photos)
         best = fall = 0.0
-        settled = int(0.6 * config.iterations)
+        converged = int(0.6 * config.iterations)
         for step in range(1, config.iterations + 1):
             trainer.step()
             if step % (LONG // 20) == 0:
                 psnr = mean_psnr(trainer, photos)
                 # Opacity resets and refinement have ended by then; before, PSNR fluctuates.
-                if step > settled:
+                if step > converged:
                     fall = np.maximum(fall, best - psnr)
                     best = np.maximum(best, psnr)
         splats = trainer.splats()

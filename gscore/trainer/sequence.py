@@ -100,7 +100,7 @@ def train_sequence(
         return _Sequence(config, data, output, options, frames, emit, viewers, writes=writes)
 
     if team:
-        return _train_together(
+        return _train_distributed(
             team, output, opened, control, resume=resume, overwrite=overwrite, agent=agent
         )
     sequence = opened()
@@ -286,7 +286,7 @@ def _to_train(
     return [frame for frame in frames if not (begun and completed(frame))]
 
 
-def _train_together(
+def _train_distributed(
     team: ProcessGroup,
     output: Path,
     opened: Callable[[bool], _Sequence],

@@ -135,7 +135,7 @@ class Trainer:
         self.rate_factor = 1.0
         """Factor of all learning rates."""
         self._skipped = 0
-        self.laps = StageTimer()
+        self.stage_timer = StageTimer()
         """Seconds of the stages of the last step."""
         cameras = self.frame.similarity.cameras_to_training(photos.scene.cameras)
         self.photo_parameters = PhotoParameters(
@@ -270,14 +270,14 @@ class Trainer:
 
     def _step(self, count: int) -> StepResult:
         """Take a step of `count` views, one of them on this rank."""
-        step, laps = self.steps + count, StageTimer()
-        self.laps = laps
+        step = self.steps + count
+        self.stage_timer = timer = StageTimer()
         cleared = self.pruner.guided.count
         for member in self.members:
             self._widen_to(member, self.plan.sh_degree_at(step))
         views = self._draw_views(step, count)
-        laps.pixels = sum(one.view.width * one.view.height for one in views)
-        laps.lap("photo")
+        timer.pixels = sum(one.view.width * one.view.height for one in views)
+        timer.lap("photo")
         pairs = zip(self.members, views, strict=True)
         result = combine_results([self._step_of(*pair, step) for pair in pairs])
         self._note_skipped(result.skipped)
@@ -297,7 +297,7 @@ class Trainer:
         request = self._request(training_view, step)
         numbers = self.engine.step(member.model, request).result()
         self.steps = step
-        self.laps.add(numbers.seconds, numbers.raster)
+        self.stage_timer.add(numbers.seconds, numbers.raster)
         self.lost_rows += numbers.lost_rows
         if numbers.costs:
             self._view_batcher.note_costs(training_view.indices, numbers.costs)
@@ -315,7 +315,7 @@ class Trainer:
             self._learn_of_photos(training_view.indices, numbers.slopes)
         self.bad_rows += numbers.bad_rows
         change, lost_rows = self._after_step(member, step, request.rates["means"])
-        self.laps.lap("edit")
+        self.stage_timer.lap("edit")
         return result._replace(change=change, lost_rows=lost_rows)
 
     def _request(self, training_view: TrainingView, step: int) -> StepRequest:

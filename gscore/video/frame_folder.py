@@ -77,7 +77,7 @@ class FrameFolder:
             ConfigError: the folder, or the hidden folder next to it, has other content.
             GsError: the folder cannot be written, or another process is writing it.
         """
-        self._check_aside()
+        self._check_other_folder()
         self._lock.take()
         try:
             self._look()
@@ -94,7 +94,7 @@ class FrameFolder:
                 with contextlib.suppress(OSError):
                     folder.rmdir()  # only an empty one can be removed
 
-    def _check_aside(self) -> None:
+    def _check_other_folder(self) -> None:
         """Raise ConfigError if the hidden folder is not by gscore, which always has a lock file."""
         names = {path.name for path in self._aside.iterdir()} if self._aside.is_dir() else set()
         if names and (_LOCK not in names or names - {_LOCK, _FRAMES}):

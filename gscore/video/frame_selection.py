@@ -17,7 +17,7 @@ _NEARBY = 3.0
 """Window of nearby frames to each side, seconds."""
 _SHARP = 75
 """Percentile of the detail nearby that counts as sharp."""
-_APART = 0.35
+_MIN_DISTANCE = 0.35
 """Least motion between two frames, in sections."""
 _CENTRE = 0.5
 """Reduction of the weight of a frame at the end of its section, relative to the middle."""
@@ -115,7 +115,7 @@ def _taken(way: np.ndarray, sharpness: np.ndarray, usable: np.ndarray, pieces: i
     for a, b in pairwise(ends):
         fits = usable[a:b].copy()
         if taken:
-            fits &= place[a:b] - place[taken[-1]] >= _APART
+            fits &= place[a:b] - place[taken[-1]] >= _MIN_DISTANCE
         if fits.any():
             taken.append(int(a + np.where(fits, worth[a:b], -1.0).argmax()))
     return np.array(taken, np.int64)

@@ -14,7 +14,7 @@ _SHARP_SIDE = 1280
 """Longer side in pixels at which sharpness is measured, fine enough for blur of a pixel."""
 _REDUCED = 4
 """Downscaling of pictures that are compared for motion."""
-_ALIKE = 0.2
+_SIMILAR = 0.2
 """Mean pixel difference below which a frame is a repetition."""
 
 
@@ -57,7 +57,7 @@ def survey(
             raise Cancelled("Analysing the video was stopped.")
         grey = _grey(frame, size)
         small = _reduced(grey)
-        repeated = before is not None and _alike(grey, before)
+        repeated = before is not None and _similar(grey, before)
         # Repeated frames are skipped, because their reference would be compared with itself.
         way = travel.total if repeated else travel.add(small)
         rows.append((_seconds(frame, count), way, _edges(grey), _edges(small), repeated))
@@ -128,6 +128,6 @@ def _edges(grey: np.ndarray) -> float:
     return float(flat @ flat / flat.size - flat.mean() ** 2)
 
 
-def _alike(grey: np.ndarray, before: np.ndarray) -> bool:
+def _similar(grey: np.ndarray, before: np.ndarray) -> bool:
     far = np.maximum(grey, before) - np.minimum(grey, before)
-    return float(far.mean()) < _ALIKE
+    return float(far.mean()) < _SIMILAR

@@ -8,7 +8,7 @@ import pytest
 
 from gscore.io.block_record import read_block
 from gscore.io.ply.splats import MIP_COMMENT, header_comments, read_ply
-from tests.trainer.distributed.started import start
+from tests.trainer.distributed.start_ranks import start
 
 SHORT = ("--preset", "draft", "--iterations", 3, "--quiet")
 
@@ -85,13 +85,13 @@ def test_a_block_that_starts_from_splats_grows_in_its_cell(gscore, blocks, tmp_p
     plain = tmp_path / "plain"
     shutil.copytree(blocks / "blocks/block_0", plain)
     (plain / "block.json").unlink()
-    told, found = [], [inside_and_around(start)]
+    reported, found = [], [inside_and_around(start)]
     for source in (blocks / "blocks/block_0", plain):
         code, _, err = gscore("train", source, "-o", tmp_path / f"run_{source.stem}", *line)
         assert code == 0
-        told.append("Splats are added only in the block's cell" in err)
+        reported.append("Splats are added only in the block's cell" in err)
         found.append(inside_and_around(tmp_path / f"run_{source.stem}/point_cloud.ply"))
-    assert told == [True, False]
+    assert reported == [True, False]
     (inside, around), block, whole = found
     assert block[0] > 4 * inside and whole[0] > 4 * inside
     # Splats move: some that were created inside end up outside.

@@ -137,14 +137,14 @@ def test_count_and_error_of_a_run(gscore, run_folder, tmp_path, splats, capture,
 def test_visible_thinning_warns(gscore, run_folder, tmp_path):
     """Oracle: the dB printed next to it."""
     run = run_folder()
-    told = {}
+    messages = {}
     for count in (1, 30, 45, 59):
         out = tmp_path / f"{count}.ply"
         code, text, err = gscore("convert", run, out, "--count", count, "--json")
         worth = json.loads(text)["error"]["psnr"]
-        told[worth < 30] = shows = f"--max-splats {count} looks better" in " ".join(err.split())
+        messages[worth < 30] = shows = f"--max-splats {count} looks better" in " ".join(err.split())
         assert code == 0 and shows == (worth < 30)
-    assert told == {True: True, False: False}, "both happen"
+    assert messages == {True: True, False: False}, "both happen"
 
 
 @pytest.mark.parametrize("source", ["capture", "run", "cameras.json"])
@@ -360,9 +360,9 @@ def test_repeated_files_warn(gscore, ply, tmp_path):
 
 def test_option_of_another_format_warns(gscore, ply, tmp_path):
     """Oracle: a warning where the option has no effect, and none where it has one."""
-    for name, told in (("o.ply", True), ("o.spz", False)):
+    for name, messages in (("o.ply", True), ("o.spz", False)):
         _, _, err = gscore("convert", ply, tmp_path / name, "--spz-version", 4)
-        assert ("--spz-version has no effect" in err) == told
+        assert ("--spz-version has no effect" in err) == messages
 
 
 @pytest.mark.parametrize("verb", ["convert", "view", "render", "info"])

@@ -58,16 +58,16 @@ def measured(gscore, run_folder):
 def test_a_metrics_json_with_an_odd_value_is_a_sentence(gscore, measured, value):
     """Oracle: every key in turn; verbs that list runs read the rest and name the invalid key."""
     folder, full = measured
-    told = 0
+    reported = 0
     for key in full:
         text = json.dumps(full | {key: "@"}).replace('"@"', value)
         (folder / "metrics.json").write_text(text)
         out, _ = _assert_said(gscore("info", folder), (0,))
         _assert_said(gscore("info", folder, "--json"), (0,))
         assert read_run(folder) is not None
-        told += f"metrics.json is damaged: {key} cannot be; `gscore eval" in out
+        reported += f"metrics.json is damaged: {key} cannot be; `gscore eval" in out
         assert key not in read_metrics(folder) or not metrics_problem(folder)
-    assert told >= (0 if value == "null" else 8)
+    assert reported >= (0 if value == "null" else 8)
 
 
 @pytest.mark.parametrize("content", WHOLE)

@@ -129,16 +129,16 @@ def test_another_split_and_resolution(gscore, run_folder, tmp_path):
     assert all((v["width"], v["height"]) == (24, 18) and v["psnr"] > 25 for v in views)
 
 
-def test_neutral_pictures_are_told_of(gscore, run_folder, tmp_path):
+def test_neutral_pictures_are_reported(gscore, run_folder, tmp_path):
     """Oracle: a run marked as having exposures; held-out views were neutral before too."""
     folder = run_folder()
     path = folder / "metrics.json"
     exposure = {"stops_apart": 0.6, "learnt": True, "why": "They differ.", "known_by": None}
     path.write_text(json.dumps(json.loads(path.read_text()) | {"exposure": exposure}))
-    for split, told in (("train", True), ("test", False)):
+    for split, reported in (("train", True), ("test", False)):
         out = ("-o", tmp_path / split, "--quiet")
         code, _, err = gscore("eval", folder, "--split", split, *out)
-        assert code == 0 and ("here pictures have the mean exposure" in err) is told
+        assert code == 0 and ("here pictures have the mean exposure" in err) is reported
 
 
 def test_held_out_views_are_not_replaced_by_others(gscore, run_folder, tmp_path):
@@ -268,8 +268,8 @@ def test_errors_on_the_splats(gscore, run_folder, splats, tmp_path):
     code, out, _ = gscore("eval", folder, *options, "--events", "jsonl")
     events = [json.loads(line) for line in out.splitlines()]
     assert code == 0 and events[-1]["event"] == "evaluated" and events[-1]["error_bright"] > 0.05
-    told = [event for event in events if event["event"] == "eval_progress" and event["done"]]
-    assert [event["done"] for event in told] == list(range(1, 10))
+    reported = [event for event in events if event["event"] == "eval_progress" and event["done"]]
+    assert [event["done"] for event in reported] == list(range(1, 10))
     written = read_metrics(tmp_path / "e")
     assert events[-1]["views"] == {view["name"]: view["psnr"] for view in written["views"]}
     found = read_ply(path)

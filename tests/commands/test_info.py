@@ -38,7 +38,7 @@ def test_capture(gscore, capture, ring):
     assert "focal length 45.0 px across and 47.0 px down, camera" in " ".join(out.split())
 
 
-def test_undistortion_is_told_where_there_is_some(gscore, capture, tmp_path):
+def test_undistortion_is_reported(gscore, capture, tmp_path):
     """Oracle: the same capture with another camera model."""
     folder = tmp_path / "bent"
     shutil.copytree(capture, folder)

@@ -15,7 +15,7 @@ from gscore.options import options_of
 from gscore.presets import PRESETS
 
 
-def told(line: str, capsys: pytest.CaptureFixture[str]) -> list[dict]:
+def reported(line: str, capsys: pytest.CaptureFixture[str]) -> list[dict]:
     """The list of `gscore options ... --json`."""
     assert main(["options", *line.split(), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
@@ -30,29 +30,29 @@ def configured(line: str) -> TrainConfig:
 
 def test_every_option_is_listed_once(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: all fields of TrainConfig; each with a text that is more than its name."""
-    names = [row["name"] for row in told("", capsys)]
+    names = [row["name"] for row in reported("", capsys)]
     assert len(names) == len(set(names))
     assert {field.name for field in fields(TrainConfig)} == options_of(TrainConfig).keys()
     assert set(names) >= options_of(TrainConfig).keys() | {"images", "resolution", "hold_out"}
-    assert all(len(row["text"]) > 20 for row in told("", capsys))
+    assert all(len(row["text"]) > 20 for row in reported("", capsys))
 
 
 def test_one_option_with_all_that_is_known(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: its declaration."""
-    (row,) = told("drop-rate", capsys)
+    (row,) = reported("drop-rate", capsys)
     assert row["default"] == 0.0 and row["range"] == "0 to less than 1" and not row["basic"]
     assert row["flag"] == "--drop-rate" and row["group"] == "loss"
-    (row,) = told("mcmc_noise", capsys)
+    (row,) = reported("mcmc_noise", capsys)
     assert row["name_3dgs"] == "--noise-lr" and row["idle"] == "only with `--strategy mcmc`"
 
 
 def test_a_word_finds_by_group_and_by_text(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the declarations; texts are searched where no name and no group matches."""
-    assert {row["group"] for row in told("learning-rates", capsys)} == {"learning rates"}
-    assert [row["name"] for row in told("dropgaussian", capsys)] == ["drop_rate"]
-    assert [row["name"] for row in told("ensemble", capsys)] == ["ensemble", "ensemble_below"]
-    assert [row["name"] for row in told("stereo_points", capsys)] == ["stereo_points"]
-    rates = [row["name"] for row in told("lr", capsys)]
+    assert {row["group"] for row in reported("learning-rates", capsys)} == {"learning rates"}
+    assert [row["name"] for row in reported("dropgaussian", capsys)] == ["drop_rate"]
+    assert [row["name"] for row in reported("ensemble", capsys)] == ["ensemble", "ensemble_below"]
+    assert [row["name"] for row in reported("stereo_points", capsys)] == ["stereo_points"]
+    rates = [row["name"] for row in reported("lr", capsys)]
     assert rates[0] == "means_lr" and {"lr_boost", "pose_lr_final"} < set(rates)
     assert main(["options", "ensemble"]) == 0
     out = " ".join(capsys.readouterr().out.split())

@@ -181,7 +181,9 @@ def test_a_training_is_measured_like_an_evaluation() -> None:
     config = replace(config, iterations=3, seed=4)
     small, large = load_for_bench(data), load_for_bench(replace(data, resolution=120))
     named = {"capture": "studio", "variant": "v", "offset": 2}
-    own, wide = (study.train_scored(config, small, judged, **named) for judged in (small, large))
+    own, wide = (
+        study.train_scored(config, small, evaluated, **named) for evaluated in (small, large)
+    )
     assert own.key == ("studio", "v", 4, 2) and own.splats == wide.splats
     assert [view.name for view in own.views] == [small.names[i] for i in small.test]
     assert all(view.lpips is None and view.ssim for view in own.views)

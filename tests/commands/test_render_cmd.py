@@ -142,10 +142,10 @@ def test_depth(gscore, run_folder, tmp_path, picture):
 def test_older_files_are_reported(gscore, run_folder, tmp_path):
     """Oracle: a depth map of an earlier rendering, which is not listed, and still exists."""
     folder, out = run_folder(), tmp_path / "a"
-    code, told, _ = gscore("render", folder, "-o", out, "--depth", "png", "--view", "4")
-    assert code == 0 and "Other files" not in told
-    code, told, _ = gscore("render", folder, "-o", out, "--view", "4")
-    assert code == 0 and "Other files in the folder are kept: a_4_depth.png" in told
+    code, reported, _ = gscore("render", folder, "-o", out, "--depth", "png", "--view", "4")
+    assert code == 0 and "Other files" not in reported
+    code, reported, _ = gscore("render", folder, "-o", out, "--view", "4")
+    assert code == 0 and "Other files in the folder are kept: a_4_depth.png" in reported
     assert (out / "a_4_depth.png").is_file()
 
 

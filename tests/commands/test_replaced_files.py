@@ -247,8 +247,10 @@ def test_empty_files_may_be_replaced(tmp_path):
 )
 def test_why_a_folder_takes_no_files(tmp_path, monkeypatch, flag, words):
     """Oracle: the flag of the file system, as set by Linux."""
-    told = os.statvfs(tmp_path)
+    reported = os.statvfs(tmp_path)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    monkeypatch.setattr(os, "statvfs", lambda path: os.statvfs_result((*told[:8], flag, *told[9:])))
+    monkeypatch.setattr(
+        os, "statvfs", lambda path: os.statvfs_result((*reported[:8], flag, *reported[9:]))
+    )
     with pytest.raises(ConfigError, match=f"Cannot write into {tmp_path}: {words}; choose"):
         check_folder(tmp_path / "new")

@@ -48,20 +48,20 @@ class Terminal(io.TextIOWrapper):
         self._far, near = pty.openpty()
         os.set_blocking(self._far, False)
         resize(near, columns)
-        self._heard = b""
+        self._received = b""
         raw = os.fdopen(near, "wb", buffering=0)
         super().__init__(raw, encoding=encoding, errors="strict", write_through=True)
 
     def write(self, text: str) -> int:
         count = super().write(text)
         with contextlib.suppress(BlockingIOError):
-            self._heard += os.read(self._far, 1 << 16)
+            self._received += os.read(self._far, 1 << 16)
         return count
 
     def said(self) -> str:
         """The output since the last call."""
-        heard, self._heard = self._heard, b""
-        return heard.decode(self.encoding)
+        received, self._received = self._received, b""
+        return received.decode(self.encoding)
 
 
 @pytest.fixture
@@ -135,9 +135,9 @@ def test_output_that_is_not_a_terminal(
 def test_any_encoding_and_any_name(encoding: str, clock: list[float]) -> None:
     """Oracle: no error, no character that moves the cursor, no wrapped line."""
     terminal = Terminal(60, encoding)
-    told = Counted(Status(terminal), 3, "view")
+    reported = Counted(Status(terminal), 3, "view")
     for done in (1, 2, 3):
-        told(done, "Gruß 写真 \x1b[2J\n\t\x07.png")
+        reported(done, "Gruß 写真 \x1b[2J\n\t\x07.png")
     text = terminal.said()
     assert "view 3 of 3" in text and "\x1b" not in text and "\n" not in text
     assert all(cells(part) < 60 for part in text.split("\r"))

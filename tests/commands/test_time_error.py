@@ -124,8 +124,8 @@ def test_photos_of_another_size_measure_the_same_splats() -> None:
     data = replace(data, mask_mode="none", test_every=20, eval=True, resolution=120)
     config = replace(config, iterations=3)
     own, again = (
-        train_measured(config, load_for_bench(data), eval_views=judged).points[-1]
-        for judged in (None, load_for_bench(data))
+        train_measured(config, load_for_bench(data), eval_views=evaluated).points[-1]
+        for evaluated in (None, load_for_bench(data))
     )
     assert again.psnr == pytest.approx(own.psnr, abs=2e-3)
     assert again.ssim == pytest.approx(own.ssim, abs=2e-4)
@@ -367,13 +367,13 @@ def test_finished_measurements_are_kept(
     capsys.readouterr()
 
 
-def test_presets_are_judged_on_one_size() -> None:
+def test_presets_are_evaluated_at_one_size() -> None:
     """Oracle: the requested widths; evaluation on the larger photos, with equal ones read once."""
     data = PRESETS["preview"](EXAMPLE)[0]
     data = replace(data, mask_mode="none", test_every=20, eval=True)
     widths = [60, 120, 60, 120]
-    found, judged = open_sizes([replace(data, max_width=width) for width in widths])
+    found, evaluated = open_sizes([replace(data, max_width=width) for width in widths])
     assert [int(p.scene.cameras.widths[0]) for p in found] == widths
-    assert judged is found[1] is found[3] and found[0] is found[2]
+    assert evaluated is found[1] is found[3] and found[0] is found[2]
     wide, _ = open_sizes([replace(data, max_width=width) for width in (10_000, 20_000)])
     assert wide[0] is wide[1]

@@ -72,9 +72,9 @@ def test_reliability(factor):
     assert median_scale(scales) == 2.0
     assert (scale_reason(2.0 * factor, 2.0) == "") is (0.2 <= factor <= 5)
     fits: list[Fit | None] = [Fit(scale=s, offset=0.0, accepted=True) for s in scales[:4]]
-    judged = reliable([*fits, None], median_scale(scales))
-    assert judged[4] is None and judged[0] == fits[0]
-    assert judged[3] is not None and judged[3].accepted is (0.2 <= factor <= 5)
+    evaluated = reliable([*fits, None], median_scale(scales))
+    assert evaluated[4] is None and evaluated[0] == fits[0]
+    assert evaluated[3] is not None and evaluated[3].accepted is (0.2 <= factor <= 5)
 
 
 def _scene(seed, *, outliers, noise, count=None, low=0.1):

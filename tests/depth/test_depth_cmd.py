@@ -287,12 +287,12 @@ def test_events_tell_what_happens(planes, networks, gscore, tmp_path):
     code, out, _ = gscore("depth", planes.folder, "--model", model, "--events", "jsonl")
     events = [from_line(line) for line in out.splitlines()]
     assert code == 0 and None not in events
-    told = [(e.phase, e.done, e.total) for e in events if isinstance(e, DepthProgress)]
-    network, *_ = told[1]
+    reported = [(e.phase, e.done, e.total) for e in events if isinstance(e, DepthProgress)]
+    network, *_ = reported[1]
     assert network.startswith("predicting with midas.onnx, detected as MiDaS 2.1 small")
     expected = [("reading", 0, 0), (network, 0, 5)]
     expected += [(phase, i, 5) for phase in ("predicting", "aligning") for i in range(1, 6)]
-    assert told == expected
+    assert reported == expected
     done = events[-1]
     assert isinstance(done, DepthDone) and (done.views, done.predicted) == (5, 5)
     result = json.loads(gscore("depth", planes.folder, "--json")[1])

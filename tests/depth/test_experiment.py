@@ -50,7 +50,7 @@ def _row(arm: str, seed: int, psnr: float, splats: str = "") -> dict[str, Any]:
         "asked": "6",
         "known": None,
         "splats": 100,
-        "judged": [{"name": "a", "psnr": psnr, "psnr_cc": psnr + 1, "ssim": 0.5, "lpips": None}],
+        "evaluated": [{"name": "a", "psnr": psnr, "psnr_cc": psnr + 1, "ssim": 0.5, "lpips": None}],
         "arm": arm,
         "seed": seed,
         "psnr": psnr,
@@ -76,9 +76,9 @@ def test_gains_are_of_the_same_seed() -> None:
     assert found["masked"][5] == ""
     # One view, so each draw has its 2 and 4 dB; the rule requires 0.1 at equal time.
     assert found["mono"][6] == "+3.00 (+3.00 to +3.00)"
-    (judged,) = [cells for cells in lines if cells[:2] == ["6", "mono"]]
-    assert judged[2:4] == ["c", "+3.00 (+3.00 to +3.00)"]
-    assert judged[4] == "yes: +3.00 dB, surely above 0, 1.00 times as long"
+    (evaluated,) = [cells for cells in lines if cells[:2] == ["6", "mono"]]
+    assert evaluated[2:4] == ["c", "+3.00 (+3.00 to +3.00)"]
+    assert evaluated[4] == "yes: +3.00 dB, surely above 0, 1.00 times as long"
 
 
 @pytest.mark.parametrize("table", TABLES)

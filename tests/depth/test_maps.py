@@ -230,9 +230,9 @@ def test_numbers_beyond_float32_are_unknown(tmp_path):
 def test_advice_about_a_broken_map_is_not_about_photos(tmp_path):
     """Oracle: the sentence for a picture of depth that is no map."""
     (tmp_path / "a.png").write_bytes(b"no picture")
-    with pytest.raises(FormatError, match=r"Copy the file again") as told:
+    with pytest.raises(FormatError, match=r"Copy the file again") as reported:
         read_map(tmp_path / "a.png")
-    assert "photo" not in str(told.value)
+    assert "photo" not in str(reported.value)
 
 
 @pytest.mark.parametrize(("file", "view"), [("NFD", "NFC"), ("NFC", "NFD")])

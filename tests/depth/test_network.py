@@ -160,7 +160,7 @@ def _quantized(path, style):
 
 
 @pytest.mark.parametrize("style", ["dynamic", "dequantized", "static"])
-def test_quantized_networks_are_told_by_their_kernel(tmp_path, style):
+def test_quantized_networks_are_detected_by_their_kernel(tmp_path, style):
     """Oracle: the 14 px patches of Depth Anything, for any storage of the kernel."""
     network = Network(_quantized(tmp_path / "net.onnx", style), threads=1)
     assert (network.profile.family, network.profile.multiple) == ("Depth Anything", 14)

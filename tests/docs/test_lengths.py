@@ -13,7 +13,7 @@ def test_results_and_how_tos_are_short(page: str) -> None:
     assert len((ROOT / page).read_text(encoding="utf-8").splitlines()) <= 150
 
 
-def test_the_newest_changes_are_told_in_a_few_lines() -> None:
+def test_the_newest_changes_take_a_few_lines() -> None:
     """Oracle: 15 lines besides headings, of what a user has."""
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     newest = text.split("\n## ")[1].splitlines()[1:]

@@ -43,6 +43,6 @@ def test_views_are_reported(make_splats: Callable[..., Splats], cameras: Cameras
     """Oracle: the number of cameras; splats outside all views contribute zero."""
     splats = make_splats(10)
     hidden = replace(splats, means=splats.means + np.float32(1000))
-    told: list[int] = []
-    assert not contributions(hidden, cameras, on_view=told.append).any()
-    assert told == [1, 2, 3]
+    reported: list[int] = []
+    assert not contributions(hidden, cameras, on_view=reported.append).any()
+    assert reported == [1, 2, 3]

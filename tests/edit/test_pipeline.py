@@ -37,12 +37,12 @@ def test_steps_come_in_their_order(make_splats: Make, views: EditViews) -> None:
         count=60,
         scale=2,
     )
-    told: list[str] = []
-    edited = apply_edits(parts, request, views=views, on_step=told.append)
+    reported: list[str] = []
+    edited = apply_edits(parts, request, views=views, on_step=reported.append)
     names = [step.name for step in edited.steps]
     cleaning = ["opacity", "size", "contribution", "isolation", "clusters"]
     assert names == ["crop", *cleaning, "sh degree", "count", "place"]
-    assert [name for name in told if "view" not in name] == names
+    assert [name for name in reported if "view" not in name] == names
     assert len(edited.joined) == 350 and len(edited.splats) == len(edited.kept) == 60
     left = 350
     for step in edited.steps:

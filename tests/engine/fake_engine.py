@@ -14,11 +14,13 @@ from gscore.engine.base import (
     StepNumbers,
     StepPhoto,
     StepRequest,
+    counter_key,
+    counters_of,
 )
 from gscore.raster.request import Frustum
 from gscore.splats import PARAMETERS, SH_REST_BY_DEGREE
 
-DRIFT = 256
+PENDING_SIZE = 256
 
 
 class FakeModel:
@@ -101,8 +103,8 @@ class FakeModel:
         out = {f"param/{name}": p for name, p in self.params.items()}
         out |= {f"m1/{name}": m for name, m in self.first.items()}
         out |= {f"m2/{name}": m for name, m in self.second.items()}
-        out |= {"gathered/shN": np.zeros_like(self.params["shN"]), "drift": np.zeros(DRIFT)}
-        return out | {f"row/{name}": counter for name, counter in self.rows.items()}
+        out |= {"gathered/shN": np.zeros_like(self.params["shN"]), "drift": np.zeros(PENDING_SIZE)}
+        return out | {counter_key(name): counter for name, counter in self.rows.items()}
 
 
 class Answer(NamedTuple):
@@ -132,7 +134,7 @@ class FakeEngine:
         model = FakeModel({name: saved[f"param/{name}"] for name in PARAMETERS})
         model.first = {name: saved[f"m1/{name}"] for name in PARAMETERS}
         model.second = {name: saved[f"m2/{name}"] for name in PARAMETERS}
-        model.rows = {k.removeprefix("row/"): v for k, v in saved.items() if k[:4] == "row/"}
+        model.rows = counters_of(saved)
         model.adam_steps = dict(adam_steps)
         return model
 

@@ -18,7 +18,7 @@ from tests.engine.fake_engine import FakeEngine
 from tests.trainer.short_run import CONFIG
 
 ENGINES: list[Callable[[], Any]] = [CpuEngine, FakeEngine]
-COUNTERS = ("pull", "seen")
+COUNTERS = ("grad2d", "views")
 
 
 @pytest.fixture(params=ENGINES)
@@ -95,7 +95,7 @@ def test_a_step_changes_parameters_and_counters(engine: Any, model: Any, photos:
     assert all(np.isfinite([r.loss, r.mse]).all() and not r.skipped for r in results)
     assert all(r.slopes.shape == (1, 19) for r in results)
     assert (model.column("means") != before["means"]).any()
-    assert model.column("seen").any()
+    assert model.column("views").any()
     assert model.adam_steps["means"] == 4
 
 
@@ -124,8 +124,8 @@ def test_an_edit_is_applied_in_the_order_of_its_fields(
     np.testing.assert_array_equal(model.column("means"), expected)
     np.testing.assert_array_equal(model.column("opacities")[3:], changes["opacities"])
     np.testing.assert_array_equal(model.column("sh0")[3:], before["sh0"][2:4])
-    expected = [before["seen"][-1], 0, before["seen"][1], 0, 0]
-    np.testing.assert_array_equal(model.column("seen"), expected)
+    expected = [before["views"][-1], 0, before["views"][1], 0, 0]
+    np.testing.assert_array_equal(model.column("views"), expected)
     np.testing.assert_array_equal(
         model.gather("means", np.array([4, 0])), model.column("means")[[4, 0]]
     )

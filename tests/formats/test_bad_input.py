@@ -208,8 +208,8 @@ def test_every_verb_says_it_in_one_line(tmp_path: Path, capsys: pytest.CaptureFi
     for arguments in (["info", "a.spz"], ["render", "a.spz", "-o", "out"]):
         verb, file, *rest = arguments
         assert main([verb, str(tmp_path / file), *rest]) == 2
-        told = capsys.readouterr().err
-        assert "SPZ file of version 9" in told and "Traceback" not in told
+        reported = capsys.readouterr().err
+        assert "SPZ file of version 9" in reported and "Traceback" not in reported
 
 
 @pytest.mark.parametrize("name", ["../l.webp", "/etc/passwd", "a/b.webp", "..\\l.webp", "..", ""])

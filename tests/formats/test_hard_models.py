@@ -38,8 +38,8 @@ def test_a_number_that_is_not_finite_takes_no_neighbours(
     spoilt = make_model(1000)
     spoilt.means[7, 1] = np.nan
     spoilt.quats[300] = 0
-    told = write_splat_file(tmp_path / name, spoilt)
-    assert any("2 of 1,000 splats" in note for note in told.notes)
+    reported = write_splat_file(tmp_path / name, spoilt)
+    assert any("2 of 1,000 splats" in note for note in reported.notes)
     found = read_splat_file(tmp_path / name).splats
     assert len(found) == 998
     middle = np.delete(spoilt.means, [7, 300], axis=0).mean(axis=0)
@@ -87,7 +87,7 @@ def test_far_splats_move_few_others_in_a_compressed_ply(
     chunks closer; a note where far ones are moved nearer."""
     model = make_model(count)
     model.means[:3] += np.float32(far) * np.array([[1], [-1], [2]], np.float32)
-    told = write_splat_file(tmp_path / "a.compressed.ply", model)
+    reported = write_splat_file(tmp_path / "a.compressed.ply", model)
     found = read_splat_file(tmp_path / "a.compressed.ply").splats
     near = model.subset(np.arange(3, count))
     moved = KDTree(found.means).query(near.means)[0]
@@ -96,7 +96,7 @@ def test_far_splats_move_few_others_in_a_compressed_ply(
     assert moved[importance > np.sort(importance)[beside]].max() < 0.003
     away = np.abs(found.means - np.median(near.means, axis=0)).max(axis=1)
     assert np.count_nonzero(away > 4) == 3
-    stated = [note for note in told.notes if "share their chunk" in note]
+    stated = [note for note in reported.notes if "share their chunk" in note]
     assert len(stated) == bool(beside) == (away.max() < far / 2)
     assert all("3 splats up to" in note for note in stated)
 
@@ -121,7 +121,7 @@ def test_one_far_splat_makes_no_other_coarse(
     model.means[:] *= side
     model.scales[:] += np.log(side)
     model.means[7] = np.array([far, -far, far / 2], np.float32)
-    told = write_splat_file(tmp_path / name, model)
+    reported = write_splat_file(tmp_path / name, model)
     found = read_splat_file(tmp_path / name).splats
     near = np.delete(model.means, 7, axis=0)
     middle = np.median(near, axis=0)
@@ -131,7 +131,7 @@ def test_one_far_splat_makes_no_other_coarse(
     np.testing.assert_allclose(there / there[0], [1, -1, 0.5], atol=0.02)
     assert there[0] > 4 * side
     exact = name in ("a.splat", "a.glb", "a.ply")
-    assert ("1 splat up to" in " ".join(told.notes)) == (not exact)
+    assert ("1 splat up to" in " ".join(reported.notes)) == (not exact)
     assert bool(np.isclose(there[0], far, rtol=1e-3)) == exact
 
 
@@ -144,10 +144,10 @@ def test_splats_of_a_tenth_are_never_moved(
     model = _dull(make_model(1000, 0))
     sky = model.means[::5] / np.linalg.norm(model.means[::5], axis=1, keepdims=True)
     model.means[::5] = sky * np.float32(1e6)
-    told = write_splat_file(tmp_path / name, model)
+    reported = write_splat_file(tmp_path / name, model)
     found = read_splat_file(tmp_path / name).splats
     assert KDTree(found.means).query(model.means[::5])[0].max() < 1e3
-    assert any("is coarse for splats" in note for note in told.notes)
+    assert any("is coarse for splats" in note for note in reported.notes)
 
 
 @pytest.mark.parametrize("name", ["a.spz", "a.sog"])

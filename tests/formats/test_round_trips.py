@@ -103,8 +103,8 @@ def test_the_tag_survives(
     written = write_splat_file(tmp_path / name, make_model(5, 0), antialiased=antialiased)
     kept = WRITTEN[name] != "splat"
     assert read_splat_file(tmp_path / name).antialiased == (antialiased and kept)
-    told = any("antialiasing" in note for note in written.notes)
-    assert told == (antialiased and not kept)
+    reported = any("antialiasing" in note for note in written.notes)
+    assert reported == (antialiased and not kept)
     assert is_antialiased(tmp_path / name) == (antialiased and kept)
 
 
@@ -148,8 +148,8 @@ def test_lost_harmonics_are_reported(make_model: MakeModel, tmp_path: Path) -> N
     """Oracle: the sentence, and none where there was no degree to lose."""
     model = make_model(5, 2)
     model.sh0[:] = np.clip(model.sh0, -1.7, 1.7)
-    told = write_splat_file(tmp_path / "a.splat", model).notes
-    assert len(told) == 1 and "SH degree 0" in told[0]
+    reported = write_splat_file(tmp_path / "a.splat", model).notes
+    assert len(reported) == 1 and "SH degree 0" in reported[0]
     assert not write_splat_file(tmp_path / "a.splat", model, sh_degree=0).notes
 
 

@@ -49,8 +49,8 @@ def test_damaged_usd() -> None:
 def test_faults_are_found(tmp_path: Path) -> None:
     """Oracle: a reader that fails at three files in three ways; each is kept, others are read."""
     done = _run("-c", BROKEN, str(tmp_path))
-    told = done.stdout.splitlines()
-    assert told[-1] == "False" and "3 faults" in told[-2], done.stdout + done.stderr
+    reported = done.stdout.splitlines()
+    assert reported[-1] == "False" and "3 faults" in reported[-2], done.stdout + done.stderr
     numbers = {path.name.split("-")[2] for path in tmp_path.iterdir()}
     assert numbers == {"7", "9", "11"}
     (said,) = tmp_path.glob("*-7-*.txt")

@@ -163,8 +163,8 @@ def test_all_say_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
         return
     assert facts.can_train and shown.can_train, facts.problems
     scene, notes = dataset.scene, _said(facts, errors=False)
-    told = (*dataset.warnings, *position_warnings(scene), *axis_warnings(scene))
-    assert set(told) <= set(notes)
+    reported = (*dataset.warnings, *position_warnings(scene), *axis_warnings(scene))
+    assert set(reported) <= set(notes)
     assert facts.photos == len(dataset)
     assert facts.sizes == Counter(file.photo_size for file in dataset.files)
     assert facts.points == (0 if scene.points.made_up else len(scene.points))

@@ -15,7 +15,7 @@ def free_port() -> int:
         return one.getsockname()[1]
 
 
-def wish(viewmat: np.ndarray, K: np.ndarray, width: int, height: int, **more: Any) -> dict:
+def frame_request(viewmat: np.ndarray, K: np.ndarray, width: int, height: int, **more: Any) -> dict:
     """The frame request for a camera with OpenCV axes and a centred principal point."""
     opengl = np.diag([1.0, -1, -1, 1]) @ viewmat
     clip = np.eye(4)  # any server may ignore it

@@ -16,7 +16,7 @@ import pytest
 from gscore.errors import BackendError, ConfigError
 from gscore.live import server, viewer_clients, viewer_protocol
 from gscore.live_options import LiveOptions
-from tests.live.client import Client, free_port, wish
+from tests.live.client import Client, frame_request, free_port
 
 K = np.array([[50.0, 0, 20], [0, 60, 15], [0, 0, 1]])
 POSE = np.array([[0.0, 0, 1, 4], [1, 0, 0, 5], [0, 1, 0, 6], [0, 0, 0, 1]])
@@ -84,7 +84,7 @@ def look_until_served(training, request):
 def test_a_viewer_gets_what_it_asks_for(training):
     """Oracle: the camera of the client's request."""
     with Client(training.port) as client:
-        picture, text = client.look(wish(POSE, K, 40, 30, scaling_modifier=0.5))
+        picture, text = client.look(frame_request(POSE, K, 40, 30, scaling_modifier=0.5))
         assert picture.shape == (30, 40, 3) and (picture == (7, 8, 9)).all()
         assert text == "/über/capture"
         (seen,) = training.seen
@@ -131,23 +131,23 @@ def test_a_picture_that_cannot_be_drawn_is_black(training, monkeypatch, caplog, 
     with Client(training.port) as client:
         with monkeypatch.context() as patch:
             patch.setattr(training, "_draw", fail)
-            assert not client.look(wish(POSE, K, 4, 3))[0].any()
+            assert not client.look(frame_request(POSE, K, 4, 3))[0].any()
         assert "too little memory" in caplog.text
-        assert client.look(wish(POSE, K, 4, 3))[0].all()
+        assert client.look(frame_request(POSE, K, 4, 3))[0].all()
 
 
 def test_several_viewers_at_once_and_after_each_other(training):
     """Oracle: pictures of each viewer's own size, repeatedly."""
     with Client(training.port) as one, Client(training.port) as two:
         for _ in range(5):
-            a, b = wish(POSE, K, 8, 6), wish(POSE, K, 10, 4)
+            a, b = frame_request(POSE, K, 8, 6), frame_request(POSE, K, 10, 4)
             one.send(a)
             two.send(b)
             assert two.receive(b)[0].shape == (4, 10, 3)
             assert one.receive(a)[0].shape == (6, 8, 3)
     for _ in range(2 * server.MOST_VIEWERS):
         with Client(training.port) as client:
-            assert client.look(wish(POSE, K, 8, 6))[0].shape == (6, 8, 3)
+            assert client.look(frame_request(POSE, K, 8, 6))[0].shape == (6, 8, 3)
             time.sleep(0.01)
 
 
@@ -155,17 +155,17 @@ def test_one_more_than_there_may_be_is_let_go(training):
     """Oracle: the number; a freed place is given again."""
     clients = [Client(training.port) for _ in range(server.MOST_VIEWERS)]
     for client in clients:
-        client.look(wish(POSE, K, 4, 4))
+        client.look(frame_request(POSE, K, 4, 4))
     with Client(training.port) as late:
         assert late.is_dropped()
     clients.pop().socket.close()
-    picture, client = look_until_served(training, wish(POSE, K, 4, 4))
+    picture, client = look_until_served(training, frame_request(POSE, K, 4, 4))
     assert picture.shape == (4, 4, 3)
     for one in (client, *clients):
         one.socket.close()
 
 
-GOOD = wish(POSE, K, 40, 30)
+GOOD = frame_request(POSE, K, 40, 30)
 SKEWED = [2 * value for value in GOOD["view_matrix"]]
 
 
@@ -219,7 +219,7 @@ def test_garbage_is_let_go(training, raw):
     with Client(training.port) as bad, Client(training.port) as good:
         bad.socket.sendall(raw)
         assert bad.is_dropped()
-        assert good.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+        assert good.look(frame_request(POSE, K, 4, 4))[0].shape == (4, 4, 3)
 
 
 def test_random_bytes_end_no_thread(training):
@@ -235,7 +235,7 @@ def test_random_bytes_end_no_thread(training):
         except ValueError:
             continue
     with Client(training.port) as client:
-        assert client.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+        assert client.look(frame_request(POSE, K, 4, 4))[0].shape == (4, 4, 3)
 
 
 @pytest.mark.parametrize("slowly", [False, True])
@@ -250,19 +250,19 @@ def test_half_a_message_is_waited_for_only_so_long(training, slowly):
             for at in range(3, len(raw) - 1) if slowly else ():
                 time.sleep(0.05)
                 half.socket.sendall(raw[at : at + 1])
-        assert good.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+        assert good.look(frame_request(POSE, K, 4, 4))[0].shape == (4, 4, 3)
         assert half.is_dropped()
 
 
 def test_a_slow_reader_holds_nobody_up(training):
     """Oracle: a client that requests large pictures and reads none; others are served, and it is
     dropped."""
-    large = wish(POSE, K, 3000, 2500)
+    large = frame_request(POSE, K, 3000, 2500)
     with Client(training.port) as slow, Client(training.port) as good:
         slow.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.send(large)
         for _ in range(5):
-            assert good.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+            assert good.look(frame_request(POSE, K, 4, 4))[0].shape == (4, 4, 3)
         wait_until(lambda: len(training.seen) == 6 and len(training.server._connections) == 1)
         # The data that the system still buffered for it are dropped: through so small a window they
         # take minutes.
@@ -276,17 +276,17 @@ def test_silent_viewers_give_their_places(training, monkeypatch):
     monkeypatch.setattr(server, "PATIENCE", 60.0)
     busy = Client(training.port)
     silent = [Client(training.port) for _ in range(server.MOST_VIEWERS - 1)]
-    busy.look(wish(POSE, K, 4, 4))
+    busy.look(frame_request(POSE, K, 4, 4))
     wait_until(lambda: len(training.server._connections) == server.MOST_VIEWERS)
     with Client(training.port) as late:
         assert late.is_dropped()
     for one in training.server.viewers._all:
         one.last_request -= 100.0
-    busy.look(wish(POSE, K, 4, 4))
+    busy.look(frame_request(POSE, K, 4, 4))
     with Client(training.port) as late:
-        assert late.look(wish(POSE, K, 8, 4))[0].shape == (4, 8, 3)
+        assert late.look(frame_request(POSE, K, 8, 4))[0].shape == (4, 8, 3)
         assert silent[0].is_dropped()
-        assert busy.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+        assert busy.look(frame_request(POSE, K, 4, 4))[0].shape == (4, 4, 3)
     for client in (busy, *silent):
         client.socket.close()
 
@@ -295,7 +295,7 @@ def test_viewers_are_asked_whether_they_are_there(training):
     """Oracle: the keep-alive option of the connection, without which a broken one stays for
     ever."""
     with Client(training.port) as client:
-        client.look(wish(POSE, K, 4, 4))
+        client.look(frame_request(POSE, K, 4, 4))
         (connection,) = training.server._connections
         assert connection.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
 
@@ -306,7 +306,7 @@ def test_lost_viewer_does_not_delay_the_end(monkeypatch):
     crowd = viewer_clients.ViewerClients(after_the_end=True)
     one = crowd.enter(1)
     assert one is not None
-    request = viewer_protocol.parse(json.dumps(wish(POSE, K, 4, 4, keep_alive=1)).encode())
+    request = viewer_protocol.parse(json.dumps(frame_request(POSE, K, 4, 4, keep_alive=1)).encode())
     thread = threading.Thread(target=one.request_picture, args=(request,))
     thread.start()
     wait_until(crowd._requested.is_set)
@@ -349,7 +349,7 @@ def test_a_lasting_fault_is_waited_out(training, monkeypatch, caplog, broken):
     assert len(tries) <= len(rests) + 1
     assert caplog.text.count("A viewer cannot connect") == 1
     with Client(training.port) as client:
-        assert client.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+        assert client.look(frame_request(POSE, K, 4, 4))[0].shape == (4, 4, 3)
     wait_until(lambda: not (training.server.viewers._all or training.server._connections))
 
 
@@ -369,7 +369,7 @@ def test_a_viewer_is_answered_after_a_flood_of_resets():
     for connection in flood:
         reset(connection)
     with training, Client(training.port) as client:
-        assert client.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+        assert client.look(frame_request(POSE, K, 4, 4))[0].shape == (4, 4, 3)
 
 
 @pytest.mark.parametrize("where", ["accept", "option"])
@@ -408,7 +408,7 @@ def test_a_fault_of_one_connection_delays_no_other(training, monkeypatch, caplog
         while len(faults) < 20 and time.monotonic() < end:
             Client(training.port).socket.close()
     with Client(training.port) as client:
-        assert client.look(wish(POSE, K, 4, 4))[0].shape == (4, 4, 3)
+        assert client.look(frame_request(POSE, K, 4, 4))[0].shape == (4, 4, 3)
     assert len(faults) >= 20 and server._REST not in waits
     assert "cannot connect" not in caplog.text
 

@@ -17,7 +17,7 @@ from gscore.io.cameras_json import read_cameras_json
 from gscore.live.server import Server
 from gscore.live_options import LiveOptions
 from gscore.trainer.run import train
-from tests.live.client import Client, free_port, wish
+from tests.live.client import Client, frame_request, free_port
 from tests.run_verb import gscore  # noqa: F401
 from tests.trainer.conftest import capture  # noqa: F401
 from tests.trainer.short_run import CONFIG
@@ -63,7 +63,7 @@ def test_watching_changes_no_bit(capture, tmp_path, strategy):  # noqa: F811
 
     def request(number):
         size = width + 16 * (number % 3), height + 8 * (number % 2)
-        return wish(viewmat, K, *size, scaling_modifier=1.0 if number % 4 else 0.3)
+        return frame_request(viewmat, K, *size, scaling_modifier=1.0 if number % 4 else 0.3)
 
     port = free_port()
     with Server(LiveOptions(port=port), text="x") as server, looking(port, request) as seen:
@@ -87,7 +87,7 @@ def test_viewer_pauses_the_training(capture, tmp_path):  # noqa: F811
             pictures["held"] = [e.step for e in events if isinstance(e, Progress)][-1:]
             time.sleep(0.5)
             K, viewmat, width, height = camera(out)
-            ask = wish(viewmat, K, width, height, train=0, keep_alive=1)
+            ask = frame_request(viewmat, K, width, height, train=0, keep_alive=1)
             first, again = client.look(ask)[0], client.look(ask)[0]
             assert np.array_equal(first, again)
             while not (out / "report.html").is_file():

@@ -45,7 +45,7 @@ def test_the_finest_everywhere_is_the_whole_model(
     assert made.visible == whole.visible
 
 
-def test_chunks_out_of_sight_are_not_read(lod: Path) -> None:
+def test_chunks_outside_the_view_are_not_read(lod: Path) -> None:
     """Oracle: a camera close to the wall needs few of its 16 chunks; one that faces away, none but
     those around it."""
     K, viewmat = camera(0.5)

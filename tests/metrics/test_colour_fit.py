@@ -15,7 +15,7 @@ def twin(image, target, weight):
     columns = weight.sum(axis=0)
     middle = min(range(1, width), key=lambda m: abs(columns[:m].sum() - columns[m:].sum()))
     halves, total = (range(middle), range(middle, width)), 0.0
-    for fitted, judged in (halves, halves[::-1]):
+    for fitted, evaluated in (halves, halves[::-1]):
         root = np.sqrt(weight[:, fitted].ravel())
         for c in range(3):
             known = image[:, fitted, c].ravel()
@@ -23,7 +23,7 @@ def twin(image, target, weight):
             (gain, offset), *_ = np.linalg.lstsq(
                 design, target[:, fitted, c].ravel() * root, rcond=None
             )
-            for x in judged:
+            for x in evaluated:
                 for y in range(image.shape[0]):
                     value = min(max(image[y, x, c] * gain + offset, 0.0), 1.0)
                     total += weight[y, x] * (value - target[y, x, c]) ** 2

@@ -82,7 +82,7 @@ def test_groups_of_the_first_version_count(tmp_path):
 
 def test_machine_names_what_ran():
     """Oracle: the interpreter running this test."""
-    told = machine()
-    assert told["python"] == ".".join(map(str, sys.version_info[:3]))
-    assert told["cpu"] and told["cores"] >= 1
+    reported = machine()
+    assert reported["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert reported["cpu"] and reported["cores"] >= 1
     assert version_of("numpy") and version_of("no-such-package-at-all") is None

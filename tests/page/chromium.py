@@ -97,8 +97,8 @@ class Chromium:
         self.call("Page.navigate", url=path.resolve().as_uri())
         end = time.monotonic() + _PATIENCE
         while not self.value(f"document.readyState === 'complete' && ({until})"):
-            told = self.value("document.body && document.body.innerText") or ""
-            assert time.monotonic() < end and "cannot be shown" not in told, told
+            reported = self.value("document.body && document.body.innerText") or ""
+            assert time.monotonic() < end and "cannot be shown" not in reported, reported
             time.sleep(0.1)
 
     def value(self, expression: str) -> Any:

@@ -304,12 +304,12 @@ def test_lost_context_is_reported_and_restored(browser, tmp_path):
     """Oracle: WEBGL_lose_context, and the picture before."""
     path, _ = written(tmp_path, cloud(1500, 2))
     before = shown(browser, path, 0)
-    told = "document.getElementById('message').textContent"
+    reported = "document.getElementById('message').textContent"
     browser.value("window.loss = viewer.painter.gl.getExtension('WEBGL_lose_context')")
     browser.value("loss.loseContext(); new Promise((done) => setTimeout(done, 300))")
-    assert "connection to the graphics card was lost" in browser.value(told)
+    assert "connection to the graphics card was lost" in browser.value(reported)
     browser.value("loss.restoreContext(); new Promise((done) => setTimeout(done, 500))")
-    assert browser.value(told) == ""
+    assert browser.value(reported) == ""
     assert np.array_equal(browser.canvas(), before)
 
 
@@ -319,11 +319,13 @@ def test_a_run_becomes_a_page(gscore, run_folder, splats, browser):
     (folder / "report.html").write_text("<p><!-- gscore view --></p>")
     code, out, err = gscore("view", folder, "--photos", "3", "--json", "--quiet")
     assert code == 0, err
-    told = json.loads(out)
+    reported = json.loads(out)
     path = folder / "view.html"
-    assert told["file"] == str(path) and told["bytes"] == path.stat().st_size
-    assert told["splats"] == len(splats) and told["cameras"] == 9 and told["photos"] == 3
-    assert told["packing_psnr"] > 35 and told["packing_difference"] < MOST
+    assert reported["file"] == str(path) and reported["bytes"] == path.stat().st_size
+    assert (
+        reported["splats"] == len(splats) and reported["cameras"] == 9 and reported["photos"] == 3
+    )
+    assert reported["packing_psnr"] > 35 and reported["packing_difference"] < MOST
     browser.size(700, 300)
     browser.open(path)
     assert browser.value("viewer.scene.background") == [1, 1, 1]
@@ -338,7 +340,7 @@ def test_a_run_becomes_a_page(gscore, run_folder, splats, browser):
     assert 'href="view.html"' in (folder / "report.html").read_text()
     assert gscore("view", folder, "--photos", "0", "--quiet")[0] == 0
     assert (folder / "report.html").read_text().count("<iframe") == 1
-    assert path.stat().st_size < told["bytes"]
+    assert path.stat().st_size < reported["bytes"]
 
 
 def test_splats_alone_become_a_page(gscore, tmp_path, splats, browser):
@@ -370,14 +372,14 @@ def test_splats_alone_stand_upright(splats, tmp_path, line, up):
 
 def test_page_reports_dropped_harmonics(gscore, tmp_path, splats):
     """Oracle: the sentence, which a model of degree 3 is not told."""
-    for rest, told in ((24, True), (15, False)):
+    for rest, reported in ((24, True), (15, False)):
         shN = np.zeros((len(splats), rest, 3), np.float32)
         write_splats(tmp_path / "a.ply", replace(splats, shN=shN))
         code, out, err = gscore(
             "view", tmp_path / "a.ply", "-o", tmp_path / f"{rest}.html", "--json"
         )
         assert code == 0 and json.loads(out)["sh_degree"] == 3
-        assert ("supports SH degree 3" in " ".join(err.split())) == told
+        assert ("supports SH degree 3" in " ".join(err.split())) == reported
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ def draw_scene(seed: int, **options: Any) -> RasterScene:
     return to_torch(scenes.draw_scene(seed, **options))
 
 
-def settle_scene(
+def find_smooth_scene(
     seed: int, *, edit: Callable[[RasterScene], RasterScene] | None = None, **options: Any
 ) -> RasterScene:
     """`gscore.stress.derivatives.smooth_scene` as tensors; `edit` changes each scene drawn."""
@@ -206,8 +206,8 @@ def random_scene() -> Callable[..., RasterScene]:
 
 @pytest.fixture(scope="session")
 def smooth_scene() -> Callable[..., RasterScene]:
-    """`settle_scene`: a scene without jumps within reach of finite differences."""
-    return settle_scene
+    """`find_smooth_scene`: a scene without jumps within reach of finite differences."""
+    return find_smooth_scene
 
 
 @pytest.fixture(scope="session")

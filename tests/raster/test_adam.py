@@ -34,7 +34,7 @@ def slot_of(value: np.ndarray, *, skips: bool) -> adam.Slot:
     late = adam.Skips(
         torch.zeros(n, dtype=torch.uint8),
         torch.zeros(n, dtype=torch.uint8),
-        torch.zeros(adam.LAGS, dtype=torch.float64),
+        torch.zeros(adam.PENDING_SIZE, dtype=torch.float64),
     )
     zeros = [torch.zeros_like(tensor) for _ in range(3)]
     return adam.Slot(tensor, *zeros, rate=0.0, step=0, skips=late if skips else None)
@@ -111,7 +111,7 @@ def test_the_table_is_the_sum_of_the_steps_that_were_skipped() -> None:
             / (1 - BETA1**t)
             for t in steps
         )
-        assert slot.skips.drift[k].item() == pytest.approx(expected, rel=1e-9)
+        assert slot.skips.factors[k].item() == pytest.approx(expected, rel=1e-9)
 
 
 def test_looking_changes_nothing_and_shows_what_settling_gives() -> None:
@@ -124,8 +124,8 @@ def test_looking_changes_nothing_and_shows_what_settling_gives() -> None:
         radii = torch.from_numpy((rng.random(50) < 0.4).astype(np.int32))
         slot.grad[radii == 0] = 0
         adam.step([slot], radii)
-    assert slot.skips is not None and slot.skips.lag.any()
-    state = (slot.value, slot.moment1, slot.moment2, slot.skips.lag, slot.skips.seen)
+    assert slot.skips is not None and slot.skips.pending.any()
+    state = (slot.value, slot.moment1, slot.moment2, slot.skips.pending, slot.skips.visible)
     before = [t.clone() for t in state]
     shown = torch.full_like(slot.value, torch.nan)
     adam.catch_up(slot, places, out=shown)
@@ -133,11 +133,11 @@ def test_looking_changes_nothing_and_shows_what_settling_gives() -> None:
     adam.catch_up(slot, places)
     assert torch.equal(slot.value, shown)
     assert not torch.equal(slot.value, before[0])
-    assert not slot.skips.lag.any()
+    assert not slot.skips.pending.any()
 
 
 @pytest.mark.usefixtures("isa")
-def test_whatever_a_view_draws_has_settled_for_it() -> None:
+def test_whatever_a_view_draws_is_synced_first() -> None:
     """Oracle: the radii of the rasterizer, for cameras inside and outside of the cloud and large
     splats; rows far from the picture stay lazy."""
     rng = np.random.default_rng(3)
@@ -148,8 +148,8 @@ def test_whatever_a_view_draws_has_settled_for_it() -> None:
         slot = slot_of(rng.normal(size=(n, 3, 3)), skips=True)
         assert slot.skips is not None
         slot.step, slot.rate = 1, 1e-2
-        slot.skips.lag.fill_(1)
-        slot.skips.drift[1:] = 1.0
+        slot.skips.pending.fill_(1)
+        slot.skips.factors[1:] = 1.0
         Q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         viewmat = torch.eye(4)
         viewmat[:3, :3] = torch.from_numpy(Q * np.sign(np.linalg.det(Q)))
@@ -172,8 +172,8 @@ def test_whatever_a_view_draws_has_settled_for_it() -> None:
         )
         assert aux.radii is not None and (aux.radii > 0).any()
         adam.catch_up(slot, places, adam.Frustum(viewmat, K, 80, 60, 0.01))
-        assert not slot.skips.lag[aux.radii > 0].any()
-        waiting += int(slot.skips.lag.sum())
+        assert not slot.skips.pending[aux.radii > 0].any()
+        waiting += int(slot.skips.pending.sum())
     assert waiting > n
 
 
@@ -194,8 +194,8 @@ def test_gradients_gather_until_a_step() -> None:
         adam.step([slot], radii)
     twin.step(gathered, 0.1)
     np.testing.assert_allclose(slot.value.numpy(), twin.value, rtol=1e-6)
-    assert slot.skips.lag.tolist() == [0, 0, 0, 1]
-    assert not slot.skips.seen.any() and not slot.grad.any()
+    assert slot.skips.pending.tolist() == [0, 0, 0, 1]
+    assert not slot.skips.visible.any() and not slot.grad.any()
 
 
 @pytest.mark.usefixtures("isa")
@@ -275,10 +275,10 @@ def test_wrong_tensors_are_refused() -> None:
     assert slot.skips is not None
     with pytest.raises(ShapeError, match=r"radii must be \[4\] int32, .* got \[4\] float32"):
         adam.step([slot], torch.zeros(4))
-    slot.skips.lag = torch.zeros(5, dtype=torch.uint8)
-    with pytest.raises(ShapeError, match=r"lag must be \[4\] uint8.* got \[5\]"):
+    slot.skips.pending = torch.zeros(5, dtype=torch.uint8)
+    with pytest.raises(ShapeError, match=r"pending must be \[4\] uint8.* got \[5\]"):
         adam.step([slot], None)
-    slot.skips.lag = torch.zeros(4, dtype=torch.uint8)
+    slot.skips.pending = torch.zeros(4, dtype=torch.uint8)
     slot.grad = torch.zeros(3, 4).T
     with pytest.raises(ShapeError, match=r"grad must be \[4, 3\].* contiguous"):
         adam.step([slot], None)

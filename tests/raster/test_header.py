@@ -116,8 +116,8 @@ def test_structs_lie_in_memory_as_in_c(compiled: dict[str, str], name: str) -> N
     assert int(compiled[f"gs_{name}"]) == ct.sizeof(struct)
     for field, kind in struct._fields_:
         place = getattr(struct, field)
-        told = f"{place.offset} {place.size} {KINDS.get(_element(kind), 'pointer')}"
-        assert compiled[f"gs_{name}.{field}"] == told, field
+        reported = f"{place.offset} {place.size} {KINDS.get(_element(kind), 'pointer')}"
+        assert compiled[f"gs_{name}.{field}"] == reported, field
 
 
 @pytest.mark.parametrize("name", STRUCTS)

@@ -157,15 +157,19 @@ def test_gap_due_to_exposure_is_explained(run):
     asked where photos were taken as they are."""
     content = run(split="test")
     content.metrics["history"][-1]["psnr"] = 30.0
-    for learnt, matched, told in ((True, 27.5, True), (True, 20.0, False), (False, 27.5, False)):
+    for learnt, matched, reported in (
+        (True, 27.5, True),
+        (True, 20.0, False),
+        (False, 27.5, False),
+    ):
         numbers = {"psnr": 19.0, "psnr_cc": matched, "exposure": {"learnt": learnt}}
         content.metrics.update(numbers)
         shown = Page(report_html(content)).shown
-        assert ("and 27.5 dB after colour correction" in shown) is told
-        assert ("overfit the training photos" in shown) is not told
+        assert ("and 27.5 dB after colour correction" in shown) is reported
+        assert ("overfit the training photos" in shown) is not reported
 
 
-def test_few_photos_are_told_how_to_get_maps(run):
+def test_few_photos_get_advice_on_maps(run):
     """Oracle: the command given, as HTML."""
     content = replace(run(split="test"), depth_command="gscore depth 'run/<capture>' --hold-out 8")
     content.metrics["history"][-1]["psnr"] = 60.0
@@ -218,16 +222,16 @@ def test_sizes_of_photos_are_marked(run):
 
 
 @pytest.mark.parametrize(
-    ("trained", "split", "told"),
+    ("trained", "split", "reported"),
     [(30.0, "test", True), (16.0, "test", False), (30.0, "train", False), (None, "test", False)],
 )
-def test_splats_that_fit_only_the_photos_are_explained(run, trained, split, told):
+def test_splats_that_fit_only_the_photos_are_explained(run, trained, split, reported):
     """Oracle: the difference of both numbers, where views were held out."""
     content = run(split=split)
     content.metrics.update({"psnr": 15.25, "history": [{"step": 1, "psnr": trained}]})
     shown = Page(report_html(content)).shown
-    assert ("What this means" in shown) is told
-    if told:
+    assert ("What this means" in shown) is reported
+    if reported:
         assert "Training views reach 30.0 dB, held-out views 15.2 dB: 14.8 dB less" in shown
         assert "gscore depth" in shown
 
@@ -235,14 +239,14 @@ def test_splats_that_fit_only_the_photos_are_explained(run, trained, split, told
 def test_reason_of_the_end_is_stated(run):
     """Oracle: the reason in metrics.json."""
     content = run()
-    told = {}
+    reported = {}
     for reason in ("finished", "target", "converged", "interrupted"):
         content.metrics["reason"] = reason
-        told[reason] = " ".join(Page(report_html(content)).words)
-    assert "500 steps, " not in told["finished"]
-    assert "500 steps, to the target PSNR" in told["target"]
-    assert "500 steps, until it converged" in told["converged"]
-    assert "500 steps, stopped: interrupted" in told["interrupted"]
+        reported[reason] = " ".join(Page(report_html(content)).words)
+    assert "500 steps, " not in reported["finished"]
+    assert "500 steps, to the target PSNR" in reported["target"]
+    assert "500 steps, until it converged" in reported["converged"]
+    assert "500 steps, stopped: interrupted" in reported["interrupted"]
 
 
 def test_numbers_are_shown(run):

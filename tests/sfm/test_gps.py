@@ -52,8 +52,8 @@ def _model(centers: np.ndarray) -> pycolmap.Reconstruction:
 def _places(enu: np.ndarray, noise: float, seed: int = 0) -> dict[int, np.ndarray]:
     """Places [n, 3] in metres to the east, to the north and up, as GPS positions."""
     enu = enu + np.random.default_rng(seed).normal(0, noise, enu.shape)
-    told = pycolmap.GPSTransform().enu_to_ellipsoid(enu, *LUND)
-    return dict(enumerate(told, 1))
+    reported = pycolmap.GPSTransform().enu_to_ellipsoid(enu, *LUND)
+    return dict(enumerate(reported, 1))
 
 
 def _found(enu: np.ndarray, noise: float, seed: int = 0) -> tuple[Gps, np.ndarray]:
@@ -204,9 +204,9 @@ def test_the_messages_name_strays_and_contradictions() -> None:
 def test_up_is_that_of_the_place_on_both_sides_of_the_date_line() -> None:
     """Oracle: the world's vertical at Taveuni, with photos at longitudes 180 and -180."""
     turn = _turned(4)
-    told = pycolmap.GPSTransform().enu_to_ellipsoid(AROUND, -16.85, 180.0, 5.0)
-    assert {bool(longitude > 0) for longitude in told[:, 1]} == {True, False}
-    found = read_gps(_model(AROUND @ turn.T / METRES), dict(enumerate(told, 1)))
+    reported = pycolmap.GPSTransform().enu_to_ellipsoid(AROUND, -16.85, 180.0, 5.0)
+    assert {bool(longitude > 0) for longitude in reported[:, 1]} == {True, False}
+    found = read_gps(_model(AROUND @ turn.T / METRES), dict(enumerate(reported, 1)))
     assert found.metres == pytest.approx(METRES, rel=1e-6)
     assert _degrees(found.up, turn[:, 2]) < 0.01
 

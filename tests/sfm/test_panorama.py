@@ -246,10 +246,10 @@ def test_a_search_refuses_panoramas_and_says_how_to_cut_them(
         shown.save(tmp_path / f"walk/{i}.jpg", xmp=XMP if stated else b"")
     asked = ["sfm", str(tmp_path / "walk"), "-o", str(tmp_path / "found"), "--quiet"]
     assert main(asked) == 2
-    told = " ".join(capsys.readouterr().err.split())
+    reported = " ".join(capsys.readouterr().err.split())
     show = "show" if stated else "seem to show"
-    assert f"4 photos {show} all directions" in told and "v360=equirect:flat" in told
-    assert "Traceback" not in told and not (tmp_path / "found").exists()
+    assert f"4 photos {show} all directions" in reported and "v360=equirect:flat" in reported
+    assert "Traceback" not in reported and not (tmp_path / "found").exists()
     main([*asked, "--focal-length", "500"])
     assert ("all directions" in " ".join(capsys.readouterr().err.split())) == stated
 
@@ -258,6 +258,6 @@ def test_the_lens_model_of_panoramas_is_refused(photos: Path, tmp_path: Path, ca
     """Oracle: one sentence on how to cut them; pycolmap divides by zero."""
     asked = ["sfm", str(photos), "-o", str(tmp_path / "found"), "--quiet"]
     assert main([*asked, "--camera-model", "EQUIRECTANGULAR"]) != 0
-    told = " ".join(capsys.readouterr().err.split())
-    assert "camera_model EQUIRECTANGULAR is for 360-degree photos" in told
-    assert "v360=equirect:flat" in told and "Traceback" not in told
+    reported = " ".join(capsys.readouterr().err.split())
+    assert "camera_model EQUIRECTANGULAR is for 360-degree photos" in reported
+    assert "v360=equirect:flat" in reported and "Traceback" not in reported

@@ -200,10 +200,10 @@ def test_a_forecast_learns_the_pace() -> None:
     forecast = Forecast(
         megapixels=[0.5] * 60, most=3072, pairs=1770, threads=2, clock=lambda: now[0]
     )
-    told, finding = forecast.seconds, forecast._seconds[FEATURES]
-    assert forecast.left(FEATURES, 0.0) == pytest.approx(told)
+    reported, finding = forecast.seconds, forecast._seconds[FEATURES]
+    assert forecast.left(FEATURES, 0.0) == pytest.approx(reported)
     now[0] = finding * 2.0 * 0.5  # half of the features, at half the pace
-    assert forecast.left(FEATURES, 0.5) == pytest.approx(2.0 * (told - finding / 2))
+    assert forecast.left(FEATURES, 0.5) == pytest.approx(2.0 * (reported - finding / 2))
     assert forecast.pace == pytest.approx(2.0)
     before = forecast.left(MATCHING, 0.0)
     forecast.has_features(60 * 7000)
@@ -218,13 +218,13 @@ def test_loaded_features_do_not_count_for_the_pace() -> None:
     forecast = Forecast(
         megapixels=[0.5] * 40, most=4096, pairs=780, threads=2, clock=lambda: now[0]
     )
-    finding, told = forecast._seconds[FEATURES], forecast.seconds
+    finding, reported = forecast._seconds[FEATURES], forecast.seconds
     for share in (0.0, 0.25, 0.5, 0.75, 1.0):
         forecast.left(FEATURES, share)
         now[0] += 0.01 if share < 0.5 else finding / 4
     assert forecast.pace == pytest.approx(1.0, rel=0.05)
     forecast.has(FEATURES)
-    assert forecast.seconds == pytest.approx(told - finding, rel=0.05)
+    assert forecast.seconds == pytest.approx(reported - finding, rel=0.05)
 
 
 @pytest.mark.parametrize(

@@ -53,9 +53,9 @@ def _hidden(folder: Path) -> list[str]:
 def found(photos: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict, list[Event]]:
     """A capture made of the photos, the verdict and the messages."""
     capture = tmp_path_factory.mktemp("made") / "capture"
-    told: list[Event] = []
-    result = find_cameras(SearchRequest(photos=photos, output=capture), on_event=told.append)
-    return capture, result.facts(), told
+    reported: list[Event] = []
+    result = find_cameras(SearchRequest(photos=photos, output=capture), on_event=reported.append)
+    return capture, result.facts(), reported
 
 
 def test_cameras_are_where_they_were(found: tuple[Path, dict, list[Event]]) -> None:
@@ -86,8 +86,8 @@ def test_the_capture_is_one(found: tuple[Path, dict, list[Event]], photos: Path)
 
 def test_progress_is_reported(found: tuple[Path, dict, list[Event]]) -> None:
     """Oracle: the phases in their order, and the last event."""
-    _, facts, told = found
-    phases = [event.phase for event in told if isinstance(event, SfmProgress)]
+    _, facts, reported = found
+    phases = [event.phase for event in reported if isinstance(event, SfmProgress)]
     assert list(dict.fromkeys(phases)) == [
         "reading photos",
         "entering photos",
@@ -97,12 +97,14 @@ def test_progress_is_reported(found: tuple[Path, dict, list[Event]]) -> None:
         "adjusting cameras",
         "writing the capture",
     ]
-    assert all(e.done <= e.total for e in told if isinstance(e, SfmProgress))
-    (forecast,) = (event for event in told if isinstance(event, SfmEstimated))
+    assert all(e.done <= e.total for e in reported if isinstance(e, SfmProgress))
+    (forecast,) = (event for event in reported if isinstance(event, SfmEstimated))
     assert forecast.photos == len(NEAR) and 0 < forecast.seconds < 60
-    left = [e.left_s for e in told if isinstance(e, SfmProgress) and e.phase == "comparing photos"]
+    left = [
+        e.left_s for e in reported if isinstance(e, SfmProgress) and e.phase == "comparing photos"
+    ]
     assert left[-1] == left[-1] and left[-1] < 600
-    assert isinstance(told[-1], SfmDone) and told[-1].registered == facts["registered"]
+    assert isinstance(reported[-1], SfmDone) and reported[-1].registered == facts["registered"]
 
 
 def test_the_same_photos_give_the_same_cameras(
@@ -125,10 +127,12 @@ def test_many_photos_are_joined_by_what_they_show(
     each, and one more phase in the messages."""
     for name, value in (("EXHAUSTIVE", 4), ("_OVERLAP", 1), ("_KEY_PHOTOS", 2)):
         monkeypatch.setattr(pairs, name, value)
-    told: list[Event] = []
-    result = find_cameras(SearchRequest(photos=photos, output=tmp_path / "c"), on_event=told.append)
+    reported: list[Event] = []
+    result = find_cameras(
+        SearchRequest(photos=photos, output=tmp_path / "c"), on_event=reported.append
+    )
     assert result.registered == len(NEAR) and result.attempts == 1
-    phases = [event.phase for event in told if isinstance(event, SfmProgress)]
+    phases = [event.phase for event in reported if isinstance(event, SfmProgress)]
     names = list(dict.fromkeys(phases))
     assert names[names.index("choosing pairs") - 1] == "finding features"
 
@@ -145,8 +149,8 @@ def test_a_stopped_search_goes_on(photos: Path, tmp_path: Path) -> None:
     with pytest.raises(Cancelled):
         find_cameras(request, on_event=stop, control=control)
     assert [path.name for path in tmp_path.iterdir()] == [".capture.sfm"]
-    told: list[Event] = []
-    result = find_cameras(request, on_event=told.append)
+    reported: list[Event] = []
+    result = find_cameras(request, on_event=reported.append)
     assert result.resumed and result.registered == len(NEAR) and _hidden(tmp_path) == []
 
 
@@ -180,8 +184,8 @@ def test_a_killed_search_goes_on(photos: Path, tmp_path: Path) -> None:
             search.kill()
     assert search.returncode < 0 and not capture.exists()
     features = sum(database.features(tmp_path / ".capture.sfm/usual.db"))
-    told: list[Event] = []
-    result = find_cameras(request, on_event=told.append)
+    reported: list[Event] = []
+    result = find_cameras(request, on_event=reported.append)
     assert result.resumed and result.registered == len(NEAR) and _hidden(tmp_path) == []
     assert features > 1000
 
@@ -359,7 +363,7 @@ def _smooth(folder: Path) -> None:
         Image.new("RGB", (120, 90), (100 + i, 90, 80)).save(folder / f"{i}.png")
 
 
-def _strangers(folder: Path) -> None:
+def _unrelated_photos(folder: Path) -> None:
     _noise(folder, 4)
 
 
@@ -401,7 +405,7 @@ def _turned(folder: Path) -> None:
         (_none, "convert to JPEG"),
         (_copies, "copies of others"),
         (_smooth, "too little texture"),
-        (_strangers, "No two of the 4 photos overlap"),
+        (_unrelated_photos, "No two of the 4 photos overlap"),
         (_broken, "2.png cannot be read"),
         (_still, "copies of others"),
         (_turned, "no parallax"),

@@ -260,8 +260,8 @@ def test_info_names_panoramas(camera: str, tmp_path: Path, capsys: Out) -> None:
         return
     assert facts["next"] is None and "4 photos show all directions" in facts["warnings"][0]
     assert main(["sfm", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
-    told = " ".join(capsys.readouterr().err.split())
-    assert told.endswith(show_flags(facts["warnings"][0]))
+    messages = " ".join(capsys.readouterr().err.split())
+    assert messages.endswith(show_flags(facts["warnings"][0]))
 
 
 def _screens(folder: Path) -> Path:

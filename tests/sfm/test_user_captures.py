@@ -129,9 +129,11 @@ def test_panoramas_of_a_360_degree_camera(tmp_path: Path, capsys: Out) -> None:
     for i, photo in enumerate(photos):
         photo.save(tmp_path / f"walk/{i}.jpg", quality=95)
     assert main(["sfm", str(tmp_path / "walk"), "-o", str(tmp_path / "none"), "--quiet"]) == 2
-    told = " ".join(capsys.readouterr().err.replace("`", "").split())
-    options = re.search(r"v360=(\S+?)yaw=0:w=1200:h=1200", told)
-    assert options is not None and "--camera-model SIMPLE_PINHOLE and --focal-length 600" in told
+    reported = " ".join(capsys.readouterr().err.replace("`", "").split())
+    options = re.search(r"v360=(\S+?)yaw=0:w=1200:h=1200", reported)
+    assert (
+        options is not None and "--camera-model SIMPLE_PINHOLE and --focal-length 600" in reported
+    )
     true = {}
     for i, photo in enumerate(photos):
         for yaw in range(-180, 180, 45):

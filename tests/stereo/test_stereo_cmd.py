@@ -83,7 +83,7 @@ def test_held_out_photos_get_no_maps_and_no_say(
     capsys.readouterr()
 
 
-def test_maps_that_saw_held_out_photos_are_told_of(own: Path) -> None:
+def test_maps_made_with_held_out_photos_are_reported(own: Path) -> None:
     """Oracle: maps of all views, then of those that a training does not hold out, without any of
     the former."""
     assert main(["depth", str(own), "--method", "stereo", "--quiet"]) == 0

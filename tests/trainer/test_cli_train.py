@@ -125,11 +125,11 @@ def test_ensemble_is_reported(
     pages = [(folder / "report.html").read_text() for folder in (one, two)]
     assert ["<p>SH degree 0, 2 merged models</p>" in page for page in pages] == [False, True]
     capsys.readouterr()
-    told = []
+    reported = []
     for folder in (one, two):
         assert main(["info", str(folder)]) == 0
-        told.append(", 2 models as one\n" in capsys.readouterr().out)
-    assert told == [False, True]
+        reported.append(", 2 models as one\n" in capsys.readouterr().out)
+    assert reported == [False, True]
     page = tmp_path / "compare.html"
     assert main(["compare", str(one), str(two), "-o", str(page), "--quiet"]) == 0
     assert "<tr><th>Merged models</th><td>n/a</td><td>2</td>" in page.read_text()
@@ -142,14 +142,14 @@ def test_automatic_choices_are_stored_but_not_in_the_command(
     monkeypatch.setattr(caps, "_FEWEST_STEPS", 5)
     typed = ["--preset", "draft", "--steps-a-photo", "2"]
     assert main(["train", str(capture), "-o", str(tmp_path), *typed, "--quiet"]) == 0
-    told = "16 of 4,000 steps are taken"
+    reported = "16 of 4,000 steps are taken"
 
     def check() -> None:
         metrics = json.loads((tmp_path / "metrics.json").read_text())
         page = (tmp_path / "report.html").read_text()
         assert (metrics["steps"], metrics["asked"]) == (16, {"iterations": 4000})
         (section,) = re.findall('<section class="decisions">.*?</section>', page)
-        assert section.count(told) == 1 and "stereo" in section
+        assert section.count(reported) == 1 and "stereo" in section
         (command,) = re.findall('<pre class="command">(.*?)</pre>', page)
         assert command.endswith("--preset draft --steps-a-photo 2")
 
@@ -225,9 +225,9 @@ def test_resuming_says_from_where_and_that_nothing_is_left(
     assert "to start with" not in said and "views" not in said and "exposed" not in said
     state = {p: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.rglob("*") if p.is_file()}
     assert main(again) == 0
-    told = capsys.readouterr()
-    assert "was complete already: finished after 15 steps" in told.out
-    assert told.err == ""
+    reported = capsys.readouterr()
+    assert "was complete already: finished after 15 steps" in reported.out
+    assert reported.err == ""
     after = {p: (p.read_bytes(), p.stat().st_mtime_ns) for p in tmp_path.rglob("*") if p.is_file()}
     assert after == state
     assert main([*again, "--events", "jsonl"]) == 0
@@ -324,8 +324,8 @@ def test_a_place_that_is_refused_is_not_searched(
 ) -> None:
     """Oracle: one sentence, without the files there."""
     assert main(["train", str(capture), "-o", "/", *SHORT]) == 2
-    told = capsys.readouterr()
-    assert "is the root folder" in told.err and "they stay" not in told.err
+    reported = capsys.readouterr()
+    assert "is the root folder" in reported.err and "they stay" not in reported.err
 
 
 def test_foreign_files_in_the_output_folder_are_reported(
@@ -335,9 +335,9 @@ def test_foreign_files_in_the_output_folder_are_reported(
     for name in "dcba":
         (tmp_path / f"{name}.jpg").write_text(name)
     assert main(["train", str(capture), "-o", str(tmp_path), *SHORT]) == 0
-    told = capsys.readouterr()
-    assert "contains other files, which are kept: a.jpg, b.jpg, c.jpg and 1 more" in told.err
-    assert f"Results: {tmp_path}/point_cloud.ply, {tmp_path}/report.html" in told.out
+    reported = capsys.readouterr()
+    assert "contains other files, which are kept: a.jpg, b.jpg, c.jpg and 1 more" in reported.err
+    assert f"Results: {tmp_path}/point_cloud.ply, {tmp_path}/report.html" in reported.out
     assert (tmp_path / "d.jpg").read_text() == "d"
 
 
@@ -390,10 +390,10 @@ def test_black_masks_are_refused_and_some_are_warned_about(
         mask[:, ::2] = 255
         write_png(masks / photo.name, mask)
     assert main(run) == 0
-    told = capsys.readouterr()
-    assert "The masks of 1 training view are black" in told.err
-    assert "PSNR inside the masks" in told.out
-    assert "masked pixels are neither trained nor measured" in told.err
+    reported = capsys.readouterr()
+    assert "The masks of 1 training view are black" in reported.err
+    assert "PSNR inside the masks" in reported.out
+    assert "masked pixels are neither trained nor measured" in reported.err
 
 
 class Job:

@@ -160,7 +160,7 @@ def test_a_reader_that_goes_away_ends_a_run_with_a_checkpoint(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_output_onto_a_full_disk_is_told_and_loses_nothing(capture: Path, tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_loses_nothing(capture: Path, tmp_path: Path) -> None:
     """Oracle: the results, a sentence and code 2, although the summary cannot be written."""
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(

@@ -34,8 +34,8 @@ def test_a_sound_capture_has_no_warning(photos: Any) -> None:
     assert warnings(photos) == []
 
 
-@pytest.mark.parametrize(("degree", "told"), [(4, 1), (3, 0)])
-def test_higher_sh_degree_of_start_splats_warns(photos: Any, degree: int, told: int) -> None:
+@pytest.mark.parametrize(("degree", "reported"), [(4, 1), (3, 0)])
+def test_higher_sh_degree_of_start_splats_warns(photos: Any, degree: int, reported: int) -> None:
     """Oracle: the degrees; the splats are otherwise the points of the capture."""
     config = replace(CONFIG, sh_degree=3)
     count, rest = 50, (degree + 1) ** 2 - 1
@@ -54,7 +54,7 @@ def test_higher_sh_degree_of_start_splats_warns(photos: Any, degree: int, told: 
         for sentence in check_training(trainer)
         if "view dependence of higher degrees is lost" in sentence
     ]
-    assert sum("SH degree" in sentence for sentence in check_training(trainer)) == told
+    assert sum("SH degree" in sentence for sentence in check_training(trainer)) == reported
 
 
 @pytest.mark.parametrize("strange", [False, True])
@@ -66,8 +66,8 @@ def test_start_splats_of_another_scene_warn(
     write_splat_file(tmp_path / "a.ply", start)
     config = replace(CONFIG, start_splats=tmp_path / "a.ply", sh_degree=1)
     trainer = Trainer(config, Analysis(photos=photos, start=start))
-    told = [text for text in check_training(trainer) if "Are they of this capture" in text]
-    assert len(told) == strange
+    reported = [text for text in check_training(trainer) if "Are they of this capture" in text]
+    assert len(reported) == strange
 
 
 @pytest.mark.parametrize("count", [99, 100])
@@ -82,8 +82,8 @@ def test_nearly_empty_region_warns(
         replace(CONFIG, **given),
         Analysis(photos=photos, start=start, region=RegionBox(10 * np.eye(4))),
     )
-    told = [text for text in check_training(trainer) if "are in the region" in text]
-    assert len(told) == (count < 100)
+    reported = [text for text in check_training(trainer) if "are in the region" in text]
+    assert len(reported) == (count < 100)
 
 
 def test_points_that_no_view_shows_are_an_error(photos: Any) -> None:
@@ -100,8 +100,8 @@ def test_a_view_that_looks_away_is_named(photos: Any) -> None:
     index = photos.train[2]
     viewmats[index] = np.diag([-1.0, 1.0, -1.0, 1.0]) @ viewmats[index]
     turned = replace(photos.scene, cameras=replace(cameras, viewmats=viewmats))
-    (told,) = warnings(replace(photos, scene=turned))
-    assert told.startswith("1 of ") and cameras.names[index] in told
+    (reported,) = warnings(replace(photos, scene=turned))
+    assert reported.startswith("1 of ") and cameras.names[index] in reported
 
 
 def test_a_stray_camera_is_named(photos: Any) -> None:
@@ -110,9 +110,10 @@ def test_a_stray_camera_is_named(photos: Any) -> None:
     viewmats = cameras.viewmats.copy()
     viewmats[1, :3, 3] += 1e6
     stray = replace(photos.scene, cameras=replace(cameras, viewmats=viewmats))
-    told = warnings(replace(photos, scene=stray))
+    reported = warnings(replace(photos, scene=stray))
     assert (
-        told[0].startswith(f"{cameras.names[1]}: ") and "farther from the other cameras" in told[0]
+        reported[0].startswith(f"{cameras.names[1]}: ")
+        and "farther from the other cameras" in reported[0]
     )
 
 
@@ -122,13 +123,13 @@ def test_an_impossible_principal_point_is_named(photos: Any) -> None:
     Ks = cameras.Ks.copy()
     Ks[2, 0, 2] += 20 * cameras.widths[2]
     moved = replace(photos.scene, cameras=replace(cameras, Ks=Ks))
-    told = warnings(replace(photos, scene=moved))
-    assert told[0].startswith(f"{cameras.names[2]}: the principal point is 20 times")
+    reported = warnings(replace(photos, scene=moved))
+    assert reported[0].startswith(f"{cameras.names[2]}: the principal point is 20 times")
 
 
 def test_stray_points_are_counted(photos: Any) -> None:
     """Oracle: five points 1e5 times as far away."""
     points = photos.scene.points.points.copy()
     points[:5] *= 1e5
-    told = [w for w in warnings(with_points(photos, points)) if "points are" in w]
-    assert len(told) == 1 and told[0].startswith(f"5 of {len(points)} points")
+    reported = [w for w in warnings(with_points(photos, points)) if "points are" in w]
+    assert len(reported) == 1 and reported[0].startswith(f"5 of {len(points)} points")

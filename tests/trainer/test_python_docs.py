@@ -20,9 +20,9 @@ def test_the_code_runs(capture: Path, tmp_path: Path, monkeypatch: pytest.Monkey
     code = "".join(blocks).replace("iterations=1500", "iterations=15")
     assert "iterations=15," in code
     scope: dict[str, Any] = {}
-    with contextlib.redirect_stdout(io.StringIO()) as told:
+    with contextlib.redirect_stdout(io.StringIO()) as reported:
         exec(compile(code, str(DOC), "exec"), scope)
-    lines = told.getvalue().splitlines()
+    lines = reported.getvalue().splitlines()
     steps, psnr, _ = lines[0].split()
     assert steps == "15"
     assert len(lines) == 3, "one view of eight is held out"

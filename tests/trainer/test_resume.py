@@ -65,7 +65,7 @@ def test_resume_while_gradients_gather_is_bit_equal(
         if step in stops:
             checkpoint.save(tmp_path / f"{step}.safetensors", whole, {})
             assert whole.tensors()["gathered/shN"].any()
-            seen = whole.model.rows["shN_seen"]
+            seen = whole.model.rows["shN_visible"]
             assert seen.any() and not seen.all()
     for stop in stops:
         found = checkpoint.load(tmp_path / f"{stop}.safetensors")

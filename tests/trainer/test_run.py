@@ -346,7 +346,7 @@ def test_bad_input_leaves_the_other_run_alone(capture: Path, tmp_path: Path) -> 
     train(CONFIG, data_of(capture), tmp_path, overwrite=True)
 
 
-def test_too_little_memory_is_told_before_the_start(
+def test_too_little_memory_is_reported_before_the_start(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: 10 million splats, too many for 2 GB; the proposed number fits."""

@@ -57,14 +57,14 @@ def test_each_frame_starts_from_the_one_before(frames: Path, tmp_path: Path) -> 
     assert [event.iterations for event in of_kind(events, Started)] == [40, 12, 12]
     handed = [frame.metrics["splats"] for frame in result.frames]
     assert [event.splats for event in of_kind(events, Started)] == [150, *handed[:2]]
-    told = of_kind(events, FrameStarted)
-    assert [(event.frame, event.place, event.frames) for event in told] == [
+    reported = of_kind(events, FrameStarted)
+    assert [(event.frame, event.place, event.frames) for event in reported] == [
         (0, 1, 3),
         (5, 2, 3),
         (10, 3, 3),
     ]
-    assert told[0].start == ""
-    assert told[1].start.endswith("frame_000000/point_cloud.ply")
+    assert reported[0].start == ""
+    assert reported[1].start.endswith("frame_000000/point_cloud.ply")
     for frame in result.frames:
         assert (frame.folder / "report.html").is_file()
         assert not list(frame.folder.glob("checkpoints/*")), "complete frames need none"
@@ -349,7 +349,7 @@ def test_a_sequence_takes_no_place_of_a_run_or_the_capture(frames: Path, tmp_pat
         assert sorted(p for p in place.rglob("*")) == before
 
 
-def test_frames_with_masks_are_judged_inside_them(
+def test_frames_with_masks_are_evaluated_inside_them(
     frames: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Oracle: psnr_masked of the frame's own metrics.json, in the list, the mean and the text."""

@@ -154,7 +154,7 @@ def test_the_background_is_behind_the_splats(
     assert np.unique(shown).tolist() == [expected]
 
 
-def test_masks_of_opacity_are_learnt_over_changing_backgrounds(
+def test_opacity_masks_train_over_changing_backgrounds(
     make_photos: Callable[..., Any],
 ) -> None:
     """Oracle: equal pictures on black and white where the mask is 0."""
@@ -186,7 +186,7 @@ def test_pictures_show_rows_that_wait_as_they_will_be(make_photos: Callable[...,
     trainer = Trainer(config, Analysis(photos=photos))
     for _ in range(20):
         trainer.step()
-    assert trainer.model.rows["shN_lag"].any()
+    assert trainer.model.rows["shN_pending"].any()
     late = {name: p.clone() for name, p in trainer.model.params.items()}
     shown = [trainer.renderer.picture(i, background=(0, 0, 0)) for i in range(8)]
     splats = trainer.splats()
@@ -201,7 +201,7 @@ def test_pictures_show_rows_that_wait_as_they_will_be(make_photos: Callable[...,
     assert all(torch.equal(p, late[name]) for name, p in trainer.model.params.items())
 
 
-def test_ignored_pixels_do_not_teach(make_photos: Callable[..., Any]) -> None:
+def test_ignored_pixels_have_no_gradient(make_photos: Callable[..., Any]) -> None:
     """Oracle: equal bits for any content of masked-out pixels."""
     results = []
     for garbage in (0, 255):

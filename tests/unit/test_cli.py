@@ -136,18 +136,18 @@ def test_stopped_before_there_was_anything(
         raise Cancelled("while reading")
 
     result, code = run_job(argparse.Namespace(quiet=quiet, events=events), work)
-    told = capsys.readouterr()
-    assert (result, code, told.err) == (None, 3, err)
-    assert ("Stopped before the first step; nothing was written." in told.out) == bool(events)
+    reported = capsys.readouterr()
+    assert (result, code, reported.err) == (None, 3, err)
+    assert ("Stopped before the first step; nothing was written." in reported.out) == bool(events)
 
 
 def test_help_is_a_verb_too(capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: the output of --help, and the nearest verb for an unknown one."""
     for line, same in (("help", "--help"), ("help info", "info --help")):
         assert commands.main(line.split()) == 0
-        told = capsys.readouterr().out
+        reported = capsys.readouterr().out
         assert commands.main(same.split()) == 0
-        assert told == capsys.readouterr().out
+        assert reported == capsys.readouterr().out
     for line in ("trian", "help trian"):
         assert commands.main(line.split()) == 2
         assert "there is no verb 'trian'; did you mean `gscore train`?" in capsys.readouterr().err
@@ -313,9 +313,9 @@ def test_names_that_no_file_can_have(
     """Oracle: exit code 2 and one sentence, as for any other missing name."""
     monkeypatch.chdir(tmp_path)
     assert commands.main(arguments) == 2
-    told = capsys.readouterr().err
-    assert "name is too long" in told and "Traceback" not in told
-    assert len(told) < 600
+    reported = capsys.readouterr().err
+    assert "name is too long" in reported and "Traceback" not in reported
+    assert len(reported) < 600
 
 
 @pytest.mark.parametrize(
@@ -327,9 +327,9 @@ def test_threads_that_cannot_be_are_refused(
 ) -> None:
     """Oracle: exit code 2 and a sentence with the value, before any search for files."""
     assert commands.main([*verb.split(), f"--threads={threads}"]) == 2
-    told = capsys.readouterr().err
-    assert "threads" in told and threads in told and "Traceback" not in told
-    assert len(told.strip().splitlines()) == 1
+    reported = capsys.readouterr().err
+    assert "threads" in reported and threads in reported and "Traceback" not in reported
+    assert len(reported.strip().splitlines()) == 1
 
 
 @pytest.mark.parametrize("threads", [-1, 1025, 2**40])

@@ -123,11 +123,11 @@ def test_wrong_counts_warn(
     write_model(model, tmp_path, binary=False)
     path, there = tmp_path / f"{name}.txt", len(getattr(model, what))
     text = path.read_text()
-    for stated, told in ((there, False), (there + 2, True), (max(there - 1, 0), True)):
+    for stated, reported in ((there, False), (there + 2, True), (max(there - 1, 0), True)):
         path.write_text(f"# List\n# Number of {what}: {stated}, mean track length: 3.5\n{text}")
         caplog.clear()
         read_model(tmp_path)
-        assert (f"states {stated} {what} and has {there}" in caplog.text) == told
+        assert (f"states {stated} {what} and has {there}" in caplog.text) == reported
 
 
 @pytest.mark.parametrize("binary", [True, False])

@@ -176,9 +176,9 @@ def test_numbers_of_400_digits_are_not_repeated_whole() -> None:
     """Oracle: the length of the sentence, and the ends of the number in it."""
     many = int("12" + 396 * "0" + "34")
     for ask in (lambda: checked_threads(many), lambda: ExtractRequest(**_PLACES, frames=many)):
-        with pytest.raises(ConfigError, match=r"12000.*00034") as told:
+        with pytest.raises(ConfigError, match=r"12000.*00034") as reported:
             ask()
-        assert len(str(told.value)) < 400
+        assert len(str(reported.value)) < 400
 
 
 def test_words_that_read_as_absence_are_quoted() -> None:

@@ -159,7 +159,11 @@ def test_photos_turned_by_exif_without_a_trace_in_their_size(
     ending: str, make_capture: Callable
 ) -> None:
     """Oracle: pixels as stored, and a warning: upside down, and square photos on their side."""
-    for size, orientation, told in ((64, 48), 3, True), ((48, 48), 6, True), ((64, 48), 1, False):
+    for size, orientation, messages in (
+        ((64, 48), 3, True),
+        ((48, 48), 6, True),
+        ((64, 48), 1, False),
+    ):
         names = [f"{i}.{ending}" for i in range(3)]
         root = make_capture().root.parent / f"turned_{orientation}"
         capture = make_capture(root=root, names=names, size=size, write=False)
@@ -172,8 +176,8 @@ def test_photos_turned_by_exif_without_a_trace_in_their_size(
         data = _load(root)
         for i, name in enumerate(data.names):
             assert np.abs(data.image(i).astype(int) - capture.photos[name]).mean() < 2
-        assert bool(data.warnings) == told
-        if told:
+        assert bool(data.warnings) == messages
+        if messages:
             assert data.warnings[0].startswith(
                 f"The EXIF rotation of 3 photos is ignored, as in COLMAP: 0.{ending}, 1.{ending}"
             )

@@ -179,19 +179,19 @@ def test_missing_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "reported"),
     [
         ("n" * 300, "the name is too long"),
         ("a\0b", "has characters"),
         ("a\ud800b", "has characters"),
     ],
 )
-def test_names_that_cannot_be(tmp_path: Path, name: str, told: str) -> None:
+def test_names_that_cannot_be(tmp_path: Path, name: str, reported: str) -> None:
     """Oracle: one printable sentence, for writing and reading."""
-    with pytest.raises(GsError, match=f"Cannot write .*: .*{told}") as error:
+    with pytest.raises(GsError, match=f"Cannot write .*: .*{reported}") as error:
         atomic_write(tmp_path / name, b"1")
     str(error.value).encode()
-    with pytest.raises(DatasetError, match=f"Cannot read .*: .*{told}") as error:
+    with pytest.raises(DatasetError, match=f"Cannot read .*: .*{reported}") as error:
         read_bytes(tmp_path / name)
     str(error.value).encode()
     assert _listing(tmp_path) == []

@@ -186,13 +186,13 @@ def test_large_photos_are_no_reason_to_warn(tmp_path: Path) -> None:
     head = struct.pack(">IIBBBBB", 14000, 12500, 8, 2, 0, 0, 0)
     chunk = struct.pack(">I", 13) + b"IHDR" + head + struct.pack(">I", zlib.crc32(b"IHDR" + head))
     (tmp_path / "x.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as reported:
         warnings.simplefilter("always")
         pillow.cache_clear()
         with pytest.raises(FormatError, match="cannot be read as an image"):
             read_image(tmp_path / "x.png")
     pillow.cache_clear()
-    assert not told
+    assert not reported
 
 
 def test_messages(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def _tripod(i: int) -> np.ndarray:
     ("shape", "mattes"),
     [(_person, True), (_passer_by, False), (_sky, False), (_lens, False), (_tripod, False)],
 )
-def test_mattes_are_told_from_masks_that_hide(
+def test_mattes_are_distinguished_from_masks_that_hide(
     shape: Callable[[int], np.ndarray], mattes: bool, tmp_path: Path
 ) -> None:
     """Oracle: the intended kind of each shape; also where one photo in five is an exception."""
@@ -55,7 +55,7 @@ def test_mattes_are_told_from_masks_that_hide(
     assert are_mattes(len(files), lambda i: read_mask(files[i])) == mattes
 
 
-def test_one_mask_is_judged_by_what_it_shows(tmp_path: Path) -> None:
+def test_one_mask_is_classified_by_its_pixels(tmp_path: Path) -> None:
     """Oracle: as above; equality of all masks is no evidence for one."""
     write_png(tmp_path / "a.png", np.asarray(_person(0) * 255, np.uint8))
     assert are_mattes(1, lambda _: read_mask(tmp_path / "a.png"))

@@ -23,7 +23,7 @@ disable_viewer set region guide_surface guide_free
 REFUSED = frozenset(name.lstrip("-").replace("-", "_") for name in option_names_3dgs.REFUSED)
 
 
-def told(line: str) -> str:
+def reported(line: str) -> str:
     """The sentence for a command line."""
     parser = argparse.ArgumentParser()
     train.add_arguments(parser)
@@ -81,7 +81,7 @@ def test_no_option_is_forgotten() -> None:
 )
 def test_ineffective_options_warn_with_the_reason(line: str, words: str) -> None:
     """Oracle: one sentence, or none."""
-    found = show_flags(told(line))
+    found = show_flags(reported(line))
     assert words in found
     assert bool(found) == bool(words)
     assert found.count("Without effect") == bool(words)

@@ -443,8 +443,8 @@ def test_a_rig_joins_the_worlds_of_frames(
         np.testing.assert_array_equal(a.camera.params, b.camera.params)
     assert not any("differ by" in warning for warning in joined.warnings)
     monkeypatch.setattr("gscore.datasets.rig._REPORTED", -1.0)
-    told = read_capture(DataConfig(source=case.root, frame=5, rig=rig)).warnings
-    assert "differ by 0.00 %" in told[-1]
+    reported = read_capture(DataConfig(source=case.root, frame=5, rig=rig)).warnings
+    assert "differ by 0.00 %" in reported[-1]
     same = read_capture(DataConfig(source=rig, rig=rig))
     assert not any("moved" in warning for warning in same.warnings)
 

@@ -346,7 +346,7 @@ class TestPointClouds:
             read_point_cloud(tmp_path / "a.ply")
 
 
-def test_antialiasing_is_told_by_the_header(
+def test_antialiasing_is_read_from_the_header(
     tmp_path: Path, make_splats: Callable[..., Splats]
 ) -> None:
     """Oracle: the written comment; a missing file is named."""

@@ -114,8 +114,8 @@ def test_names_of_cloudcompare(splats: Splats, text: bool, tmp_path: Path) -> No
 def test_flat_splats_are_written(splats: Splats, name: str, tmp_path: Path) -> None:
     """Oracle: all splats, and no note of any that is left out."""
     splats.scales[:16, 1] = -np.inf
-    told = write_splat_file(tmp_path / name, splats)
-    assert not any("left out" in note for note in told.notes)
+    reported = write_splat_file(tmp_path / name, splats)
+    assert not any("left out" in note for note in reported.notes)
     found = read_splat_file(tmp_path / name)
     assert len(found.splats) == 40 and not found.notes
     assert np.count_nonzero((found.splats.scales < -8).any(axis=1)) == 16

@@ -117,10 +117,10 @@ def test_split_without_views_on_one_side_is_refused(tmp_path: Path) -> None:
 def test_single_held_out_view_warns(make_capture: Callable[..., SmallCapture]) -> None:
     """Oracle: 9 views: every 40th is the first alone; every 8th are two."""
     capture = make_capture(views=9)
-    for every, told in ((40, 1), (8, 0)):
+    for every, reported in ((40, 1), (8, 0)):
         config = DataConfig(source=capture.root, eval=True, test_every=every)
         words = [w for w in load_dataset(config).warnings if "only one view is measured" in w]
-        assert len(words) == told
+        assert len(words) == reported
         assert all("`--hold-out 3` measures 3." in w for w in words)
         assert [p.text for p in inspect(config).problems if p.text in words] == words
     plain = DataConfig(source=capture.root, test_every=40)

@@ -16,12 +16,12 @@ def test_closed_pipe_is_reported_once() -> None:
     """Oracle: EPIPE of the system; the descriptor is the null device afterwards."""
     reader, writer = os.pipe()
     os.close(reader)
-    told: list[int | None] = []
+    reported: list[int | None] = []
     with os.fdopen(writer, "w") as stream:
-        steady = SafeStream(stream, lambda error: told.append(error.errno))
+        steady = SafeStream(stream, lambda error: reported.append(error.errno))
         for _ in range(3):
             print("x" * 100_000, file=steady, flush=True)
-        assert told == [errno.EPIPE]
+        assert reported == [errno.EPIPE]
         assert os.fstat(writer).st_rdev == Path(os.devnull).stat().st_rdev
 
 

@@ -111,7 +111,7 @@ def test_the_pinhole_is_the_one_of_colmap(model: str, rng: np.random.Generator) 
     """Oracle: pycolmap's own choice, for lenses of weak and strong distortion, in and out. Where
     ours is refused or cut off, and only there, pycolmap's has pixels outside the photo, or some
     twice."""
-    told = 0
+    reported = 0
     for _ in range(20):
         camera = _camera(model)
         bend = rng.uniform(-0.5, 0.5, len(camera.params))
@@ -128,10 +128,10 @@ def test_the_pinhole_is_the_one_of_colmap(model: str, rng: np.random.Generator) 
         assert (bad > 0) == (plan.cut_off > 0)
         if plan.cut_off:
             continue
-        told += 1
+        reported += 1
         assert (theirs.width, theirs.height) == (plan.width, plan.height)
         np.testing.assert_allclose(theirs.calibration_matrix(), plan.K)
-    assert told >= 15
+    assert reported >= 15
 
 
 def _bad_share(pinhole: pycolmap.Camera, lens: pycolmap.Camera) -> float:

@@ -98,8 +98,8 @@ def test_a_run_and_its_cameras_keep_up(tmp_path: Path) -> None:
     up = upright_capture(tmp_path / "walk", (6, 8, 3) * 4)
     arguments = ["--iterations", "2", "--preset", "preview", "--threads", "1", "--quiet"]
     assert main(["train", str(tmp_path / "walk"), "-o", str(tmp_path / "run"), *arguments]) == 0
-    told = json.loads((tmp_path / "run/cameras.json").read_text())
-    assert degrees(np.array(told[0]["up"]), up) < 0.1
+    reported = json.loads((tmp_path / "run/cameras.json").read_text())
+    assert degrees(np.array(reported[0]["up"]), up) < 0.1
 
 
 def test_turned_cameras_see_the_turned_picture() -> None:

@@ -75,13 +75,13 @@ def test_a_second_run_finds_its_frames(film: Film, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = extract_frames(ExtractRequest(video=film.path, output=out, frames=10))
     stamps = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
-    told: list[Event] = []
+    reported: list[Event] = []
     again = extract_frames(
-        ExtractRequest(video=film.path, output=out, frames=10), on_event=told.append
+        ExtractRequest(video=film.path, output=out, frames=10), on_event=reported.append
     )
     assert again.found and not first.found and again.names == first.names
     assert stamps == {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
-    assert [type(event) for event in told] == [FramesDone]
+    assert [type(event) for event in reported] == [FramesDone]
     with pytest.raises(ConfigError, match="other options"):
         extract_frames(ExtractRequest(video=film.path, output=out, frames=12))
     (out / first.names[0]).unlink()
@@ -258,16 +258,17 @@ def test_the_command_says_what_it_did(film: Film, tmp_path: Path, capsys: Out) -
 
 def test_events_tell_how_far_it_is(film: Film, tmp_path: Path) -> None:
     """Oracle: counts that rise to the totals of each phase."""
-    told: list[Event] = []
+    reported: list[Event] = []
     extract_frames(
-        ExtractRequest(video=film.path, output=tmp_path / "out", frames=10), on_event=told.append
+        ExtractRequest(video=film.path, output=tmp_path / "out", frames=10),
+        on_event=reported.append,
     )
-    progress = [event for event in told if isinstance(event, FramesProgress)]
+    progress = [event for event in reported if isinstance(event, FramesProgress)]
     assert {event.phase for event in progress} == {"looking at frames", "writing frames"}
     for phase, total in (("looking at frames", 240), ("writing frames", 10)):
         counts = [event.done for event in progress if event.phase == phase]
         assert counts == sorted(counts) and counts[-1] == total
-    assert isinstance(told[-1], FramesDone) and told[-1].frames == 10
+    assert isinstance(reported[-1], FramesDone) and reported[-1].frames == 10
 
 
 def test_names_that_are_videos(tmp_path: Path) -> None:

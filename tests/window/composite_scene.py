@@ -19,7 +19,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tests.addon.mesh_scenes import paint_world, plane  # noqa: E402
-from tools.window.desk import ScriptRunner, clear, leaving  # noqa: E402
+from tools.window.desk import ScriptRunner, clear, write_results  # noqa: E402
 
 SIZE, WORLD = (120, 90), (0.3, 0.5, 0.9)
 seen: dict = {"log": []}
@@ -58,4 +58,4 @@ def story() -> Iterator[object]:
     seen["after"] = lab.render_exr(FOLDER, "after").tolist()
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

@@ -28,11 +28,11 @@ from tools.window.desk import (  # noqa: E402
     area,
     at_rest,
     clear,
-    leaving,
     look_down,
     region,
     save_screenshot,
     space,
+    write_results,
 )
 
 COLOR = (0.1, 0.3, 0.9)
@@ -144,4 +144,4 @@ def story() -> Iterator[object]:
     screenshot("splats_lower")
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

@@ -23,7 +23,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 from addon.splats import exporting, objects  # noqa: E402
 from addon.splats.file_operators import ExportSplats  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import ScriptRunner, area, clear, leaving  # noqa: E402
+from tools.window.desk import ScriptRunner, area, clear, write_results  # noqa: E402
 
 seen: dict = {"log": []}
 
@@ -73,4 +73,4 @@ def story() -> Iterator[object]:
     seen["meshes"] = [mesh.name for mesh in bpy.data.meshes if "gs_temporary" in mesh]
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

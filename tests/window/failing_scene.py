@@ -27,11 +27,11 @@ from tools.window.desk import (  # noqa: E402
     area,
     at_rest,
     clear,
-    leaving,
     look_down,
     region,
     save_screenshot,
     space,
+    write_results,
 )
 
 COLOR = (0.8, 0.4, 0.2)
@@ -131,4 +131,4 @@ def story() -> Iterator[object]:
     seen["modifier"] = modifier is not None
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

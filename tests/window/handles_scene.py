@@ -27,11 +27,11 @@ from tools.window.desk import (  # noqa: E402
     area,
     at_rest,
     clear,
-    leaving,
     look_down,
     region,
     save_screenshot,
     space,
+    write_results,
 )
 
 PAUSE = 0.2
@@ -191,4 +191,4 @@ def story() -> Iterator[object]:
     save_screenshot(FOLDER / "off_again.png")
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

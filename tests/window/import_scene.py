@@ -24,7 +24,7 @@ from addon.cameras import camera_path, camera_path_import, export_colmap, import
 from addon.cameras.objects import cameras_of, points_of  # noqa: E402
 from addon.interface import modal_status  # noqa: E402
 from tests.window.blocking import Held  # noqa: E402
-from tools.window.desk import ScriptRunner, area, clear, leaving, save_screenshot, send, space  # noqa: E402
+from tools.window.desk import ScriptRunner, area, clear, save_screenshot, send, space, write_results  # noqa: E402
 
 STUDIO = FOLDER / "studio"
 KINDS = ("objects", "cameras", "meshes", "collections", "images", "actions")
@@ -262,4 +262,4 @@ def story() -> Iterator[object]:
     yield from by_menu()
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

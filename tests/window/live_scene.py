@@ -30,12 +30,12 @@ from tools.window.desk import (  # noqa: E402
     area,
     at_rest,
     clear,
-    leaving,
     look_down,
     region,
     save_screenshot,
     send,
     space,
+    write_results,
 )
 
 COLOR = (0.8, 0.4, 0.2)
@@ -335,7 +335,7 @@ def story() -> Iterator[object]:
 def _end(problem: str) -> None:
     found = draw_handler.view_of(region())
     seen["seconds"] = None if found is None else found.seconds
-    leaving(FOLDER, seen)(problem)
+    write_results(FOLDER, seen)(problem)
 
 
 ScriptRunner(story(), _end)

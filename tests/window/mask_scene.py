@@ -18,7 +18,7 @@ import bpy  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.interface.sidebar import TAB  # noqa: E402
-from tools.window.desk import ScriptRunner, clear, leaving  # noqa: E402
+from tools.window.desk import ScriptRunner, clear, write_results  # noqa: E402
 
 CAPTURE = ROOT / "examples" / "studio"
 seen: dict = {"log": []}
@@ -56,4 +56,4 @@ def story() -> Iterator[object]:
     seen["height"] = area.height - space.image.size[1] * space.zoom_percentage / 100
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

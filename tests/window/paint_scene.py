@@ -27,11 +27,11 @@ from tools.window.desk import (  # noqa: E402
     area,
     at_rest,
     clear,
-    leaving,
     look_down,
     region,
     save_screenshot,
     send,
+    write_results,
 )
 
 WALL, BRUSH = (0.8, 0.4, 0.2), (0.05, 0.2, 0.9)
@@ -174,4 +174,4 @@ def story() -> Iterator[object]:
     yield PAUSE
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

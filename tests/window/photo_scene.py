@@ -24,10 +24,10 @@ from tools.window.desk import (  # noqa: E402
     area,
     at_rest,
     clear,
-    leaving,
     region,
     save_screenshot,
     space,
+    write_results,
 )
 
 CAPTURE = ROOT / "examples" / "studio"
@@ -143,4 +143,4 @@ def story() -> Iterator[object]:
     yield from lost()
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

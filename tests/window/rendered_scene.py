@@ -28,11 +28,11 @@ from tools.window.desk import (  # noqa: E402
     area,
     at_rest,
     clear,
-    leaving,
     look_down,
     region,
     save_screenshot,
     space,
+    write_results,
 )
 
 COLOR = (0.8, 0.4, 0.2)
@@ -175,4 +175,4 @@ def story() -> Iterator[object]:
     yield from through_a_lens(scene)
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

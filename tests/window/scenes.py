@@ -14,7 +14,7 @@ SCREEN = (1000, 700)
 """Width and height of the virtual screen, unless a test has another."""
 
 
-def told(
+def run_scene(
     name: str,
     tmp_path_factory: pytest.TempPathFactory,
     *options: str,

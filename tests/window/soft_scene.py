@@ -19,7 +19,7 @@ from mathutils import Vector  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import ScriptRunner, clear, leaving  # noqa: E402
+from tools.window.desk import ScriptRunner, clear, write_results  # noqa: E402
 
 SIZE = 200, 200
 seen: dict = {"log": []}
@@ -46,4 +46,4 @@ def story() -> Iterator[object]:
     lab.render_file(FOLDER / "f12.png")
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

@@ -28,7 +28,7 @@ from addon.render import decimate, picture  # noqa: E402
 from addon.splats import objects, selection_masks  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tests.window.blocking import Held  # noqa: E402
-from tools.window.desk import ScriptRunner, area, clear, leaving, save_screenshot  # noqa: E402
+from tools.window.desk import ScriptRunner, area, clear, save_screenshot, write_results  # noqa: E402
 
 seen: dict = {"log": []}
 COUNT = 3000
@@ -267,4 +267,4 @@ def story() -> Iterator[object]:
     yield from compared()
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

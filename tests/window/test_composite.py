@@ -7,7 +7,7 @@ Needs the programs of `test_live.py`.
 import numpy as np
 import pytest
 
-from tests.window.scenes import told
+from tests.window.scenes import run_scene
 
 pytestmark = pytest.mark.window
 
@@ -15,7 +15,7 @@ pytestmark = pytest.mark.window
 def test_eevee_shows_no_world_in_holes(tmp_path_factory):
     """Oracle: the previous picture without splats, which comes back; splats in front of the hole
     are visible in it, and those behind are not."""
-    found, _, output = told("composite", tmp_path_factory, longest=400)
+    found, _, output = run_scene("composite", tmp_path_factory, longest=400)
     assert "Traceback" not in output, output
     plain, meshes, whole, after = (
         np.array(found[name]) for name in ("plain", "meshes", "all", "after")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.window.scenes import SCREEN, pixels, told
+from tests.window.scenes import SCREEN, pixels, run_scene
 
 pytestmark = pytest.mark.window
 
@@ -18,7 +18,7 @@ LONGEST = 300
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path, str]:
     """The results of `failing_scene.py`, the folder of its pictures, and Blender's output."""
-    return told("failing", tmp_path_factory, longest=LONGEST)
+    return run_scene("failing", tmp_path_factory, longest=LONGEST)
 
 
 def around(seen: tuple[dict, Path, str], name: str) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_the_view_says_so_itself(seen):
     assert not amber[0].any() and amber[1].sum() > 200
 
 
-def test_the_console_is_told_once(seen):
+def test_the_console_is_written_once(seen):
     """Oracle: one traceback for a row of failures, and one for a refusal."""
     output = seen[2]
     assert output.count("Traceback") == 2, output

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from addon.histograms.counting import OPACITY, SIZE, of_sizes
-from tests.window.scenes import SCREEN, pixels, told
+from tests.window.scenes import SCREEN, pixels, run_scene
 
 pytestmark = pytest.mark.window
 
@@ -18,7 +18,7 @@ PIXEL = 0.006
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """The results of `handles_scene.py`, and the folder of its pictures."""
-    found, folder, output = told(
+    found, folder, output = run_scene(
         "handles", tmp_path_factory, "--enable-event-simulate", longest=120
     )
     assert "Traceback" not in output, output

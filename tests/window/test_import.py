@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.addon.captures import STUDIO
-from tests.window.scenes import told
+from tests.window.scenes import run_scene
 
 pytestmark = pytest.mark.window
 
@@ -25,7 +25,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     def prepare(folder: Path) -> None:
         shutil.copytree(STUDIO, folder / "studio")
 
-    found, folder, output = told(
+    found, folder, output = run_scene(
         "import",
         tmp_path_factory,
         "--enable-event-simulate",

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.window.scenes import SCREEN, pixels, told
+from tests.window.scenes import SCREEN, pixels, run_scene
 
 pytestmark = pytest.mark.window
 
@@ -21,7 +21,7 @@ COLOR = (204, 102, 51)
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """The results of `live_scene.py`, and the folder of its pictures."""
-    found, folder, output = told(
+    found, folder, output = run_scene(
         "live", tmp_path_factory, "--enable-event-simulate", longest=LONGEST
     )
     assert "Traceback" not in output, output

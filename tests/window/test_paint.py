@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.window.scenes import SCREEN, pixels, told
+from tests.window.scenes import SCREEN, pixels, run_scene
 
 pytestmark = pytest.mark.window
 
@@ -18,7 +18,7 @@ WALL, BRUSH = (204, 102, 51), (13, 51, 230)
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """The results of `paint_scene.py`, and the folder of its pictures."""
-    found, folder, output = told(
+    found, folder, output = run_scene(
         "paint", tmp_path_factory, "--enable-event-simulate", longest=LONGEST
     )
     assert "Traceback" not in output, output

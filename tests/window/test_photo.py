@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.window.scenes import SCREEN, pixels, told
+from tests.window.scenes import SCREEN, pixels, run_scene
 
 pytestmark = pytest.mark.window
 
@@ -20,7 +20,7 @@ COLOR = (204, 102, 51)
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """The results of `photo_scene.py`, and the folder of its pictures."""
-    found, folder, output = told("photo", tmp_path_factory, longest=LONGEST)
+    found, folder, output = run_scene("photo", tmp_path_factory, longest=LONGEST)
     assert "Traceback" not in output, output
     return found, folder
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.window.scenes import SCREEN, pixels, told
+from tests.window.scenes import SCREEN, pixels, run_scene
 
 pytestmark = pytest.mark.window
 
@@ -16,14 +16,14 @@ LONGEST = 400
 COLOR = np.array([204, 102, 51])
 """Of the wall, 8 bit."""
 TINTED = 0.35 * COLOR + 0.65 * 255 * np.array([1.0, 0.5, 0.05])
-ASIDE = 107
+OFFSET = 107
 """Pixels from the middle to the hidden or selected part."""
 
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """The results of `rendered_scene.py`, and the folder of its pictures."""
-    found, folder, output = told("rendered", tmp_path_factory, longest=LONGEST)
+    found, folder, output = run_scene("rendered", tmp_path_factory, longest=LONGEST)
     assert "Traceback" not in output, output
     return found, folder
 
@@ -76,12 +76,12 @@ def test_elsewhere_everything_is_drawn(seen: tuple[dict, Path], name: str) -> No
 def test_edit_mode_looks_as_in_solid_shading(seen: tuple[dict, Path]) -> None:
     """Oracle: black where the wall is hidden, the tint where it is selected, with overlays; the
     wall in Object Mode."""
-    assert around(seen, "edited", -ASIDE).max() < 5
-    assert np.abs(around(seen, "edited", ASIDE) - TINTED).max() <= 3
-    assert around(seen, "edited_without_overlays", -ASIDE).max() < 5
-    for aside in (0, ASIDE):
+    assert around(seen, "edited", -OFFSET).max() < 5
+    assert np.abs(around(seen, "edited", OFFSET) - TINTED).max() <= 3
+    assert around(seen, "edited_without_overlays", -OFFSET).max() < 5
+    for aside in (0, OFFSET):
         assert is_wall(around(seen, "edited_without_overlays", aside))
-    for aside in (-ASIDE, 0, ASIDE):
+    for aside in (-OFFSET, 0, OFFSET):
         assert is_wall(around(seen, "not_edited", aside))
 
 

@@ -6,7 +6,7 @@ Needs the programs of `test_live.py`.
 import numpy as np
 import pytest
 
-from tests.window.scenes import pixels, told
+from tests.window.scenes import pixels, run_scene
 
 pytestmark = pytest.mark.window
 
@@ -17,7 +17,7 @@ OPAQUE = 0.99
 def test_eevee_shows_the_color_from_here(tmp_path_factory):
     """Oracle: the colors of degree 3 of nine opaque balls at their middles, viewed from the side,
     to the mean error on the Blender page, and single ones as in Cycles."""
-    found, folder, output = told("soft", tmp_path_factory, longest=400)
+    found, folder, output = run_scene("soft", tmp_path_factory, longest=400)
     assert "Traceback" not in output, output
     x, y = np.transpose(found["places"])
     shown = OPAQUE * pixels(folder, "f12", (200, 200))[y, x] / 255

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.window.scenes import told
+from tests.window.scenes import run_scene
 
 pytestmark = pytest.mark.window
 
@@ -16,7 +16,7 @@ COUNT = 3000
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
     """The results of `stepping_scene.py`, and the folder of its picture."""
-    found, folder, output = told(
+    found, folder, output = run_scene(
         "stepping", tmp_path_factory, "--enable-event-simulate", longest=LONGEST
     )
     assert "Traceback" not in output, output

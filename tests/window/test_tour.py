@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.window.scenes import told
+from tests.window.scenes import run_scene
 
 STUDIO = Path(__file__).parents[2] / "examples" / "studio"
 SIZE = (1280, 800)
@@ -24,7 +24,7 @@ def _prepare(folder: Path) -> None:
 @pytest.fixture(scope="module")
 def tour(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path, str]:
     """The results of the tour, the folder of its pictures, and Blender's output."""
-    return told("tour", tmp_path_factory, longest=900, size=SIZE, prepare=_prepare)
+    return run_scene("tour", tmp_path_factory, longest=900, size=SIZE, prepare=_prepare)
 
 
 def test_tour_completes_without_errors(tour):

@@ -27,7 +27,15 @@ from addon.error_maps.measure_errors import job_of as errors_of  # noqa: E402
 from addon.process import poll_timer  # noqa: E402
 from addon.region_training.train_region import job_of as region_of  # noqa: E402
 from addon.training.start_training import job_of as training_of  # noqa: E402
-from tools.window.desk import ScriptRunner, area, at_rest, leaving, region, save_screenshot, space  # noqa: E402
+from tools.window.desk import (  # noqa: E402
+    ScriptRunner,
+    area,
+    at_rest,
+    region,
+    save_screenshot,
+    space,
+    write_results,
+)
 
 ScriptRunner.LONGEST = 60.0
 STEPS = 1_000
@@ -218,7 +226,7 @@ def edit() -> Iterator[object]:
     yield 1.0
 
 
-def judge() -> Iterator[object]:
+def measure_errors() -> Iterator[object]:
     """Errors on cameras and splats, the worst photo, a mask."""
     choose(result())
     press("measure_errors")
@@ -307,9 +315,9 @@ def reopen() -> Iterator[object]:
 
 def story() -> Iterator[object]:
     """The events; a yield returns control to Blender (`ScriptRunner`)."""
-    for part in (begin, look, edit, judge, steer, render, second, reopen):
+    for part in (begin, look, edit, measure_errors, steer, render, second, reopen):
         yield from part()
         seen.setdefault("parts", []).append(part.__name__)
 
 
-ScriptRunner(story(), leaving(FOLDER, seen))
+ScriptRunner(story(), write_results(FOLDER, seen))

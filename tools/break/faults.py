@@ -87,10 +87,10 @@ def outcome(output: Path) -> dict[str, str]:
     metrics = json.loads((output / "metrics.json").read_text())
     views = [{k: v for k, v in view.items() if k != "render_seconds"} for view in metrics["views"]]
     history = [[entry[key] for key in ("step", "loss", "splats")] for entry in metrics["history"]]
-    judged = [views, metrics["psnr"], metrics["ssim"], metrics["reason"], history]
+    evaluated = [views, metrics["psnr"], metrics["ssim"], metrics["reason"], history]
     whole = (output / "report.html").read_text().rstrip().endswith("</html>")
     found = {"point_cloud.ply": (output / "point_cloud.ply").read_bytes()}
-    found["metrics.json"] = json.dumps(judged).encode()
+    found["metrics.json"] = json.dumps(evaluated).encode()
     found["report.html"] = b"whole" if whole else b"cut"
     names = sorted(path.name for path in output.rglob("*") if path.suffix != ".damaged")
     found["names of files"] = " ".join(names).encode()

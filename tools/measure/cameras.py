@@ -20,7 +20,7 @@ import bpy
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from tools.measure.stand_in import stand_in, steps  # noqa: E402 - the path comes first
+from tools.measure.windowless import steps, windowless  # noqa: E402 - the path comes first
 
 
 def parse() -> argparse.Namespace:
@@ -43,7 +43,7 @@ def begun(operator: str, **settings: Any) -> Any:
     """A started operator, as from a button."""
     from addon.process.incremental_tasks import TaskRunner
 
-    return TaskRunner(stand_in(operator, **settings).pieces(bpy.context))
+    return TaskRunner(windowless(operator, **settings).pieces(bpy.context))
 
 
 def removal() -> Any:

@@ -28,7 +28,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from tools.measure.stand_in import stand_in, steps  # noqa: E402 - the path comes first
+from tools.measure.windowless import steps, windowless  # noqa: E402 - the path comes first
 
 SPHERES, RADII = 5, (1.0, 0.5, 0.3)
 FLOATING = 200
@@ -108,7 +108,7 @@ def timed(name: str, operator: str, **settings: Any) -> None:
     """Print the times of an operator call from Object Mode, and return there."""
     bpy.context.view_layer.update()
     bpy.ops.ed.undo_push(message=name)
-    measured(name, stand_in(operator, **settings).pieces(bpy.context))
+    measured(name, windowless(operator, **settings).pieces(bpy.context))
     if bpy.context.mode != "OBJECT":
         bpy.ops.object.mode_set(mode="OBJECT")
 

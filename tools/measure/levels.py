@@ -22,7 +22,7 @@ from gscore.io.cameras_json import read_cameras_json
 from gscore.splats import PARAMETERS, Splats
 
 WIDTH, HEIGHT, FOCAL = 640, 360, 500.0
-APART = 1.5
+TOLERANCE = 1.5
 """Distance of copies, relative to the extent of 90 % of their splats."""
 STEPS, WARM = 60, 10
 """Pictures of the walk, and the number of first ones that are not measured as they load chunks."""
@@ -42,7 +42,7 @@ def tiled(splats: Splats, copies: int) -> tuple[Splats, np.ndarray]:
     low, high = np.quantile(splats.means, (0.05, 0.95), axis=0)
     axes = np.argsort(low - high)[:2]
     moves = np.zeros((2, 3), np.float32)
-    moves[[0, 1], axes] = APART * (high - low)[axes]
+    moves[[0, 1], axes] = TOLERANCE * (high - low)[axes]
     side = int(np.ceil(np.sqrt(copies)))
     places = np.stack(np.divmod(np.arange(copies), side), axis=1) @ moves
     parts = {name: np.concatenate([getattr(splats, name)] * copies) for name in PARAMETERS}
@@ -129,7 +129,7 @@ def one(folder: Path, name: str, where: str, how: dict[str, float]) -> dict[str,
     return {"splats": count, "mb": peak_mb()}
 
 
-def apart(a: np.ndarray, b: np.ndarray) -> str:
+def difference(a: np.ndarray, b: np.ndarray) -> str:
     """Difference of two pictures, as text."""
     most, mse = np.abs(a - b).max() * 255, float(((a - b) ** 2).mean())
     return "the same bits" if most == 0 else f"{most:.2f}/255, {-10 * np.log10(mse):.0f} dB"
@@ -167,7 +167,7 @@ def main() -> int:
         print(f"| {where}, the PLY | {cost['splats']:,.0f} | {cost['mb']:,.0f} | |", flush=True)
     for label, (where, how) in DRAWN.items():
         cost = as_process(folder, "levels", where, json.dumps(how))
-        found = apart(np.load(folder / "levels.npy"), whole[where])
+        found = difference(np.load(folder / "levels.npy"), whole[where])
         print(f"| {label} | {cost['splats']:,.0f} | {cost['mb']:,.0f} | {found} |", flush=True)
     print("| walk | splats drawn | MB | ms per picture |\n|---|---|---|---|", flush=True)
     for how in ({"lod_px": 1.0}, {"lod_px": 4.0}, {"lod_px": 1.0, "most": 400_000}):

@@ -80,7 +80,7 @@ def save_screenshot(file: Path) -> None:
     subprocess.run(["import", "-window", "root", str(file)], check=True)
 
 
-def leaving(folder: Path, seen: dict) -> Callable[[str], None]:
+def write_results(folder: Path, seen: dict) -> Callable[[str], None]:
     """Callback for the end of a script: writes the results, disables the add-on, quits Blender.
 
     Args:

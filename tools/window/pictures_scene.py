@@ -45,11 +45,11 @@ from tools.window.desk import (  # noqa: E402
     ScriptRunner,
     area,
     at_rest,
-    leaving,
     region,
     save_screenshot,
     send,
     space,
+    write_results,
 )
 
 ScriptRunner.LONGEST = 200.0
@@ -412,4 +412,4 @@ def result() -> Iterator[object]:
     yield from question()
 
 
-ScriptRunner(tour() if IS_TOUR else result(), leaving(FOLDER, seen))
+ScriptRunner(tour() if IS_TOUR else result(), write_results(FOLDER, seen))

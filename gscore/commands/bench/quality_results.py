@@ -28,7 +28,7 @@ from .quality_plans import Cell
 
 Report = tuple[dict[str, dict[str, Summary]], list[Comparison]]
 """Metrics by capture and variant; comparisons of the other variants with the first."""
-_APART = ("source", "test_offset", "max_width")
+_SEPARATOR = ("source", "test_offset", "max_width")
 """Options of a capture that are recorded elsewhere or differ by training."""
 
 
@@ -135,7 +135,7 @@ def _setting(args: argparse.Namespace, cells: Iterable[Cell], net: str | None) -
         for variant, data in zip(cell.variants, cell.datas, strict=True):
             options = to_dict(replace(variant.config, seed=0)) | {"max_width": data.max_width}
             variants[variant.label] = options
-        data = {k: v for k, v in to_dict(cell.datas[0]).items() if k not in _APART}
+        data = {k: v for k, v in to_dict(cell.datas[0]).items() if k not in _SEPARATOR}
         size = list(first_size(cell.variants[0].eval_views))
         source = str(cell.datas[0].source.resolve())
         captures[cell.capture] = data | {"source": source, "judged_on": size}

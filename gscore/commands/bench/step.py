@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _table(r: StepBench) -> str:
-    laps = "  ".join(f"{name} {ms:.2f}" for name, ms in r.laps_ms.items())
+    stages = "  ".join(f"{name} {ms:.2f}" for name, ms in r.laps_ms.items())
     raster = "  ".join(f"{name} {ms:.2f}" for name, ms in r.raster_ms.items())
     return (
         f"{r.isa}, {count_words(r.threads, 'thread')}, {count_words(r.splats, 'splat')}, "
@@ -102,6 +102,6 @@ def _table(r: StepBench) -> str:
         f"  a step takes {r.step_ms:.2f} ms (median; mean {r.mean_ms:.2f}), "
         f"{100 * r.raster_share:.0f} % of it in the rasterizer; "
         f"{r.pairs_per_pixel:.1f} pairs per pixel\n"
-        f"  ms by part: {laps}\n"
+        f"  ms by part: {stages}\n"
         f"  ms in the rasterizer: {raster}\n"
     )

@@ -10,7 +10,7 @@ from ...control import Control
 from ...datasets import Dataset, load_dataset
 from ...depth.align import align_official, reliable
 from ...depth.fit import NO_FIT, Fit, median_scale
-from ...depth.fitting import Alignment, align_views, robust, settled_kind
+from ...depth.fitting import Alignment, align_views, resolved_kind, robust
 from ...depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
 from ...depth.network import NETWORK_HINT, Network
 from ...depth.observations import Observations, observations
@@ -252,7 +252,7 @@ def _align(
     official: bool,
 ) -> tuple[Alignment, dict[str, Fit]]:
     """The alignment, and the fits to write; the official tools check reliability on reading."""
-    found, warnings = settled_kind(kind, samples, dataset)
+    found, warnings = resolved_kind(kind, samples, dataset)
     warnings = (*unusable(samples), *warnings)
     if not official:
         alignment = robust(samples, found, dataset, warnings)

@@ -131,7 +131,7 @@ class _Photos:
     def __init__(self, root: Path) -> None:
         self.root = root
         below = (p for p in root.rglob("*") if p.suffix.lower() in IMAGE_ENDINGS)
-        files = [p.relative_to(root) for p in below if not _is_apart(p.relative_to(root))]
+        files = [p.relative_to(root) for p in below if not _is_separate(p.relative_to(root))]
         self.names = sorted(path.as_posix() for path in files)
         self._by_end = defaultdict[str, list[str]](list)
         for name in self.names:
@@ -176,7 +176,7 @@ def _agreeing(one: tuple[str, ...], other: tuple[str, ...]) -> int:
     return count
 
 
-def _is_apart(path: Path) -> bool:
+def _is_separate(path: Path) -> bool:
     """True for masks and hidden files."""
     hidden = any(part.startswith(".") for part in path.parts)
     return hidden or path.parts[0].lower() in ("masks", "mask", "depths") or is_marked_mask(path)

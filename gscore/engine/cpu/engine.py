@@ -93,8 +93,8 @@ class CpuEngine:
             for name in PARAMETERS
         }
         model = self._new({name: tensors[f"param/{name}"] for name in PARAMETERS}, (), moments)
-        model.rows = {k.removeprefix("row/"): t for k, t in tensors.items() if k[:4] == "row/"}
-        model.drift = tensors["drift"]
+        model.rows = base.counters_of(tensors)
+        model.factors = tensors["drift"]
         return model
 
     def _accumulated(self, saved: Mapping[str, torch.Tensor]) -> torch.Tensor | None:

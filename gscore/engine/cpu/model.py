@@ -12,11 +12,11 @@ from ...raster import adam
 from ...raster.memory import zeros
 from ...raster.request import Frustum
 from ...splats import PARAMETERS, SH_REST_BY_DEGREE
-from ..base import RowEdit, ShUpdate
+from ..base import RowEdit, ShUpdate, counter_key
 from . import filter3d, sanitize
 from .row_order import morton_order
 
-_SEEN, _LAG = "shN_seen", "shN_lag"
+_VISIBLE, _PENDING = "shN_visible", "shN_pending"
 ACCUMULATED = "gathered/shN"
 """Name of the accumulated gradient of shN in checkpoints; other ranks append /1, /2 ..."""
 
@@ -61,15 +61,15 @@ class CpuModel:
         """Gradients, shaped as `params`. Those of shN accumulate until its next step."""
         n = len(tensors["means"])
         self.rows: dict[str, torch.Tensor] = {
-            name: zeros(n, dtype=torch.uint8) for name in (_SEEN, _LAG)
+            name: zeros(n, dtype=torch.uint8) for name in (_VISIBLE, _PENDING)
         } | {name: zeros(n) for name in counters}
         """[N] counters: those of the strategy, float32, and pending steps of shN rows, uint8."""
-        self.drift = zeros(adam.LAGS, dtype=torch.float64)
+        self.factors = zeros(adam.PENDING_SIZE, dtype=torch.float64)
         """Factor of the pending update of a shN row, by number of skipped steps."""
         self._moments: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
         self._steps: dict[str, int] = dict.fromkeys(PARAMETERS, 0)
         self._rates: dict[str, float] = dict.fromkeys(PARAMETERS, 0.0)
-        self._settled: dict[str, torch.Tensor] | None = None
+        self._synced: dict[str, torch.Tensor] | None = None
         for name in PARAMETERS:
             value = tensors[name].detach()
             if moments is None:
@@ -113,8 +113,8 @@ class CpuModel:
                 out[f"m1/{name}"], out[f"m2/{name}"] = self._moments[name]
         if "shN" in self.grads:
             out[ACCUMULATED] = self.grads["shN"]
-        out["drift"] = self.drift
-        out |= {f"row/{name}": counter for name, counter in self.rows.items()}
+        out["drift"] = self.factors
+        out |= {counter_key(name): counter for name, counter in self.rows.items()}
         return {name: t.numpy() for name, t in out.items()}
 
     def replace(
@@ -135,7 +135,7 @@ class CpuModel:
         self._moments[name] = moment1.contiguous(), moment2.contiguous()
         self.grads[name] = torch.zeros_like(value) if grad is None else grad.contiguous()
         self._steps[name] = self._steps[name] if steps is None else steps
-        self._settled = None
+        self._synced = None
 
     @property
     def widths(self) -> dict[str, tuple[int, ...]]:
@@ -157,7 +157,7 @@ class CpuModel:
         """Apply an edit to parameters, moments and counters."""
         if edit.moves_rows:
             self.sync()
-        self._settled = None
+        self._synced = None
         rows = slice(None) if edit.rows is None else torch.from_numpy(edit.rows)
         for name, values in edit.values.items():
             self._tensor(name)[rows] = torch.from_numpy(values)
@@ -237,7 +237,7 @@ class CpuModel:
         second = function(second).contiguous()
         self._moments[name] = first, second
         self.grads[name] = function(self.grads[name]).contiguous()
-        self._settled = None
+        self._synced = None
 
     def set_rates(self, rates: Mapping[str, float]) -> None:
         """Set learning rates by parameter name."""
@@ -272,34 +272,34 @@ class CpuModel:
             at_once = 1 if name == "shN" else photos
             self._steps[name] += at_once if does is ShUpdate.STEP else 0
             slots.append(self._slot(name, wait=does is ShUpdate.ACCUMULATE, photos=at_once))
-        self._settled = None
+        self._synced = None
         return adam.step(slots, radii, threads=self._threads)
 
     def sync_visible(self, view: Frustum) -> None:
         """Apply the pending steps of rows that `view` may show."""
-        self._settled = None  # a step follows, so the cached copy is not read again
+        self._synced = None  # a step follows, so the cached copy is not read again
         self._catch_up(view)
 
     def sync(self) -> None:
         """Apply the pending steps of all rows, for example before rows are reordered."""
-        self._settled = None
+        self._synced = None
         self._catch_up(None)
 
     def synced(self) -> dict[str, torch.Tensor]:
         """Return the parameters as after `sync` without changing the model, so that rendering
         changes no bit of the training."""
-        if self._settled is None:
+        if self._synced is None:
             shN = self.params["shN"]
             if self._waiting():
                 shN = torch.empty_like(shN)
                 self._catch_up(None, out=shN)
-            self._settled = self.params | {"shN": shN}
-        return self._settled
+            self._synced = self.params | {"shN": shN}
+        return self._synced
 
     def synced_rows(self, rows: slice) -> dict[str, torch.Tensor]:
         """Return some rows of `synced`, without the memory for all."""
-        if self._settled is not None:
-            return {name: p[rows] for name, p in self._settled.items()}
+        if self._synced is not None:
+            return {name: p[rows] for name, p in self._synced.items()}
         params = {name: p[rows] for name, p in self.params.items()}
         if self._waiting():
             out = torch.empty_like(params["shN"])
@@ -314,7 +314,7 @@ class CpuModel:
         self.grads.clear()
 
     def _waiting(self) -> bool:
-        return bool(self.rows[_LAG].any()) and self.params["shN"].numel() > 0
+        return bool(self.rows[_PENDING].any()) and self.params["shN"].numel() > 0
 
     def _catch_up(self, view: Frustum | None, *, out: torch.Tensor | None = None) -> None:
         if self._waiting():
@@ -326,7 +326,9 @@ class CpuModel:
     ) -> adam.Slot:
         skips = None
         if name == "shN":
-            skips = adam.Skips(self.rows[_SEEN][rows], self.rows[_LAG][rows], self.drift, wait)
+            skips = adam.Skips(
+                self.rows[_VISIBLE][rows], self.rows[_PENDING][rows], self.factors, wait
+            )
         first, second = self._moments[name]
         return adam.Slot(
             self.params[name][rows],

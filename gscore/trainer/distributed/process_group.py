@@ -161,11 +161,11 @@ class ProcessGroup:
         Raises:
             RankLostError: the shared counter is gone.
         """
-        return self._together(lambda: self._store.add("turn", 1)) - 1
+        return self._collective(lambda: self._store.add("turn", 1)) - 1
 
     def note_end(self) -> None:
         """Record for restarted processes that the work is complete."""
-        self._together(lambda: self._kept.set(_ENDED, "1"))
+        self._collective(lambda: self._kept.set(_ENDED, "1"))
 
     def broadcast(self, order: Mapping[str, Any]) -> None:
         """Send a command from rank 0 to the others, as JSON values; no effect on other ranks."""
@@ -223,14 +223,14 @@ class ProcessGroup:
         counts = all_sizes[:, self.rank].astype(int).tolist()
         found = room.of(sum(counts), mine.shape[1])
         self.sent += (len(mine) - sizes[self.rank]) * mine.shape[1] * mine.element_size()
-        self._together(lambda: self._dist.all_to_all_single(found, mine, counts, list(sizes)))
+        self._collective(lambda: self._dist.all_to_all_single(found, mine, counts, list(sizes)))
         return list(found.split(counts))
 
     def to_first(self, mine: Tensor) -> list[Tensor]:
         """Gather on rank 0: the tensors of the others, shaped as its own; empty on other ranks."""
         found = [torch.empty_like(mine) for _ in range(self.size)] if self.is_rank0 else None
         if mine.numel():
-            self._together(lambda: self._dist.gather(mine.contiguous(), found, dst=0))
+            self._collective(lambda: self._dist.gather(mine.contiguous(), found, dst=0))
         return found[1:] if found else []
 
     def share(self, tensors: Mapping[str, Tensor] | None) -> dict[str, Tensor]:
@@ -244,28 +244,28 @@ class ProcessGroup:
             tensors = {name: empty(*s, dtype=_DTYPES[dtype]) for name, (dtype, s) in head.items()}
         for tensor in tensors.values():
             if tensor.numel():
-                self._together(lambda data=tensor: self._dist.broadcast(data, src=0))
+                self._collective(lambda data=tensor: self._dist.broadcast(data, src=0))
         return dict(tensors)
 
     def _all(self, mine: Tensor) -> list[Tensor]:
         found = [torch.empty_like(mine) for _ in range(self.size)]
         if mine.numel():
-            self._together(lambda: self._dist.all_gather(found, mine.contiguous()))
+            self._collective(lambda: self._dist.all_gather(found, mine.contiguous()))
         return found
 
     def _broadcast(self, data: bytes) -> bytes:
         """Broadcast bytes of rank 0: first the length and the first bytes, then the rest."""
         letter = bytearray(struct.pack("<q", len(data)) + data[:_LETTER]).ljust(8 + _LETTER)
         first = torch.frombuffer(letter, dtype=torch.uint8)
-        self._together(lambda: self._dist.broadcast(first, src=0))
+        self._collective(lambda: self._dist.broadcast(first, src=0))
         length = struct.unpack_from("<q", letter)[0]
         rest = bytearray(data[_LETTER:]) if self.is_rank0 else bytearray(max(length - _LETTER, 0))
         if rest:
             more = torch.frombuffer(rest, dtype=torch.uint8)
-            self._together(lambda: self._dist.broadcast(more, src=0))
+            self._collective(lambda: self._dist.broadcast(more, src=0))
         return bytes(letter[8 : 8 + length] + rest)
 
-    def _together(self, call: Callable[[], _Found]) -> _Found:
+    def _collective(self, call: Callable[[], _Found]) -> _Found:
         """Result of `call`, a collective operation.
 
         Raises:

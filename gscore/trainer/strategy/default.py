@@ -16,7 +16,7 @@ from .relocation import logit
 
 RESET_OPACITY = 0.01
 """Ceiling of all opacities at a reset."""
-_COUNTERS = ("pull", "seen")
+_COUNTERS = ("grad2d", "views")
 """Sum of the screen-space gradients, and number of views, of each splat."""
 
 
@@ -56,8 +56,8 @@ class DefaultStrategy:
     ) -> Iterator[RowEdit]:
         names = ("means", "quats", "scales", "opacities")
         params = {name: torch.from_numpy(read(name)) for name in names}
-        pull, seen = (torch.from_numpy(read(name)) for name in _COUNTERS)
-        gradients = pull / seen.clamp_min(1)
+        grad2d, views = (torch.from_numpy(read(name)) for name in _COUNTERS)
+        gradients = grad2d / views.clamp_min(1)
         pruned = self._to_prune(params, step)
         grow = gradients >= self._plan.grow_grad
         grow &= ~pruned & torch.from_numpy(self._may_grow(params["means"].numpy()))

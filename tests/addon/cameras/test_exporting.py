@@ -15,7 +15,7 @@ from addon.process.background_task import Cancelled
 from addon.process.incremental_tasks import TaskRunner
 from tests.addon.cameras.test_importing import until
 from tests.addon.captures import STUDIO
-from tools.measure.stand_in import stand_in
+from tools.measure.windowless import windowless
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def going(folder: Path, **settings: Any) -> TaskRunner:
     """The operator in a window, before its first step."""
-    work = stand_in("export_cameras", directory=str(folder), **settings)
+    work = windowless("export_cameras", directory=str(folder), **settings)
     return TaskRunner(work.pieces(bpy.context))
 
 
@@ -86,11 +86,15 @@ def test_changes_during_an_export_are_refused(
     made: ImportedCapture, tmp_path: Path, act: Callable, when: str, says: str
 ) -> None:
     """Oracle: an error; nothing is written."""
-    work, told = going(tmp_path / "b"), []
+    work, reported = going(tmp_path / "b"), []
 
     def comes() -> bool:
-        told.append(work.sentence)
-        return told.count("Reading studio points") == 2 if when == "positions" else told[-1] == when
+        reported.append(work.sentence)
+        return (
+            reported.count("Reading studio points") == 2
+            if when == "positions"
+            else reported[-1] == when
+        )
 
     assert not until(work, comes)
     act(made)

@@ -24,7 +24,7 @@ from addon.panels.cameras import CamerasPanel
 from addon.process.incremental_tasks import TaskRunner
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
-from tools.measure.stand_in import stand_in
+from tools.measure.windowless import windowless
 
 KINDS = ("objects", "cameras", "meshes", "collections", "images", "scenes")
 
@@ -68,7 +68,7 @@ def state() -> dict[str, Any]:
 
 def going(**settings: Any) -> TaskRunner:
     """The operator in a window, before its first step."""
-    return TaskRunner(stand_in("import_cameras", **settings).pieces(bpy.context))
+    return TaskRunner(windowless("import_cameras", **settings).pieces(bpy.context))
 
 
 def until(work: TaskRunner, ends: Callable[[], bool]) -> bool:
@@ -385,8 +385,8 @@ def test_reimport_resets_deltas_and_keeps_animation(scene, folder: Path) -> None
     limit = listed[8].constraints.new("LIMIT_LOCATION")
     limit.use_min_x, limit.min_x = True, 99
     made = captures.import_capture(scene, folder)
-    (told,) = made.warnings
-    assert "view_003, view_004, view_005 and 3 more." in told
+    (reported,) = made.warnings
+    assert "view_003, view_004, view_005 and 3 more." in reported
     scene.frame_set(2)
     bpy.context.view_layer.update()
     far = [np.abs(matrix_to_numpy(ob.matrix_world) - was).max()

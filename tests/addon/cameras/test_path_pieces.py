@@ -18,7 +18,7 @@ from addon.process.incremental_tasks import TaskRunner, ThreadCall
 from tests.addon.cameras.test_camera_path import camera  # noqa: F401 - a fixture
 from tests.addon.cameras.test_importing import until
 from tests.addon.captures import STUDIO
-from tools.measure.stand_in import stand_in
+from tools.measure.windowless import windowless
 
 KINDS = ("objects", "cameras", "collections", "actions")
 
@@ -33,7 +33,7 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 def going(name: str, file: Path, **settings: Any) -> TaskRunner:
     """The operator in a window, nothing done."""
     given = {"filepath": str(file), "world": "BLENDER", **settings}
-    return TaskRunner(stand_in(name, **given).pieces(bpy.context))
+    return TaskRunner(windowless(name, **given).pieces(bpy.context))
 
 
 def exporting(file: Path, **settings: Any) -> TaskRunner:
@@ -61,20 +61,20 @@ def test_export_as_at_once(scene, camera, tmp_path: Path, kind: str, world: str)
         camera.data.animation_data_clear()
         camera.data.shift_x = 0
     bpy.ops.gscore.export_camera_path(filepath=str(tmp_path / "a"), world=world, kind=kind)
-    work, told = exporting(tmp_path / "b", world=world, kind=kind), []
+    work, reported = exporting(tmp_path / "b", world=world, kind=kind), []
     scene.frame_set(5)
 
     def goes_on() -> bool:
-        told.append(work.sentence)
-        moved = "Reading frames: 3 of 6" in told[:-1]
+        reported.append(work.sentence)
+        moved = "Reading frames: 3 of 6" in reported[:-1]
         assert (scene.frame_current, scene.frame_subframe) == ((6, 0.25) if moved else (5, 0.0))
-        if told.count("Reading frames: 3 of 6") == 1 and not moved:
+        if reported.count("Reading frames: 3 of 6") == 1 and not moved:
             scene.frame_set(6, subframe=0.25)
             camera.name = "other"
         return False
 
     assert until(work, goes_on)
-    assert [f"Reading frames: {done} of 6" for done in range(1, 6)] == told[1:6]
+    assert [f"Reading frames: {done} of 6" for done in range(1, 6)] == reported[1:6]
     assert (scene.frame_current, scene.frame_subframe) == (6, 0.25)
     assert "6 frames of moving" in work.result
     assert (tmp_path / "b").read_bytes() == (tmp_path / "a").read_bytes()
@@ -92,7 +92,9 @@ def test_export_given_up(scene, camera, tmp_path: Path, late: bool) -> None:  # 
         assert gc.get_threshold() == before
     else:
         file = str(tmp_path / "a")
-        pieces = stand_in("export_camera_path", filepath=file, world="BLENDER").pieces(bpy.context)
+        pieces = windowless("export_camera_path", filepath=file, world="BLENDER").pieces(
+            bpy.context
+        )
         asked = next(one for one in pieces if isinstance(one, ThreadCall))
 
         def given_up() -> None:

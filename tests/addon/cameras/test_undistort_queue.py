@@ -28,15 +28,15 @@ Run = Callable[[str], Callable[[], tuple[list[str], dict[str, str]]]]
 
 
 @pytest.fixture
-def told(tmp_path: Path) -> Path:
+def reported(tmp_path: Path) -> Path:
     """The file to which fakes write their requests."""
-    return tmp_path / "told"
+    return tmp_path / "reported"
 
 
 @pytest.fixture
-def run(told: Path) -> Run:
+def run(reported: Path) -> Run:
     """A program from the text of its script."""
-    return lambda script: lambda: ([sys.executable, "-c", script, str(told)], {})
+    return lambda script: lambda: ([sys.executable, "-c", script, str(reported)], {})
 
 
 def tasks(*copies: str) -> list[dict[str, str]]:
@@ -54,7 +54,7 @@ def poll_until(queue: UndistortQueue, program: object, done: Callable[[list[str]
     return made
 
 
-def test_requests_while_the_program_ends_are_served(run: Run, told: Path) -> None:
+def test_requests_while_the_program_ends_are_served(run: Run, reported: Path) -> None:
     """The program needs a second to end, in which it reads nothing more."""
     queue, program = UndistortQueue(), run(BEGINS + ANSWERS + "time.sleep(1)")
     queue.enqueue_first(tasks("a"))
@@ -67,10 +67,10 @@ def test_requests_while_the_program_ends_are_served(run: Run, told: Path) -> Non
     poll_until(queue, program, lambda made: made == ["b"])
     assert queue.problems == {} and queue.done == queue.total == 2
     poll_until(queue, program, lambda _: not queue.busy)
-    assert told.read_text().split() == ["begun", "a", "begun", "b"]
+    assert reported.read_text().split() == ["begun", "a", "begun", "b"]
 
 
-def test_a_program_that_never_begins_is_given_up(run: Run, told: Path) -> None:
+def test_a_program_that_never_begins_is_given_up(run: Run, reported: Path) -> None:
     """Every photo gets the reason; later ones are tried again."""
     queue, program = UndistortQueue(), run(BEGINS + "sys.exit('no display')")
     for _ in range(2):
@@ -80,20 +80,20 @@ def test_a_program_that_never_begins_is_given_up(run: Run, told: Path) -> None:
         assert set(queue.problems.values()) == {
             "The Blender that undistorts photos ended at its start (exit code 1). no display"
         }
-    assert told.read_text().split() == ["begun"] * 4
+    assert reported.read_text().split() == ["begun"] * 4
 
 
-def test_a_photo_that_ends_the_program_is_left_out(run: Run, told: Path) -> None:
+def test_a_photo_that_ends_the_program_is_left_out(run: Run, reported: Path) -> None:
     """Another process makes the others."""
     queue, program = UndistortQueue(), run(BEGINS + ANSWERS)
     queue.enqueue_first(tasks("a", "crash", "b"))
     assert poll_until(queue, program, lambda _: not queue.busy) == ["a", "b"]
-    assert told.read_text().split() == ["begun", "a", "crash", "begun", "b"]
+    assert reported.read_text().split() == ["begun", "a", "crash", "begun", "b"]
     (copy,) = queue.problems
     assert copy == "crash" and "at crash (exit code 1). no memory" in queue.problems[copy]
 
 
-def test_latest_requests_come_first(run: Run, told: Path) -> None:
+def test_latest_requests_come_first(run: Run, reported: Path) -> None:
     """Except for the copy in progress; no copy is made twice."""
     slow = ANSWERS.replace("    if copy", "    time.sleep(0.3)\n    if copy")
     queue, program = UndistortQueue(), run(BEGINS + slow)
@@ -101,4 +101,4 @@ def test_latest_requests_come_first(run: Run, told: Path) -> None:
     queue.poll(program)
     queue.enqueue_first(tasks("d", "a", "c"))
     assert poll_until(queue, program, lambda _: not queue.busy) == ["a", "d", "c", "b"]
-    assert told.read_text().split() == ["begun", "a", "d", "c", "b"]
+    assert reported.read_text().split() == ["begun", "a", "d", "c", "b"]

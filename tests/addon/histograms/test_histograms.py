@@ -67,7 +67,7 @@ def kept(monkeypatch: pytest.MonkeyPatch) -> Iterator[counted.Counted]:
     counted.COUNTED.clear()
 
 
-def settle(kept: counted.Counted) -> int:
+def wait_for_counts(kept: counted.Counted) -> int:
     """Poll until all is counted; return the number of polls with new results."""
     new = 0
     while kept.waits():
@@ -97,7 +97,7 @@ def test_meshes_are_counted_when_they_have_changed(scene, kept):
     points.keep(ob.data, np.arange(400) < 150)
     changed(ob)
     assert kept.of(ob)[OPACITY] is first
-    assert settle(kept) == 1
+    assert wait_for_counts(kept) == 1
     opacities = attributes.column(ob.data, attributes.BASE)[:, 3]
     counts = kept.of(ob)[OPACITY].counts
     np.testing.assert_array_equal(counts, np.histogram(opacities, 96, (0, 1))[0])
@@ -125,7 +125,7 @@ def test_a_limit_makes_no_new_histogram(scene, kept, monkeypatch):
         assert not kept.collect()
     assert not any(entry.task for entry in kept._entries.values())
     monkeypatch.setattr(counted, "QUIET", 0.0)
-    assert settle(kept) == 0
+    assert wait_for_counts(kept) == 0
     assert kept.of(ob)[SIZE] is first
 
 
@@ -135,12 +135,12 @@ def test_many_are_counted_beside_blender(scene, kept, monkeypatch):
     lab.prepare(scene)
     monkeypatch.setattr(counted, "MOST", 100)
     ob = lab.add(scene, lab.blob())
-    assert kept.of(ob) == {} and settle(kept) == 1
+    assert kept.of(ob) == {} and wait_for_counts(kept) == 1
     sizes = attributes.column(ob.data, attributes.SCALE)[::4].max(axis=1)
     first = kept.of(ob)[SIZE]
     np.testing.assert_array_equal(first.counts, of_sizes(sizes).counts)
     ob.data = lab.add(scene, lab.blob(800)).data
-    assert kept.of(ob)[SIZE] is first and settle(kept) == 1
+    assert kept.of(ob)[SIZE] is first and wait_for_counts(kept) == 1
     assert numbers(kept, ob) == [100, 100]
 
 
@@ -172,7 +172,7 @@ def test_without_splats_there_is_no_histogram(scene, kept):
     mesh = ob.data
     bpy.data.objects.remove(ob)
     bpy.data.meshes.remove(mesh)
-    settle(kept)
+    wait_for_counts(kept)
 
 
 def test_a_count_that_fails_leaves_what_was_there(scene, kept, monkeypatch):
@@ -188,7 +188,7 @@ def test_a_count_that_fails_leaves_what_was_there(scene, kept, monkeypatch):
     kept.forget({ob.data.session_uid})
     kept.of(ob)
     with pytest.raises(MemoryError):
-        settle(kept)
+        wait_for_counts(kept)
     assert kept.of(ob)[SIZE] is first and not kept.waits()
 
 

@@ -235,22 +235,22 @@ def test_a_quick_card_draws_all_and_a_slow_one_a_little():
         assert detail == want
 
 
-def test_a_thread_answers_the_last_wish():
+def test_a_thread_answers_the_last_request():
     """Oracle: the requests; those between the first and the last are dropped."""
     begun, go = threading.Event(), threading.Event()
 
-    def work(wish: int) -> int:
+    def work(request: int) -> int:
         begun.set()
         assert go.wait(60)
-        if wish == 9:
+        if request == 9:
             raise ValueError("Nine cannot be.")
-        return 10 * wish
+        return 10 * request
 
     worker: Latest[int, int] = Latest(work, "test")
     worker.submit(1)
     assert begun.wait(60)
-    for wish in (2, 3, 4):
-        worker.submit(wish)
+    for request in (2, 3, 4):
+        worker.submit(request)
     answers = []
     go.set()
     until = time.monotonic() + 60

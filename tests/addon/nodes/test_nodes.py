@@ -107,8 +107,8 @@ def test_points_are_not_selected_by_themselves(ob: bpy.types.Object) -> None:
     bpy.context.view_layer.update()
     evaluated = ob.evaluated_get(bpy.context.evaluated_depsgraph_get())
     geometry = compat.evaluated_geometry(evaluated)  # which keeps the attribute
-    told = geometry.pointcloud.attributes[".selection"].data
-    assert len(told) == COUNT // 4 and not any(point.value for point in told)
+    reported = geometry.pointcloud.attributes[".selection"].data
+    assert len(reported) == COUNT // 4 and not any(point.value for point in reported)
     bpy.ops.object.mode_set(mode="OBJECT")
 
 
@@ -295,8 +295,8 @@ def test_counts(ob: bpy.types.Object) -> None:
         ob.gscore.opacity_min = 0.5
         bpy.context.view_layer.update()
         assert stats(ob).visible == visible_mask(ob).sum() < COUNT
-        told = stats(ob, bpy.context.evaluated_depsgraph_get()).visible
-        assert told == stats(ob).visible
+        reported = stats(ob, bpy.context.evaluated_depsgraph_get()).visible
+        assert reported == stats(ob).visible
         assert stats(ob).sh_degree == 3
     ob.gscore.opacity_min = 1.0
     bpy.context.view_layer.update()

@@ -40,15 +40,15 @@ def test_a_stroke_paints_by_the_distance_from_its_way(hardness: float, dimension
     way = [*rng.uniform(10, 90, (4, dimensions))]
     way.insert(2, way[1])  # the mouse may rest
     brush = Brush(radius=22.0, hardness=hardness)
-    stroke, told = Stroke(points, brush), set()
+    stroke, reported = Stroke(points, brush), set()
     for point in way:
         before = stroke.share.copy()
         rows = stroke.to(point)
         assert set(rows) == set(np.flatnonzero(stroke.share != before))
-        told |= set(rows)
+        reported |= set(rows)
     want = [falloff(from_way(p.astype(np.float32), way), 22.0, hardness) for p in points]
     np.testing.assert_allclose(stroke.share, want, atol=2e-5)
-    assert told == set(np.flatnonzero(stroke.share)) and 50 < len(told) < 450
+    assert reported == set(np.flatnonzero(stroke.share)) and 50 < len(reported) < 450
 
 
 def test_a_finer_way_paints_the_same() -> None:

@@ -321,18 +321,20 @@ def test_the_live_display_follows_without_the_mesh(
     """Oracle: the data passed to it; the mesh is written only at the end of the stroke."""
     monkeypatch.setattr("addon.splats.live_display.SESSION.there", True)
     ob.gscore.display = "SPLATS"
-    told: list[np.ndarray] = []
+    reported: list[np.ndarray] = []
     monkeypatch.setattr(
-        paint_target.viewport_copies.SHARED, "repaint", lambda uid, base: told.append(base.copy())
+        paint_target.viewport_copies.SHARED,
+        "repaint",
+        lambda uid, base: reported.append(base.copy()),
     )
     before, want = base_of(ob), by_function(ob, desk.brush)
-    told.clear()
+    reported.clear()
     desk.send("LEFTMOUSE", at=WAY[0])
     for at in WAY[1:]:
         desk.send("MOUSEMOVE", at=at)
     np.testing.assert_array_equal(base_of(ob), before)
-    np.testing.assert_array_equal(told[-1], want)
-    assert len(told) == 3 and (told[0] != told[1]).any()
+    np.testing.assert_array_equal(reported[-1], want)
+    assert len(reported) == 3 and (reported[0] != reported[1]).any()
     desk.send("LEFTMOUSE", "RELEASE", at=WAY[-1])
     np.testing.assert_array_equal(base_of(ob), want)
 

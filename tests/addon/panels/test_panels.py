@@ -248,7 +248,7 @@ def test_the_bar_is_on_top_while_a_training_runs(
     assert drawn(running_work.RunningWorkPanel) == ""
 
 
-def test_decisions_are_told_in_words_of_panels(
+def test_decisions_are_shown_in_words_of_panels(
     scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: labels and messages of the trainer, with names of fields for its flags."""
@@ -280,7 +280,7 @@ def test_other_work_has_bars_too(scene: bpy.types.Scene, monkeypatch: pytest.Mon
     frames.last = lambda kind: None
     monkeypatch.setattr(running_work.steer, "job_of", lambda _: region)
     monkeypatch.setattr(running_work.sequence, "job_of", lambda _: frames)
-    told = drawn(running_work.RunningWorkPanel)
-    assert told == "[50%] Region: Starting () [10%] Sequence: Starting ()"
+    reported = drawn(running_work.RunningWorkPanel)
+    assert reported == "[50%] Region: Starting () [10%] Sequence: Starting ()"
     region.ended = frames.ended = True
     assert drawn(running_work.RunningWorkPanel) == ""

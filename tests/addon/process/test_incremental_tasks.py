@@ -40,13 +40,13 @@ def work(log: list[Any], raises: Exception | None = None) -> Pieces[str]:
 
 def ended(going: TaskRunner) -> list[str]:
     """The messages of its steps."""
-    told = []
+    reported = []
     for _ in range(10_000):
         done = going.step()
-        if not told or going.sentence != told[-1]:
-            told.append(going.sentence)
+        if not reported or going.sentence != reported[-1]:
+            reported.append(going.sentence)
         if done:
-            return told
+            return reported
         threading.Event().wait(0.001)
     raise AssertionError("it never ends")
 
@@ -62,7 +62,7 @@ def test_steps_run_here_and_threads_in_parallel():
 
 
 @pytest.mark.parametrize("do", [run_blocking, lambda pieces: ended(TaskRunner(pieces))])
-def test_an_error_beside_is_one_of_the_work(do: Callable[[Any], Any]):
+def test_an_error_in_a_thread_is_one_of_the_task(do: Callable[[Any], Any]):
     """The error keeps its type, and the task cleans up."""
     log: list[Any] = []
     with pytest.raises(KeyError, match="lost"):

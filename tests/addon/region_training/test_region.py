@@ -65,7 +65,7 @@ def test_trainer_input_and_result(studio: bpy.types.Scene, tmp_path: Path, play:
     write_splats(tmp_path / "b.ply", splats(700, seed=1))
     result = done(40, "finished", str(tmp_path / "b.ply"))
     about = STARTED | {"region": "3 splats in the region; 497 around it are frozen."}
-    told = play({"say": about}, {"say": progress(10)}, {"await": "go"}, {"say": result})
+    reported = play({"say": about}, {"say": progress(10)}, {"await": "go"}, {"say": result})
     ob = cropped(studio, tmp_path / "a.ply")
     inside = in_box(ob, positions(ob))
     assert 3 < inside.sum() < 497
@@ -79,7 +79,7 @@ def test_trainer_input_and_result(studio: bpy.types.Scene, tmp_path: Path, play:
     assert "are frozen" in drawn(RegionPanel) and "Step 10" in drawn(RegionPanel)
     with pytest.raises(RuntimeError, match="trained already"):
         bpy.ops.gscore.train_region()
-    words = json.loads(told.read_text())
+    words = json.loads(reported.read_text())
     given = {flag: words[words.index(flag) + 1] for flag in ("--start-splats", "--region")}
     start = read_splats(given["--start-splats"])
     before = read_splats(tmp_path / "a.ply")
@@ -244,7 +244,7 @@ def test_no_step_of_the_start_is_long(
 def test_stopping_before_the_start(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
     """Oracle: no file, mesh or process is left, and the next one may begin."""
     write_splats(tmp_path / "a.ply", splats(50))
-    told = play({"say": STARTED}, {"follow": 600})
+    reported = play({"say": STARTED}, {"follow": 600})
     cropped(studio, tmp_path / "a.ply")
     meshes = len(bpy.data.meshes)
     bpy.ops.gscore.train_region()
@@ -253,7 +253,7 @@ def test_stopping_before_the_start(studio: bpy.types.Scene, tmp_path: Path, play
     assert job.status == verb_job.CANCELLED
     poll_timer.poll()
     assert job.preparing is None and len(bpy.data.meshes) == meshes
-    assert not told.exists() and not (tmp_path / "out_region_1").exists()
+    assert not reported.exists() and not (tmp_path / "out_region_1").exists()
     assert bpy.ops.gscore.train_region() == {"FINISHED"}
 
 

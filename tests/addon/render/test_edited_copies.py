@@ -30,7 +30,7 @@ class Views:
 
         monkeypatch.setattr(Source, "frozen_mesh", counted)
 
-    def told(self, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    def reported(self, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         """Pass updates to two listeners, as in a window."""
         self.made.forget_changed(depsgraph)
         self.made.forget_changed(depsgraph)
@@ -59,12 +59,12 @@ def views(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> Iterator[V
     """Views of one object in Edit Mode."""
     made, ob = Views(monkeypatch), lab.add(scene, lab.blob(COUNT))
     bpy.context.view_layer.objects.active = ob
-    bpy.app.handlers.depsgraph_update_post.append(made.told)
+    bpy.app.handlers.depsgraph_update_post.append(made.reported)
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.context.view_layer.update()
     yield made
     bpy.ops.object.mode_set(mode="OBJECT")
-    bpy.app.handlers.depsgraph_update_post.remove(made.told)
+    bpy.app.handlers.depsgraph_update_post.remove(made.reported)
 
 
 def test_a_view_comes_to_rest_in_edit_mode(views: Views) -> None:

@@ -443,8 +443,8 @@ def test_antialias_follows_the_objects(scene, tmp_path):
     ob = lab.add(scene, splats)
     pictures = [lab.truth(camera, splats, SIZE, antialias=on).rgb for on in (False, True)]
     assert np.abs(pictures[0] - pictures[1]).max() > 0.01
-    for mark, wish, want in ((False, "AUTO", 0), (True, "AUTO", 1), (True, "OFF", 0)):
-        ob["gs_antialias"], scene.gscore_render.antialias = mark, wish
+    for mark, request, want in ((False, "AUTO", 0), (True, "AUTO", 1), (True, "OFF", 0)):
+        ob["gs_antialias"], scene.gscore_render.antialias = mark, request
         got = lab.srgb(lab.render_exr(tmp_path)[..., :3])
         np.testing.assert_allclose(got, pictures[want], atol=1e-4)
 

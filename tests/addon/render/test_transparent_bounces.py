@@ -21,7 +21,7 @@ def picture(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("engine", "display", "hidden", "told"),
+    ("engine", "display", "hidden", "reported"),
     [
         ("CYCLES", "SOFT", False, True),
         ("CYCLES", "SPLATS", False, not splat_cloud_type()),
@@ -31,7 +31,7 @@ def picture(path: Path) -> np.ndarray:
     ],
 )
 def test_when_the_warning_is_shown(
-    scene: bpy.types.Scene, engine: str, display: str, hidden: bool, told: bool
+    scene: bpy.types.Scene, engine: str, display: str, hidden: bool, reported: bool
 ) -> None:
     """Oracle: the displays that render as soft splats; the button removes the warning, in one
     press."""
@@ -39,9 +39,9 @@ def test_when_the_warning_is_shown(
     ob.gscore.display, ob.hide_render = display, hidden
     scene.render.engine = engine
     scene.cycles.transparent_max_bounces = 8
-    assert ends_early(scene) is told
-    assert bpy.ops.gscore.see_through_splats.poll() is told
-    if told:
+    assert ends_early(scene) is reported
+    assert bpy.ops.gscore.see_through_splats.poll() is reported
+    if reported:
         assert bpy.ops.gscore.see_through_splats() == {"FINISHED"}
         assert scene.cycles.transparent_max_bounces == ENOUGH
         assert not ends_early(scene)

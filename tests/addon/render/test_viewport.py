@@ -110,7 +110,7 @@ def test_pictures_appear_while_the_view_turns(scene):
     assert len(shown - {None}) >= 3
 
 
-def test_a_new_wish_stops_the_old_one(scene):
+def test_a_new_request_stops_the_old_one(scene):
     """Oracle: how the old picture ends, which would take many seconds."""
     begun, ends = threading.Event(), []
 

@@ -43,7 +43,7 @@ def corners(path: Path) -> np.ndarray:
     return np.stack([vertex[axis] for axis in "xyz"], axis=1)
 
 
-def told(called: Path) -> Path:
+def reported(called: Path) -> Path:
     """The trainer's option for the surface mesh."""
     words = json.loads(called.read_text())
     return Path(words[words.index("--guide-surface") + 1])
@@ -95,7 +95,7 @@ def test_meshes_that_move_are_written_at_each_frame(
     own.guide_start, own.frames = 11, "0,4,12"
     bpy.ops.gscore.train_sequence(wait=True)
     assert video.frame_current == 7
-    pattern = told(called)
+    pattern = reported(called)
     assert pattern.parent == train_sequence.output_of(video) / "guides"
     files = sorted(pattern.parent.iterdir())
     assert [path.name for path in files] == [
@@ -120,14 +120,14 @@ def test_meshes_that_stand_still_are_one_file(
     called = play({"say": DONE})
     panel()
     bpy.ops.gscore.train_sequence(wait=True)
-    first = told(called)
+    first = reported(called)
     assert first.is_file() and [first] == list(first.parent.iterdir())
     mine = first.with_name("surface-mine.ply")
     mine.touch()
     wall.data.vertices[0].co.x = 3
     wall.data.update()
     bpy.ops.gscore.train_sequence(overwrite=True, wait=True)
-    assert told(called) != first and {told(called), mine} == set(first.parent.iterdir())
+    assert reported(called) != first and {reported(called), mine} == set(first.parent.iterdir())
     (train_sequence.output_of(video) / "sequence.json").write_text("{}")
     bpy.ops.gscore.train_sequence(resume=True, wait=True)
     assert "--guide-surface" not in json.loads(called.read_text())
@@ -147,7 +147,7 @@ def test_meshes_of_a_sequence_stay_until_another_begins(
     called = play({"say": DONE})
     panel()
     bpy.ops.gscore.train_sequence(wait=True)
-    folder = told(called).parent
+    folder = reported(called).parent
     before = set(folder.iterdir())
     assert len(before) == 4
     with pytest.raises(ValueError, match="cannot be run"):
@@ -180,7 +180,7 @@ def test_folders_of_results_may_hold_braces(
     called = play({"say": DONE})
     panel()
     bpy.ops.gscore.train_sequence(wait=True)
-    files = {of_frame(told(called), number) for number in (0, 4, 8, 12)}
+    files = {of_frame(reported(called), number) for number in (0, 4, 8, 12)}
     folder = train_sequence.output_of(video) / "guides"
     assert files == set(folder.iterdir()) and len(files) == (4 if moves else 1)
 

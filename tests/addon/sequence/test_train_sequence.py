@@ -130,7 +130,7 @@ def test_stop_and_go_on(video, play: Play) -> None:
         bpy.ops.gscore.stop_sequence()
 
 
-def test_failures_are_told_where_the_button_is(video, play: Play) -> None:
+def test_failures_are_shown_at_the_button(video, play: Play) -> None:
     """The error of the trainer; and of folders without frames."""
     play(
         {"say": {"event": "error", "type": "DatasetError", "message": "Frame 4 is broken."}},

@@ -18,7 +18,7 @@ from addon.splats import filters, grading, objects
 from addon.splats import selection_masks as choose_splats
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
-from tools.measure.stand_in import stand_in
+from tools.measure.windowless import windowless
 
 Make = Callable[..., Splats]
 COUNT = 400
@@ -208,9 +208,11 @@ def test_the_button_grades_what_is_selected(ob: bpy.types.Object, mode: str, sha
         bpy.ops.object.mode_set(mode=mode)
         return (sh0 != before).any(axis=(1, 2))
 
-    run_blocking(stand_in("grade_splats", saturation=0.5).pieces(bpy.context))
+    run_blocking(windowless("grade_splats", saturation=0.5).pieces(bpy.context))
     np.testing.assert_array_equal(changed(), some if share else True)
-    run_blocking(stand_in("grade_splats", gain=(0.5,) * 3, only_selected=False).pieces(bpy.context))
+    run_blocking(
+        windowless("grade_splats", gain=(0.5,) * 3, only_selected=False).pieces(bpy.context)
+    )
     assert changed().all()
     bpy.ops.gscore.grade_splats(gain=(0.5,) * 3)
     assert changed().all()

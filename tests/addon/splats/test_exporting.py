@@ -64,11 +64,11 @@ def nothing_left(folder: Path, *names: str) -> None:
 def test_as_at_once(obs: list, tmp_path: Path, ending: str, world: str, filtered: bool) -> None:
     """Oracle: the file of `export_splats`, its count and its warnings."""
     wanted, got = tmp_path / f"at once{ending}", tmp_path / f"bit by bit{ending}"
-    told = export_splats(obs, wanted, world=world, filtered=filtered)
+    reported = export_splats(obs, wanted, world=world, filtered=filtered)
     export = Export(obs, got, world=world, filtered=filtered)
     assert export.sentence == "Reading splats of chair: 0%"
     assert not export.step() and not got.exists()
-    assert finished(export) == told
+    assert finished(export) == reported
     assert got.name in export.sentence
     assert got.read_bytes() == wanted.read_bytes()
     nothing_left(tmp_path, wanted.name, got.name)

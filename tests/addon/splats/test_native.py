@@ -19,7 +19,7 @@ from addon.splats.filters import visible_mask
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 from tests.addon.splats.test_operators import close
-from tools.measure.stand_in import stand_in
+from tools.measure.windowless import windowless
 
 Make = Callable[..., Splats]
 COUNT = 300
@@ -105,8 +105,8 @@ def test_native_import_is_converted(
     getattr(bpy.ops.wm, f"{ending}_import")(filepath=str(file))
     cloud = bpy.context.object
     assert cloud.data.type == "GAUSSIAN_SPLAT"
-    told = drawn(result.ResultPanel)
-    assert "Blender's own splats" in told and "(Make Splat Object)" in told
+    reported = drawn(result.ResultPanel)
+    assert "Blender's own splats" in reported and "(Make Splat Object)" in reported
     assert bpy.ops.gscore.take_native_splats() == {"FINISHED"}
     made = bpy.context.object
     assert objects.is_splats(made) and cloud.hide_get() and cloud.hide_render
@@ -189,7 +189,7 @@ def test_the_display_is_built_in_parts(
     for block in [*bpy.data.node_groups, *bpy.data.materials]:
         bpy.data.batch_remove([block])
     monkeypatch.setattr(settings, "BUDGET", 0.0)
-    going = TaskRunner(stand_in("take_native_splats").pieces(bpy.context))
+    going = TaskRunner(windowless("take_native_splats").pieces(bpy.context))
     counts = [0]
     while not going.step():
         counts.append(len(bpy.data.node_groups) + len(bpy.data.materials))

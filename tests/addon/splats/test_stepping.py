@@ -16,7 +16,7 @@ from addon.process.incremental_tasks import TaskRunner, run_blocking
 from addon.splats import objects, point_attributes, read_chunked, write_chunked
 from addon.splats.mesh_buffers import points_of
 from tests.addon import splat_scenes as lab
-from tools.measure.stand_in import stand_in
+from tools.measure.windowless import windowless
 
 COUNT = 400
 EDITS: list[tuple[str, dict[str, Any]]] = [
@@ -99,7 +99,7 @@ def state() -> dict[str, Any]:
 
 def begun(name: str, settings: dict[str, Any]) -> TaskRunner:
     """The operator after its first step."""
-    going = TaskRunner(stand_in(name, **settings).pieces(bpy.context))
+    going = TaskRunner(windowless(name, **settings).pieces(bpy.context))
     assert not going.step()
     return going
 
@@ -295,14 +295,14 @@ def test_disabling_the_add_on_cancels_edits() -> None:
     prepare("decimate_splats")
     before = state()
     going = begun("decimate_splats", {"count": 150})
-    waiting = _Told()
+    waiting = _Reports()
     incremental_operator._ModalRun(going, waiting)  # as the operator does in a window
     incremental_operator.on_unregister()
     assert state() == before and waiting.ended
     incremental_operator.on_unregister()
 
 
-class _Told:
+class _Reports:
     """Fake of a timer and a status bar."""
 
     ended = False

@@ -163,7 +163,7 @@ def test_filters_leave_out_splats_of_each_frame(scene, playing) -> None:
         assert shown()[0][0] == int((1 / (1 + np.exp(-logits)) >= 0.6).sum()) < 300
 
 
-def test_gaps_are_told_and_hold_the_frame_before(scene, folder, tmp_path, capfd) -> None:
+def test_gaps_are_reported_and_show_the_frame_before(scene, folder, tmp_path, capfd) -> None:
     """Oracle: the numbers of the files; a render reports them too."""
     (folder / "frame_0002.ply").unlink()
     (folder / "frame_0003.ply").unlink()
@@ -172,8 +172,8 @@ def test_gaps_are_told_and_hold_the_frame_before(scene, folder, tmp_path, capfd)
     scene.frame_set(4)
     assert number_of(ob) == 1
     lab.render_file(tmp_path / "a.png")
-    told = capfd.readouterr().out
-    assert "Warning: frames: Frames 2, 3 are missing; the one before is shown." in told
+    reported = capfd.readouterr().out
+    assert "Warning: frames: Frames 2, 3 are missing; the one before is shown." in reported
     text = drawn(SequencePanel)
     assert "4: 0 to 5" in text and "Frames 2, 3 are missing" in text and "frame 1" in text
 

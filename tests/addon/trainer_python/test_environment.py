@@ -435,7 +435,7 @@ def test_remains_of_a_killed_setup_are_removed(
     assert leftovers(target) == ["trainer", alike.name]
 
 
-def test_an_environment_that_was_moved_aside_is_put_back(tmp_path: Path) -> None:
+def test_an_environment_under_a_temporary_name_is_put_back(tmp_path: Path) -> None:
     """Oracle: the later of two is restored although the installation failed; it is removed if the
     target exists."""
     target = tmp_path / "trainer"
@@ -454,12 +454,12 @@ def test_the_calls_of_pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     """Oracle: the command lines, word for word, and the environment variables of a fake pip."""
     monkeypatch.setattr("sys.platform", "linux")
     monkeypatch.setenv("PIP_EXTRA_INDEX_URL", "https://evil.example/simple")
-    told = tmp_path / "told"
-    pip = f'echo "$*" >> {told}; echo "config=$PIP_CONFIG_FILE" >> {told}'
+    messages = tmp_path / "messages"
+    pip = f'echo "$*" >> {messages}; echo "config=$PIP_CONFIG_FILE" >> {messages}'
     target = tmp_path / "trainer"
     task = make(target, fake_base(tmp_path, pip))
     assert task.result == python_in(target), task.problem
-    lines = told.read_text().splitlines()
+    lines = messages.read_text().splitlines()
     pinned, start = pins.FOLDER, "-m pip --no-input --disable-pip-version-check"
     rest = "--no-deps --only-binary :all: -r"
     assert lines[0::2] == [

@@ -36,7 +36,7 @@ def around(scene: bpy.types.Scene, scale: tuple[float, float, float]) -> bpy.typ
     return ob
 
 
-def told(tmp_path: Path) -> list[str]:
+def reported(tmp_path: Path) -> list[str]:
     """Command line of an ended training."""
     (job,) = registry.jobs()
     until(lambda: job.state.ended)
@@ -49,7 +49,7 @@ def test_training_receives_the_box(studio: bpy.types.Scene, tmp_path: Path) -> N
     root.matrix_world = Matrix.Rotation(0.4, 4, "X") @ Matrix.Scale(2.0, 4) @ root.matrix_world
     ob = around(studio, (0.5, 1.0, 2.0))
     assert bpy.ops.gscore.train() == {"FINISHED"}
-    line = told(tmp_path)
+    line = reported(tmp_path)
     box = read_region(line[line.index("--region") + 1])
     local = np.random.default_rng(0).normal(size=(500, 3))
     place = root.matrix_world.inverted() @ ob.matrix_world
@@ -69,7 +69,7 @@ def test_ineffective_boxes_are_refused(studio: bpy.types.Scene, tmp_path: Path) 
     assert not registry.jobs() and not (tmp_path / "out").exists()
     studio.gscore.train_within = None
     assert ob.name in bpy.data.objects and bpy.ops.gscore.train() == {"FINISHED"}
-    line = told(tmp_path)
+    line = reported(tmp_path)
     assert "--region" not in line
 
 
@@ -87,7 +87,7 @@ def test_there_is_no_sky_within_an_object(studio: bpy.types.Scene, tmp_path: Pat
     assert not registry.jobs() and not (tmp_path / "out").exists()
     studio.gscore.train_within = None
     assert said not in drawn(TrainPanel) and bpy.ops.gscore.train() == {"FINISHED"}
-    assert "--sky" in told(tmp_path)
+    assert "--sky" in reported(tmp_path)
 
 
 def test_masks_that_are_opacity_are_not_narrowed(studio: bpy.types.Scene, tmp_path: Path) -> None:

@@ -157,10 +157,10 @@ def test_instances_modifiers_and_text_count_and_hidden_ones_do_not(
     found = guides.merged_mesh(studio, collection)
     letter = len(found.triangles) - 2 * 2 - 3 * 2 - 2 * 4
     assert 2 <= letter <= 60
-    told = start_training.unsaved(studio)
-    assert told[0] == "Hidden in Guide Surfaces, so not used: Hidden."
-    assert "No meshes" in told[1] and "Empty" in told[1] and "a" in told[1]
-    assert len(told) == 2
+    reported = start_training.unsaved(studio)
+    assert reported[0] == "Hidden in Guide Surfaces, so not used: Hidden."
+    assert "No meshes" in reported[1] and "Empty" in reported[1] and "a" in reported[1]
+    assert len(reported) == 2
 
 
 def test_texts_in_an_instanced_collection_keep_their_shapes(studio: bpy.types.Scene) -> None:
@@ -229,9 +229,9 @@ def test_a_real_training_sees_a_wall_where_blender_does(studio: bpy.types.Scene)
     studio.gscore.eval = False
     assert bpy.ops.gscore.train(wait=True) == {"FINISHED"}
     state = start_training.job_of(studio).state
-    told = re.search(r"pixels of (\d+) training photos", state.started.decision("guide"))
+    reported = re.search(r"pixels of (\d+) training photos", state.started.decision("guide"))
     assert 5 < seen < len(cameras) - 5
-    assert seen <= int(told[1]) <= seen + 3  # a corner of it may be between the rays
+    assert seen <= int(reported[1]) <= seen + 3  # a corner of it may be between the rays
     assert any("may be in the wrong place" in text for text in state.warnings)
 
 

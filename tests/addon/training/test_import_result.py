@@ -93,8 +93,8 @@ def test_run_continued_elsewhere_updates_the_object(
     assert "has earlier splats" not in drawn(TrainPanel)
     write_splats(run / "point_cloud.ply", splats(71))
     refresh(scene)
-    told = drawn(TrainPanel)
-    assert f"{ob.name} has earlier splats of this run." in told
+    reported = drawn(TrainPanel)
+    assert f"{ob.name} has earlier splats of this run." in reported
     assert bpy.ops.gscore.import_result() == {"FINISHED"}
     assert scene.gscore.result == ob and bpy.data.objects[:] == [ob] and len(bpy.data.meshes) == 1
     np.testing.assert_array_equal(positions(ob), splats(71).means)

@@ -91,8 +91,8 @@ def test_texts_are_those_of_gscore(scene: bpy.types.Scene) -> None:
     """Oracle: the declarations; in the style of Blender's tooltips, one sentence without a full
     stop."""
     found = scene.gscore.bl_rna.properties
-    told = "Training steps, each on one photo"
-    assert found["iterations"].description == told
+    reported = "Training steps, each on one photo"
+    assert found["iterations"].description == reported
     assert (
         found["sh_degree"].description
         == "Degree of view-dependent color, 0 to 3; 0: no view dependence"
@@ -150,8 +150,8 @@ def test_depth_maps_are_used_where_there_are_some(scene: bpy.types.Scene) -> Non
     lines.append(line(scene, depths=True))
     scene.gscore.depth_mode = "off"
     lines.append(line(scene, depths=True))
-    told = [(data["depths"], train["depth_mode"]) for data, train, _ in parsed(*lines)]
-    assert told == [("", "auto"), ("depths", "auto"), ("depths", "on"), ("", "auto")]
+    reported = [(data["depths"], train["depth_mode"]) for data, train, _ in parsed(*lines)]
+    assert reported == [("", "auto"), ("depths", "auto"), ("depths", "on"), ("", "auto")]
 
 
 def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:

@@ -156,7 +156,7 @@ def test_late_rows_end_where_dense_adam_takes_them(every: int) -> None:
             for name in ("opacities", "scales"):  # set by the rule that test_relocation checks
                 twin.params[name][rows] = model.params[name][rows].double().numpy()
             gathered[:4] = 0
-    assert model.rows["shN_lag"].any()
+    assert model.rows["shN_pending"].any()
     distances = twin.distances(model)
     assert distances["shN"] < 2e-6
     assert max(distances.values()) < 5e-6  # a thousand float32 roundings of one number

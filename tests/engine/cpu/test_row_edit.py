@@ -33,7 +33,7 @@ def test_edit_keeps_and_appends_in_every_tensor(marked_model: Make) -> None:
             np.testing.assert_array_equal(got[i][:3], was[i][[4, 0, 5]], err_msg=name)
             assert not got[i][3:].any(), name
         assert model.adam_steps[name] == 7
-    np.testing.assert_array_equal(model.rows["seen"].numpy(), [3004, 3000, 3005, 0, 0])
+    np.testing.assert_array_equal(model.rows["views"].numpy(), [3004, 3000, 3005, 0, 0])
 
 
 def test_edited_parameters_are_those_that_the_optimizer_steps(marked_model: Make) -> None:
@@ -131,5 +131,5 @@ def test_fields_of_an_edit_apply_in_order(marked_model: Make) -> None:
     np.testing.assert_allclose(model.column("opacities"), [-0.7, 9.0, 9.0, -0.8])
     assert model.column("sh0")[:, 0, 0].tolist() == [3, 1, 1, 2]
     assert model.column("means")[:, 0].tolist() == [3, 1, 5, 5]
-    assert model.column("seen").tolist() == [3003, 0, 0, 0]
+    assert model.column("views").tolist() == [3003, 0, 0, 0]
     assert model.moments("sh0")[0][:, 0, 0].tolist() == [1003, 0, 0, 0]

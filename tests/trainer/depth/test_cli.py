@@ -30,10 +30,10 @@ def test_depth_reaches_metrics_and_report(
     out = tmp_path / "o"
     base = ["train", str(deep), "-o", str(out), *SHORT, "--test-every", "4", "--json"]
     assert main([*base, "-d", "depths", "--depth-align", "official"]) == 0
-    told = capsys.readouterr()
-    printed = json.loads(told.out.splitlines()[-1])
+    reported = capsys.readouterr()
+    printed = json.loads(reported.out.splitlines()[-1])
     assert printed["depth"]["used"] is True
-    assert printed["depth"]["why"] in told.err.splitlines()[:8]
+    assert printed["depth"]["why"] in reported.err.splitlines()[:8]
     views = float(re.search(r"(\d+) of them on a median point", printed["depth"]["why"])[1])
     weight = min(1, 6 / views)
     assert printed["depth"]["weights"] == pytest.approx([weight, weight])
@@ -56,7 +56,7 @@ def test_depth_reaches_metrics_and_report(
     assert len(re.findall(r"<tr><th>view_0\d\.png", section)) == 8
 
 
-def test_refused_maps_are_told_with_the_reason(deep: Path, tmp_path: Path) -> None:
+def test_refused_maps_are_reported_with_the_reason(deep: Path, tmp_path: Path) -> None:
     """Oracle: one scale a hundredth of the others, which the official rule calls unreliable."""
     root, out = tmp_path / "capture", tmp_path / "o"
     shutil.copytree(deep, root)
@@ -134,8 +134,8 @@ def test_points_wanted_and_splats_given(deep: Path) -> None:
     photos = load_dataset(data)
     splats = TrainConfig(start_splats=deep / "some.ply")
     both = prepare_depth(data, replace(splats, depth_points=50), photos)
-    told = [w for w in both.warnings if "No points are added" in w]
-    assert len(told) == 1 and "depth_points" in told[0] and "start_splats" in told[0]
+    reported = [w for w in both.warnings if "No points are added" in w]
+    assert len(reported) == 1 and "depth_points" in reported[0] and "start_splats" in reported[0]
     for config in (splats, TrainConfig(depth_points=50), replace(splats, depth_points=0)):
         found = prepare_depth(data, config, photos)
         assert not [w for w in found.warnings if "No points are added" in w]

@@ -4,7 +4,7 @@ import time
 from collections.abc import Collection
 from pathlib import Path
 
-from .started import PATIENCE
+from .start_ranks import PATIENCE
 
 
 def wait_for(path: Path) -> None:

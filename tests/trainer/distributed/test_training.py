@@ -19,7 +19,7 @@ from gscore.io.runs import AGENT
 from gscore.trainer.files import checkpoint
 
 from .processes import rank_of, wait_for
-from .started import PATIENCE, ROOT, Ended, start
+from .start_ranks import PATIENCE, ROOT, Ended, start
 
 SHORT = ("--iterations", "60", "--max-splats", "300", "--refine-every", "10", "--sh-every", "12")
 
@@ -161,10 +161,10 @@ def test_a_killed_rank_costs_nothing(capture: Path, tmp_path: Path, victim: int)
     try:
         wait_for(output / "checkpoints" / "step_00000100.safetensors")
         os.kill(rank_of([running.pid], victim), signal.SIGKILL)
-        _, told = running.communicate(timeout=PATIENCE)
+        _, reported = running.communicate(timeout=PATIENCE)
     finally:
         running.kill()
-    assert running.returncode == 0, told
+    assert running.returncode == 0, reported
     files = [tmp_path / name / "point_cloud.ply" for name in ("whole", "killed")]
     assert files[0].read_bytes() == files[1].read_bytes()
 
@@ -229,18 +229,18 @@ def test_a_slow_rank_is_named_and_bytes_are_counted(capture: Path, tmp_path: Pat
     by the formula of docs/scale.md for photos that all show all splats."""
     output = tmp_path / "o"
     line = ["train", capture, "-o", output, *SHORT, "--sh-degree", "0", "--quiet"]
-    ranks = start(["-m", "gscore", *line], ["-m", "tests.trainer.distributed.slowly", *line])
+    ranks = start(["-m", "gscore", *line], ["-m", "tests.trainer.distributed.slow_rank", *line])
     assert_fine(ranks)
     metrics = json.loads((output / "metrics.json").read_text())
     warned = (output / "report.html").read_text()
     assert f"All wait for rank 1 ({_host()})" in warned
-    told = metrics["ranks"]
-    assert (told["count"], told["batches"]) == (2, 30)
-    waited = told["waited_seconds_per_batch"]
+    reported = metrics["ranks"]
+    assert (reported["count"], reported["batches"]) == (2, 30)
+    waited = reported["waited_seconds_per_batch"]
     assert waited[0] - waited[1] > 0.3
     words = 14 + 2 + 1  # per splat: gradients, counts of the strategy, its row
     whole = metrics["splats"] * words * 4
-    for sent in told["sent_bytes_per_batch"]:
+    for sent in reported["sent_bytes_per_batch"]:
         assert 0.5 * whole < sent <= 1.1 * whole
 
 
@@ -257,9 +257,9 @@ def test_port_in_use_is_reported(capture: Path, tmp_path: Path) -> None:
             [sys.executable, *line], env=os.environ | here, cwd=ROOT, capture_output=True, text=True
         )
     assert ended.returncode == 2
-    told = " ".join(ended.stderr.split())
-    assert "cannot meet the others at 127.0.0.1:" in told
-    assert "Traceback" not in told
+    reported = " ".join(ended.stderr.split())
+    assert "cannot meet the others at 127.0.0.1:" in reported
+    assert "Traceback" not in reported
     assert not (tmp_path / "o").exists()
 
 
@@ -267,7 +267,7 @@ def test_port_in_use_is_reported(capture: Path, tmp_path: Path) -> None:
 def test_a_rank_lost_after_the_end_costs_nothing(capture: Path, tmp_path: Path) -> None:
     """Oracle: the exit code of a torchrun that may restart once; the splats."""
     torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-    torchrun += ["--max-restarts", "1", "-m", "tests.trainer.distributed.lost_at_the_end", "train"]
+    torchrun += ["--max-restarts", "1", "-m", "tests.trainer.distributed.rank_lost_at_end", "train"]
     output = tmp_path / "o"
     ended = subprocess.run(
         [sys.executable, *torchrun, str(capture), *SHORT, "--quiet", "-o", str(output)],

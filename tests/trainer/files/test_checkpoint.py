@@ -158,19 +158,21 @@ def test_the_run_goes_on_from_the_checkpoint_before_a_damaged_one(
     (tmp_path / "point_cloud.ply").unlink()
     events: list[Event] = []
     train(config, data, tmp_path, events.append, resume=True)
-    told = [e.message for e in events if isinstance(e, Warn)]
-    assert [("step_00000030" in m, "step_00000020" in m) for m in told] == [
+    messages = [e.message for e in events if isinstance(e, Warn)]
+    assert [("step_00000030" in m, "step_00000020" in m) for m in messages] == [
         (True, False),
         (False, True),
     ]
-    assert all("continuing from step 10" in message for message in told)
+    assert all("continuing from step 10" in message for message in messages)
     assert (tmp_path / "point_cloud.ply").read_bytes() == expected
     assert len(list((tmp_path / "checkpoints").glob("*.damaged"))) == 2
     for path in folder.checkpoints():
         path.write_bytes(b"x" * 50)
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
-    told = rf"All {len(folder.checkpoints())} checkpoints .* is not a complete .*with `--overwrite`"
-    with pytest.raises(FormatError, match=told):
+    messages = (
+        rf"All {len(folder.checkpoints())} checkpoints .* is not a complete .*with `--overwrite`"
+    )
+    with pytest.raises(FormatError, match=messages):
         train(config, data, tmp_path, resume=True)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
 
@@ -205,7 +207,7 @@ def test_a_failed_write_leaves_the_old_file(
 
 
 @pytest.mark.parametrize(
-    ("place", "value", "told"),
+    ("place", "value", "messages"),
     [
         (("trainer", "order"), [10**6] * 12, "order is .*expected views of the capture"),
         (("trainer", "position"), -(10**9), "position is -1000000000"),
@@ -222,7 +224,7 @@ def test_a_failed_write_leaves_the_old_file(
     ],
 )
 def test_content_that_no_run_writes_is_refused(
-    place: tuple[str, ...], value: Any, told: str, capture: Path, tmp_path: Path
+    place: tuple[str, ...], value: Any, messages: str, capture: Path, tmp_path: Path
 ) -> None:
     """Oracle: a file with valid checksums; the sentence names the invalid entry."""
     config = replace(CONFIG, iterations=3, lpips=None)
@@ -235,7 +237,7 @@ def test_content_that_no_run_writes_is_refused(
         inner = inner[key]
     inner[place[-1]] = value
     path.write_bytes(with_checkpoint_json(raw, json.dumps(content).encode()))
-    with pytest.raises(FormatError, match=f"can read .*{told}"):
+    with pytest.raises(FormatError, match=f"can read .*{messages}"):
         train(
             replace(config, iterations=6),
             DataConfig(source=capture),
@@ -310,10 +312,10 @@ def test_tensors_that_do_not_fit_each_other_are_refused(
 
 def _goes_on(capture: Path, out: Path, *, steps: int) -> list[str]:
     """Continue the run in `out` to `steps`; return the warnings about its instruction set."""
-    told: list[Event] = []
+    messages: list[Event] = []
     config = TrainConfig(iterations=steps, max_splats=200, checkpoint_iterations=(4, 8, 12))
-    train(config, DataConfig(source=capture), out, told.append, resume=out.exists())
-    return [e.message for e in told if isinstance(e, Warn) and e.code == "isa"]
+    train(config, DataConfig(source=capture), out, messages.append, resume=out.exists())
+    return [e.message for e in messages if isinstance(e, Warn) and e.code == "isa"]
 
 
 @pytest.mark.skipif(
@@ -343,10 +345,10 @@ def test_resume_under_another_instruction_set_warns(capture: Path, tmp_path: Pat
         old = tmp_path / "old.safetensors"
         old.write_bytes(with_checkpoint_json(raw, json.dumps(content).encode()))
         assert checkpoint.load(old).isa is None
-        told: list[Event] = []
+        messages: list[Event] = []
         config = TrainConfig(iterations=9, max_splats=200)
         data = DataConfig(source=capture)
-        train(config, data, tmp_path / "new", told.append, start_checkpoint=old)
-        assert not [e for e in told if isinstance(e, Warn) and e.code == "isa"]
+        train(config, data, tmp_path / "new", messages.append, start_checkpoint=old)
+        assert not [e for e in messages if isinstance(e, Warn) and e.code == "isa"]
     finally:
         native_library.set_isa(before)

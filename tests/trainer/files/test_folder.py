@@ -412,9 +412,9 @@ def test_a_lock_that_is_no_file_is_named(tmp_path: Path, kind: str) -> None:
         lock.mkdir()
     before = lock.lstat()
     with (
-        pytest.raises(ConfigError, match=r"is no regular file\. Remove it") as told,
+        pytest.raises(ConfigError, match=r"is no regular file\. Remove it") as messages,
         open_folder(tmp_path, resume=False, overwrite=False),
     ):
         pass
-    assert ".." not in str(told.value).replace(str(tmp_path), "")
+    assert ".." not in str(messages.value).replace(str(tmp_path), "")
     assert os.path.samestat(lock.lstat(), before)

@@ -228,7 +228,7 @@ def tracked(capture: Path, tmp_path: Path) -> Dataset:
     return load_dataset(DataConfig(source=root, eval=True, test_every=4))
 
 
-def told(found: Any) -> str:
+def reported(found: Any) -> str:
     return found.decision.text.partition("; ")[2]
 
 
@@ -256,12 +256,12 @@ def test_points_say_where_a_mesh_is(tracked: Dataset, dataset: Dataset, tmp_path
     total = sum(counts.values())
     assert total > 50 and min(counts.values()) > 5
     on, before, behind = (f"{count / total:.0%}" for count in counts.values())
-    assert told(prepare_guide(TrainConfig(guide_surface=middle), tracked)) == (
+    assert reported(prepare_guide(TrainConfig(guide_surface=middle), tracked)) == (
         f"of the points observed there {on} are on it within 5%, {before} in front of it and "
         f"{behind} behind it."
     )
     silent = prepare_guide(TrainConfig(guide_surface=near), dataset)
-    assert told(silent).startswith("almost no points") and not silent.warnings
+    assert reported(silent).startswith("almost no points") and not silent.warnings
 
 
 def test_pixels_are_trusted_as_points_around_them_say() -> None:

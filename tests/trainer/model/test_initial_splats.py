@@ -120,14 +120,14 @@ def test_bad_starts_are_named(capture: Path, tmp_path: Path) -> None:
         train(missing, data, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     train(replace(CONFIG, antialias=True), data, tmp_path / "mip")
-    told: list[str] = []
+    reported: list[str] = []
     train(
         replace(CONFIG, start_splats=tmp_path / "mip" / "point_cloud.ply"),
         data,
         tmp_path / "out",
-        lambda event: told.append(event.message) if isinstance(event, Warn) else None,
+        lambda event: reported.append(event.message) if isinstance(event, Warn) else None,
     )
-    assert any("was trained with antialiasing" in message for message in told)
+    assert any("was trained with antialiasing" in message for message in reported)
     write_splats(tmp_path / "many.ply", first := read_ply(tmp_path / "mip" / "point_cloud.ply"))
     few = replace(CONFIG, start_splats=tmp_path / "many.ply", max_splats=len(first) - 1)
     with pytest.raises(ConfigError, match="max_splats"):

@@ -45,7 +45,7 @@ def test_masks_and_depth_maps_are_counted(capture: Path, tmp_path: Path) -> None
     for photo in (capture / "images").iterdir():
         write_png(masked / "masks" / photo.name, np.full((48, 48), 255, np.uint8))
 
-    def told(root: Path, depths: bool) -> Estimated:
+    def reported(root: Path, depths: bool) -> Estimated:
         events, config = list[Event](), replace(CONFIG, coarse_factor=1)
         load_photos(
             load_dataset(DataConfig(source=root)),
@@ -59,7 +59,7 @@ def test_masks_and_depth_maps_are_counted(capture: Path, tmp_path: Path) -> None
         return next(e for e in events if isinstance(e, Estimated))
 
     pixels = 8 * 48 * 48
-    plain, masks, maps = told(bare, False), told(masked, False), told(bare, True)
+    plain, masks, maps = reported(bare, False), reported(masked, False), reported(bare, True)
     assert (plain.photo_bytes, masks.photo_bytes) == (3 * pixels, 4 * pixels)
     assert masks.peak_bytes - plain.peak_bytes == pixels
     assert maps.peak_bytes - plain.peak_bytes == 11 * pixels
@@ -131,10 +131,10 @@ def test_small_cache_gives_equal_results(capture: Path, tmp_path: Path) -> None:
     """Oracle: splats and metrics of the run that keeps all photos; a megabyte is room for all."""
     data, events = DataConfig(source=capture, eval=True, test_every=4), list[Event]()
     whole = train(CONFIG, data, tmp_path / "whole", events.append)
-    told = [e for e in events if isinstance(e, Estimated)]
-    assert [e.photos_kept for e in told] == [True]
-    assert told[0].seconds > 0
-    assert told[0].peak_bytes > 200_000_000
+    reported = [e for e in events if isinstance(e, Estimated)]
+    assert [e.photos_kept for e in reported] == [True]
+    assert reported[0].seconds > 0
+    assert reported[0].peak_bytes > 200_000_000
     few = tmp_path / "few"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("gscore.trainer.estimate.forecast.cache_bytes", lambda *_, **__: 20_000)

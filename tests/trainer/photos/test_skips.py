@@ -35,7 +35,7 @@ def _trained(photos: Any, *without: Skip, work: str = "forward_pairs") -> tuple[
     trainer, done = Trainer(config, Analysis(photos=photos)), 0.0
     for _ in range(40):
         trainer.step()
-        done += trainer.laps.raster[work]
+        done += trainer.stage_timer.raster[work]
     return trainer, done
 
 

@@ -104,11 +104,11 @@ def test_another_region_does_not_go_on(
 def test_a_run_says_what_it_trains(capture: Path, tmp_path: Path) -> None:
     """Oracle: the sentence of the event, and the results of a run."""
     write_region(tmp_path / "r.json", BOX)
-    told = []
+    reported = []
     config = replace(CONFIG, region=tmp_path / "r.json")
     result = train(config, DataConfig(source=capture, eval=True), tmp_path / "out",
-                   on_event=told.append)  # fmt: skip
-    (sentence,) = [event.decision("region") for event in told if isinstance(event, Started)]
+                   on_event=reported.append)  # fmt: skip
+    (sentence,) = [event.decision("region") for event in reported if isinstance(event, Started)]
     assert "show the region are trained" in sentence
     assert result.metrics is not None and result.metrics["psnr_masked"] > 0
 

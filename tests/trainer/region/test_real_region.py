@@ -53,7 +53,7 @@ def test_a_region_of_plush_gets_better_and_the_rest_stays(tmp_path: Path) -> Non
 
     dataset = load_dataset(data)
     cameras = dataset.scene.cameras
-    judged = RegionPhotos(dataset, RegionBox.read(region), near=config.near)
+    evaluated = RegionPhotos(dataset, RegionBox.read(region), near=config.near)
 
     def worth(splats: object, photos: object, key: str) -> float:
         def picture(i: int) -> np.ndarray:
@@ -62,5 +62,5 @@ def test_a_region_of_plush_gets_better_and_the_rest_stays(tmp_path: Path) -> Non
 
         return evaluate(picture, photos, dataset.test).mean[key]
 
-    assert worth(after, judged, "psnr_masked") > worth(before, judged, "psnr_masked") + 0.2
+    assert worth(after, evaluated, "psnr_masked") > worth(before, evaluated, "psnr_masked") + 0.2
     assert worth(after, dataset, "psnr") >= worth(before, dataset, "psnr")

@@ -233,7 +233,7 @@ def test_photos_that_do_not_see_a_region_are_left_out(capture: Path) -> None:
         RegionPhotos(dataset, RegionBox(box), near=0.01)
 
 
-def test_views_that_look_past_a_region_do_not_judge_it(capture: Path) -> None:
+def test_views_without_the_region_do_not_evaluate_it(capture: Path) -> None:
     """Oracle: long thin boxes past a corner of a held-out picture: none of its pixels shows them,
     though they are not entirely beyond one side of it."""
     dataset = load_dataset(DataConfig(source=capture, eval=True))
@@ -253,7 +253,7 @@ def test_views_that_look_past_a_region_do_not_judge_it(capture: Path) -> None:
     assert past >= 10
 
 
-def test_a_region_is_judged_by_its_own_pixels(
+def test_a_region_is_evaluated_on_its_own_pixels(
     capture: Path, start: Path, region: Path, tmp_path: Path
 ) -> None:
     """Oracle: a rise of the PSNR of held-out photos inside the box over the initial splats."""
@@ -262,14 +262,14 @@ def test_a_region_is_judged_by_its_own_pixels(
 
     data = DataConfig(source=capture, eval=True)
     dataset = load_dataset(data)
-    judged = RegionPhotos(dataset, RegionBox(TURNED), near=0.01)
+    evaluated = RegionPhotos(dataset, RegionBox(TURNED), near=0.01)
     cameras, before = dataset.scene.cameras, read_splats(start)
 
     def picture(i: int) -> np.ndarray:
         size = int(cameras.widths[i]), int(cameras.heights[i])
         return render(before, cameras.Ks[i], cameras.viewmats[i], *size).rgb
 
-    was = evaluate(picture, judged, judged.test).mean["psnr_masked"]
+    was = evaluate(picture, evaluated, evaluated.test).mean["psnr_masked"]
     config = replace(
         CONFIG,
         iterations=200,

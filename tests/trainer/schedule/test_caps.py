@@ -114,11 +114,11 @@ def test_each_photo_is_good_for_so_many_splats(photos: int, splats: int) -> None
     assert cap_by_photos(found, photos=photos) == (found, None)
     assert cap_by_photos(config, photos=photos, mask_mode="composite") == (config, None)
     assert cap_by_photos(replace(config, splats_a_photo=0), photos=photos)[1] is None
-    told = (
+    reported = (
         f"The model grows to {splats:,} of 600,000 splats: more do not improve unseen views with "
         f"{photos} photos (`--splats-a-photo 0` allows them all)."
     )
-    assert why == (None if photos == 100 else Decision("enough", told))
+    assert why == (None if photos == 100 else Decision("enough", reported))
 
 
 def test_both_caps_are_reported() -> None:

@@ -153,21 +153,21 @@ def test_short_runs_learn_faster() -> None:
     assert scales == sorted(scales, reverse=True)
 
 
-def test_long_runs_of_a_subject_grow_by_a_lower_pull() -> None:
+def test_long_runs_of_a_subject_grow_by_a_lower_threshold() -> None:
     """Oracle: 5e-5 from 10,000 steps on or with dropout, the option where set, the paper's value
     for all else."""
 
-    def pull(config: TrainConfig, subject: bool, drops: bool = False) -> float:
+    def threshold(config: TrainConfig, subject: bool, drops: bool = False) -> float:
         of = {"extent": 1.0, "points": 9, "side": 300, "pixels": 90_000}
         return Plan.of(config, **of, subject=subject, drops=drops).grow_grad
 
     long, short = (TrainConfig(iterations=n) for n in (10_000, 9_999))
-    assert pull(long, True) == 5e-5
-    assert pull(long, False) == plan_of(long).grow_grad > 1e-4
-    assert pull(short, True) == plan_of(short).grow_grad > 1e-4
-    assert pull(short, True, drops=True) == 5e-5
-    assert pull(short, False, drops=True) == plan_of(short).grow_grad
-    assert pull(replace(long, grow_grad=3e-4), True) == 3e-4
+    assert threshold(long, True) == 5e-5
+    assert threshold(long, False) == plan_of(long).grow_grad > 1e-4
+    assert threshold(short, True) == plan_of(short).grow_grad > 1e-4
+    assert threshold(short, True, drops=True) == 5e-5
+    assert threshold(short, False, drops=True) == plan_of(short).grow_grad
+    assert threshold(replace(long, grow_grad=3e-4), True) == 3e-4
 
 
 def test_higher_coefficients_step_rarely_and_further() -> None:

@@ -35,12 +35,12 @@ def test_measured_pace_replaces_the_forecast() -> None:
     meter = ProgressMeter(plan, splats=100, pace=1.0)
     for step, spent in enumerate(seconds, start=1):
         meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=spent)
-        left, told = sum(seconds[step:]), meter.progress().eta_s
-        assert 0.5 * left <= told * (1 + 1e-9) and told <= 2 * left + 1e-9
+        left, messages = sum(seconds[step:]), meter.progress().eta_s
+        assert 0.5 * left <= messages * (1 + 1e-9) and messages <= 2 * left + 1e-9
         if sum(planned[:step]) > 0.1 * sum(planned):
-            assert told == pytest.approx(left, rel=0.1, abs=1e-9)
+            assert messages == pytest.approx(left, rel=0.1, abs=1e-9)
         if sum(planned[:step]) > 0.25 * sum(planned):
-            assert told == pytest.approx(left, rel=0.02, abs=1e-9)
+            assert messages == pytest.approx(left, rel=0.02, abs=1e-9)
 
 
 def test_remaining_time_is_steady_under_changing_load() -> None:
@@ -53,12 +53,12 @@ def test_remaining_time_is_steady_under_changing_load() -> None:
     for each in planned:
         seconds.append(each * (3 if clock % 1 < 0.5 else 1))
         clock += seconds[-1]
-    meter, told = ProgressMeter(plan, splats=100), []
+    meter, messages = ProgressMeter(plan, splats=100), []
     for step, spent in enumerate(seconds, start=1):
         meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=spent)
         if 5 < meter.train_seconds < 0.9 * clock:
-            told.append(meter.progress().eta_s / sum(seconds[step:]))
-    assert len(told) > 1000 and min(told) > 0.75 and max(told) < 1.35
+            messages.append(meter.progress().eta_s / sum(seconds[step:]))
+    assert len(messages) > 1000 and min(messages) > 0.75 and max(messages) < 1.35
 
 
 def test_no_more_time_is_left_than_the_budget() -> None:

@@ -161,10 +161,10 @@ def test_a_run_at_absurd_rates_is_rescued(capture: Path, tmp_path: Path) -> None
     alone, rescued = tmp_path / "alone", tmp_path / "rescued"
     run(replace(ABSURD, watchdog=False), capture, alone)
     events = run(ABSURD, capture, rescued)
-    told = [e.message for e in events if isinstance(e, Warn) and e.code == "diverged"]
-    assert 1 <= len(told) <= MAX_RESCUES
-    assert "It continues from step" in told[0]
-    assert told[0] in (rescued / "report.html").read_text().replace("&#x27;", "'")
+    messages = [e.message for e in events if isinstance(e, Warn) and e.code == "diverged"]
+    assert 1 <= len(messages) <= MAX_RESCUES
+    assert "It continues from step" in messages[0]
+    assert messages[0] in (rescued / "report.html").read_text().replace("&#x27;", "'")
     psnr = [json.loads((p / "metrics.json").read_text())["psnr"] for p in (alone, rescued)]
     assert psnr[1] > psnr[0] + 0.5  # by 1 to 4 dB, depending on rounding and seed
     steps = [e["step"] for e in json.loads((rescued / "metrics.json").read_text())["history"]]

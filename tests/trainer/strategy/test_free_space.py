@@ -195,17 +195,17 @@ def test_many_pruned_splats_warn(
     monkeypatch.setattr(free_space, "_FEWEST_POINTS", 100)
     write_splats(tmp_path / "walls.ply", with_walls(known_splats, known))
     config = replace(CONFIG, start_splats=tmp_path / "walls.ply", max_splats=158)
-    (told,) = told_by(config, capture, tmp_path / "run")
-    assert told.startswith("8 splats")
+    (reported,) = warnings_of(config, capture, tmp_path / "run")
+    assert reported.startswith("8 splats")
     monkeypatch.setattr(session, "_MANY_CLEARED", 0.06)
-    assert not told_by(config, capture, tmp_path / "few")
+    assert not warnings_of(config, capture, tmp_path / "few")
     monkeypatch.setattr(pruning, "_CROWD", 0.04)
-    (told,) = told_by(config, capture, tmp_path / "crowd")
-    assert told.startswith("Many splats are closer")
-    assert not told_by(replace(config, free_space=0.0), capture, tmp_path / "anywhere")
+    (reported,) = warnings_of(config, capture, tmp_path / "crowd")
+    assert reported.startswith("Many splats are closer")
+    assert not warnings_of(replace(config, free_space=0.0), capture, tmp_path / "anywhere")
 
 
-def told_by(config: TrainConfig, capture: Path, output: Path) -> list[str]:
+def warnings_of(config: TrainConfig, capture: Path, output: Path) -> list[str]:
     """Warnings that name the option."""
     seen: list[Event] = []
     train(config, DataConfig(source=capture), output, seen.append)

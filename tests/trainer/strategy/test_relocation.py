@@ -69,7 +69,7 @@ def test_relocate_moves_the_dead_onto_the_living(marked_model: Make) -> None:
         assert not second.any(), name
     got = torch.sigmoid(model.params["opacities"]).double()
     np.testing.assert_allclose(1 - np.prod(1 - got.numpy()), 0.8, rtol=1e-5)
-    assert model.rows["seen"].tolist() == [0, 3001, 0, 0]
+    assert model.rows["views"].tolist() == [0, 3001, 0, 0]
 
 
 @pytest.mark.parametrize("dead", [[False, False], [True, True]])

@@ -38,7 +38,7 @@ def default(config: TrainConfig, model: CpuModel) -> DefaultStrategy:
 def clear(model: CpuModel) -> None:
     """Set the counters to zero."""
     count = len(model)
-    model.edit(RowEdit(values={name: np.zeros(count, np.float32) for name in ("pull", "seen")}))
+    model.edit(RowEdit(values={name: np.zeros(count, np.float32) for name in ("grad2d", "views")}))
 
 
 def opaque(model: CpuModel, scale: float) -> CpuModel:
@@ -48,14 +48,14 @@ def opaque(model: CpuModel, scale: float) -> CpuModel:
     return model
 
 
-def see(strategy: DefaultStrategy, model: CpuModel, pulls: list[float], step: int = 1) -> None:
+def see(strategy: DefaultStrategy, model: CpuModel, gradients: list[float], step: int = 1) -> None:
     """Show one view, 200 x 100 px, with screen-space gradients in normalised coordinates, along
     x."""
     v = torch.zeros(len(model), 2)
-    v[:, 0] = torch.tensor(pulls) / 100
+    v[:, 0] = torch.tensor(gradients) / 100
     radii = torch.ones(len(model), dtype=torch.int32)
     if strategy.observes_at(step):
-        add_screen_gradients(model.rows["pull"], model.rows["seen"], v, radii, (100, 50))
+        add_screen_gradients(model.rows["grad2d"], model.rows["views"], v, radii, (100, 50))
 
 
 def after(strategy: Policy, model: CpuModel, step: int, cap: int, *, seed: int = 0) -> Change:
@@ -89,10 +89,10 @@ def test_small_splats_are_cloned_large_ones_split(marked_model: Make) -> None:
     scales = model.params["scales"][:, 0]
     np.testing.assert_allclose(scales[-2:].numpy(), math.log(0.05 / 1.6), rtol=1e-6)
     torch.testing.assert_close(model.params["means"][3], torch.zeros(3))
-    assert model.rows["pull"].tolist() == [0] * 6
+    assert model.rows["grad2d"].tolist() == [0] * 6
 
 
-def test_splats_that_are_pulled_become_their_halves(marked_model: Make) -> None:
+def test_splats_with_large_gradients_are_split(marked_model: Make) -> None:
     """Oracle: all splats above the threshold, of any size, replaced by two rows each."""
     model = opaque(marked_model(4), 0.005)
     model.params["scales"].data[1] = math.log(0.05)
@@ -100,7 +100,7 @@ def test_splats_that_are_pulled_become_their_halves(marked_model: Make) -> None:
     see(strategy, model, [3e-4, 3e-4, 1e-4, 0.0])
     assert refine(strategy, model, 10) == Change(added=4, removed=2)
     assert model.params["sh0"][:, 0, 0].tolist() == [2, 3, 0, 1, 0, 1]
-    assert model.rows["pull"].tolist() == [0] * 6
+    assert model.rows["grad2d"].tolist() == [0] * 6
 
 
 def test_a_refinement_puts_neighbours_together(marked_model: Make) -> None:
@@ -123,10 +123,10 @@ def test_no_change_between_refinements(marked_model: Make) -> None:
         assert not refine(strategy, model, step)
     assert len(model) == 2
     see(strategy, model, [1.0, 1.0], step=501)
-    assert model.rows["seen"].tolist() == [1, 1]
+    assert model.rows["views"].tolist() == [1, 1]
 
 
-def test_the_cap_takes_those_that_are_pulled_hardest(marked_model: Make) -> None:
+def test_the_cap_takes_the_largest_gradients(marked_model: Make) -> None:
     """Oracle: a sort by screen-space gradient."""
     config = TrainConfig(iterations=1000, refine_start=10, refine_every=10)
     model = opaque(marked_model(4), 0.005)

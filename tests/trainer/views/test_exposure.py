@@ -168,8 +168,8 @@ def test_a_run_writes_its_exposures(capture: Path, tmp_path: Path) -> None:
         iterations=40, max_splats=200, exposure=Switch.ON, exposure_lr=0.05, exposure_lr_final=0.05
     )
     data = DataConfig(source=capture, eval=True, test_every=4)
-    told: list[Any] = []
-    result = train(config, data, tmp_path / "out", told.append)
+    messages: list[Any] = []
+    result = train(config, data, tmp_path / "out", messages.append)
     stated = json.loads((tmp_path / "out/exposure.json").read_text())
     names = sorted(p.name for p in (capture / "images").iterdir())
     assert sorted(stated) == [name for i, name in enumerate(names) if i % 4]
@@ -179,7 +179,7 @@ def test_a_run_writes_its_exposures(capture: Path, tmp_path: Path) -> None:
     assert (maps.sum(axis=(1, 2)) == diagonal.sum(axis=1)).all(), "more than gains"
     np.testing.assert_allclose(np.log(diagonal).mean(axis=0), 0, atol=1e-12)
     assert np.abs(np.log(diagonal)).max() > 0.005, "nothing was learnt"
-    (started,) = (event for event in told if isinstance(event, Started))
+    (started,) = (event for event in messages if isinstance(event, Started))
     assert started.decision("exposure") == "The exposure of each photo is optimised (requested)."
     assert result.metrics["exposure"]["learnt"] is True
 

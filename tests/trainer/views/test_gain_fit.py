@@ -35,7 +35,7 @@ def test_gains_come_back_exactly() -> None:
     assert np.abs(found - truth).max() < 1e-9
 
 
-def test_a_fifth_of_wrong_sightings_hardly_matters() -> None:
+def test_a_fifth_of_wrong_observations_hardly_matters() -> None:
     """Oracle: as above, with a multiple of the error for plain least squares."""
     truth = gains_of(30)
     some = seen(truth, points=3000, each=3, noise=0.05, wrong=0.2)
@@ -62,7 +62,7 @@ def test_photos_that_share_nothing_get_what_is_expected() -> None:
 
 
 @pytest.mark.parametrize("order", [0, 1])
-def test_the_order_of_sightings_does_not_matter(order: int) -> None:
+def test_the_order_of_observations_does_not_matter(order: int) -> None:
     """Oracle: the same in another order."""
     truth = gains_of(10)
     some = seen(truth, points=300, each=4, noise=0.05, wrong=0.1)

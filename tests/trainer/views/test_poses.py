@@ -134,8 +134,8 @@ def test_disturbed_poses_come_back(make_photos: Callable[..., Any]) -> None:
         pose_lr=3e-3,
     )
 
-    def trained(placing: PoseCheck) -> Trainer:
-        trainer = Trainer(config, Analysis(photos=photos, pose_check=placing))
+    def trained(checked_poses: PoseCheck) -> Trainer:
+        trainer = Trainer(config, Analysis(photos=photos, pose_check=checked_poses))
         for _ in range(config.iterations):
             trainer.step()
         return trainer
@@ -182,8 +182,8 @@ def _slopes(viewmats: np.ndarray, points: np.ndarray) -> np.ndarray:
 def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
     """Oracle: the bits of the poses up to `pose_start` and from `pose_stop` on."""
     config = replace(CONFIG, pose_start=0.25, pose_stop=0.5)
-    placing = PoseCheck(viewmats=photos.scene.cameras.viewmats, learns=True)
-    trainer, seen = Trainer(config, Analysis(photos=photos, pose_check=placing)), []
+    checked_poses = PoseCheck(viewmats=photos.scene.cameras.viewmats, learns=True)
+    trainer, seen = Trainer(config, Analysis(photos=photos, pose_check=checked_poses)), []
     assert trainer.photo_parameters.poses is not None
     for _ in range(60):
         trainer.step()
@@ -195,8 +195,8 @@ def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
 
 def test_resume_is_bit_equal(photos: Any, tmp_path: Path) -> None:
     """Oracle: all tensors and other state of an uninterrupted run, with other threads."""
-    placing = PoseCheck(viewmats=disturbed(photos, degrees=0.5, shift=0.01), learns=True)
-    whole = Trainer(replace(CONFIG, threads=1), Analysis(photos=photos, pose_check=placing))
+    checked_poses = PoseCheck(viewmats=disturbed(photos, degrees=0.5, shift=0.01), learns=True)
+    whole = Trainer(replace(CONFIG, threads=1), Analysis(photos=photos, pose_check=checked_poses))
     for step in range(1, 61):
         whole.step()
         if step in (3, 21, 50):

@@ -16,7 +16,7 @@ from gscore.commands import main
 from gscore.io.runs import AGENT
 from gscore.io.sequences import read_sequence
 from tests.trainer.distributed.processes import rank_of, wait_for
-from tests.trainer.distributed.started import PATIENCE, ROOT, start
+from tests.trainer.distributed.start_ranks import PATIENCE, ROOT, start
 
 SHORT = ["--iterations", "20", "--max-splats", "200", "--sh-degree", "0", "--quiet"]
 KEYS = ["--keyframe-every", "2", "--next-iterations", "8"]
@@ -95,8 +95,8 @@ def test_another_choice_of_keyframes_is_refused(
     line += ["--carried-opacity", "1", "--next-iterations", "20"]
     assert main([*line, "--keyframe-every", "2"]) == 0
     assert main(["sequence", "-o", line[3], "--resume", "--keyframe-every", "3", "--quiet"]) == 2
-    told = " ".join(capsys.readouterr().err.split())
-    assert "it started from no other frame, not frame_000005" in told
+    reported = " ".join(capsys.readouterr().err.split())
+    assert "it started from no other frame, not frame_000005" in reported
 
 
 @pytest.mark.slow
@@ -153,9 +153,9 @@ def test_a_killed_rank_is_resumed(video: Path, whole: Path, tmp_path: Path, vict
         wait_for(out / "frame_000000" / "config.json")
         wait_for(out / "frame_000010" / "config.json")
         os.kill(rank_of([running.pid], victim), signal.SIGKILL)
-        _, told = running.communicate(timeout=PATIENCE)
+        _, reported = running.communicate(timeout=PATIENCE)
     finally:
         running.kill()
-    assert running.returncode == 0, told
+    assert running.returncode == 0, reported
     assert not (out / AGENT).exists()
     assert_same(out, whole)

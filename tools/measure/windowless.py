@@ -11,7 +11,7 @@ INTERVAL = 0.01
 """Seconds between two steps in a window."""
 
 
-def stand_in(name: str, **settings: Any) -> Any:
+def windowless(name: str, **settings: Any) -> Any:
     """An instance of an operator's Python class with its settings, outside of Blender's operator
     system: `pieces` works as from a button, and `said` collects its reports.
 

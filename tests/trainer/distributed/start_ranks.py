@@ -42,8 +42,8 @@ def start(*arguments: Sequence[object]) -> list[Ended]:
             )
         )
     try:
-        told = [rank.communicate(timeout=PATIENCE) for rank in ranks]
+        reported = [rank.communicate(timeout=PATIENCE) for rank in ranks]
     finally:
         for rank in ranks:
             rank.kill()
-    return [Ended(rank.returncode, *both) for rank, both in zip(ranks, told, strict=True)]
+    return [Ended(rank.returncode, *both) for rank, both in zip(ranks, reported, strict=True)]

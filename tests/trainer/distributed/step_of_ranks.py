@@ -15,14 +15,14 @@ from gscore.trainer.trainer import Trainer
 CONFIG = TrainConfig(iterations=60, max_splats=300, sh_degree=1, sh_every=1, shN_every=2, threads=1)
 
 
-def learnt_from(trainer: Trainer) -> dict[str, torch.Tensor]:
+def trained_on(trainer: Trainer) -> dict[str, torch.Tensor]:
     """The gradients and counts that a step learns from."""
     found: dict[str, torch.Tensor] = {}
     step = trainer.model.step
 
     def keep(*arguments: Any, **options: Any) -> int:
         found.update({name: grad.clone() for name, grad in trainer.model.grads.items()})
-        found.update({name: trainer.model.rows[name].clone() for name in ("pull", "seen")})
+        found.update({name: trainer.model.rows[name].clone() for name in ("grad2d", "views")})
         return step(*arguments, **options)
 
     trainer.model.step = keep
@@ -36,7 +36,7 @@ def alone(index: int) -> dict[str, torch.Tensor]:
     trainer.steps = 1
     trainer._widen_to(trainer.members[0], 1)
     trainer.sampler.order, trainer.sampler.position = [index], 0
-    return learnt_from(trainer)
+    return trained_on(trainer)
 
 
 def main() -> int:
@@ -48,12 +48,12 @@ def main() -> int:
         trainer._widen_to(trainer.members[0], 1)
         if not team.is_rank0:
             team.receive()
-        together = learnt_from(trainer)
+        together = trained_on(trainer)
         assert trainer.steps == 2
         first, second = (alone(index) for index in trainer.sampler.order[:2])
         for name, found in together.items():
             added = first[name] + second[name]
-            expected = added if name in ("pull", "seen", "shN") else added / 2
+            expected = added if name in ("grad2d", "views", "shN") else added / 2
             assert torch.equal(found, expected), name
             assert (found != first[name]).any(), name
     return 0
