@@ -88,7 +88,7 @@ TRAINER = {
     "schedule": set(),
     "model": {"schedule"},
     "estimate": {"model", "schedule"},
-    "photos": {"estimate", "host", "model", "schedule"},
+    "photos": {"host", "model", "schedule"},
     "distributed": {"model"},
     "depth": {"host", "photos", "model", "schedule"},
     "region": {"photos", "model"},
@@ -97,7 +97,7 @@ TRAINER = {
     "views": {"photos", "region", "model"},
     "step": {"depth", "guide", "host", "photos", "distributed", "model", "schedule", "strategy"}
     | {"views"},
-    "analysis": {"depth", "guide", "model", "photos", "region", "views"},
+    "analysis": {"depth", "estimate", "guide", "model", "photos", "region", "views"},
     "trainer": {"depth", "guide", "host", "photos", "distributed", "region", "model", "schedule"}
     | {"analysis", "step", "strategy", "views"},
     "team_trainer": {"analysis", "distributed", "model", "schedule", "step", "trainer"},

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,12 +14,14 @@ from ..metrics.image import psnr, ssim
 from ..raster.api import render_camera
 from ..splats import Splats
 from ..trainer.analysis.analysis import Analysis
+from ..trainer.analysis.exposure import decide_exposure
+from ..trainer.analysis.photo_visit import visit_photos
+from ..trainer.analysis.pose_check import check_poses
 from ..trainer.depth.stereo import stereo_start
 from ..trainer.host.isolated_state import isolated_torch_state
 from ..trainer.photos.view_sampler import Photos
 from ..trainer.schedule.caps import cap_by_photos
 from ..trainer.trainer import Trainer
-from ..trainer.views.photo_analysis import analyze_photos
 
 Color = tuple[float, float, float]
 """RGB in [0, 1]."""
@@ -178,17 +180,10 @@ def train_measured(
                 compared=True,
             )
         seconds += time.perf_counter() - began
-        exposure, pose_check = analyze_photos(config, photos)
-        trainer = Trainer(
-            config,
-            Analysis(
-                photos=photos,
-                points=start.points,
-                known=start.known,
-                gains=exposure.gains,
-                pose_check=pose_check,
-            ),
-        )
+        facts = visit_photos(config, photos)
+        analysis = Analysis(photos=photos, facts=facts, points=start.points, known=start.known)
+        gains, pose_check = decide_exposure(config, analysis).gains, check_poses(config, analysis)
+        trainer = Trainer(config, replace(analysis, gains=gains, pose_check=pose_check))
         for step in range(1, config.iterations + 1):
             began = time.perf_counter()
             trainer.step()

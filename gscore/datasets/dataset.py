@@ -18,8 +18,8 @@ from ..scene import Scene
 from .changed_files import ChangeDetector, changed_error
 from .decode import DECODED_AT_ONCE, ViewFile, decode_view
 
+S = TypeVar("S")
 T = TypeVar("T")
-
 
 _FEW = 4
 """Views kept after `limit_cache`: photo and mask of a view are requested separately."""
@@ -199,7 +199,7 @@ def _print(view: tuple[np.ndarray, np.ndarray | None]) -> int:
     return value if mask is None else zlib.crc32(mask.data, value)
 
 
-def map_threads(work: Callable[[int], T], items: list[int], *, threads: int = 0) -> Iterator[T]:
+def map_threads(work: Callable[[S], T], items: list[S], *, threads: int = 0) -> Iterator[T]:
     """Results of `work` for all items, in order, computed in parallel with few results waiting.
 
     Args:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -18,22 +18,23 @@ from ..errors import BackendError, ConfigError
 from ..events import TOPICS, Decision, Event
 from ..formats import Decoded
 from ..io.block_record import read_block
+from ..splats import Splats
 from .analysis.analysis import Analysis
+from .analysis.exposure import Exposure, decide_exposure
+from .analysis.photo_loading import check_masks, load_photos, progress_of
+from .analysis.pose_check import check_poses
 from .depth.setup import DepthSetup, prepare_depth
 from .depth.stereo import StereoStart, stereo_start
 from .distributed.consistency import crc_of
 from .distributed.process_group import ProcessGroup
 from .guide.setup import GuideSetup, prepare_guide
 from .model.training_frame import TrainingFrame
-from .photos.photo_loading import load_photos, progress_of
 from .region.region_box import RegionBox
 from .region.region_photos import RegionPhotos
 from .schedule.caps import cap_by_photos, expected_points
 from .team_trainer import TeamTrainer
 from .trainer import Trainer
-from .views.exposure import Exposure
-from .views.photo_analysis import analyze_photos
-from .views.pose_check import PoseCheck
+from .views.photo_poses import PoseCheck
 
 _MASKS = {
     "ignore": Decision(
@@ -131,19 +132,7 @@ def prepare(
         GsError: the capture or the maps cannot be used, or memory is too small.
         Cancelled: `control` requested a stop.
     """
-    region = None if config.region is None else RegionBox.read(config.region)
-    if region is not None and team is not None:
-        raise ConfigError(
-            "A region can only be trained by one process: start gscore train without torchrun."
-        )
-    origin = start.origin if origin is None and start is not None else origin
-    photos = load_dataset(data, origin=origin, cancelled=lambda: control.stopping)
-    about = photos.scene.cameras.origin
-    given_splats = None if start is None else start.of_capture(about).about(about).splats
-    if region is not None:
-        region = region.about(about)
-        near = TrainingFrame.of(photos.scene, near=config.near).world_near
-        photos = RegionPhotos(photos, region, near=near, narrow=start is None)
+    photos, region, splats = _read(config, data, start, origin, control, team)
     requested, given = config, photos.scene.points.given
     limited = partial(
         cap_by_photos,
@@ -154,52 +143,49 @@ def prepare(
         taken=taken,
     )
     config, caps = limited()
-    world = frame(photos)
+    resumed = frame(photos)
     if data.depths:
         MapFolder(photos.source / data.depths)  # raises for a missing folder
-    loaded = load_photos(
+    photo_cache, facts = load_photos(
         photos,
         config,
-        points=expected_points(config, given) if given_splats is None else len(given_splats),
+        points=expected_points(config, given) if splats is None else len(splats),
         depths=bool(data.depths),
-        announce=world is None,
+        announce=resumed is None,
         emit=emit,
         control=control,
     )
+    warnings = [*photos.warnings, *check_masks(photos, facts)]
     photos.content_hash()  # computed now, because the files may change during the training
+    progress = partial(progress_of, config=config, emit=emit, control=control)
     with readable_memory_errors():
-        depth = prepare_depth(
-            data, config, photos, on_progress=progress_of("depth maps", config, emit, control)
-        )
-        guide = prepare_guide(
-            config, photos, on_progress=progress_of("guide meshes", config, emit, control)
-        )
+        depth = prepare_depth(data, config, photos, on_progress=progress("depth maps"))
+        guide = prepare_guide(config, photos, facts.tracks, on_progress=progress("guide meshes"))
         points = photos.scene.points if depth.points is None else depth.points
         added = StereoStart()
         if stereo:
-            on_view = progress_of("depth of photos", config, emit, control)
-            added = stereo_start(config, photos, points, on_view=on_view)
+            added = stereo_start(config, photos, points, on_view=progress("depth of photos"))
             config, caps = limited(known=added.known, compared=True)
-        exposure, pose_check = analyze_photos(config, photos)
         analysis = Analysis(
             photos=photos,
-            frame=world,
-            start=given_splats,
+            frame=resumed,
+            facts=facts,
+            start=splats,
             points=points if added.points is None else added.points,
             known=added.known,
-            gains=exposure.gains,
-            pose_check=pose_check,
             depth=depth.loss_targets,
             guide=guide,
             region=region,
             # Start splats already cover the surroundings of a cell; merging blocks drops those.
             block=read_block(photos.source) if start is not None and region is None else None,
-            photo_cache=loaded.cache,
+            photo_cache=photo_cache,
         )
+        exposure, pose_check = decide_exposure(config, analysis), check_poses(config, analysis)
+        analysis = replace(analysis, gains=exposure.gains, pose_check=pose_check)
         trainer = Trainer(config, analysis) if team is None else TeamTrainer(config, analysis, team)
     return Prepared(
         trainer=trainer,
-        warnings=[*photos.warnings, *loaded.warnings],
+        warnings=warnings,
         caps=caps,
         requested=_requested_beyond(requested, config),
         depth=depth,
@@ -208,6 +194,31 @@ def prepare(
         exposure=exposure,
         pose_check=pose_check,
     )
+
+
+def _read(
+    config: TrainConfig,
+    data: DataConfig,
+    start: Decoded | None,
+    origin: np.ndarray | None,
+    control: Control,
+    team: ProcessGroup | None,
+) -> tuple[Dataset, RegionBox | None, Splats | None]:
+    """Read the capture without its photos; region box and start splats are in its local world."""
+    region = None if config.region is None else RegionBox.read(config.region)
+    if region is not None and team is not None:
+        raise ConfigError(
+            "A region can only be trained by one process: start gscore train without torchrun."
+        )
+    origin = start.origin if origin is None and start is not None else origin
+    photos = load_dataset(data, origin=origin, cancelled=lambda: control.stopping)
+    about = photos.scene.cameras.origin
+    splats = None if start is None else start.of_capture(about).about(about).splats
+    if region is not None:
+        region = region.about(about)
+        near = TrainingFrame.of(photos.scene, near=config.near).world_near
+        photos = RegionPhotos(photos, region, near=near, narrow=start is None)
+    return photos, region, splats
 
 
 def _requested_beyond(requested: TrainConfig, limited: TrainConfig) -> dict[str, int]:

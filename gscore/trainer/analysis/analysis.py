@@ -11,7 +11,8 @@ from ..model.training_frame import TrainingFrame
 from ..photos.view_sampler import Photos
 from ..region.region_box import RegionBox
 from ..views.photo_gains import PhotoGains
-from ..views.pose_check import PoseCheck
+from ..views.photo_poses import PoseCheck
+from .photo_visit import PhotoFacts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +23,8 @@ class Analysis:
     """The capture; with a `region` and no `start`, masked to the region."""
     frame: TrainingFrame | None = None
     """Training frame; None: fitted to the capture."""
+    facts: PhotoFacts = field(default_factory=PhotoFacts)
+    """Facts of the training photos."""
     start: Splats | None = None
     """Start splats; None: the run starts from points."""
     points: PointCloud | None = None

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...datasets import Dataset
-from ...datasets.tracks import tracks_of
+from ...datasets.tracks import Tracks
 from .mesh_views import MeshView
 
 ON_MESH = 0.05
@@ -59,19 +59,19 @@ class MeshSupportTotals:
 
 
 def measure_mesh_support(
-    views: Sequence[MeshView | None], photos: Dataset
+    views: Sequence[MeshView | None], photos: Dataset, tracks: Tracks | None
 ) -> list[MeshSupport | None]:
     """Compare a mesh with the points observed in each photo, by index of the view.
 
     None where a photo does not show the mesh, and for all photos of a capture without tracks:
     points without an observation may be hidden by the mesh.
     """
-    known, cameras = tracks_of(photos), photos.scene.cameras
+    cameras = photos.scene.cameras
     found: list[MeshSupport | None] = [None] * len(views)
     for index, view in enumerate(views):
-        if view is None or known is None:
+        if view is None or tracks is None:
             continue
-        local = known.points[known.observed[index]] @ cameras.viewmats[index, :3, :3].T
+        local = tracks.points[tracks.observed[index]] @ cameras.viewmats[index, :3, :3].T
         local += cameras.viewmats[index, :3, 3]
         x, y, z = (local[local[:, 2] > 0] @ cameras.Ks[index].T).T
         height, width = view.inverse_depth.shape

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...config import TrainConfig
 from ...datasets import Dataset
+from ...datasets.tracks import Tracks
 from ...errors import ConfigError
 from ...events import Decision
 from ...io.mesh.files import read_mesh
@@ -50,10 +51,17 @@ class GuideSetup:
 def prepare_guide(
     config: TrainConfig,
     photos: Dataset,
+    tracks: Tracks | None,
     *,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> GuideSetup:
     """Read the meshes of `config` and render them in the training photos.
+
+    Args:
+        config: Options `guide_*`.
+        photos: The capture.
+        tracks: Tracks of the capture; None: unknown.
+        on_progress: Called with (done, total) after each training view; may raise to stop.
 
     Raises:
         DatasetError, FormatError: a file is missing or contains no mesh.
@@ -71,7 +79,7 @@ def prepare_guide(
         views = mesh_views(mesh, photos, threads=config.threads, on_progress=on_progress)
         if not any(view is not None for view in views):
             raise ConfigError(_unseen(path, mesh, photos))
-        observed = measure_mesh_support(views, photos)
+        observed = measure_mesh_support(views, photos, tracks)
         support = total_support(observed)
         messages.append(_message(role, path, views, support))
         warnings += _position_warnings(path, support)

@@ -11,8 +11,7 @@ from ...raster.request import Frustum
 from ..model.training_frame import TrainingFrame
 from .photo_adam import rate_at
 from .photo_gains import PhotoGains
-from .photo_poses import PhotoPoses
-from .pose_check import PoseCheck
+from .photo_poses import PhotoPoses, PoseCheck
 
 
 class PhotoParameters:

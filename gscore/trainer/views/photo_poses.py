@@ -1,10 +1,12 @@
 """Photo poses: refinement of training camera poses together with the splats."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
+from ...events import Decision
 from .photo_adam import PhotoAdam, checked_tensor
 from .pose_math import moved_pose, pose_distances, pose_gradient
 
@@ -12,6 +14,19 @@ LIMIT = 0.05
 """Largest change of a refined camera from its initial pose: rad, and shares of the extent."""
 _NAME = "pose"
 """Prefix of the tensors in checkpoints."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PoseCheck:
+    """Checked poses of the training cameras."""
+
+    viewmats: np.ndarray | None = None
+    """[V, 4, 4] float64, world to camera, of all views, if training cameras were realigned or are
+    refined; None: the poses of the capture."""
+    learns: bool = False
+    """True if poses are refined from the photos during the training."""
+    decision: Decision | None = None
+    """The decision and its reason; None: no check."""
 
 
 class PhotoPoses:

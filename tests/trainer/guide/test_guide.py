@@ -13,6 +13,7 @@ import torch
 from gscore.commands import main
 from gscore.config import DataConfig, TrainConfig
 from gscore.datasets import Dataset, load_dataset
+from gscore.datasets.tracks import tracks_of
 from gscore.errors import ConfigError
 from gscore.events import Event, Started, Warn
 from gscore.io.colmap.folder import read_model, write_model
@@ -70,7 +71,7 @@ def seen_depth(cameras: Cameras, index: int, offset: float) -> np.ndarray:
 def test_depths_of_a_wall_in_photos(dataset: Dataset, mesh: Path) -> None:
     """Oracle: the plane's depth in closed form; none for held-out photos."""
     cameras = dataset.scene.cameras
-    views = prepare_guide(TrainConfig(guide_free=mesh), dataset).free
+    views = prepare_guide(TrainConfig(guide_free=mesh), dataset, tracks_of(dataset)).free
     assert tuple(dataset.test) == (0, 4)
     edge_on = (2, 6)
     assert [i for i, view in enumerate(views) if view is None] == [0, 2, 4, 6]
@@ -101,8 +102,8 @@ def test_masks_hide_what_photos_see_of_a_wall(capture: Path, dataset: Dataset, m
         mask_mode="ignore",
         source=dataset.source,
     )
-    plain = prepare_guide(TrainConfig(guide_free=mesh), dataset).free
-    hidden = prepare_guide(TrainConfig(guide_free=mesh), masked).free
+    plain = prepare_guide(TrainConfig(guide_free=mesh), dataset, tracks_of(dataset)).free
+    hidden = prepare_guide(TrainConfig(guide_free=mesh), masked, tracks_of(masked)).free
     for before, view in zip(plain, hidden, strict=True):
         if view is not None and before is not None:
             assert not view.confidence[:, :24].any()
@@ -114,7 +115,7 @@ def test_free_space_is_what_lies_before_the_wall(dataset: Dataset, mesh: Path) -
     it, or within two pixels of the mesh's outline, may be either."""
     cameras = dataset.scene.cameras
     similarity = Similarity.fit(cameras.centers)
-    views = prepare_guide(TrainConfig(guide_free=mesh), dataset).free
+    views = prepare_guide(TrainConfig(guide_free=mesh), dataset, tracks_of(dataset)).free
     rng = np.random.default_rng(1)
     places = rng.uniform(-3, 3, (4000, 3))
     space = MeshFreeSpace(views, cameras, similarity)
@@ -142,7 +143,7 @@ def test_splats_before_a_wall_are_taken_out(
 ) -> None:
     """Oracle: their known places: a few splats between cameras and wall are removed, those on it
     stay."""
-    guide = prepare_guide(TrainConfig(guide_free=mesh), all_photos)
+    guide = prepare_guide(TrainConfig(guide_free=mesh), all_photos, tracks_of(all_photos))
     flat = known_splats.means.copy()
     flat[:, 2] = 0.01 * np.sign(flat[:, 2])
     flat[:5] = [0.1, 0.1, -1.5], [0, 0, 1.5], [0.2, 0, -1], [0, 0.2, 1], [0, 0, -0.9]
@@ -159,7 +160,7 @@ def test_splats_before_a_wall_are_taken_out(
 
 def test_a_crowd_before_a_wall_stays(all_photos: Dataset, known_splats: Splats, mesh: Path) -> None:
     """Oracle: the same number of splats, also after a resume."""
-    guide = prepare_guide(TrainConfig(guide_free=mesh), all_photos)
+    guide = prepare_guide(TrainConfig(guide_free=mesh), all_photos, tracks_of(all_photos))
     moved = known_splats.means.copy()
     moved[:, 2] -= 1.2
     start = replace(known_splats, means=moved)
@@ -189,7 +190,7 @@ def off_wall(splats: Splats, dataset: Dataset) -> float:
 
 def test_splats_come_to_lie_on_a_wall(dataset: Dataset, mesh: Path) -> None:
     """Oracle: the plane; more than twice the error without the guide."""
-    guide = prepare_guide(TrainConfig(guide_surface=mesh), dataset)
+    guide = prepare_guide(TrainConfig(guide_surface=mesh), dataset, tracks_of(dataset))
     config = replace(CONFIG, iterations=300, refine_stop=250, reset_every=-1)
     found = {}
     for name, given in (("with", guide), ("without", GuideSetup())):
@@ -202,7 +203,7 @@ def test_splats_come_to_lie_on_a_wall(dataset: Dataset, mesh: Path) -> None:
 
 def test_a_weight_of_zero_changes_no_bit(dataset: Dataset, mesh: Path) -> None:
     """Oracle: the training without a guide."""
-    guide = prepare_guide(TrainConfig(guide_surface=mesh), dataset)
+    guide = prepare_guide(TrainConfig(guide_surface=mesh), dataset, tracks_of(dataset))
     plain = Trainer(CONFIG, Analysis(photos=dataset))
     guided = Trainer(replace(CONFIG, guide_weight=0.0), Analysis(photos=dataset, guide=guide))
     for _ in range(20):
@@ -236,14 +237,14 @@ def test_points_say_where_a_mesh_is(tracked: Dataset, dataset: Dataset, tmp_path
     """Oracle: the points of the capture against the plane's depth, one by one; a warning for a wall
     in front of most of them, and no message for photos without tracks."""
     near = wall(tmp_path / "near.ply", offset=-1.6, half=3.0)
-    found = prepare_guide(TrainConfig(guide_surface=near), tracked)
+    found = prepare_guide(TrainConfig(guide_surface=near), tracked, tracks_of(tracked))
     assert len(found.warnings) == 1 and "wrong place" in found.warnings[0]
     middle = wall(tmp_path / "middle.ply", offset=0.1, half=0.5)
     cameras, points = tracked.scene.cameras, tracked.scene.points.points
     counts = {"on": 0, "before": 0, "behind": 0}
     for i in tracked.train:
         z = seen_depth(cameras, i, 0.1)
-        view = prepare_guide(TrainConfig(guide_free=middle), tracked).free[i]
+        view = prepare_guide(TrainConfig(guide_free=middle), tracked, tracks_of(tracked)).free[i]
         for point in points:
             local = cameras.viewmats[i, :3, :3] @ point + cameras.viewmats[i, :3, 3]
             u, v = cameras.Ks[i, 0, 0] * local[:2] / local[2] + 24
@@ -256,11 +257,13 @@ def test_points_say_where_a_mesh_is(tracked: Dataset, dataset: Dataset, tmp_path
     total = sum(counts.values())
     assert total > 50 and min(counts.values()) > 5
     on, before, behind = (f"{count / total:.0%}" for count in counts.values())
-    assert reported(prepare_guide(TrainConfig(guide_surface=middle), tracked)) == (
+    assert reported(
+        prepare_guide(TrainConfig(guide_surface=middle), tracked, tracks_of(tracked))
+    ) == (
         f"of the points observed there {on} are on it within 5%, {before} in front of it and "
         f"{behind} behind it."
     )
-    silent = prepare_guide(TrainConfig(guide_surface=near), dataset)
+    silent = prepare_guide(TrainConfig(guide_surface=near), dataset, tracks_of(dataset))
     assert reported(silent).startswith("almost no points") and not silent.warnings
 
 
@@ -367,7 +370,7 @@ def test_a_run_says_what_guides_it_and_goes_on(
 
 def test_maps_and_a_guide_count_both(dataset: Dataset, known_splats: Splats, mesh: Path) -> None:
     """Oracle: the loss of the photo and of either term alone, summed."""
-    guide = prepare_guide(TrainConfig(guide_surface=mesh), dataset)
+    guide = prepare_guide(TrainConfig(guide_surface=mesh), dataset, tracks_of(dataset))
     maps = DepthTargets(true_priors(dataset, known_splats), train=dataset.train, views=8)
     config = replace(CONFIG, depth_warmup=0.0)
     found = {
@@ -409,8 +412,10 @@ def test_no_triangle_too_many_is_silent(tmp_path: Path, dataset: Dataset) -> Non
     assert len(triangles) > 999_000
     path = tmp_path / "many.ply"
     write_mesh(path, np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], 1), triangles)
-    fine = prepare_guide(TrainConfig(guide_free=path), dataset).free
-    plain = prepare_guide(TrainConfig(guide_free=wall(tmp_path / "w.ply")), dataset).free
+    fine = prepare_guide(TrainConfig(guide_free=path), dataset, tracks_of(dataset)).free
+    plain = prepare_guide(
+        TrainConfig(guide_free=wall(tmp_path / "w.ply")), dataset, tracks_of(dataset)
+    ).free
     for one, other in zip(fine, plain, strict=True):
         if one is not None and other is not None:
             np.testing.assert_allclose(one.inverse_depth, other.inverse_depth, atol=2e-5)

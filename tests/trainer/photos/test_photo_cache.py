@@ -15,8 +15,9 @@ from gscore.datasets import load_dataset
 from gscore.events import Estimated, Event
 from gscore.io.images.read_image import write_png
 from gscore.trainer.analysis.analysis import Analysis
+from gscore.trainer.analysis.photo_loading import check_masks, load_photos
+from gscore.trainer.analysis.photo_visit import visit_photos
 from gscore.trainer.photos.image_pyramid import ImagePyramid
-from gscore.trainer.photos.photo_loading import load_photos
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 
@@ -71,16 +72,8 @@ def test_label_masks_warn(capture: Path, tmp_path: Path) -> None:
     for k, photo in enumerate(sorted((capture / "images").iterdir())):
         labels = np.tile(np.uint8([0, 1, 2]), (48, 16))
         write_png(tmp_path / "in/masks" / photo.name, labels * np.uint8(1 if k < 2 else 127))
-    loaded = load_photos(
-        load_dataset(DataConfig(source=tmp_path / "in")),
-        CONFIG,
-        points=100,
-        depths=False,
-        announce=False,
-        emit=lambda event: None,
-        control=Control(),
-    )
-    (warning,) = loaded.warnings
+    photos = load_dataset(DataConfig(source=tmp_path / "in"))
+    (warning,) = check_masks(photos, visit_photos(CONFIG, photos))
     assert warning.startswith("The masks of 2 training views are nearly black, for example view_00")
 
 

@@ -19,8 +19,7 @@ from gscore.scene import camera_centers
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
-from gscore.trainer.views.photo_poses import PhotoPoses
-from gscore.trainer.views.pose_check import PoseCheck
+from gscore.trainer.views.photo_poses import PhotoPoses, PoseCheck
 from gscore.trainer.views.pose_math import cross_matrix, moved_pose, pose_distances, pose_gradient
 from tests.trainer.short_run import CONFIG
 

@@ -1,15 +1,16 @@
 """Pose check: training cameras against their tracks, with realignment."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ...config import Switch, TrainConfig
-from ...datasets import Dataset
 from ...datasets.tracks import Tracks
 from ...events import Decision
 from ...text_format import count_words
+from ..photos.view_sampler import Photos
+from ..views.photo_poses import PoseCheck
+from .analysis import Analysis
 from .resection import PointObservations, median_residual, resection_pose
 
 BAD = 2.0
@@ -23,29 +24,11 @@ the photos; a smaller share may just have wrong points."""
 _REQUESTED = Decision("poses", "Training poses are refined (requested).")
 
 
-@dataclass(frozen=True, kw_only=True)
-class PoseCheck:
-    """Checked poses of the training cameras."""
-
-    viewmats: np.ndarray | None = None
-    """[V, 4, 4] float64, world to camera, of all views, if training cameras were realigned or are
-    refined; None: the poses of the capture."""
-    learns: bool = False
-    """True if poses are refined from the photos during the training."""
-    decision: Decision | None = None
-    """The decision and its reason; None: no check."""
-
-
-def check_poses(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> PoseCheck:
-    """Compare the training cameras with their tracks, and decide on realignment and refinement.
-
-    Args:
-        config: Uses the option `refine_poses`.
-        photos: The capture.
-        tracks: Tracks of the capture; None: unknown.
-    """
+def check_poses(config: TrainConfig, analysis: Analysis) -> PoseCheck:
+    """Compare the training cameras with their tracks, and decide on realignment and refinement."""
     if config.refine_poses is Switch.OFF:
         return PoseCheck()
+    photos, tracks = analysis.photos, analysis.facts.tracks
     forced = config.refine_poses is Switch.ON
     viewmats = photos.scene.cameras.viewmats.copy()
     observed = _observations(photos, tracks) if tracks is not None else {}
@@ -85,7 +68,7 @@ def _unknown(viewmats: np.ndarray, *, forced: bool) -> PoseCheck:
     )
 
 
-def _observations(photos: Dataset, tracks: Tracks) -> dict[int, PointObservations]:
+def _observations(photos: Photos, tracks: Tracks) -> dict[int, PointObservations]:
     """Observations of each training camera."""
     found = {}
     for i in photos.train:
@@ -97,7 +80,7 @@ def _observations(photos: Dataset, tracks: Tracks) -> dict[int, PointObservation
 
 
 def _realign(
-    photos: Dataset,
+    photos: Photos,
     observed: dict[int, PointObservations],
     errors: dict[int, float],
     viewmats: np.ndarray,
@@ -114,7 +97,7 @@ def _realign(
     return count
 
 
-def _pixels(photos: Dataset, index: int, error: float) -> float:
+def _pixels(photos: Photos, index: int, error: float) -> float:
     """Error in x / z, converted to pixels of a photo whose longer side is 1,000 px."""
     cameras = photos.scene.cameras
     side = max(cameras.widths[index], cameras.heights[index])

@@ -11,18 +11,20 @@ from PIL import Image
 
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import Dataset, load_dataset
-from gscore.datasets.tracks import tracks_of
 from gscore.events import Started
 from gscore.io.images.exposure_exif import stated_exposure
 from gscore.io.images.read_image import read_image
-from gscore.trainer.run import train
-from gscore.trainer.views.exposure import (
+from gscore.trainer.analysis.analysis import Analysis
+from gscore.trainer.analysis.exposure import (
     FAR_STOPS,
     LEAST_STOPS,
+    Exposure,
+    decide_exposure,
     learns_exposure,
-    prepare_exposure,
     stops_off_neighbours,
 )
+from gscore.trainer.analysis.photo_visit import visit_photos
+from gscore.trainer.run import train
 
 STUDIO = Path(__file__).parents[3] / "examples" / "studio"
 STOP = np.log(2) / 2.2
@@ -54,9 +56,13 @@ def studio() -> Dataset:
     return load_dataset(DataConfig(source=STUDIO, resolution=240, eval=True, mask_mode="none"))
 
 
+def _decided(config: TrainConfig, photos: Dataset) -> Exposure:
+    return decide_exposure(config, Analysis(photos=photos, facts=visit_photos(config, photos)))
+
+
 def test_studio_photos_have_one_exposure(studio: Dataset) -> None:
     """Oracle: the example was rendered with one exposure."""
-    found = prepare_exposure(TrainConfig(), studio, tracks_of(studio))
+    found = _decided(TrainConfig(), studio)
     assert found.gains is None
     assert "have similar exposure (0.0" in found.decision.text
     assert found.numbers is not None and found.numbers["stops_apart"] < LEAST_STOPS / 1.5
@@ -66,7 +72,7 @@ def test_gains_of_a_capture_begin_near_the_truth(studio: Dataset) -> None:
     """Oracle: the gains applied to the photos, about their mean; gains are optimised for photos
     that are a third of a stop apart."""
     truth = np.random.default_rng(0).normal(0, 0.12, (len(studio), 3))
-    found = prepare_exposure(TrainConfig(), Exposed(studio, truth), tracks_of(studio))
+    found = _decided(TrainConfig(), Exposed(studio, truth))
     assert found.gains is not None
     assert "differ in exposure (0.3" in found.decision.text and "points seen" in found.decision.text
     train_views = studio.train
@@ -80,7 +86,7 @@ def test_a_single_bright_photo_is_found(studio: Dataset) -> None:
     """Oracle: one photo of 52 brighter by one stop and a half; its gain, others near one."""
     truth = np.zeros((len(studio), 3))
     truth[studio.train[5]] = 1.5 * STOP
-    found = prepare_exposure(TrainConfig(), Exposed(studio, truth), tracks_of(studio))
+    found = _decided(TrainConfig(), Exposed(studio, truth))
     assert found.gains is not None
     gains = found.gains.log_gains / STOP
     assert gains[studio.train[5]] == pytest.approx(np.full(3, 1.5), abs=0.15)
@@ -130,7 +136,7 @@ def together(log_gains: np.ndarray, centers: np.ndarray) -> float:
 
 def test_off_looks_at_nothing(studio: Dataset) -> None:
     """Oracle: no sentence, no numbers, no gains."""
-    found = prepare_exposure(TrainConfig(exposure=Switch.OFF), studio, None)
+    found = _decided(TrainConfig(exposure=Switch.OFF), studio)
     assert (found.gains, found.decision, found.numbers) == (None, None, None)
 
 

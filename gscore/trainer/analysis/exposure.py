@@ -1,21 +1,16 @@
 """Exposure decision: whether to optimise photo gains, by their differences, and initial gains."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from ...config import Switch, TrainConfig
-from ...datasets import Dataset
-from ...datasets.dataset import map_threads
-from ...datasets.tracks import Tracks
 from ...events import Decision
-from ...io.images.exposure_exif import stated_exposure
+from ..views.photo_gains import PhotoGains
+from .analysis import Analysis
 from .gain_fit import fit_gains
-from .photo_gains import PhotoGains
-from .track_colors import measure_track_colors
 
 LEAST_STOPS = 0.2
 """RMS exposure difference to the neighbouring photos, in stops, from which gains are optimised.
@@ -43,36 +38,24 @@ class Exposure:
     """Measurements for metrics.json; None: no analysis."""
 
 
-def prepare_exposure(config: TrainConfig, photos: Dataset, tracks: Tracks | None) -> Exposure:
-    """Measure the exposure of the training photos, and decide whether gains are optimised.
-
-    Args:
-        config: Uses the option `exposure`.
-        photos: The capture.
-        tracks: Tracks of the capture; None: unknown.
-
-    Raises:
-        DatasetError, FormatError: a photo cannot be read.
-    """
+def decide_exposure(config: TrainConfig, analysis: Analysis) -> Exposure:
+    """Fit the exposures of the training photos, and decide whether gains are optimised."""
     if config.exposure is Switch.OFF:
         return Exposure()
-    train = list(photos.train)
-    stated = _stated(photos, train, config.threads)
-    colors = (
-        None
-        if tracks is None
-        else measure_track_colors(photos, tracks, train, threads=config.threads)
-    )
+    cameras, train = analysis.photos.scene.cameras, list(analysis.photos.train)
+    colors, stops = analysis.facts.colors, analysis.facts.stops
     measured = (
         colors is not None and np.median(np.bincount(colors.view, minlength=len(train))) >= _SHARED
     )
-    expected = np.zeros((len(train), 3)) if stated is None else stated
+    expected = np.zeros((len(train), 3))
+    if stops is not None:
+        expected += ((stops - stops.mean()) * _STOP)[:, None]
     found = fit_gains(colors, expected) if measured and colors is not None else expected
-    known = "points seen in several photos" if measured else "EXIF" if stated is not None else ""
-    off = stops_off_neighbours(found, photos.scene.cameras.centers[train])
+    known = "points seen in several photos" if measured else "EXIF" if stops is not None else ""
+    off = stops_off_neighbours(found, cameras.centers[train])
     apart = float(np.sqrt((off**2).mean())) if len(off) else 0.0
     learns, why = learns_exposure(config.exposure, apart, float(off.max(initial=0.0)), known=known)
-    log_gains = np.zeros((len(photos), 3))
+    log_gains = np.zeros((len(cameras), 3))
     log_gains[train] = found
     return Exposure(
         gains=PhotoGains(train, log_gains) if learns else None,
@@ -132,17 +115,3 @@ def stops_off_neighbours(log_gains: np.ndarray, centers: np.ndarray) -> np.ndarr
     near[:, -1] = np.where((near == own).any(axis=1), near[:, -1], own[:, 0])
     mean = (log_gains[near].sum(axis=1) - log_gains) / others
     return np.sqrt(((log_gains - mean) ** 2).mean(axis=1) / (1 + 1 / others)) / _STOP
-
-
-def _stated(photos: Dataset, train: Sequence[int], threads: int) -> np.ndarray | None:
-    """[V, 3] ln gains from EXIF, zero on average; None unless all photos have them."""
-    files = [photos.files[i].image for i in train]
-    if not files or stated_exposure(files[0]) is None:
-        return None
-    stops = list(
-        map_threads(lambda k: stated_exposure(files[k]), [*range(len(files))], threads=threads)
-    )
-    if any(value is None for value in stops):
-        return None
-    values = np.array(stops, np.float64)
-    return np.repeat((values - values.mean())[:, None] * _STOP, 3, axis=1)

@@ -13,11 +13,13 @@ from gscore.datasets.tracks import tracks_of
 from gscore.errors import FormatError
 from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.poses_json import read_moves
+from gscore.trainer.analysis.analysis import Analysis
+from gscore.trainer.analysis.photo_visit import visit_photos
+from gscore.trainer.analysis.pose_check import check_poses
+from gscore.trainer.analysis.resection import PointObservations, median_residual, resection_pose
 from gscore.trainer.run import train
-from gscore.trainer.views.photo_analysis import analyze_photos
-from gscore.trainer.views.pose_check import check_poses
+from gscore.trainer.views.photo_poses import PoseCheck
 from gscore.trainer.views.pose_math import moved_pose, pose_distances
-from gscore.trainer.views.resection import PointObservations, median_residual, resection_pose
 from gscore.transforms import rotmat_to_quat
 
 STUDIO = Path(__file__).parents[3] / "examples" / "studio"
@@ -82,9 +84,14 @@ def _disturbed(root: Path) -> Path:
     return root
 
 
+def _checked(config: TrainConfig, photos: Dataset) -> PoseCheck:
+    facts = visit_photos(replace(config, exposure=Switch.OFF), photos)
+    return check_poses(config, Analysis(photos=photos, facts=facts))
+
+
 def test_good_cameras_stay() -> None:
     """Oracle: the example with its SfM cameras, which stay."""
-    found = analyze_photos(TrainConfig(exposure=Switch.OFF), _studio(STUDIO))[1]
+    found = _checked(TrainConfig(), _studio(STUDIO))
     assert found.viewmats is None and not found.learns
     assert found.decision.text.startswith("Cameras agree with their points (0.")
 
@@ -93,7 +100,7 @@ def test_disturbed_cameras_come_back(tmp_path: Path) -> None:
     """Oracle: the cameras of the example before the disturbance; held-out ones stay."""
     true = _studio(STUDIO).scene.cameras.viewmats
     photos = _studio(_disturbed(tmp_path))
-    found = analyze_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
+    found = _checked(TrainConfig(), photos)
     assert found.viewmats is not None and not found.learns
     assert "52 training cameras miss their points" in found.decision.text
     before, _ = pose_distances(photos.scene.cameras.viewmats[photos.train], true[photos.train])
@@ -106,9 +113,9 @@ def test_disturbed_cameras_come_back(tmp_path: Path) -> None:
 def test_off_and_on(tmp_path: Path) -> None:
     """Oracle: no check with `off`; refinement of good cameras too with `on`."""
     photos = _studio(STUDIO)
-    off = check_poses(TrainConfig(refine_poses=Switch.OFF), photos, None)
+    off = _checked(TrainConfig(refine_poses=Switch.OFF), photos)
     assert (off.viewmats, off.learns, off.decision) == (None, False, None)
-    on = check_poses(TrainConfig(refine_poses=Switch.ON), photos, tracks_of(photos))
+    on = _checked(TrainConfig(refine_poses=Switch.ON), photos)
     assert on.learns and on.viewmats is not None
     assert (on.viewmats == photos.scene.cameras.viewmats).all()
 
@@ -133,11 +140,11 @@ def test_rays_are_those_of_the_points() -> None:
 def test_few_of_many_points_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: all points of the example, which bring its cameras back to the same places."""
     photos = _studio(_disturbed(tmp_path))
-    found = analyze_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
+    found = _checked(TrainConfig(), photos)
     monkeypatch.setattr("gscore.datasets.tracks._ENOUGH", 60)
     tracks = tracks_of(photos)
     assert tracks is not None and max(map(len, tracks.observed)) == 60
-    few = analyze_photos(TrainConfig(exposure=Switch.OFF), photos)[1]
+    few = _checked(TrainConfig(), photos)
     assert found.viewmats is not None and few.viewmats is not None
     turned, moved = pose_distances(found.viewmats[photos.train], few.viewmats[photos.train])
     assert np.median(turned) < 0.002 and np.median(moved) < 0.005

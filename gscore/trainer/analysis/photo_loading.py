@@ -1,34 +1,22 @@
-"""Photo loading before the first step: memory estimate, cache size and mask checks."""
+"""Photo loading before the first step: memory estimate, one visit of the photos, mask checks."""
 
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 
 from ...config import TrainConfig
 from ...control import Control
 from ...datasets import Dataset
-from ...datasets.dataset import map_threads
 from ...errors import Cancelled, DatasetError
 from ...events import Estimated, Event, Progress
 from ...text_format import count_words
 from ..estimate.forecast import Estimate, check_fits, estimate
+from .photo_visit import PhotoFacts, visit_photos
 
 _LOADING_PERIOD = 0.5
 """Seconds between two events while photos are read."""
 _DARK_MASK = 32
 """Maximum of a mask, of 255, below which it probably has class labels or is wrong."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class LoadedPhotos:
-    """Result of `load_photos`."""
-
-    cache: int | None
-    """Bytes of photos that may be kept in memory; None: all are already in memory."""
-    warnings: list[str]
-    """Warnings for the user, as sentences."""
 
 
 def load_photos(
@@ -40,8 +28,11 @@ def load_photos(
     announce: bool,
     emit: Callable[[Event], None],
     control: Control,
-) -> LoadedPhotos:
-    """Estimate time and memory, decode the photos if they fit, and check the masks.
+) -> tuple[int | None, PhotoFacts]:
+    """Estimate time and memory, decode the photos if they fit, and visit them.
+
+    Returns the bytes of photos that may be kept in memory, None if all are there already; and the
+    facts of the visit.
 
     Args:
         photos: The capture, whose photo headers have been read.
@@ -54,7 +45,7 @@ def load_photos(
 
     Raises:
         GsError: the training does not fit into memory; the message has advice.
-        DatasetError: the masks leave no pixels to train on.
+        DatasetError, FormatError: a photo cannot be read.
         Cancelled: stopped.
     """
     found = _estimate(photos, config, points, depths)
@@ -69,11 +60,11 @@ def load_photos(
         )
     else:
         photos.limit_cache()
-    warnings = _check_masks(photos, config.threads)
+    facts = visit_photos(config, photos)
     if found.decodes_again:  # preloading has only checked that all can be decoded
         photos.limit_cache()
     all_there = found.photos_kept and not found.decodes_again
-    return LoadedPhotos(cache=None if all_there else found.photo_bytes, warnings=warnings)
+    return None if all_there else found.photo_bytes, facts
 
 
 def _estimate(photos: Dataset, config: TrainConfig, points: int, depths: bool) -> Estimate:
@@ -140,21 +131,16 @@ def progress_of(
     return on_progress
 
 
-def _brightest(photos: Dataset, index: int) -> int:
-    """Maximum of a view's mask, 0 to 255; 255 without a mask."""
-    mask = photos.mask(index)
-    return 255 if mask is None else int(mask.max())
+def check_masks(photos: Dataset, facts: PhotoFacts) -> list[str]:
+    """Return warnings about masks that are nearly black.
 
-
-def _check_masks(photos: Dataset, threads: int) -> list[str]:
-    """Return warnings about masks that are nearly black; raise DatasetError if all are black."""
-    if photos.mask_mode == "none":
-        return []
-    brightest = map_threads(partial(_brightest, photos), photos.train, threads=threads)
-    found = dict(zip(photos.train, brightest, strict=True))
+    Raises:
+        DatasetError: all are black, so there are no pixels to train on.
+    """
+    found = dict(zip(photos.train, facts.brightest, strict=False))
     empty = [photos.names[i] for i, top in found.items() if top == 0]
     dark = [photos.names[i] for i, top in found.items() if 0 < top < _DARK_MASK]
-    if len(empty) == len(photos.train):
+    if empty and len(empty) == len(photos.train):
         views = count_words(len(empty), "training view")
         if any(photos.files[i].mask_inverted for i in photos.train):
             raise DatasetError(

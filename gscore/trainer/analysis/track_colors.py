@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...datasets import Dataset
-from ...datasets.dataset import map_threads
 from ...datasets.tracks import Tracks
 from ...io.images.read_image import resize
 
@@ -35,18 +34,8 @@ class TrackColors:
         return len(self.view)
 
 
-def measure_track_colors(
-    dataset: Dataset, tracks: Tracks, indices: list[int], *, threads: int
-) -> TrackColors:
-    """Measure the colours of points at their observations, except dark, clipped and masked ones.
-
-    Args:
-        dataset: The photos.
-        tracks: Tracks of the capture.
-        indices: Views to measure.
-        threads: Number of threads; 0: one per core.
-    """
-    found = list(map_threads(lambda i: _in_view(dataset, tracks, i), indices, threads=threads))
+def joined_colors(found: list[tuple[np.ndarray, np.ndarray]]) -> TrackColors:
+    """Join the results of `colors_in_view`, by view."""
     return TrackColors(
         view=np.repeat(np.arange(len(found)), [len(rows) for rows, _ in found]),
         point=np.concatenate([rows for rows, _ in found]),
@@ -55,8 +44,9 @@ def measure_track_colors(
     )
 
 
-def _in_view(dataset: Dataset, tracks: Tracks, index: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows [M] of points and ln of their colours [M, 3] in one photo."""
+def colors_in_view(dataset: Dataset, tracks: Tracks, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows [M] of points and ln of their colours [M, 3] at their observations in one photo, except
+    dark, clipped and masked ones."""
     image, mask, cameras = dataset.image(index), dataset.mask(index), dataset.scene.cameras
     height, width = image.shape[:2]
     small = max(1.0, max(height, width) / _SIDE)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...transforms import SMALLEST
-from .pose_math import cross_matrix, moved_pose
+from ..views.pose_math import cross_matrix, moved_pose
 
 _ROUNDS = 15
 """Gauss-Newton iterations."""

@@ -1,0 +1,66 @@
+"""Photo visit: what decides on a training is read from its photos and tracks, from each once."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...config import Switch, TrainConfig
+from ...datasets import Dataset
+from ...datasets.dataset import map_threads
+from ...datasets.tracks import Tracks, tracks_of
+from ...io.images.exposure_exif import stated_exposure
+from .track_colors import TrackColors, colors_in_view, joined_colors
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoFacts:
+    """Facts of the T training photos, in their order."""
+
+    tracks: Tracks | None = None
+    """Tracks of the capture; None: unknown, or not needed."""
+    brightest: list[int] = field(default_factory=list)
+    """Maxima of the masks, 0 to 255; empty: masks are not used."""
+    colors: TrackColors | None = None
+    """Colours of the points of `tracks`; None: unknown, or not needed."""
+    stops: np.ndarray | None = None
+    """[T] float64, exposures by EXIF, stops; None: not needed, or unknown for some photo."""
+
+
+def visit_photos(config: TrainConfig, photos: Dataset) -> PhotoFacts:
+    """Read the facts that the options need. Each photo is decoded once, if at all.
+
+    Args:
+        config: Options `exposure`, `refine_poses` and `guide_*`.
+        photos: The capture.
+
+    Raises:
+        DatasetError, FormatError: a photo or the capture's model cannot be read.
+    """
+    train, exposes = list(photos.train), config.exposure is not Switch.OFF
+    follows = exposes or config.refine_poses is not Switch.OFF
+    guided = config.guide_surface is not None or config.guide_free is not None
+    tracks = tracks_of(photos) if follows or guided else None
+    colored = tracks if exposes else None
+    masked = photos.mask_mode != "none"
+
+    def visit(index: int) -> tuple[int, tuple[np.ndarray, np.ndarray] | None]:
+        mask = photos.mask(index) if masked else None
+        colors = None if colored is None else colors_in_view(photos, colored, index)
+        return 255 if mask is None else int(mask.max()), colors
+
+    seen = list(map_threads(visit, train, threads=config.threads)) if masked or colored else []
+    return PhotoFacts(
+        tracks=tracks,
+        brightest=[brightest for brightest, _ in seen] if masked else [],
+        colors=joined_colors([one for _, one in seen if one is not None]) if colored else None,
+        stops=_stated_stops(photos, train, config.threads) if exposes else None,
+    )
+
+
+def _stated_stops(photos: Dataset, train: list[int], threads: int) -> np.ndarray | None:
+    """Exposures by EXIF, [T] stops; None unless all photos have them."""
+    files = [photos.files[i].image for i in train]
+    if not files or stated_exposure(files[0]) is None:
+        return None
+    stops = list(map_threads(stated_exposure, files, threads=threads))
+    return None if any(value is None for value in stops) else np.array(stops, np.float64)
