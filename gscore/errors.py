@@ -24,6 +24,13 @@ class ShapeError(GsError, ValueError):
 class BackendError(GsError, RuntimeError):
     """The native library or an optional package is missing or failed."""
 
+    def __init__(self, message: str = "", *, package: str = "", install: str = "") -> None:
+        super().__init__(message)
+        self.package = package
+        """The optional package that is missing; empty: none."""
+        self.install = install
+        """The command that installs it."""
+
 
 class Cancelled(GsError):  # noqa: N818 - nothing went wrong
     """The caller requested cancellation."""

@@ -193,11 +193,16 @@ class Done(Event):
 
 @dataclass(frozen=True, kw_only=True)
 class Failed(Event):
-    """Training ended with an error; earlier files are untouched."""
+    """The command ended with an error; earlier files are untouched."""
 
     kind: ClassVar[str] = "error"
     message: str
     type: str = "GsError"
+    """Class of the error; `Cancelled`: stopped before a result."""
+    package: str = ""
+    """The optional package that is missing; empty: none."""
+    install: str = ""
+    """The command that installs it."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -52,9 +52,14 @@ def missing(module: str, purpose: str) -> str:
         module: Its name in an import.
         purpose: Subject of the sentence, such as "Writing a video".
     """
-    package = module.partition(".")[0]
-    package = _PACKAGES.get(package, package)
-    return f"{purpose} needs the package {package}; install it with: {install_hint(module)}"
+    facts = package_facts(module)
+    return f"{purpose} needs the package {facts['package']}; install it with: {facts['install']}"
+
+
+def package_facts(module: str) -> dict[str, str]:
+    """`package` and `install` of `BackendError` and `events.Failed` for a missing module."""
+    name = module.partition(".")[0]
+    return {"package": _PACKAGES.get(name, name), "install": install_hint(module)}
 
 
 def need(module: str, purpose: str) -> Any:
@@ -73,7 +78,7 @@ def need(module: str, purpose: str) -> Any:
         with keep_signal_handlers():
             return import_module(module)
     except ImportError as error:
-        raise BackendError(f"{missing(module, purpose)}.") from error
+        raise BackendError(f"{missing(module, purpose)}.", **package_facts(module)) from error
 
 
 def _is_loading(module: Any) -> bool:

@@ -137,14 +137,12 @@ def _program_names(names: Iterable[str]) -> list[str]:
 def _verdict(python: Path, output: list[str], stderr: list[str]) -> Verdict:
     facts = next((f for line in reversed(output) if (f := _facts(line))), None)
     if facts is None:
-        text = "\n".join(stderr)
-        if "No module named" in text and "gscore" in text:
-            return _bad(
-                python,
-                f"{python} has no gscore; press Make Environment, or choose another Python.",
-            )
         last = next((line for line in reversed(stderr) if line.strip()), "without a message")
-        return _bad(python, f"{python} cannot run gscore ({last[:160]}); choose another Python.")
+        return _bad(
+            python,
+            f"{python} cannot run gscore ({last[:160]}); press Make Environment, or choose another "
+            "Python.",
+        )
     if facts["can_train"]:
         native, packages = facts.get("native") or {}, facts.get("packages") or {}
         torch = (packages.get("torch") or {}).get("version")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -41,6 +40,10 @@ STARTING, RUNNING, PAUSED, STOPPING = "starting", "running", "paused", "stopping
 FINISHED, STOPPED, FAILED, DISCARDED = "finished", "stopped", "failed", "discarded"
 ENDED = (FINISHED, STOPPED, FAILED, DISCARDED)
 """Values of `RunState.status`; those of ENDED are final."""
+
+
+PYTHON_FAILED = 1
+"""Exit code of a Python that cannot run gscore; gscore itself sends its errors as events."""
 
 
 def read_event(line: str) -> Event | None:
@@ -91,6 +94,7 @@ class RunState:
     preview: Preview | None = None
     snapshot: Snapshot | None = None
     checkpoint: Path | None = None
+    checkpoint_step: int = 0
     result: Path | None = None
     """point_cloud.ply, written completely."""
     metrics: dict[str, Any] = field(default_factory=dict)
@@ -132,7 +136,7 @@ class RunState:
             case Warn():
                 self.warn(event.message)
             case Saved():
-                self._saved(Path(event.path))
+                self._saved(Path(event.path), event.step)
             case Done():
                 self._done(event)
             case Failed():
@@ -163,7 +167,7 @@ class RunState:
             self.status = FAILED
             self.sentence = failure_sentence(self.failure, code, stderr, python=python)
             if self.checkpoint is not None:
-                self.sentence += f" Resume continues from {_step_of(self.checkpoint)}."
+                self.sentence += f" Resume continues from step {self.checkpoint_step:,}."
 
     def _started(self, event: Started) -> None:
         self.started = event
@@ -184,9 +188,9 @@ class RunState:
         if self.status in (RUNNING, PAUSED):
             self.status = PAUSED if event.phase == "paused" else RUNNING
 
-    def _saved(self, path: Path) -> None:
+    def _saved(self, path: Path, step: int) -> None:
         if path.suffix == ".safetensors":
-            self.checkpoint = path
+            self.checkpoint, self.checkpoint_step = path, step
         elif path.name == "point_cloud.ply" and path.parent.parent.name != "point_cloud":
             self.result = path
 
@@ -215,28 +219,23 @@ def failure_sentence(
         python: The Python that ran it.
         less: Advice if memory ran out.
     """
-    text = "\n".join(stderr)
     if failure is not None:
-        return _sentence(failure.message)
-    if re.search(r"No module named '?gscore", text):
-        return (
-            f"{python} has no gscore; press Make Environment in the add-on's preferences, or "
-            "choose another Python there."
+        advice = (
+            f" Make Environment in the add-on's preferences installs it too; {python} was used."
         )
-    if match := re.search(r"needs the package (\w+); install it with: (.+?)\.?$", text, re.M):
-        return (
-            f"{python} has gscore but lacks {match[1]}, which training needs; press Make "
-            f"Environment in the add-on's preferences, or install it there: {match[2]}"
-        )
+        return _sentence(failure.message) + (advice if failure.package else "")
     if code is not None and code < 0:
         return (
             f"The process was ended from outside by signal {-code}; unless you ended it, memory "
             f"ran out: {less}."
         )
-    if match := re.search(r"gscore \w+: error: (.+)", text):
-        return _sentence(match[1])
     last = next((line.strip() for line in reversed(stderr) if line.strip()), "")
     output = f' Its last output: "{last[:200]}".' if last else ""
+    if code == PYTHON_FAILED:
+        return (
+            f"{python} cannot run gscore.{output} Press Make Environment in the add-on's "
+            "preferences, or choose another Python there."
+        )
     return (
         f"The process ended early (exit code {code}).{output} Press Check in the add-on's "
         f"preferences to test {python}."
@@ -258,11 +257,6 @@ def _sentence(text: str) -> str:
     text = text.strip().splitlines()[0] if text.strip() else "The trainer gave no reason"
     text = text[0].upper() + text[1:]
     return text if text.endswith((".", "!", "?")) else text + "."
-
-
-def _step_of(checkpoint: Path) -> str:
-    match = re.search(r"(\d+)$", checkpoint.stem)
-    return f"step {int(match[1]):,}" if match else checkpoint.name
 
 
 def _finite(value: float | None) -> float | None:

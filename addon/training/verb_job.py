@@ -1,10 +1,9 @@
 """Verb job: a gscore command as a background process, its events and its end; no bpy.
 
-A `Verb` says what differs between commands; `VerbJob` is one run of any of them.
+`Verb` describes a command; `VerbJob` is one run of it.
 """
 
 import math
-import re
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -21,8 +20,6 @@ from . import run_state
 STOP_GRACE = 10.0
 """Seconds after which a cancelled process is killed."""
 
-_LACKS = re.compile(r"which is not installed|needs the package \w+; install it with")
-
 RUNNING, STOPPING, FINISHED, CANCELLED, FAILED = (
     "running",
     "stopping",
@@ -35,7 +32,7 @@ EventT = TypeVar("EventT", bound=Event)
 
 @dataclass(frozen=True, kw_only=True)
 class Verb:
-    """What differs between gscore commands that run as background jobs."""
+    """Description of a gscore command that runs as a background job."""
 
     running: str
     """Error if a job of the same source is running, with `{}` for the source."""
@@ -321,16 +318,13 @@ class VerbJob:
             self.status, self.sentence = CANCELLED, self.verb.kept
         else:
             self.status = FAILED
-            failure = run_state.failure_sentence(
+            self.sentence = run_state.failure_sentence(
                 self._failure,
                 self._process.returncode,
                 self._process.stderr_tail,
                 python=self.python,
                 less=self.verb.less,
             )
-            self.sentence = failure
-            if _LACKS.search(failure):
-                self.sentence += " Make Environment in the add-on's preferences installs it too."
 
 
 def _share(last: Any) -> float:

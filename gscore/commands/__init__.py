@@ -18,10 +18,12 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from .._version import __version__
-from ..errors import ConfigError, GsError
-from ..extras import install_hint, missing
+from ..errors import BackendError, ConfigError, GsError
+from ..events import Failed
+from ..extras import install_hint, missing, package_facts
 from ..quoting import brief, quoted
-from .parser import Parser, nearest, sentence
+from .parser import Parser, UsageExit, nearest, sentence
+from .terminal.display import JsonLines
 from .terminal.interrupt import Interrupt, interrupts
 from .terminal.status import show_while, wrapped
 from .terminal.streams import safe_streams
@@ -114,6 +116,7 @@ def dashed(arguments: Sequence[str]) -> list[str]:
 
 
 def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -> int:
+    sends_events = any(word.partition("=")[0] == "--events" for word in arguments)
     try:
         _check_working_folder()
         wants_help = any(word in ("-h", "--help", "--quiet", "--events") for word in arguments)
@@ -129,13 +132,17 @@ def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -
         args = parser.parse_args(dashed(arguments))
         with interrupt.working():
             return module.run(args)
-    except SystemExit as stop:  # argparse has already printed the error
+    except SystemExit as stop:  # the parser has already printed the error
+        if sends_events and isinstance(stop, UsageExit):
+            _send(Failed(message=stop.sentence, type=ConfigError.__name__))
         return stop.code if isinstance(stop.code, int) else 2
     except BaseException as error:
         # Libraries turn a KeyboardInterrupt into errors of their own.
         if interrupt.raised or isinstance(error, KeyboardInterrupt):
             print("Stopped.", file=sys.stderr)
             return interrupt.exit_code or 130
+        if sends_events:
+            _send(_failed(prog, error))
         return _failure(prog, error)
 
 
@@ -156,16 +163,39 @@ def _check_working_folder() -> None:
 
 def _failure(prog: str, error: BaseException) -> int:
     """Print an error and return its exit code."""
+    message = _message(prog, error)
+    return _complain(prog, message) if message else _internal(prog, error)
+
+
+def _message(prog: str, error: BaseException) -> str:
+    """The message of an error that a user can mend; empty for others."""
     match error:
         case GsError():
-            return _complain(prog, str(error))
+            return str(error)
         case ModuleNotFoundError() if install_hint(error.name or ""):
-            return _complain(prog, missing(error.name or "", f"`{prog}`"))
+            return missing(error.name or "", f"`{prog}`")
         case MemoryError():
-            return _complain(prog, "out of memory; try fewer splats or smaller pictures.")
+            return "out of memory; try fewer splats or smaller pictures."
         case OSError() if (why := _DISK_ERRORS.get(error.errno or 0)) is not None:
-            return _complain(prog, f"{brief(error.filename or 'output')}: {why}.")
-    return _internal(prog, error)
+            return f"{brief(error.filename or 'output')}: {why}."
+    return ""
+
+
+def _failed(prog: str, error: BaseException) -> Failed:
+    """The event of an error."""
+    facts = {}
+    if isinstance(error, BackendError):
+        facts = {"package": error.package, "install": error.install}
+    elif isinstance(error, ModuleNotFoundError) and install_hint(error.name or ""):
+        facts = package_facts(error.name or "")
+    name = type(error).__name__
+    message = _message(prog, error) or str(error) or name
+    return Failed(message=message, type=name, **facts)
+
+
+def _send(event: Failed) -> None:
+    """Write an event to stdout, unless its reader closed it."""
+    JsonLines(sys.stdout, on_closed=lambda: None)(event)
 
 
 def _is_here(verb: str) -> bool:

@@ -45,6 +45,14 @@ def _threads(text: str) -> int:
         raise argparse.ArgumentTypeError(words) from None
 
 
+class UsageExit(SystemExit):
+    """Exit with code 2 after an invalid argument was reported."""
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(2)
+        self.sentence = sentence
+
+
 class Parser(argparse.ArgumentParser):
     """Parser whose errors are one sentence, without the usage page."""
 
@@ -54,13 +62,14 @@ class Parser(argparse.ArgumentParser):
         self._negative_number_matcher = _NEGATIVE
 
     def error(self, message: str) -> NoReturn:
-        """Exit with the message and code 2."""
+        """Print the message and raise `UsageExit`."""
         if message.startswith(_REQUIRED):
             names = message.removeprefix(_REQUIRED).split(", ")
             message = f"missing: {', '.join(name.split('/')[0] for name in names)}"
         sentence = message if message.endswith("?") else f"{message.rstrip('.')}."
-        text = f"{self.prog}: error: {sentence} See {self.prog} --help."
-        self.exit(2, wrapped(text, sys.stderr) + "\n")
+        sentence = f"{sentence} See {self.prog} --help."
+        print(wrapped(f"{self.prog}: error: {sentence}", sys.stderr), file=sys.stderr)
+        raise UsageExit(sentence)
 
     def format_help(self) -> str:
         """The help, with only the required arguments in the usage line."""

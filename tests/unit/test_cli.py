@@ -19,7 +19,8 @@ from gscore.commands.terminal.run_job import run_job
 from gscore.config import TrainConfig
 from gscore.datasets.dataset import map_threads
 from gscore.errors import Cancelled, ConfigError, DatasetError
-from gscore.extras import install_hint
+from gscore.events import Failed, from_line
+from gscore.extras import install_hint, need
 
 
 def test_no_verb_shows_the_verbs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -139,6 +140,54 @@ def test_stopped_before_there_was_anything(
     reported = capsys.readouterr()
     assert (result, code, reported.err) == (None, 3, err)
     assert ("Stopped before the first step; nothing was written." in reported.out) == bool(events)
+
+
+@pytest.mark.parametrize(
+    ("words", "raised", "event"),
+    [
+        ("train x -o y --iterations many", None, ("ConfigError", "invalid int value", "")),
+        ("train nowhere -o y", None, ("DatasetError", "nowhere", "")),
+        ("eval x", ModuleNotFoundError(name="torch"), ("ModuleNotFoundError", "torch", "torch")),
+        ("eval x", OSError(errno.ENOSPC, "no"), ("OSError", "the disk is full", "")),
+        ("frames x", ZeroDivisionError("by 0"), ("ZeroDivisionError", "by 0", "")),
+    ],
+)
+def test_every_error_is_an_event(
+    words: str,
+    raised: Exception | None,
+    event: tuple[str, str, str],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Oracle: one event with the sentence on stderr, also before the work begins; none without
+    `--events`."""
+    if raised is not None:
+
+        def fail(*_: object) -> None:
+            raise raised
+
+        monkeypatch.setattr(commands, "import_module", fail)
+    code = commands.main([*words.split(), "--events=jsonl"])
+    told = capsys.readouterr()
+    (failed,) = [e for line in told.out.splitlines() if isinstance(e := from_line(line), Failed)]
+    kind, text, package = event
+    assert (failed.type, failed.package, bool(failed.install)) == (kind, package, bool(package))
+    assert text in failed.message
+    assert code == 1 or failed.message in " ".join(told.err.split())
+    commands.main(words.split())
+    assert capsys.readouterr().out == ""
+
+
+def test_a_missing_package_is_named_in_the_event(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the package and command of the error that the work raises."""
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    monkeypatch.setattr(commands, "import_module", lambda *_: need("pycolmap", "It"))
+    assert commands.main(["sfm", "x", "--events", "jsonl"]) == 2
+    failed = from_line(capsys.readouterr().out.splitlines()[-1])
+    assert isinstance(failed, Failed) and failed.package == "pycolmap"
+    assert failed.install == install_hint("pycolmap")
 
 
 def test_help_is_a_verb_too(capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import BackendError, GsError
-from ...extras import missing
+from ...extras import missing, package_facts
 
 _ENCODERS = ("libx264", "libopenh264", "h264_videotoolbox", "mpeg4")
 """Tried in this order; the first two and the last are software."""
@@ -25,7 +25,8 @@ def need_video() -> Any:
         import av
     except ImportError as error:
         raise BackendError(
-            f"{missing('av', 'Writing a video')}. Or give a folder with -o to get PNG files."
+            f"{missing('av', 'Writing a video')}. Or give a folder with -o to get PNG files.",
+            **package_facts("av"),
         ) from error
     return av
 

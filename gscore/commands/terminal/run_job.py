@@ -35,7 +35,7 @@ def run_job(
     *,
     stopped: Callable[[], str] = lambda: STOPPED,
 ) -> tuple[Result | None, int]:
-    """Run `work`; an error is also sent as an event before it is raised again.
+    """Run `work`; the command line reports its errors, as `gscore.commands.main` does.
 
     Args:
         args: Arguments with the options `quiet` and `events`.
@@ -60,8 +60,8 @@ def run_job(
                 print(stopped(), file=sys.stderr)
             return None, interrupt.exit_code or EXIT_WITHOUT_RESULT
         except Exception as error:
-            message = str(error) or type(error).__name__
-            show(Failed(message=message, type=type(error).__name__))
+            if not args.events:
+                show(Failed(message=str(error)))  # ends the progress line
             raise
 
 

@@ -154,7 +154,8 @@ def test_a_search_follows_one_that_is_ending(
 def test_a_package_that_is_missing(holiday: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
     """Oracle: gscore's message, and the add-on's way to get the package."""
     message = 'Reading a video needs the package av; install it with: pip install "gscore[video]".'
-    play({"say": {"event": "error", "message": message, "type": "BackendError"}}, {"exit": 2})
+    error = {"event": "error", "message": message, "type": "BackendError", "package": "av"}
+    play({"say": error}, {"exit": 2})
     with pytest.raises(RuntimeError, match="Make Environment in the add-on's preferences"):
         bpy.ops.gscore.find_cameras(wait=True)
     assert "needs the package av" in drawn(ProgressPanel)
