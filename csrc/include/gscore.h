@@ -22,5 +22,6 @@
 #include "gscore/matching.h"
 #include "gscore/mesh.h"
 #include "gscore/optimizer.h"
+#include "gscore/random.h"
 #include "gscore/raster.h"
 #include "gscore/stereo.h"

@@ -74,4 +74,18 @@
 #define GS_ADAM_BETA2 0.999
 #define GS_ADAM_EPS 1e-15f
 
+/* Philox 4x32 (Salmon et al. 2011, table 2): its multipliers, and the Weyl sequence of its key, which are the golden
+ * ratio and sqrt(3) - 1 times 2^32. Ten rounds are its authors' choice; seven already pass all tests of theirs. */
+#define GS_PHILOX_M0 0xD2511F53u
+#define GS_PHILOX_M1 0xCD9E8D57u
+#define GS_PHILOX_W0 0x9E3779B9u
+#define GS_PHILOX_W1 0xBB67AE85u
+#define GS_PHILOX_ROUNDS 10
+/* Series of normal numbers by Box and Muller, highest power first, far below float precision: of 2 atanh(s) / s - 2 over
+ * s^2 in s^2 with |s| < 0.172; of sin(pi / 2 f) / f and cos(pi / 2 f) in f^2 with |f| <= 1 / 2. */
+#define GS_LN2 0.693147181f
+#define GS_ATANH 2.0f / 9.0f, 2.0f / 7.0f, 2.0f / 5.0f, 2.0f / 3.0f
+#define GS_SIN 1.60441185e-4f, -4.68175414e-3f, 7.96926262e-2f, -6.45964098e-1f, 1.57079633f
+#define GS_COS 9.19260275e-4f, -2.08634808e-2f, 2.53669508e-1f, -1.23370055f, 1.0f
+
 #endif

@@ -16,6 +16,7 @@ struct MatchArgs;
 struct PairCount;
 struct ProjectArgs;
 struct ProjectBackwardArgs;
+struct RandomWords;
 struct StereoArgs;
 
 // One instruction set's kernels.
@@ -37,6 +38,10 @@ struct Kernels {
     // One band of rows of `StereoBand`; `scratch` holds its scratch_floats().
     void (*stereo_sweep)(const StereoArgs &, int band, float *scratch);
     void (*match)(const MatchArgs &);
+    // Counters of a block's rows to random words, and those to [count] or [count, 3] numbers.
+    void (*philox)(RandomWords &, int64_t count, uint32_t key0, uint32_t key1);
+    void (*to_uniform)(const RandomWords &, int64_t count, float *out);
+    void (*to_normal)(const RandomWords &, int64_t count, float *out);
 };
 
 const Kernels &kernels();

@@ -11,13 +11,15 @@
 #include "match.inl.h"
 #include "project_backward.inl.h"
 #include "project_forward.inl.h"
+#include "random.inl.h"
 #include "stereo.inl.h"
 
 namespace gs::GS_NAMESPACE {
 
 static constexpr Kernels make_kernels(const char *name) {
     return {name,       project,   bin,           blend,      blend_backward, project_backward,
-            image_loss, adam_step, adam_catch_up, exp2_array, stereo_sweep,   match};
+            image_loss, adam_step, adam_catch_up, exp2_array, stereo_sweep,   match,
+            encrypt,    to_uniform, to_normal};
 }
 
 } // namespace gs::GS_NAMESPACE

@@ -1,8 +1,10 @@
 // Tests of the C interface without Python, for sanitizers and other machines: closed forms, invariances, hostile input.
 #include "check.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
+#include <cstring>
 #include <limits>
 #include <random>
 
@@ -620,6 +622,35 @@ void packing_names_bad_arguments() {
     CHECK(gs_unpack_rows(&table, 1, 2, packed, nullptr, 1, 0) == GS_BAD_ARGUMENT);
 }
 
+void random_numbers_are_those_of_every_instruction_set() {
+    const uint32_t counter[4] = {0x243f6a88, 0x85a308d3, 0x13198a2e, 0x03707344}, key[2] = {0xa4093822, 0x299f31d0};
+    const uint32_t expected[4] = {0xd16cfe09, 0x94fdcceb, 0x5001e420, 0x24126ea1}; // of Random123
+    uint32_t words[4] = {};
+    CHECK(gs_philox(counter, key, words) == GS_OK);
+    CHECK(std::equal(words, words + 4, expected));
+    std::vector<int64_t> rows(5001);
+    for (size_t i = 0; i < rows.size(); ++i)
+        rows[i] = int64_t(7 * i);
+    const gs_random random = {3, 5, 1, rows.data(), int64_t(rows.size()), 2};
+    std::vector<float> uniform(rows.size()), normal(3 * rows.size());
+    CHECK(gs_random_uniform(&random, uniform.data()) == GS_OK && gs_random_normal(&random, normal.data()) == GS_OK);
+    static const std::vector<float> first = normal; // of the first instruction set
+    CHECK(std::memcmp(first.data(), normal.data(), normal.size() * sizeof(float)) == 0);
+    for (const float u : uniform)
+        CHECK(u >= 0 && u < 1);
+    for (const float n : normal)
+        CHECK(std::fabs(n) <= 5.768f);
+    const gs_random single = {3, 5, 1, rows.data() + 4999, 1, 1};
+    float alone[3] = {};
+    CHECK(gs_random_normal(&single, alone) == GS_OK && std::equal(alone, alone + 3, &normal[3 * 4999]));
+    const gs_random none = {3, 5, 1, nullptr, 0, 0}, negative = {3, 5, 1, nullptr, -1, 0};
+    const gs_random many = {3, 5, 1, nullptr, 1, -1};
+    CHECK(gs_random_uniform(&none, nullptr) == GS_OK);
+    CHECK(gs_random_uniform(&negative, alone) == GS_BAD_ARGUMENT && gs_random_normal(&many, alone) == GS_BAD_ARGUMENT);
+    CHECK(gs_random_normal(&single, nullptr) == GS_BAD_ARGUMENT && gs_random_normal(nullptr, alone) == GS_BAD_ARGUMENT);
+    CHECK(gs_philox(nullptr, key, words) == GS_BAD_ARGUMENT);
+}
+
 } // namespace
 
 int main() {
@@ -642,5 +673,6 @@ int main() {
         adam_skips_rows_for_any_number_of_threads();
         adam_names_bad_arguments();
         packing_names_bad_arguments();
+        random_numbers_are_those_of_every_instruction_set();
     });
 }

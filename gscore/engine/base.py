@@ -19,6 +19,8 @@ Columns = Mapping[str, np.ndarray]
 T = TypeVar("T")
 Color = tuple[float, float, float]
 """RGB."""
+DROPOUT_STREAM, NOISE_STREAM, STREAMS = 0, 1, 2
+"""Streams of random numbers of a model, and their number, see `StepRequest.seed`."""
 ABSURD_MSE = 1e4
 """Mean squared error that only runaway splats cause: colours of 100 where photos have 0 to 1."""
 
@@ -213,7 +215,7 @@ class StepRequest:
     """A training step of one model: draw a view, compare it with its photo, update the splats.
 
     The order is: pending SH steps of the view, dropout, drawing, loss, check of the loss,
-    gradients, screen-space gradient counts, regularisers, Adam.
+    gradients, screen-space gradient counts, regularisers, Adam, noise.
     """
 
     step: int
@@ -235,8 +237,17 @@ class StepRequest:
     sh_update: ShUpdate
     rates: Mapping[str, float]
     """Learning rate of each parameter."""
+    seed: int = 0
+    """Key of the random numbers, 0 to 2^63 - 1: those of a row are Philox words of the counter
+    (row, `step`, `STREAMS` * `place` + stream, 0), see `raster.reference.random_numbers`."""
+    place: int = 0
+    """Index of the model among those that are trained in parallel."""
     drop_rate: float = 0.0
-    """Share of the splats that are not drawn, see `dropout.drop_splats`."""
+    """Share of the splats that are not drawn: those whose uniform number of `DROPOUT_STREAM` is
+    less (Park et al. 2025); the opacity o of the others is o / (1 - rate), at most 0.999."""
+    noise: float = 0.0
+    """Weight of the noise that moves faint splats after Adam, by covariance @ normal numbers of
+    `NOISE_STREAM` (Kheradmand et al. 2024), see `cpu.mcmc.add_noise`; 0: none."""
     terms: tuple[tuple[TermKind, float], ...]
     """Loss terms with their weights."""
     picture_term: PictureTerm | None = None
@@ -347,10 +358,6 @@ class Engine(Protocol[Model]):
 
     def step(self, model: Model, request: StepRequest) -> Pending:
         """Start a step."""
-        ...
-
-    def add_noise(self, model: Model, weight: float) -> None:
-        """Move faint splats by covariance @ noise times `weight` (Kheradmand et al. 2024)."""
         ...
 
     def draw(

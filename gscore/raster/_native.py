@@ -22,7 +22,7 @@ from ..io.files import reason
 from ..quoting import brief
 from ..text_format import number
 from . import arguments, header
-from .buffers import INT32, INT64, Array, address, optional
+from .buffers import INT32, INT64, UINT32, Array, address, optional
 from .request import Frustum, Settings
 
 _pointer = ct.c_void_p
@@ -191,6 +191,9 @@ def _declare(lib: ct.CDLL) -> None:
         ct.c_float,
         ct.c_int32,
     ]
+    lib.gs_philox.argtypes = [_pointer] * 3
+    for name in ("gs_random_uniform", "gs_random_normal"):
+        getattr(lib, name).argtypes = [ct.POINTER(header.RandomStruct), _pointer]
     lib.gs_adam_step.argtypes = [ct.POINTER(header.AdamStruct), ct.POINTER(ct.c_int64)]
     lib.gs_adam_catch_up.argtypes = [
         ct.POINTER(header.AdamTensorStruct),
@@ -469,6 +472,40 @@ def add_screen_gradients(
             arguments.library_threads(threads),
         )
     )
+
+
+def philox(counter: np.ndarray, key: np.ndarray) -> np.ndarray:
+    """gs_philox: [4] uint32 of `counter` [4] and `key` [2], uint32."""
+    words = np.empty(4, np.uint32)
+    found = [
+        address(name, a, shape, UINT32)
+        for name, a, shape in (
+            ("counter", counter, (4,)),
+            ("key", key, (2,)),
+            ("words", words, (4,)),
+        )
+    ]
+    raise_status(library().gs_philox(*found))
+    return words
+
+
+def random_numbers(
+    out: Array, *, seed: int, step: int, stream: int, rows: Array | None, threads: int
+) -> None:
+    """gs_random_uniform for `out` [M], gs_random_normal for [M, 3]; `rows` is [M] int64 or None."""
+    count = len(out)
+    random = header.RandomStruct(
+        seed,
+        step,
+        stream,
+        optional("rows", rows, (count,), INT64),
+        count,
+        arguments.library_threads(threads),
+    )
+    normal = len(out.shape) == 2
+    draw = library().gs_random_normal if normal else library().gs_random_uniform
+    shape = (count, 3) if normal else (count,)
+    raise_status(draw(ct.byref(random), address("out", out, shape)))
 
 
 def pack_rows(

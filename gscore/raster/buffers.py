@@ -14,6 +14,7 @@ Array = Any
 """A numpy.ndarray or a torch.Tensor on the CPU."""
 FLOAT32, FLOAT64 = np.dtype(np.float32), np.dtype(np.float64)
 INT32, INT64, UINT8 = np.dtype(np.int32), np.dtype(np.int64), np.dtype(np.uint8)
+UINT32 = np.dtype(np.uint32)
 
 _of_torch: dict[Any, np.dtype | None] = {}
 """The same dtypes by torch's dtype objects, filled lazily, because this file does not need

@@ -7,7 +7,7 @@ meshes and descriptors. All check the arrays first.
 import ctypes as ct
 from typing import Any
 
-ABI_VERSION = 10
+ABI_VERSION = 11
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL = 1, 2, 4, 8
 DEPTH_OUTPUTS = {
@@ -34,6 +34,7 @@ OK, BAD_ARGUMENT, OUT_OF_MEMORY, CANCELLED = 0, 1, 2, 3
 _KINDS = {
     "int32": ct.c_int32,
     "uint32": ct.c_uint32,
+    "uint64": ct.c_uint64,
     "int64": ct.c_int64,
     "float": ct.c_float,
     "double": ct.c_double,
@@ -140,6 +141,14 @@ class LossResultStruct(ct.Structure):
     """gs_loss_result"""
 
     _fields_ = _fields("double loss l1 ssim mse", "double[3] v_log_gain")
+
+
+class RandomStruct(ct.Structure):
+    """gs_random"""
+
+    _fields_ = _fields(
+        "uint64 seed", "uint32 step stream", "pointer rows", "int64 count", "int32 threads"
+    )
 
 
 class RowTableStruct(ct.Structure):

@@ -68,8 +68,7 @@ class TeamTrainer(Trainer):
         self._engine.collect(self._all_models())
 
     def _make_engine(self) -> DataParallelEngine:
-        threads = self.config.threads
-        self._engine = DataParallelEngine(self.team, threads=threads, generator=self.generator)
+        self._engine = DataParallelEngine(self.team, threads=self.config.threads)
         return self._engine
 
     def _send_restored(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:

@@ -294,7 +294,7 @@ class Trainer:
         masked_tiles = Skip.MASKED_TILE in self.config.without
         photo = training_view.sized.photo(self.photos.mask_mode, masked_tiles=masked_tiles)
         self.engine.put(training_view.index, photo)
-        request = self._request(training_view, step)
+        request = self._request(member.place, training_view, step)
         numbers = self.engine.step(member.model, request).result()
         self.steps = step
         self.stage_timer.add(numbers.seconds, numbers.raster)
@@ -314,11 +314,11 @@ class Trainer:
         if request.learn_gain or request.learn_pose:
             self._learn_of_photos(training_view.indices, numbers.slopes)
         self.bad_rows += numbers.bad_rows
-        change, lost_rows = self._after_step(member, step, request.rates["means"])
+        change, lost_rows = self._after_step(member, step)
         self.stage_timer.lap("edit")
         return result._replace(change=change, lost_rows=lost_rows)
 
-    def _request(self, training_view: TrainingView, step: int) -> StepRequest:
+    def _request(self, place: int, training_view: TrainingView, step: int) -> StepRequest:
         """What a step computes."""
         config, plan, count = self.config, self.plan, len(training_view.indices)
         strategy, photos, factor = self.strategy, self.photo_parameters, self.rate_factor
@@ -339,7 +339,10 @@ class Trainer:
             sh_degree=self._sh_degree_at(step),
             sh_update=self._rest_at(step, count),
             rates=rates | {"means": means_lr},
+            seed=config.seed,
+            place=place,
             drop_rate=drop_rate_at(self.drop_rate, step, plan.iterations),
+            noise=strategy.noise_at(means_lr),
             terms=self._terms.terms,
             picture_term=self._terms.picture_term(training_view.index, step),
             opacity_reg=strategy.opacity_reg,
@@ -354,7 +357,7 @@ class Trainer:
             compare=self.steps % SANITIZE_EVERY == 0,
         )
 
-    def _after_step(self, member: EnsembleMember, step: int, means_lr: float) -> tuple[Change, int]:
+    def _after_step(self, member: EnsembleMember, step: int) -> tuple[Change, int]:
         """Densify, prune and sanitize after a step; returns the change, and the number of runaway
         rows that were reset."""
         config, plan, model, pruner = self.config, self.plan, member.model, self.pruner
@@ -366,9 +369,6 @@ class Trainer:
         cap = plan.cap_for(self.photo_factor) - self._frozen_count
         refined = self.strategy.refine(model.column, step=step, cap=cap, generator=self.generator)
         change += self._apply(model, refined)
-        noise = self.strategy.noise_at(means_lr)
-        if noise > 0:
-            self.engine.add_noise(model, noise)
         if self.region is not None and self._given:
             inside = self.region.keep_inside(model.column("means"))
             self._apply(model, () if inside is None else (inside,))
@@ -490,7 +490,7 @@ class Trainer:
         ]
 
     def _make_engine(self) -> Engine[Any]:
-        return CpuEngine(threads=self.config.threads, generator=self.generator)
+        return CpuEngine(threads=self.config.threads)
 
     def _all_models(self) -> list[EngineModel]:
         return [member.model for member in self.members]

@@ -148,15 +148,13 @@ class FakeEngine:
             model.params[name] += np.float32(1e-3 * rate)
             model.first[name] += 1
             model.adam_steps[name] += 1
+        model.params["means"] += np.float32(request.noise * 1e-9)
         for name in request.observe:
             model.rows[name] += 1
         mse = float(np.mean((photo.image / 255.0 - self._color([model])) ** 2))
         return Answer(
             StepNumbers(mse, mse, np.zeros((1, 19)), 0, 0, False, {"draw": 0.0}, {"entries": 1})
         )
-
-    def add_noise(self, model: FakeModel, weight: float) -> None:
-        model.params["means"] += np.float32(weight * 1e-9)
 
     def draw(
         self,

@@ -54,6 +54,7 @@ KINDS = {
     ct.c_int32: "int32",
     ct.c_uint32: "uint32",
     ct.c_int64: "int64",
+    ct.c_uint64: "uint64",
 }
 """Everything else is a pointer."""
 _PROGRAM = r"""
@@ -61,7 +62,7 @@ _PROGRAM = r"""
 #include <stddef.h>
 #include <stdio.h>
 #define KIND(x) _Generic((x), float: "float", double: "double", int32_t: "int32", \
-    uint32_t: "uint32", int64_t: "int64", default: "pointer")
+    uint32_t: "uint32", int64_t: "int64", uint64_t: "uint64", default: "pointer")
 #define SIZE(s) printf("gs_" #s " %zu\n", sizeof(gs_##s));
 #define FIELD(s, f, first) printf("gs_" #s "." #f " %zu %zu %s\n", offsetof(gs_##s, f), \
     sizeof(((gs_##s *)0)->f), KIND(((gs_##s *)0)->first));

@@ -20,7 +20,7 @@ Written by tools/build/shared_constants.py; do not edit.
 
 '''
 _DEFINE = re.compile(r"^#define GS_(\w+) (.+)$", re.MULTILINE)
-_NUMBER = re.compile(r"(?<![\w.])(\d[\d.]*(?:e[+-]?\d+)?)f?")
+_NUMBER = re.compile(r"(?<![\w.])(?:(0x[0-9A-F]+)u|(\d[\d.]*(?:e[+-]?\d+)?)f?)")
 
 
 def constants(text: str) -> dict[str, str]:
@@ -33,9 +33,10 @@ def constants(text: str) -> dict[str, str]:
 
 
 def _python(expression: str) -> str:
-    """A number, product or quotient of C as Python writes it, in double precision."""
+    """A number, product or quotient of C as Python writes it, in double precision; hexadecimal
+    numbers stay so."""
     plain = expression.strip().removeprefix("(").removesuffix(")")
-    return _NUMBER.sub(lambda found: repr(_value(found[1])), plain)
+    return _NUMBER.sub(lambda found: found[1] or repr(_value(found[2])), plain)
 
 
 def _value(text: str) -> int | float:

@@ -19,7 +19,7 @@
 #endif
 
 /* Changes whenever a struct or a signature of these headers changes. */
-#define GS_ABI_VERSION 10
+#define GS_ABI_VERSION 11
 
 /* Maximum number of threads of a call. */
 #define GS_THREADS_MAX 1024

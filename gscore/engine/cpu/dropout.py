@@ -2,15 +2,13 @@
 
 import torch
 
-from ..random import uniform
-
 _GONE = -30.0
 """Logit of a dropped splat: far below the opacity at which splats are drawn."""
 _MOST = 0.999
 """Highest opacity after compensation; the rasterizer clamps to 0.99 anyway."""
 
 
-def drop_splats(opacities: torch.Tensor, rate: float, generator: torch.Generator) -> torch.Tensor:
+def drop_splats(opacities: torch.Tensor, rate: float, numbers: torch.Tensor) -> torch.Tensor:
     """Return the opacities of one step, some dropped and the others raised to compensate.
 
     The opacity o of a splat that stays becomes o / (1 - rate), which keeps the expected sum of
@@ -19,13 +17,13 @@ def drop_splats(opacities: torch.Tensor, rate: float, generator: torch.Generator
     Args:
         opacities: [N] logits.
         rate: Share of splats to drop, in [0, 1).
-        generator: Source of one random number per splat.
+        numbers: [N] uniform in [0, 1); splats with less than `rate` are dropped.
 
     Returns:
         [N] logits, differentiable in `opacities`. Dropped splats receive no gradient; the clamp at
         the highest opacity passes gradients through, so that these splats can fade again.
     """
-    stays = uniform(len(opacities), generator) >= rate
+    stays = numbers >= rate
     raised = torch.sigmoid(opacities) / (1 - rate)
     raised = raised - (raised - _MOST).clamp_min(0).detach()
     return torch.where(stays, torch.logit(raised), _GONE)

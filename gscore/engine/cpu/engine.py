@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 
 from ...raster.header import OUT_INVERSE_DEPTH
 from ...raster.memory import ones, zeros
+from ...raster.random_numbers import normal_rows, uniform_rows
 from ...raster.request import Frustum, Settings
 from ...raster.screen_gradients import add_screen_gradients
 from ...raster.training_rasterizer import TrainingRasterizer
@@ -52,15 +54,9 @@ class CpuEngine:
 
     in_flight = 0
 
-    def __init__(self, *, threads: int = 0, generator: torch.Generator | None = None) -> None:
-        """Create an engine.
-
-        Args:
-            threads: 0: all cores; results do not depend on it.
-            generator: Source of dropout and noise; None: one with seed 0.
-        """
+    def __init__(self, *, threads: int = 0) -> None:
+        """`threads`: 0: all cores; results do not depend on it."""
         self._threads = threads
-        self._generator = generator or torch.Generator(device="cpu").manual_seed(0)
         self._rasterizer = TrainingRasterizer()
         self._loss = StepLoss(threads)
         self._photos: dict[int, StepPhoto] = {}
@@ -142,7 +138,8 @@ class CpuEngine:
         opacities, leaf = model.params["opacities"], None
         if request.drop_rate > 0:
             leaf = opacities.detach().requires_grad_()
-            opacities = drop_splats(leaf, request.drop_rate, self._generator)
+            numbers = uniform_rows(len(leaf), **self._random(request, base.DROPOUT_STREAM))
+            opacities = drop_splats(leaf, request.drop_rate, numbers)
         picture = self._rasterizer.draw(
             tuple((model.params | {"opacities": opacities}).values()),
             request.view,
@@ -212,7 +209,7 @@ class CpuEngine:
         add_screen_gradients(sums, views, v_means2d, radii, scale, threads=self._threads)
 
     def _update(self, model: CpuModel, request: StepRequest, radii: torch.Tensor) -> int:
-        """Add regularisers and take an Adam step; returns the number of bad rows.
+        """Add regularisers, take an Adam step and add noise; returns the number of bad rows.
 
         `radii`: above 0 for splats that receive a step.
         """
@@ -220,15 +217,21 @@ class CpuEngine:
         add_regularisers(model, opacity_reg=request.opacity_reg, scale_reg=request.scale_reg)
         model.set_rates(request.rates)
         shown = None if request.update_hidden else radii
-        return model.step(shown, shN=request.sh_update, photos=1 + len(request.others))
+        bad_rows = model.step(shown, shN=request.sh_update, photos=1 + len(request.others))
+        if request.noise > 0:
+            normal = partial(normal_rows, **self._random(request, base.NOISE_STREAM))
+            add_noise(model, request.noise, normal)
+        return bad_rows
+
+    def _random(self, request: StepRequest, stream: int) -> dict[str, int]:
+        """Where the random numbers of a step lie."""
+        stream += base.STREAMS * request.place
+        step = request.step
+        return {"seed": request.seed, "step": step, "stream": stream, "threads": self._threads}
 
     def _assert_finite(self, model: CpuModel, request: StepRequest, value: float) -> None:
         if request.check_finite:
             finite_check.assert_finite(model, value, step=request.step, view=request.check_finite)
-
-    def add_noise(self, model: CpuModel, weight: float) -> None:
-        """Move faint splats at random, see `Engine.add_noise`."""
-        add_noise(model, weight, self._generator)
 
     def draw(
         self,

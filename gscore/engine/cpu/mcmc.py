@@ -1,10 +1,10 @@
 """MCMC terms: noise on faint splats, and regularisers (Kheradmand et al. 2024, section 5)."""
 
 import math
+from collections.abc import Callable
 
 import torch
 
-from ..random import gaussian
 from ..rotation import rotate
 from .model import CpuModel
 
@@ -28,10 +28,13 @@ def add_regularisers(model: CpuModel, *, opacity_reg: float, scale_reg: float) -
         grads["scales"].add_(scales.exp(), alpha=scale_reg / scales.numel())
 
 
-def add_noise(model: CpuModel, weight: float, generator: torch.Generator) -> None:
-    """Move faint splats by covariance @ normal noise times `weight`."""
-    if weight <= 0:
-        return
+def add_noise(
+    model: CpuModel, weight: float, normal: Callable[[torch.Tensor], torch.Tensor]
+) -> None:
+    """Move faint splats by covariance @ noise times `weight`.
+
+    `normal`: returns [M, 3] float32 normal numbers of rows, [M] int64.
+    """
     opacities = model.params["opacities"]
     limit = math.log(NOISE_MAX_OPACITY / (1 - NOISE_MAX_OPACITY))
     faint = (opacities < limit).nonzero().flatten()
@@ -41,7 +44,7 @@ def add_noise(model: CpuModel, weight: float, generator: torch.Generator) -> Non
     gate = torch.sigmoid(-GATE_SHARPNESS * (opacity - GATE_OPACITY))
     variance = (2 * model.params["scales"][faint]).exp()
     quats = model.params["quats"][faint]
-    noise = gaussian((len(faint), 3), generator) * (gate * weight)[:, None]
+    noise = normal(faint) * (gate * weight)[:, None]
     back = quats * quats.new_tensor([1.0, -1.0, -1.0, -1.0])
     shift = rotate(quats, variance * rotate(back, noise))
     model.params["means"].index_add_(0, faint, shift)

@@ -34,10 +34,8 @@ class SharedModel(CpuModel):
 class DataParallelEngine(CpuEngine):
     """CPU engine of one rank: gradients are averaged over the photos of all ranks."""
 
-    def __init__(
-        self, team: ProcessGroup, *, threads: int = 0, generator: torch.Generator | None = None
-    ) -> None:
-        super().__init__(threads=threads, generator=generator)
+    def __init__(self, team: ProcessGroup, *, threads: int = 0) -> None:
+        super().__init__(threads=threads)
         self._team = team
 
     def _new(
