@@ -39,7 +39,7 @@ CONSTANTS = {
     "GS_ADAM_ALL": header.ADAM_ALL,
     "GS_ADAM_VISIBLE": header.ADAM_VISIBLE,
     "GS_ADAM_WAIT": header.ADAM_WAIT,
-    "GS_ADAM_LAGS": header.ADAM_LAGS,
+    "GS_ADAM_PENDING_SIZE": header.ADAM_PENDING_SIZE,
     "GS_MASK_NONE": header.MASK_MODES["none"],
     "GS_MASK_COMPOSITE": header.MASK_MODES["composite"],
     "GS_MASK_IGNORE": header.MASK_MODES["ignore"],
