@@ -12,7 +12,7 @@ from .datasets.frames import SequenceFrame as SequenceFrame
 from .datasets.frames import choose_frames as choose_frames
 from .datasets.frames import find_frames as find_frames
 from .datasets.frames import frame_pattern as frame_pattern
-from .datasets.mask_meaning import are_mattes as are_mattes
+from .datasets.masks import are_mattes as are_mattes
 from .datasets.masks import masks_inside as masks_inside
 from .datasets.photo_headers import up_from_exif as up_from_exif
 from .datasets.resolution import target_size as target_size
@@ -85,9 +85,9 @@ from .io.lock import FolderLock as FolderLock
 from .io.lod_file import LOD_ENDING as LOD_ENDING
 from .io.lod_file import is_lod_file as is_lod_file
 from .io.mesh.ply import write_mesh as write_mesh
+from .io.ply.comments import UP_NOTE as UP_NOTE
+from .io.ply.comments import stated_up as stated_up
 from .io.ply.splats import MIP_COMMENT as MIP_COMMENT
-from .io.ply.up_axis import UP_NOTE as UP_NOTE
-from .io.ply.up_axis import stated_up as stated_up
 from .io.poses_json import POSES_FILE as POSES_FILE
 from .io.poses_json import read_moves as read_moves
 from .io.region_file import write_region as write_region

@@ -12,8 +12,14 @@ from ..errors import FormatError
 from ..events import finite, headline_psnr
 from ..metrics import Lpips, LpipsNet, evaluate, psnr
 from ..metrics.evaluate import target_picture
-from .default_rule import CaptureChange, Verdict, decide_default
-from .paired import Difference, paired_difference, trimmed_mean
+from .paired import (
+    CaptureChange,
+    Difference,
+    Verdict,
+    decide_default,
+    paired_difference,
+    trimmed_mean,
+)
 from .training import Color, PictureOf, train_measured
 
 COMPARED = ("psnr", "psnr_cc", "ssim", "lpips")

@@ -1,14 +1,18 @@
 """Block cells: vertical cells of the world with about equal training work.
 
 Cells divide the ground plane, as in VastGaussian (Lin et al. 2024, arXiv 2402.17427, section 4.1),
-but by recursive halving of the longer side, which allows any number of cells.
+but by recursive halving of the longer side, which allows any number of cells. A block has the
+photos that show enough of its cell.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..edit import in_frustum
 from ..io.block_record import in_cells
+from ..io.colmap.model import ColmapModel, PointIndex
 from ..upright import find_up
 
 _RIM = 0.01
@@ -116,3 +120,51 @@ def _cut(ground: np.ndarray, weights: np.ndarray, share: float) -> tuple[int, fl
     total = np.cumsum(weights[order])
     at = int(np.searchsorted(total, share * total[-1]))
     return axis, float(ground[order[min(at, len(order) - 1)], axis])
+
+
+MARGIN = 0.2
+"""Share of a cell's extent by which it is widened to select photos, so that neighbours agree at the
+seam (VastGaussian, section 4.1)."""
+SHARE = 0.25
+"""Least share of a photo's visible points in the widened cell (VastGaussian, section 4.1, where it
+is a share of the picture)."""
+_SAMPLE = 200_000
+"""Most points that are projected, if a model has no observations."""
+
+
+def visible_points(model: ColmapModel) -> list[np.ndarray]:
+    """Per image: [M] int64, rows of the points visible in it.
+
+    Images without tracks get all points in their frustum, ignoring occlusion.
+    """
+    index = PointIndex(model.points)
+    step = max(1, -(-len(model.points) // _SAMPLE))
+    sample = np.arange(0, len(model.points), step)
+    rows = []
+    for image in model.images:
+        visible = np.unique(index.find(image.point3D_ids)[1])
+        if not len(visible):
+            camera = model.cameras[image.camera_id]
+            inside = in_frustum(
+                model.points.xyz[sample], camera.K, image.viewmat, camera.width, camera.height, 0.0
+            )
+            visible = sample[inside]
+        rows.append(visible)
+    return rows
+
+
+def photos_per_cell(observed: Sequence[np.ndarray], around: np.ndarray, share: float) -> np.ndarray:
+    """Mask [N, C] bool of the training photos of each cell.
+
+    Args:
+        observed: Per photo, rows of its visible points.
+        around: [N, P] bool, points in each widened cell.
+        share: Least share of a photo's points. The cell with the largest share always gets the
+            photo, so that none is left out.
+    """
+    chosen = np.zeros((len(around), len(observed)), bool)
+    for i, rows in enumerate(observed):
+        if len(rows):
+            parts = around[:, rows].mean(axis=1)
+            chosen[:, i] = (parts >= share) | (parts == parts.max())
+    return chosen

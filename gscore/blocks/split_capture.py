@@ -5,7 +5,10 @@ belongs to each block of which it shows enough, and a block has all points visib
 also those outside its cell, because its photos need splats there.
 """
 
+import contextlib
 import hashlib
+import os
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -20,16 +23,17 @@ from ..datasets.read import read_capture
 from ..datasets.shots import warn_of_split_shots
 from ..datasets.split import is_chosen, split_views
 from ..datasets.tracks import model_with
-from ..errors import ConfigError, DatasetError
-from ..io.block_record import BlockRecord
+from ..errors import ConfigError, DatasetError, GsError
+from ..io.block_record import BlockRecord, block_name
+from ..io.colmap.folder import write_model
 from ..io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
+from ..io.files import link_or_copy, reason
 from ..io.images.read_image import IMAGE_ENDINGS
 from ..quoting import quoted
 from ..scene import within_reach
 from ..text_format import count_words
 from ..transforms import rotmat_to_quat
-from .block_cells import Cells, make_cells
-from .block_photos import MARGIN, SHARE, photos_per_cell, visible_points
+from .block_cells import MARGIN, SHARE, Cells, make_cells, photos_per_cell, visible_points
 
 MOST_BLOCKS = 10_000
 _FEWEST_PHOTOS = 3
@@ -240,3 +244,64 @@ def file_name(view: View) -> str:
     if pure.suffix.lower() in IMAGE_ENDINGS:
         return pure.with_suffix(ending).as_posix()
     return f"{pure.as_posix()}{ending}"
+
+
+def write_blocks(cut: Cut, folder: Path, on_progress: Callable[[int], object]) -> None:
+    """Write all blocks into a new folder, completely or not at all.
+
+    Args:
+        cut: Result of `cut_capture`.
+        folder: New or empty; `block_0`, `block_1` and so on are made in it. Photos are hard-linked,
+            or copied if that is impossible.
+        on_progress: Receives the number of linked photos, counted per block.
+
+    Raises:
+        ConfigError: the folder is not empty.
+        GsError: it cannot be written.
+    """
+    check_empty(folder)
+    whole = folder.resolve()
+    made = whole.parent / f".{whole.name}.{os.getpid()}.split"
+    done = 0
+    try:
+        for block in cut.blocks:
+            place = made / block_name(block.record.index)
+            for i in block.views:
+                _fill(cut.views[i], cut.masks[i], place)
+                done += 1
+                on_progress(done)
+            (place / "sparse/0").mkdir(parents=True)
+            write_model(_part(cut.model, block), place / "sparse/0")
+            block.record.write(place)
+        with contextlib.suppress(FileNotFoundError):
+            whole.rmdir()
+        made.rename(whole)
+    except OSError as error:
+        raise GsError(f"Cannot write {folder}: {reason(error)}") from error
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def check_empty(folder: Path) -> None:
+    """Raise ConfigError unless blocks may be written there."""
+    taken = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
+    if taken:
+        raise ConfigError(f"{folder} is not empty. Choose a new folder for the blocks with -o.")
+
+
+def _part(model: ColmapModel, block: Block) -> ColmapModel:
+    """Model of a block; `write_model` detaches observations of points that are not in it."""
+    images = [model.images[i] for i in block.views]
+    used = {image.camera_id for image in images}
+    cameras = {key: camera for key, camera in model.cameras.items() if key in used}
+    return replace(
+        model, cameras=cameras, images=images, points=points_at(model.points, block.rows)
+    )
+
+
+def _fill(view: View, mask: Path | None, place: Path) -> None:
+    """Link a photo and its mask under the names of a COLMAP capture."""
+    name = file_name(view)
+    link_or_copy(view.image, place / "images" / name)
+    if mask is not None:
+        link_or_copy(mask, place / "masks" / f"{name}.png")

@@ -17,8 +17,7 @@ from ..errors import ConfigError
 from ..formats import WrittenFile, files_of, format_to_write, read_splats, write_splat_file
 from ..io.files import read_bytes
 from ..io.lod_file import is_lod_file
-from ..io.ply.near_comment import near_comment, stated_near
-from ..io.ply.up_axis import UP_NOTE, stated_up
+from ..io.ply.comments import UP_NOTE, near_comment, stated_near, stated_up
 from ..lod.read import LOD_FORMAT, read_lod
 from ..quoting import brief
 from ..scene import splat_near

@@ -17,7 +17,7 @@ from ..events import EvalDone, EvalProgress, Show, Warn, headline_psnr
 from ..formats import format_to_write, write_splat_file
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.output_paths import check_output_path
-from ..io.ply.near_comment import near_comment, stated_near
+from ..io.ply.comments import near_comment, stated_near
 from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
 from ..metrics.photo_mismatch import photo_mismatch_warnings
 from ..metrics.splat_errors import SplatErrors
@@ -25,8 +25,8 @@ from ..quoting import as_typed, brief
 from ..raster import native_library
 from ..raster.request import Frustum
 from ..report import PictureCollector, cameras_section, splat_histograms, write_results
-from ..report.error_map import brightest, error_map
-from ..report.page_link import link_page
+from ..report.colormap import brightest, error_map
+from ..report.html_parts import link_page
 from ..scene import Cameras
 from ..text_format import colour_words, count_words, psnr_name, quality_words, stopped_words
 from .args.data_options import add_data_options, with_data_options

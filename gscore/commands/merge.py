@@ -13,7 +13,7 @@ from ..events import ENDED, FINISHED
 from ..formats import format_to_write, write_splat_file
 from ..io.block_record import BLOCK_RECORD, RUN_BLOCK, BlockRecord, read_block
 from ..io.metrics_file import read_metrics
-from ..io.ply.near_comment import near_comment, stated_near
+from ..io.ply.comments import near_comment, stated_near
 from ..io.runs import is_run, read_run
 from ..quoting import as_typed, brief
 from ..text_format import count_words, number

@@ -27,8 +27,7 @@ from .parser import add_threads_option
 from .pictures.render_cameras import FPS, PATHS, find_shots
 from .pictures.stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .pictures.video import need_video, write_video
-from .terminal.marks import is_ours
-from .terminal.output import check_folder, check_replaced, other_files, print_json
+from .terminal.output import check_folder, check_replaced, is_ours, other_files, print_json
 from .terminal.status import Counted, Status, wrapped
 
 _COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}

@@ -4,9 +4,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from ..blocks.block_photos import MARGIN, SHARE
-from ..blocks.split_capture import Cut, cut_capture
-from ..blocks.write_blocks import check_empty, write_blocks
+from ..blocks.block_cells import MARGIN, SHARE
+from ..blocks.split_capture import Cut, check_empty, cut_capture, write_blocks
 from ..config import DataConfig
 from ..io.output_paths import check_output_path
 from ..quoting import as_typed

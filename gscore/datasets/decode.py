@@ -9,7 +9,6 @@ from threading import Condition
 import numpy as np
 
 from ..errors import FormatError, ShapeError
-from ..io.images.alpha import divided, premultiplied
 from ..io.images.read_image import (
     is_scaled,
     read_image,
@@ -19,6 +18,7 @@ from ..io.images.read_image import (
     resize_map,
     resize_mask,
 )
+from ..io.images.resample import divided, premultiplied
 from .undistort import Undistortion
 
 DECODED_AT_ONCE = 1_000_000_000

@@ -2,11 +2,8 @@
 
 from ..importance import importance_of, most_important
 from .clusters import cluster_sizes, reached_from
-from .contribution import contributions
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix
-from .isolation import isolation_of
-from .limits import at_least_opaque, of_size
-from .similarity import similarity_matrix
+from .measures import at_least_opaque, contributions, isolation_of, of_size, similarity_matrix
 
 __all__ = [
     "at_least_opaque",

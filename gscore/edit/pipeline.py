@@ -14,12 +14,9 @@ from ..splats import Splats, cut_degree, sigmoid
 from ..text_format import count_words
 from ..transforms import transform_splats
 from .clusters import cluster_sizes
-from .contribution import contributions
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix
-from .isolation import isolation_of
-from .limits import at_least_opaque, of_size
+from .measures import at_least_opaque, contributions, isolation_of, of_size, similarity_matrix
 from .request import GAP, EditRequest
-from .similarity import similarity_matrix
 
 _TRIES = 8
 """Most trial files to find the number of splats for a file size."""

@@ -1,7 +1,6 @@
 """Inspection of a capture before a training: its content and its problems."""
 
 from .capture_facts import CaptureFacts, Problem
-from .find_capture import find_capture
-from .inspect_capture import inspect
+from .inspect_capture import find_capture, inspect
 
 __all__ = ["CaptureFacts", "Problem", "find_capture", "inspect"]

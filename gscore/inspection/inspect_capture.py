@@ -13,21 +13,23 @@ from ..datasets import Capture, Folder, View, read_capture
 from ..datasets.masks import check_mask_size, masks_of_views
 from ..datasets.photo_headers import PhotoFit, check_fit, fit_photos, photo_warnings
 from ..datasets.points import point_warnings
-from ..datasets.pose_warnings import axis_warnings, position_warnings
+from ..datasets.poses import axis_warnings, position_warnings
 from ..datasets.programs import find_program
 from ..datasets.resolution import check_resolution
 from ..datasets.split import split_views, split_warnings
+from ..datasets.transforms_json import find_transforms
 from ..depth.params import DEPTH_FOLDER
 from ..depth.stated import StatedDepth, stated_depth
 from ..errors import BackendError, DatasetError, GsError
 from ..io.colmap.camera_models import NO_PINHOLE
+from ..io.colmap.folder import find_model
 from ..io.images.image_header import ImageInfo
 from ..io.images.read_image import decoding_pixels, read_info
 from ..scene import Cameras, PointCloud, Scene, within_reach
 from ..sfm.output_path import has_no_cameras
 from ..text_format import count_words
+from ..video import is_video
 from .capture_facts import CaptureFacts, Problem
-from .find_capture import colmap_of, find_transforms
 from .photo_folder import photo_folder_facts
 
 FEW_PHOTOS = 15
@@ -324,3 +326,35 @@ def _error(text: str) -> Problem:
 
 def _note(text: str) -> Problem:
     return Problem(is_error=False, text=text)
+
+
+def find_capture(path: str | Path) -> Path:
+    """The folder of the capture of a picked path.
+
+    Users pick `sparse/0`, `sparse`, the photos or a file of the model; trainers need the folder
+    above. The path of a capture, and one without a capture, is returned unchanged.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".json" or is_video(path):
+        return path
+    folder = path.parent if path.is_file() else path
+    if folder.name.isdigit() and folder.parent.name == "sparse":
+        return folder.parent.parent
+    if folder.name == "sparse":
+        return folder.parent
+    if not _has_capture(folder) and _has_capture(folder.parent):  # which may be a whole disk
+        return folder.parent
+    return folder
+
+
+def colmap_of(folder: Path) -> Path | None:
+    """The folder of the COLMAP model of a capture; None if there is none."""
+    try:
+        return find_model(folder)[0]
+    except (DatasetError, OSError):
+        return None
+
+
+def _has_capture(folder: Path) -> bool:
+    found = colmap_of(folder) or find_transforms(folder) or find_program(folder, below=False)
+    return found is not None

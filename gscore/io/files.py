@@ -1,4 +1,4 @@
-"""Atomic file writing: a file is written completely or not at all."""
+"""Files: written completely or not at all, read only if they are regular, linked or copied."""
 
 import contextlib
 import errno
@@ -6,6 +6,7 @@ import math
 import os
 import re
 import secrets
+import shutil
 import stat
 import sys
 import threading
@@ -277,3 +278,19 @@ def reason(error: OSError | ValueError) -> str:
     if isinstance(error, OSError):
         return _REASONS.get(error.errno or 0, f"{error.strerror or error}".rstrip(".") + ".")
     return "the name has characters that no file name can have. Choose another one."
+
+
+def link_or_copy(source: Path, target: Path) -> None:
+    """Hard-link the file `source` to `target`, or copy it; the folder of `target` is made.
+
+    A hard link takes no space and stays valid if the first name is removed. Targets on another file
+    system, or on one without hard links, get a copy.
+
+    Raises:
+        OSError: `target` cannot be written.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source.resolve(), target)
+    except OSError:
+        shutil.copy2(source, target)

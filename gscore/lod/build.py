@@ -29,8 +29,7 @@ from ..raster.native_library import default_threads
 from ..scene import Cameras, splat_near
 from ..sh import sh0_to_rgb
 from ..splats import PARAMETERS, Splats
-from .chunk_layout import chunks_of, levels_above
-from .groups import groups_of
+from .groups import chunks_of, groups_of, levels_above
 from .merge_moments import MergedSplats, median_sizes, merged_by, projected_area
 
 _PART = 1 << 17

@@ -13,8 +13,7 @@ from ..errors import ShapeError
 from ..events import MASKED_OF
 from .image import EMPTY_MASK, image_metrics
 from .lpips import Lpips
-from .lpips_input import SHORTEST_SIDE
-from .lpips_net import LpipsNet
+from .lpips_net import SHORTEST_SIDE, LpipsNet
 from .named import NAMED_METRICS
 
 _AVERAGED = tuple(metric.key for metric in NAMED_METRICS if metric.averaged)

@@ -9,8 +9,7 @@ import numpy as np
 from ..config import checked_threads
 from ..errors import BackendError, ConfigError, FormatError
 from ..extras import need
-from .lpips_input import checked_pair
-from .lpips_net import NETS, LpipsNet
+from .lpips_net import NETS, LpipsNet, checked_pair
 
 
 class Lpips:

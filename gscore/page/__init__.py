@@ -1,5 +1,5 @@
 """Browser page that shows splats: a single HTML file.
 
-`pack` compresses splats, `ascii85` encodes the bytes as text, `page` assembles the file. Scripts
+`pack` compresses splats and encodes the bytes as text, `page` assembles the file. Scripts
 and shaders for the browser are separate files in this folder.
 """

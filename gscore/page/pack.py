@@ -2,7 +2,7 @@
 
 Each number is quantised to an integer; bytes of one kind are stored together, so that deflate can
 use their distribution. Higher SH coefficients get the rest of the budget, with the smallest step
-that fits.
+that fits. Ascii85 makes the bytes text.
 """
 
 import zlib
@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from ..morton import distances_from_middle, morton_order
 from ..sh import rgb_to_sh0, sh0_to_rgb
 from ..shared_constants import ALPHA_MIN
 from ..smallest_three import smallest_three, with_largest
 from ..splats import PARAMETERS, Splats, cut_degree, sigmoid
 from ..transforms import unit_quats
-from . import ascii85
-from .blocks import BLOCK, blocks_of
 
 PAGE_BYTES = 20
 """Budget of text per splat, bytes."""
@@ -65,7 +64,7 @@ class Packed:
     @property
     def text_bytes(self) -> int:
         """Size of the body as text in the page."""
-        return ascii85.length(len(self.body))
+        return ascii85_length(len(self.body))
 
 
 def pack(splats: Splats, *, budget: float = PAGE_BYTES) -> Packed:
@@ -96,7 +95,7 @@ def pack(splats: Splats, *, budget: float = PAGE_BYTES) -> Packed:
         "color_axes": COLOR_AXES.tolist(),
     }
     first = _geometry(kept, lengths) + _opacity_and_color(kept)
-    room = budget * count / ascii85.length(4) * 4
+    room = budget * count / ascii85_length(4) * 4
     step = _step_that_fits(rest, room - len(_deflated(first)))
     while True:
         body = _deflated(first + _whole(rest, step).T.tobytes())
@@ -243,3 +242,76 @@ def _step_that_fits(rest: np.ndarray, room: float) -> float:
         else:
             low = middle + 1
     return float(_STEPS[low])
+
+
+ALPHABET = "".join(chr(code) for code in range(33, 127) if chr(code) not in "\"&'<>\\`")[:85]
+"""Printable ASCII without characters that are special in HTML or JavaScript strings."""
+_LETTERS = np.frombuffer(ALPHABET.encode(), np.uint8)
+_GROUP = 4
+_WEIGHTS = 85 ** np.arange(4, -1, -1, dtype=np.uint32)
+
+
+def ascii85(content: bytes) -> str:
+    """The bytes as Ascii85 text of `ALPHABET`, 5/4 as long, compared to 4/3 for base64.
+
+    Four bytes are a big-endian number, written in base 85 with the highest digit first. The last
+    group is padded with zero bytes; the decoder knows the length.
+    """
+    padded = content + bytes(-len(content) % _GROUP)
+    numbers = np.frombuffer(padded, ">u4").astype(np.uint32)
+    digits = numbers[:, None] // _WEIGHTS % 85
+    return _LETTERS[digits].tobytes().decode()
+
+
+def ascii85_length(count: int) -> int:
+    """Number of characters of `ascii85` for `count` bytes."""
+    return -(-count // _GROUP) * len(_WEIGHTS)
+
+
+BLOCK = 256
+"""Maximum number of splats of a block."""
+_WIDEST = 4.0
+"""Maximum side of a box, relative to a distance from the middle of all splats: that of the nearest
+splat of the block, or the median of all splats if larger."""
+
+
+def blocks_of(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """An order [N] of positions [N, 3], and the lengths of its blocks [B], 1 to 256, with sum N.
+
+    Each is an interval of 256 along a Morton curve, split at its widest gaps if its box would be so
+    large that quantised positions become coarse. A single far splat does not affect its neighbours.
+    """
+    order = morton_order(means)
+    away, usual = distances_from_middle(means)
+    starts = np.arange(0, len(means), BLOCK)
+    if not len(starts):
+        return order, starts
+    sorted_means = means[order].astype(np.float64)
+    low = np.minimum.reduceat(sorted_means, starts)
+    side = (np.maximum.reduceat(sorted_means, starts) - low).max(axis=1)
+    nearest = np.minimum.reduceat(away[order], starts)
+    loose = side > _WIDEST * np.maximum(nearest, usual)
+    lengths: list[int] = []
+    for start, cut in zip(starts.tolist(), loose.tolist(), strict=True):
+        rows = order[start : start + BLOCK]
+        parts = _tight(rows, means, away, usual) if cut else [rows]
+        order[start : start + BLOCK] = np.concatenate(parts)
+        lengths += map(len, parts)
+    return order, np.array(lengths)
+
+
+def _tight(rows: np.ndarray, means: np.ndarray, away: np.ndarray, usual: float) -> list[np.ndarray]:
+    """The rows split into parts with small boxes, in the order of the curve within each."""
+    left, found = [rows], []
+    while left:
+        part = left.pop()
+        places = means[part].astype(np.float64)
+        sides = np.ptp(places, axis=0)
+        if sides.max() <= _WIDEST * max(away[part].min(), usual):
+            found.append(part)
+            continue
+        along = places[:, sides.argmax()]
+        steps = np.sort(along)
+        first_beyond = steps[np.diff(steps).argmax() + 1]
+        left += [part[along >= first_beyond], part[along < first_beyond]]
+    return found

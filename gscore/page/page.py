@@ -12,8 +12,7 @@ import numpy as np
 
 from ..glsl import glsl_defines
 from ..io.files import atomic_write
-from . import ascii85
-from .pack import Packed
+from .pack import Packed, ascii85
 
 _SCRIPTS = ("unpack.js", "draw.js", "eye.js", "hands.js", "view.js")
 """In the order of their dependencies."""
@@ -87,7 +86,7 @@ def page_html(page: Page) -> str:
         "title": html.escape(page.title),
         "style": _asset("view.css"),
         "scene": _as_script(_scene(page)),
-        "splats": ascii85.encode(page.splats.body),
+        "splats": ascii85(page.splats.body),
         "vertex": _shader("splat.vert"),
         "fragment": _shader("splat.frag"),
         "sorter": _asset("sort.js"),

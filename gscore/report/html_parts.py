@@ -1,10 +1,10 @@
-"""HTML parts of all pages: the frame without external resources, switches, warnings."""
+"""HTML parts of all pages: the frame without external resources, switches, warnings, view.html."""
 
 import html
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..io.files import atomic_write
+from ..io.files import atomic_write, read_bytes
 from ..option_marks import show_flags
 
 AXES = (("step", "steps"), ("elapsed_s", "seconds"))
@@ -69,3 +69,31 @@ def switch(kind: str, label: str, choices: Sequence[tuple[str, str]]) -> str:
 
 def _asset(name: str) -> str:
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
+
+
+PAGE = "view.html"
+"""Default page of `gscore view` in the folder of a run."""
+SEAM = "<!-- gscore view -->"
+"""Placeholder for the page in a report."""
+_SHOWN = (
+    f'{SEAM}<section id="page"><h2><a href="{PAGE}">Look around in 3D</a></h2>'
+    "<details><summary>Show it here</summary>"
+    f'<iframe src="{PAGE}" title="The splats" loading="lazy"></iframe></details></section>\n'
+)
+
+
+def link_page(folder: Path) -> bool:
+    """Embed view.html in the report.html of a folder; returns False if there is no report with a
+    placeholder.
+
+    Raises:
+        GsError: the report cannot be written.
+    """
+    report = folder / "report.html"
+    if not (report.is_file() and (folder / PAGE).is_file()):
+        return False
+    content = read_bytes(report)
+    shown, seam = _SHOWN.encode(), SEAM.encode()
+    if shown not in content and content.count(seam) == 1:
+        atomic_write(report, content.replace(seam, shown))
+    return shown in content or content.count(seam) == 1

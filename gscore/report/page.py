@@ -1,7 +1,7 @@
-"""Report page, report.html: the results of a run in one self-contained file."""
+"""Report page, report.html: the results of a run in one self-contained file, refined poses too."""
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -17,10 +17,8 @@ from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
 from .histograms import Histogram, histograms_html
-from .html_parts import AXES, html_page, switch, warnings_html, write_html
-from .page_link import SEAM
+from .html_parts import AXES, SEAM, html_page, switch, warnings_html, write_html
 from .pictures import ERROR_GAIN, ViewPictures
-from .poses import poses_html
 from .report_header import EXPOSED, TIMES, head_html, meaning_html, tiles_html
 
 
@@ -291,3 +289,31 @@ def _definition(metrics: dict[str, Any], metric: NamedMetric) -> dict[str, str]:
         return {title: f"not measured: {reason}"}
     words = metric.definition.format(net=metrics.get("lpips_net"))
     return {f"{title} {value:.{metric.digits + 1}f}": words}
+
+
+_MOST = 20
+"""Maximum number of listed cameras, those with the largest rotations."""
+
+
+def poses_html(poses: Mapping[str, Any]) -> str:
+    """The section.
+
+    Args:
+        poses: `why`; `cameras`, by name of the photo, with `degrees` and `extents`.
+    """
+    cameras = sorted(poses["cameras"].items(), key=lambda item: -item[1]["degrees"])
+    widest = max((one["degrees"] for _, one in cameras), default=0.0) or 1.0
+    rows = "".join(
+        f"<tr><td>{html.escape(name)}</td><td>{one['degrees']:.3f}</td>"
+        f"<td>{100 * one['extents']:.2f} %</td>"
+        f'<td><svg width="120" height="10"><rect width="{120 * one["degrees"] / widest:.1f}" '
+        f'height="10" fill="currentColor"/></svg></td></tr>'
+        for name, one in cameras[:_MOST]
+    )
+    more = f" Largest {_MOST} rotations of {len(cameras)}." if len(cameras) > _MOST else ""
+    return (
+        f'<section id="poses"><h2>Refined camera poses</h2><p class="hint">'
+        f"{html.escape(poses['why'])}{more}</p>"
+        "<table><thead><tr><th>photo</th><th>rotation, degrees</th><th>move, of the extent</th>"
+        f"<th></th></tr></thead><tbody>{rows}</tbody></table></section>\n"
+    )

@@ -17,7 +17,7 @@ from ..raster import native_library
 from ..text_format import count_words
 from . import database, masks, photos, pycolmap_stages
 from .bundle_adjustment import AdjustedLens, adjust, is_stable
-from .failure_reason import failure_reason
+from .database import failure_reason
 from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from .gps_scale import Gps, read_gps, to_metres
 from .heic import conversion_hint

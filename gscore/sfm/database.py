@@ -1,7 +1,8 @@
 """COLMAP database: its contents, read while nothing writes to it.
 
 Access is through pycolmap only: a second SQLite in the process, such as Python's own, would release
-the locks of the first when it closes the file, and the database would be corrupted.
+the locks of the first when it closes the file, and the database would be corrupted. Its matches
+give the reason of a failure.
 """
 
 from dataclasses import dataclass
@@ -9,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..datasets.capture import listing
+from ..text_format import count_words
 from .pycolmap_thread import colmap
 
 
@@ -106,3 +109,45 @@ def aliases(database: Path) -> dict[int, str]:
     """Aliases of the photos by image id."""
     with colmap().Database.open(database) as link:
         return {image.image_id: image.name for image in link.read_all_images()}
+
+
+_FEW_FEATURES = 100
+"""Number of features of the median photo below which missing texture is the reason."""
+_MOSTLY_FLAT = 0.8
+"""Share of pairs without parallax from which missing parallax is the reason."""
+
+
+def failure_reason(found: Overlap, names: dict[str, str]) -> str:
+    """Message for photos that gave no model.
+
+    Args:
+        found: Match statistics of the photos.
+        names: Names of the photos by alias.
+    """
+    photos = count_words(len(found.features), "photo")
+    median = int(np.median(found.features))
+    if median < _FEW_FEATURES:
+        return (
+            f"No cameras found: the photos show too little texture. Half of the {photos} have "
+            f"{f'{median} or fewer features' if median else 'no features'}, at least "
+            f"{_FEW_FEATURES} are needed. Take sharp photos of textured surfaces, or leave masks "
+            "out with `--no-masks`."
+        )
+    if not found.pairs:
+        return (
+            f"No cameras found: no two of the {photos} overlap. Take more photos, so that each "
+            "overlaps most of the previous one."
+        )
+    if found.flat >= _MOSTLY_FLAT * found.pairs:
+        return (
+            f"No cameras found: {found.flat} of the {count_words(found.pairs, 'pair')} of photos "
+            "that overlap show no parallax: the camera turned on the spot, faced a flat wall, or "
+            "did not move. Walk around the subject and take photos from different places."
+        )
+    alone = f" {count_words(len(found.alone), 'photo matches', 'photos match')} no other: "
+    alone = f"{alone}{listing([names[alias] for alias in found.alone], 3)}." if found.alone else ""
+    return (
+        f"No cameras found: the photos overlap too little. Of the {photos}, "
+        f"{count_words(found.pairs, 'pair matches', 'pairs match')}, which is not enough for a "
+        f"model.{alone} Take more photos between the existing ones."
+    )

@@ -12,8 +12,7 @@ from ..control import Control
 from ..datasets.masks import MASK_FOLDER
 from ..errors import Cancelled, ConfigError, DatasetError, GsError
 from ..events import Event, SfmProgress
-from ..io.files import atomic_write, read_bytes, reason
-from ..io.link_or_copy import link_or_copy
+from ..io.files import atomic_write, link_or_copy, read_bytes, reason
 from ..json_text import parse_json
 from ..quoting import brief
 from ..video import ExtractRequest, extract_frames, is_video

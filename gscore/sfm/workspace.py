@@ -11,8 +11,7 @@ import numpy as np
 
 from ..datasets.capture import listing
 from ..errors import ConfigError, DatasetError, GsError
-from ..io.files import atomic_write, read_bytes, reason
-from ..io.link_or_copy import link_or_copy
+from ..io.files import atomic_write, link_or_copy, read_bytes, reason
 from ..io.lock import FolderLock
 from ..io.runs import SEARCH_RECORD
 from ..io.world_file import write_up

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..datasets.capture import listing
-from ..datasets.pose_warnings import axis_warnings, position_warnings
+from ..datasets.poses import axis_warnings, position_warnings
 from ..errors import DatasetError
 from ..formats import is_antialiased
 from ..metrics.photo_mismatch import photo_mismatch_warnings

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gscore.blocks.split_capture import cut_capture
-from gscore.blocks.write_blocks import write_blocks
+from gscore.blocks.split_capture import cut_capture, write_blocks
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.errors import ConfigError, DatasetError, FormatError

@@ -9,14 +9,14 @@ from PIL import Image
 
 from gscore.io.lod_file import open_lod_file
 from gscore.io.ply.splats import MIP_COMMENT, header_comments, read_ply, write_splats
-from gscore.lod import chunk_layout
+from gscore.lod import groups
 from gscore.metrics.image import psnr
 
 
 @pytest.fixture
 def city(gscore, run_folder, tmp_path, monkeypatch):
     """The run's 60 splats in two levels."""
-    monkeypatch.setattr(chunk_layout, "MOST_IN_A_CHUNK", 30)
+    monkeypatch.setattr(groups, "MOST_IN_A_CHUNK", 30)
     run = run_folder()
     assert gscore("lod", run, "-o", tmp_path / "city.lod", "--quiet") == (0, "", "")
     return tmp_path / "city.lod"
@@ -24,7 +24,7 @@ def city(gscore, run_folder, tmp_path, monkeypatch):
 
 def test_lod_says_what_each_level_has(gscore, run_folder, tmp_path, monkeypatch):
     """Oracle: the file's own index; the same in `info`, also as JSON."""
-    monkeypatch.setattr(chunk_layout, "MOST_IN_A_CHUNK", 30)
+    monkeypatch.setattr(groups, "MOST_IN_A_CHUNK", 30)
     run, out = run_folder(), tmp_path / "city.lod"
     code, text, err = gscore("lod", run, "-o", out)
     assert code == 0 and not err

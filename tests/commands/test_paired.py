@@ -5,8 +5,14 @@ import statistics
 import numpy as np
 import pytest
 
-from gscore.bench.default_rule import CaptureChange, Verdict, decide_default
-from gscore.bench.paired import Difference, paired_difference, trimmed_mean
+from gscore.bench.paired import (
+    CaptureChange,
+    Difference,
+    Verdict,
+    decide_default,
+    paired_difference,
+    trimmed_mean,
+)
 
 
 def slow_twin(captures: list[list[list[float]]], seed: int) -> tuple[float, float, float]:

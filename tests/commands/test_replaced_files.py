@@ -10,8 +10,7 @@ import pytest
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from gscore.commands.terminal.marks import is_ours
-from gscore.commands.terminal.output import check_folder, check_replaced
+from gscore.commands.terminal.output import check_folder, check_replaced, is_ours
 from gscore.depth.maps import SHEET
 from gscore.errors import ConfigError
 from gscore.report.html_parts import html_page

@@ -9,7 +9,6 @@ import pytest
 
 import gscore
 from gscore.bench.pareto_front import Size, SizeOutcome, measure_sizes, pareto_front
-from gscore.bench.peers import read_peers
 from gscore.bench.raster import synthetic_scene
 from gscore.bench.synthetic import SyntheticPhotos
 from gscore.bench.time_error import (
@@ -18,6 +17,7 @@ from gscore.bench.time_error import (
     curve_json,
     labels,
     measured_steps,
+    read_peers,
     time_to_psnr,
 )
 from gscore.bench.training import Point, Trained, load_for_bench, open_sizes, train_measured

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gscore.edit import isolation_of
-from gscore.edit.isolation import NEIGHBOURS
+from gscore.edit.measures import NEIGHBOURS
 
 
 def slowly(means: np.ndarray) -> np.ndarray:

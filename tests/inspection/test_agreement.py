@@ -12,7 +12,7 @@ import pytest
 from addon.capture import inspection as panel
 from gscore import DataConfig, GsError, load_dataset
 from gscore.commands import main
-from gscore.datasets.pose_warnings import axis_warnings, position_warnings
+from gscore.datasets.poses import axis_warnings, position_warnings
 from gscore.frontend import ColmapModel, read_colmap, write_colmap
 from gscore.inspection import CaptureFacts, inspect
 from gscore.io.images.read_image import write_png

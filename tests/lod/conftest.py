@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gscore.io.ply.splats import write_splats
-from gscore.lod import chunk_layout
+from gscore.lod import groups
 from gscore.lod.build import LodFacts, build_lod
 from gscore.lod.measure import measured_levels
 from gscore.splats import Splats
@@ -55,6 +55,6 @@ def lod(ply: Path) -> Path:
     """Its levels of detail, with small chunks."""
     path = ply.with_name("wall.lod")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chunk_layout, "MOST_IN_A_CHUNK", CHUNK)
+        patch.setattr(groups, "MOST_IN_A_CHUNK", CHUNK)
         build_lod(ply, path, LodFacts(near=0.02), measured=measured_levels)
     return path

@@ -11,7 +11,7 @@ import pytest
 from gscore.errors import ConfigError, DatasetError, FormatError, GsError
 from gscore.io.lod_file import HEADER_BYTES, is_lod_file, open_lod_file
 from gscore.io.ply.splats import read_ply, read_ply_parts, write_splats
-from gscore.lod import chunk_layout
+from gscore.lod import groups
 from gscore.lod.build import LodFacts, build_lod
 from gscore.lod.chunk_selection import choose_chunks
 from gscore.raster.request import Frustum
@@ -60,7 +60,7 @@ def test_chunks_are_compact_and_even() -> None:
     """Oracle: areas of the boxes of a square, which one splat far away does not change."""
     means = wall().means.copy()
     means[17] = 1e6
-    chunks = chunk_layout.chunks_of(means, 2)
+    chunks = groups.chunks_of(means, 2)
     counts = np.bincount(chunks)
     assert len(counts) == 16 and np.ptp(counts) <= 1
     areas = [np.ptp(means[chunks == c, :2], axis=0).prod() for c in range(16) if c != chunks[17]]
@@ -72,7 +72,7 @@ def test_the_same_bytes_again(ply: Path, lod: Path, tmp_path: Path, monkeypatch)
     from gscore.lod import build
     from gscore.lod.measure import measured_levels
 
-    monkeypatch.setattr(chunk_layout, "MOST_IN_A_CHUNK", CHUNK)
+    monkeypatch.setattr(groups, "MOST_IN_A_CHUNK", CHUNK)
     monkeypatch.setattr(build, "_PART", 777)
     build_lod(ply, tmp_path / "b.lod", LodFacts(near=0.02), measured=measured_levels)
     assert (tmp_path / "b.lod").read_bytes() == lod.read_bytes()
@@ -115,7 +115,7 @@ def test_a_stopped_build_leaves_nothing(ply: Path, tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chunk_layout, "MOST_IN_A_CHUNK", CHUNK)
+        patch.setattr(groups, "MOST_IN_A_CHUNK", CHUNK)
         with pytest.raises(KeyboardInterrupt):
             build_lod(ply, tmp_path / "a.lod", LodFacts(), on_share=stop)
     assert not list(tmp_path.iterdir())
@@ -216,7 +216,7 @@ def test_giants_do_not_hide_the_errors_of_others(
     lod: Path, tmp_path: Path, size: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the errors of the levels without the giants, one splat of a thousand."""
-    monkeypatch.setattr(chunk_layout, "MOST_IN_A_CHUNK", CHUNK)
+    monkeypatch.setattr(groups, "MOST_IN_A_CHUNK", CHUNK)
     splats = wall()
     splats.scales[::1000] = size
     write_splats(tmp_path / "a.ply", splats)

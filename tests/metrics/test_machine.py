@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from gscore.io import system_memory as m
-from gscore.io.cgroup import MemoryGroup, memory_groups
+from gscore.io.system_memory import MemoryGroup, memory_groups
 from gscore.metrics.machine import machine, version_of
 
 

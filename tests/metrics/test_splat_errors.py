@@ -8,8 +8,7 @@ import pytest
 from gscore.metrics.splat_errors import SplatErrors
 from gscore.raster.api import render
 from gscore.raster.request import Frustum
-from gscore.report.colormap import colorize
-from gscore.report.error_map import brightest, error_map
+from gscore.report.colormap import brightest, colorize, error_map
 from gscore.scene import Cameras
 from gscore.sh import rgb_to_sh0, sh0_to_rgb
 from gscore.splats import Splats

@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 
 from gscore import Splats, render
-from gscore.page import ascii85
-from gscore.page.pack import COLOR_STEP, PAGE_BYTES, PLACE_LEVELS, SIZE_STEP, pack, unpack
+from gscore.page.pack import (
+    ALPHABET,
+    COLOR_STEP,
+    PAGE_BYTES,
+    PLACE_LEVELS,
+    SIZE_STEP,
+    ascii85,
+    ascii85_length,
+    pack,
+    unpack,
+)
 from gscore.sh import sh0_to_rgb
 from gscore.transforms import quat_to_rotmat
 
@@ -73,7 +82,7 @@ def test_twenty_bytes_a_splat_are_enough(count: int, degree: int) -> None:
     """Oracle: the length of the text; and harmonics get what is left: less of it, larger steps."""
     splats = cloud(count, degree)
     packed = pack(splats)
-    text = ascii85.encode(packed.body)
+    text = ascii85(packed.body)
     assert len(text) == packed.text_bytes <= PAGE_BYTES * packed.head["count"]
     if degree:
         assert packed.text_bytes > 0.9 * PAGE_BYTES * packed.head["count"]
@@ -165,11 +174,11 @@ def test_letters_mean_the_same_to_others(length: int) -> None:
     theirs = (
         b"0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz!#$%&()*+-;<=>?@^_`{|}~"
     )
-    text = ascii85.encode(raw)
-    assert len(text) == ascii85.length(length)
-    mine = text.translate(str.maketrans(ascii85.ALPHABET, theirs.decode()))
+    text = ascii85(raw)
+    assert len(text) == ascii85_length(length)
+    mine = text.translate(str.maketrans(ALPHABET, theirs.decode()))
     assert base64.b85decode(mine)[:length] == raw
-    assert not set(ascii85.ALPHABET) & set("<>&\"'\\` ") and len(set(ascii85.ALPHABET)) == 85
+    assert not set(ALPHABET) & set("<>&\"'\\` ") and len(set(ALPHABET)) == 85
 
 
 @pytest.mark.parametrize("part", ["means", "quats", "scales", "opacities", "sh0", "shN"])

@@ -25,8 +25,8 @@ from gscore.report.curves import (
     nice_ticks,
     short_number,
 )
+from gscore.report.html_parts import PAGE, link_page
 from gscore.report.page import report_html
-from gscore.report.page_link import PAGE, link_page
 from gscore.report.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
 from gscore.scene import Cameras, PointCloud, Scene
 from gscore.splats import Splats

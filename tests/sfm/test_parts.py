@@ -9,8 +9,7 @@ import pytest
 from PIL import Image, ImageFilter
 
 from gscore.errors import DatasetError
-from gscore.sfm.database import Overlap
-from gscore.sfm.failure_reason import failure_reason
+from gscore.sfm.database import Overlap, failure_reason
 from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
 from gscore.sfm.pairs import further_parts, in_parts, sequential_pairs
 from gscore.sfm.photo_folders import stamp

@@ -8,7 +8,7 @@ import pytest
 
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
-from gscore.datasets.mask_meaning import are_mattes
+from gscore.datasets.masks import are_mattes
 from gscore.io.images.read_image import read_mask, write_png
 
 H, W = 60, 80

@@ -13,7 +13,7 @@ import pytest
 from gscore.config import DataConfig
 from gscore.config_file import load_config
 from gscore.datasets import load_dataset
-from gscore.datasets.changed_files import _hash
+from gscore.datasets.dataset import _hash
 from gscore.depth.maps import MapFolder, read_map
 from gscore.errors import Cancelled, ConfigError, DatasetError
 from gscore.io.cameras_json import read_cameras_json

@@ -11,8 +11,8 @@ import gscore
 from gscore.errors import ConfigError
 from gscore.formats import read_splat_file, write_splat_file
 from gscore.io.ply import elements
+from gscore.io.ply.comments import stated_up
 from gscore.io.ply.splats import read_ply, read_ply_parts, write_splats
-from gscore.io.ply.up_axis import stated_up
 from gscore.splats import Splats
 
 

@@ -15,8 +15,8 @@ from gscore.commands import main
 from gscore.commands.video_info import video_facts
 from gscore.errors import FormatError
 from gscore.video import ExtractRequest, Frames, extract_frames
+from gscore.video.frame_image import to_screen
 from gscore.video.source import damage_words, opened_video
-from gscore.video.tone_mapping import to_screen
 
 from . import films
 

@@ -15,7 +15,7 @@ from ...errors import ConfigError, DatasetError
 from ...formats import SplatFile, is_splat_file, read_splat_file
 from ...io.colmap.folder import find_model
 from ...io.files import check_regular, is_file
-from ...io.ply.near_comment import stated_near
+from ...io.ply.comments import stated_near
 from ...io.ply.splats import header_comments
 from ...io.runs import options_of_run
 from ...io.unsupported_formats import describe_unsupported

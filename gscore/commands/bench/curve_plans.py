@@ -4,8 +4,7 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from ...bench.peers import read_peers
-from ...bench.time_error import Curve, Variant
+from ...bench.time_error import Curve, Variant, read_peers
 from ...bench.training import open_sizes
 from ...config import Skip, TrainConfig
 from ...datasets import Dataset

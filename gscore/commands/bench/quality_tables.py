@@ -1,6 +1,6 @@
 """Quality tables of `gscore bench quality`, in Markdown."""
 
-from ...bench.default_rule import CaptureChange
+from ...bench.paired import CaptureChange
 from ...bench.quality import Comparison, Summary
 from ...text_format import number, number_words
 from .quality_results import Report

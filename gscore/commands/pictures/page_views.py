@@ -11,7 +11,7 @@ from ...datasets import Dataset
 from ...errors import ConfigError, GsError
 from ...io.cameras_json import read_cameras_json
 from ...io.metrics_file import read_metrics
-from ...io.ply.up_axis import stated_up
+from ...io.ply.comments import stated_up
 from ...metrics.evaluate import target_picture
 from ...page.page import PageCamera
 from ...report.pictures import data_uri, shrink, size_within

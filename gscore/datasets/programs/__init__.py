@@ -1,6 +1,5 @@
 """Cameras exported by other photogrammetry programs next to the photos."""
 
-from .find import ProgramFile, find_program
-from .read import read_program
+from .read import ProgramFile, find_program, read_program
 
 __all__ = ["ProgramFile", "find_program", "read_program"]

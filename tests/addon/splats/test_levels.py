@@ -11,7 +11,7 @@ from mathutils import Matrix
 from addon.core import Splats, read_lod, write_splats
 from addon.splats import objects, splat_files
 from gscore.frontend import LodFacts, build_lod
-from gscore.lod import build, chunk_layout
+from gscore.lod import build, groups
 
 COUNT = 2000
 
@@ -20,7 +20,7 @@ COUNT = 2000
 def lod(tmp_path: Path, make_splats: Callable[..., Splats], monkeypatch) -> Path:
     """Three levels: 2000 splats in 16 chunks, 500 and 125; merged in file order, because Blender
     has no scipy to find neighbours."""
-    monkeypatch.setattr(chunk_layout, "MOST_IN_A_CHUNK", 150)
+    monkeypatch.setattr(groups, "MOST_IN_A_CHUNK", 150)
     monkeypatch.setattr(build, "groups_of", lambda means, *_: np.arange(len(means)) // 4)
     write_splats(tmp_path / "city.ply", make_splats(COUNT))
     build_lod(tmp_path / "city.ply", tmp_path / "city.lod", LodFacts(antialias=True))

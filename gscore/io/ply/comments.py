@@ -1,7 +1,44 @@
-"""Up axis of a splat PLY, from a comment in its header."""
+"""Header comments of a splat PLY: near plane of its training, and up axis."""
 
+import math
 import re
 from collections.abc import Iterable
+
+from ...errors import FormatError
+from ...quoting import quoted
+
+_NEAR = "gscore near "
+
+
+def near_comment(near: float) -> str:
+    """Comment that states a near plane, world units, exactly."""
+    return f"{_NEAR}{near!r}"
+
+
+def stated_near(comments: Iterable[str]) -> float | None:
+    """Near plane from header comments, world units; None if they state none.
+
+    Raises:
+        FormatError: a near comment has no positive number.
+    """
+    for line in comments:
+        if line.startswith(_NEAR):
+            return _positive(line)
+    return None
+
+
+def _positive(line: str) -> float:
+    try:
+        near = float(line.removeprefix(_NEAR))
+    except ValueError:
+        near = math.nan
+    if not 0 < near < math.inf:
+        raise FormatError(
+            f"The comment {quoted(line)} of the PLY states no near plane; expected a positive "
+            "number. Remove the comment."
+        )
+    return near
+
 
 UP_NOTE = "gscore up "
 """Start of gscore's own comment, followed by an axis: X, Y or Z, or one of them after a minus."""
