@@ -309,6 +309,15 @@ def test_halls_of_the_trainer_import_down(path: Path) -> None:
             assert parts[2] in TRAINER[own] | {own}, f"{own} imports {name}"
 
 
+def test_arguments_stay_on_the_command_line() -> None:
+    """Oracle: imports of argparse; a namespace has no types, and anybody may write into it. The
+    training, its blocks, frames and ranks receive a request."""
+    users = {path.relative_to(PACKAGE) for path in _files() if "argparse" in dict(_imports(path))}
+    assert {path.parts[0] for path in users} <= {"commands"}
+    typed = ("block_runs", "torchrun", "find_cameras", "args/unused_options")
+    assert not users & {Path(f"commands/{name}.py") for name in typed}
+
+
 def test_every_hall_of_the_trainer_has_its_place() -> None:
     """Oracle: the folder listing; an order in which each imports only earlier ones; few files lie
     beside the halls."""

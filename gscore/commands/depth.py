@@ -10,7 +10,7 @@ from .depth_maps.make_maps import StopMessage, make_maps
 from .depth_maps.networks import list_models
 from .depth_maps.result_text import facts_of, print_result
 from .terminal.output import print_json
-from .terminal.run_job import run_job
+from .terminal.run_job import OutputOptions, run_job
 
 
 def run(args: argparse.Namespace) -> int:
@@ -35,7 +35,9 @@ def run(args: argparse.Namespace) -> int:
         )
     message = StopMessage()
     result, code = run_job(
-        args, lambda show, control: make_maps(args, show, control, message), stopped=message
+        OutputOptions.of(args),
+        lambda show, control: make_maps(args, show, control, message),
+        stopped=message,
     )
     if result is None:
         return code

@@ -33,7 +33,7 @@ from .args.data_options import add_data_options, with_data_options
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_threads_option
 from .terminal.output import check_folder, check_replaced, print_json
-from .terminal.run_job import run_job
+from .terminal.run_job import OutputOptions, run_job
 from .terminal.status import wrapped
 
 _STOPPED = "Stopped; nothing was written."
@@ -92,7 +92,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure, write metrics.json and report.html, print the means."""
     result, code = run_job(
-        args, lambda show, control: _measure(args, show, control), stopped=lambda: _STOPPED
+        OutputOptions.of(args),
+        lambda show, control: _measure(args, show, control),
+        stopped=lambda: _STOPPED,
     )
     if result is None:
         return code

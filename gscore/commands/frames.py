@@ -9,7 +9,7 @@ from ..io.output_paths import check_output_path
 from ..video import ExtractRequest, extract_frames
 from ..video.request import FRAME_FORMATS
 from .terminal.output import check_folder, print_json
-from .terminal.run_job import add_output_options, run_job
+from .terminal.run_job import OutputOptions, add_output_options, run_job
 from .terminal.status import wrapped
 
 
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     check_output_path(request.output)
     check_folder(request.output)
     frames, code = run_job(
-        args,
+        OutputOptions.of(args),
         lambda show, control: extract_frames(
             request, on_event=show, control=control, overwrite=args.overwrite
         ),

@@ -2,10 +2,9 @@
 
 import argparse
 import sys
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
-from ..config import DataConfig, TrainConfig
 from ..control import Control
 from ..errors import ConfigError, GsError
 from ..events import Show, Warn
@@ -17,6 +16,7 @@ from ..sequence_options import SequenceOptions
 from ..text_format import count_words, quality_words
 from . import train as train_command
 from .args.run_options import declare, passed_options
+from .args.train_request import TrainRequest
 from .args.viewer_options import viewer_clients_of
 from .terminal.output import check_folder, other_files, print_json
 from .terminal.run_job import run_job
@@ -58,90 +58,83 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train all frames and print a summary; returns the exit code."""
-    return train_in_turn(args, _run) if under_torchrun() else _run(args, None)
+    request = TrainRequest.of(args)
+    options = passed_options(SequenceOptions, args)
+
+    def work(request: TrainRequest, team: "ProcessGroup | None") -> int:
+        return _run(request, options, team)
+
+    return train_in_turn(request, work) if under_torchrun() else work(request, None)
 
 
-def _run(args: argparse.Namespace, team: "ProcessGroup | None") -> int:
-    result, code = run_job(args, lambda show, control: _train(args, show, control, team))
+def _run(request: TrainRequest, given: dict[str, Any], team: "ProcessGroup | None") -> int:
+    shown = request.shown
+    result, code = run_job(shown, lambda show, control: _train(request, given, show, control, team))
     if result is None:
         return code
-    if args.json:
-        facts = result.headline | {"reason": result.reason, "output": str(args.output)}
+    if shown.json:
+        facts = result.headline | {"reason": result.reason, "output": str(request.output)}
         facts["per_frame"] = [frame.to_dict(result.output) for frame in result.frames]
         print_json(facts)
-    elif not (args.quiet or args.events):
+    elif not shown.is_silent:
         print(wrapped(_summary(result), sys.stdout))
     return code
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Request:
-    """The requested work, checked as far as possible before any photo is read."""
-
-    config: TrainConfig
-    data: DataConfig
-    options: SequenceOptions
-    frame: int | None
-
-
 def _train(
-    args: argparse.Namespace, show: Show, control: Control, team: "ProcessGroup | None"
+    request: TrainRequest,
+    given: dict[str, Any],
+    show: Show,
+    control: Control,
+    team: "ProcessGroup | None",
 ) -> "SequenceResult":
     from ..trainer.distributed.consistency import check_ready
-    from ..trainer.sequence import train_sequence
+    from ..trainer.sequence import read_options, train_sequence
 
-    request, failure = None, None
+    failure, frame = None, request.data.get("frame")
     try:
-        request = _request(args, show, team)
+        _check(request, show, team)
+        stored = read_options(request.output) if request.resume else None
+        options = replace(stored or SequenceOptions(), **given)
+        # Without `frame`, which would also be an option of each frame.
+        data, config = request.without("frame").configs_with_messages(show)
     except GsError as error:
+        if not team:
+            raise
         failure = error
     if team:
         check_ready(team, failure)
-    elif failure:
-        raise failure
-    assert request is not None
-    with viewer_clients_of(args, request.data.source, show) as viewers:
+    with viewer_clients_of(request.live, data.source, show) as viewers:
         return train_sequence(
-            request.config,
-            request.data,
-            args.output,
+            config,
+            data,
+            request.output,
             show,
             control,
-            options=request.options,
-            resume=args.resume,
-            overwrite=args.overwrite,
+            options=options,
+            resume=request.resume,
+            overwrite=request.overwrite,
             viewers=viewers,
-            frame=request.frame,
+            frame=frame,
             team=team,
             agent=agent(),
         )
 
 
-def _request(args: argparse.Namespace, show: Show, team: "ProcessGroup | None") -> _Request:
-    from ..trainer.sequence import read_options
-
+def _check(request: TrainRequest, show: Show, team: "ProcessGroup | None") -> None:
+    """Check the request as far as possible before any photo is read."""
     for name, instead in _ONE_FRAME.items():
-        if getattr(args, name) is not None:
+        if name in request.given:
             raise ConfigError(f"{mark_option(name)} is for a single training: {instead}.")
-    if team and args.frame is not None:
+    if team and "frame" in request.data:
         raise ConfigError("`--frame` is for one process; torchrun distributes all frames.")
-    check_output_path(args.output)
-    check_folder(args.output)
-    frames = [path.name for path in args.output.glob("frame_*") if path.is_dir()]
-    others = other_files(args.output, (SEQUENCE_FILE, "config.json", *frames))
-    if others and not args.events:
-        show(Warn(message=f"{args.output} contains other files, which are kept: {others}"))
-    stored = read_options(args.output) if args.resume else None
-    given = passed_options(SequenceOptions, args)
-    # Without `frame`, which would also be an option of each frame.
-    own = argparse.Namespace(**vars(args) | {"frame": None})
-    data, config = train_command.configs_with_messages(own, show)
-    return _Request(
-        config=config,
-        data=data,
-        options=replace(stored or SequenceOptions(), **given),
-        frame=args.frame,
-    )
+    output = request.output
+    check_output_path(output)
+    check_folder(output)
+    frames = [path.name for path in output.glob("frame_*") if path.is_dir()]
+    others = other_files(output, (SEQUENCE_FILE, "config.json", *frames))
+    if others and not request.shown.events:
+        show(Warn(message=f"{output} contains other files, which are kept: {others}"))
 
 
 def _summary(result: "SequenceResult") -> str:

@@ -14,7 +14,7 @@ from ..sfm.search_request import MAPPERS, MATCHERS
 from ..video import is_video
 from .parser import add_threads_option
 from .terminal.output import check_folder, print_json
-from .terminal.run_job import Show, run_job
+from .terminal.run_job import OutputOptions, Show, run_job
 from .terminal.status import wrapped
 
 
@@ -110,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
     check_output_path(request.output)
     check_folder(request.output)
     found, code = run_job(
-        args,
+        OutputOptions.of(args),
         lambda show, control: _find(request, args, show, control),
         stopped=lambda: "Stopped; the same command continues from here.",
     )

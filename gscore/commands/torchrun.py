@@ -1,15 +1,18 @@
 """Training under torchrun: rank 0 runs the command, the others work for it."""
 
-import argparse
 import os
 import platform
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from ..errors import DatasetError, GsError
 from ..io.runs import AGENT, checkpoints_in
+from ..live_options import LiveOptions
 from ..metrics.machine import cores
+from .args.train_request import TrainRequest
 from .terminal.interrupt import interrupts
+from .terminal.run_job import OutputOptions
 from .terminal.torchrun_launch import under_torchrun
 
 if TYPE_CHECKING:
@@ -23,12 +26,12 @@ _OWN = {
 
 
 def train_distributed(
-    args: argparse.Namespace, lead: Callable[[argparse.Namespace, "ProcessGroup | None"], int]
+    request: TrainRequest, lead: Callable[[TrainRequest, "ProcessGroup | None"], int]
 ) -> int:
     """Run as the rank of the environment; returns the exit code.
 
     Args:
-        args: Arguments of `gscore train`.
+        request: What to train.
         lead: Trains, as rank 0 of a process group or alone.
     """
     from ..trainer.distributed.process_group import (
@@ -41,23 +44,23 @@ def train_distributed(
     os.environ.setdefault("GSCORE_THREADS", str(threads_of_rank(cores())))
     size = world_size()
     if restarted() and os.environ["RANK"] == "0":
-        _go_on(args)
+        request = _going_on(request)
     if size == 1:
-        return lead(args, None)
+        return lead(request, None)
     with ProcessGroup() as team:
         if team.ended:
             return 0
-        return _lead(args, team, lead) if team.is_rank0 else _follow(args, team)
+        return _lead(request, team, lead) if team.is_rank0 else _follow(request, team)
 
 
 def train_in_turn(
-    args: argparse.Namespace, work: Callable[[argparse.Namespace, "ProcessGroup | None"], int]
+    request: TrainRequest, work: Callable[[TrainRequest, "ProcessGroup | None"], int]
 ) -> int:
     """Share work whose pieces each run on one rank; returns the exit code.
 
     Args:
-        args: Arguments of `gscore sequence`.
-        work: Does the pieces of this rank; `args` of ranks other than 0 are quiet.
+        request: What to train.
+        work: Does the pieces of this rank; the request of ranks other than 0 are quiet.
     """
     from ..trainer.distributed.process_group import (
         ProcessGroup,
@@ -68,16 +71,15 @@ def train_in_turn(
 
     os.environ.setdefault("GSCORE_THREADS", str(threads_of_rank(cores())))
     if world_size() == 1:
-        return work(args, None)
+        return work(request, None)
     with ProcessGroup() as team:
         if team.ended:
             return 0
         if not team.is_rank0:
-            args.quiet, args.events, args.json = True, None, False
+            request = replace(request, shown=OutputOptions(quiet=True), live=LiveOptions())
         try:
-            _check_same_arguments(args, team)
-            args.port = args.port if team.is_rank0 else None
-            return work(args, team)
+            _check_same_arguments(request, team)
+            return work(request, team)
         except RankLostError:
             if team.is_rank0:
                 raise
@@ -93,26 +95,28 @@ def agent() -> str:
     return f"{platform.node()} {os.getppid()}\n" if under_torchrun() else ""
 
 
-def _go_on(args: argparse.Namespace) -> None:
-    """Continue a run that this torchrun started, from its last checkpoint or from the start."""
+def _going_on(request: TrainRequest) -> TrainRequest:
+    """The request to continue a run that this torchrun started, from its last checkpoint or from
+    the start."""
     try:
-        ours = (args.output / AGENT).read_text(encoding="utf-8") == agent()
+        ours = (request.output / AGENT).read_text(encoding="utf-8") == agent()
     except (OSError, ValueError):
-        return
-    if ours:
-        args.resume = bool(checkpoints_in(args.output))
-        args.overwrite = not args.resume
-        args.start_checkpoint = args.start_checkpoint if args.overwrite else None
+        return request
+    if not ours:
+        return request
+    resume = bool(checkpoints_in(request.output))
+    start = None if resume else request.start_checkpoint
+    return replace(request, resume=resume, overwrite=not resume, start_checkpoint=start)
 
 
 def _lead(
-    args: argparse.Namespace,
+    request: TrainRequest,
     team: "ProcessGroup",
-    lead: Callable[[argparse.Namespace, "ProcessGroup | None"], int],
+    lead: Callable[[TrainRequest, "ProcessGroup | None"], int],
 ) -> int:
-    _check_same_arguments(args, team)
+    _check_same_arguments(request, team)
     try:
-        code = lead(args, team)
+        code = lead(request, team)
     except BaseException:
         _part(team, failed=True)
         raise
@@ -130,16 +134,15 @@ def _part(team: "ProcessGroup", *, failed: bool) -> None:
         return  # a lost rank needs no message
 
 
-def _follow(args: argparse.Namespace, team: "ProcessGroup") -> int:
+def _follow(request: TrainRequest, team: "ProcessGroup") -> int:
     """Run as a worker of rank 0, ignoring signals: all ranks receive them, and rank 0 reacts."""
     from ..trainer.distributed.process_group import RankLostError
     from ..trainer.worker_rank import run_worker
 
-    source = args.source or args.source_option
     with interrupts() as interrupt, interrupt.stopped_by(lambda reason: None, quiet=True):
         try:
-            _check_same_arguments(args, team)
-            return 0 if run_worker(team, source) else 2
+            _check_same_arguments(request, team)
+            return 0 if run_worker(team, request.source) else 2
         except RankLostError:
             return 2
         except GsError as error:
@@ -148,12 +151,8 @@ def _follow(args: argparse.Namespace, team: "ProcessGroup") -> int:
             raise DatasetError(f"Rank {team.rank} ({platform.node()}): {error}") from error
 
 
-def _check_same_arguments(args: argparse.Namespace, team: "ProcessGroup") -> None:
+def _check_same_arguments(request: TrainRequest, team: "ProcessGroup") -> None:
     from ..trainer.distributed.consistency import check_equal, versions
 
-    check_equal(team, versions() | _given(args))
-
-
-def _given(args: argparse.Namespace) -> dict[str, Any]:
-    given = {name: value for name, value in vars(args).items() if name not in _OWN}
-    return {f"the option {name}": str(value) for name, value in given.items() if value is not None}
+    given = {f"the option {k}": str(v) for k, v in request.given.items() if k not in _OWN}
+    check_equal(team, versions() | given)

@@ -2,19 +2,17 @@
 
 import argparse
 import sys
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ..config import LIFTED_BY, DataConfig, TrainConfig
+from ..config import DataConfig, TrainConfig
 from ..control import Control
-from ..errors import ConfigError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.output_paths import check_output_path
-from ..io.runs import options_of_run, other_files_in_run
+from ..io.runs import other_files_in_run
 from ..presets import PRESETS
-from ..quoting import as_typed, brief
+from ..quoting import as_typed
 from ..text_format import (
     colour_words,
     count_words,
@@ -22,10 +20,10 @@ from ..text_format import (
     quality_words,
     size_words,
 )
-from .args.data_options import add_data_options, with_data_options
-from .args.option_names_3dgs import add_3dgs_names, translate
-from .args.run_options import Set, declare, passed_options
-from .args.unused_options import unused_options
+from .args.data_options import add_data_options
+from .args.option_names_3dgs import add_3dgs_names
+from .args.run_options import Set, declare
+from .args.train_request import TrainRequest
 from .args.viewer_options import add_live_options, check_live_options, viewer_clients_of
 from .block_runs import train_blocks, wants_blocks
 from .find_cameras import is_finding, with_cameras
@@ -116,133 +114,76 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train and print a summary; returns the exit code."""
-    if wants_blocks(args):
-        return train_blocks(args, _run)
-    return train_distributed(args, _run) if under_torchrun() else _run(args, None)
+    request = TrainRequest.of(args)
+    if wants_blocks(request):
+        return train_blocks(request, _run)
+    return train_distributed(request, _run) if under_torchrun() else _run(request, None)
 
 
-def _run(args: argparse.Namespace, team: "ProcessGroup | None") -> int:
+def _run(request: TrainRequest, team: "ProcessGroup | None") -> int:
+    shown = request.shown
     result, code = run_job(
-        args,
-        lambda show, control: _train(args, show, control, team),
-        stopped=lambda: _stopped(args),
+        shown,
+        lambda show, control: _train(request, show, control, team),
+        stopped=lambda: _stopped(request.output),
     )
     if result is None:
         return code
-    if args.json:
-        numbers = result.headline | {"reason": result.reason, "output": str(args.output)}
+    if shown.json:
+        numbers = result.headline | {"reason": result.reason, "output": str(request.output)}
         print_json(numbers)
-    elif not (args.quiet or args.events):
-        print(wrapped(_summary(result, configs(args)[1]), sys.stdout))
+    elif not shown.is_silent:
+        print(wrapped(_summary(result, request.configs()[1]), sys.stdout))
     return code
 
 
-def configs(args: argparse.Namespace) -> tuple[DataConfig, TrainConfig]:
-    """The options of a preset, a config file or the resumed run, overridden by the given ones."""
-    source = args.source or args.source_option
-    if args.source and args.source_option and args.source != args.source_option:
-        raise ConfigError(
-            f"Two captures were given: {brief(args.source)} and {brief(args.source_option)}."
-        )
-    if args.config and args.preset:
-        raise ConfigError(
-            "Give either `--preset` or `--config`: a config file contains all options."
-        )
-    stored = args.config
-    if args.resume and not (args.config or (args.preset and source)):
-        stored = args.output / "config.json"
-        if not stored.is_file():
-            from ..trainer.files.run_folder import check_free
-
-            check_free(args.output)  # a run that has just begun has written nothing yet
-            raise ConfigError(f"{args.output} contains no run to resume; leave out `--resume`.")
-    if args.preset and stored:
-        source = options_of_run(stored)[0].source
-        data, config = PRESETS[args.preset](source)
-    elif stored:
-        data, config = options_of_run(stored)
-        data = replace(data, source=source or data.source)
-    elif source is None:
-        raise ConfigError("No capture was given: `gscore train SOURCE -o OUTPUT`.")
-    else:
-        data, config = PRESETS[args.preset or "normal"](source)
-    translate(args)
-    data = with_data_options(data, args)
-    config = replace(config, **_given(args))
-    if args.iterations is not None and config.time_budget > 0:
-        raise ConfigError(
-            f"A time budget ({config.time_budget:g} s) determines the number of steps; leave out "
-            "`--iterations`, or give `--time-budget 0`."
-        )
-    return data, config
-
-
-def _given(args: argparse.Namespace) -> dict[str, Any]:
-    """The given options; an explicit number lifts its limit by the photos."""
-    given = passed_options(TrainConfig, args)
-    return {LIFTED_BY[name]: 0 for name in LIFTED_BY.keys() & given.keys()} | given
-
-
-def configs_with_messages(args: argparse.Namespace, show: Show) -> tuple[DataConfig, TrainConfig]:
-    """As `configs`, with a warning about options without effect in this run."""
-    given = argparse.Namespace(**vars(args))  # `configs` sets some
-    data, config = configs(args)
-    if idle := unused_options(given, data, config):
-        show(Warn(message=idle, code="no_effect"))
-    return data, config
-
-
 def _train(
-    args: argparse.Namespace, show: Show, control: Control, team: "ProcessGroup | None"
+    request: TrainRequest, show: Show, control: Control, team: "ProcessGroup | None"
 ) -> "TrainResult":
-    data, config = configs_with_messages(args, show)
+    data, config = request.configs_with_messages(show)
+    from ..trainer.files.option_files import check_option_files
     from ..trainer.files.run_folder import check_writable
     from ..trainer.run import train
 
-    check_output_path(args.output, data)  # before listing files: not those of / or the capture
-    check_folder(args.output)
-    check_writable(args.output, resume=args.resume, overwrite=args.overwrite)
-    others = first_few(other_files_in_run(args.output))
-    if others and not args.events:
-        show(Warn(message=f"{args.output} contains other files, which are kept: {others}"))
+    def check(names: list[str] | None) -> None:
+        check_live_options(request.live)
+        check_option_files(config, data, names=names, start_checkpoint=request.start_checkpoint)
+
+    output = request.output
+    check_output_path(output, data)  # before listing files: not those of / or the capture
+    check_folder(output)
+    check_writable(output, resume=request.resume, overwrite=request.overwrite)
+    others = first_few(other_files_in_run(output))
+    if others and not request.shown.events:
+        show(Warn(message=f"{output} contains other files, which are kept: {others}"))
     data = with_cameras(
         data,
-        args.output,
+        output,
         show,
         control,
         # Not on a single rank of several: the others need the cameras too.
-        allowed=not (args.no_sfm or team),
-        check=lambda names: _check_given(args, config, data, names),
+        allowed=request.finds_cameras and not team,
+        check=check,
         threads=config.threads,
     )
-    with viewer_clients_of(args, data.source, show, after_the_end=True) as viewers:
+    with viewer_clients_of(request.live, data.source, show, after_the_end=True) as viewers:
         return train(
             config,
             data,
-            args.output,
+            output,
             show,
             control,
-            resume=args.resume,
-            overwrite=args.overwrite,
-            start_checkpoint=args.start_checkpoint,
+            resume=request.resume,
+            overwrite=request.overwrite,
+            start_checkpoint=request.start_checkpoint,
             viewers=viewers,
             team=team,
             agent=agent(),
         )
 
 
-def _check_given(
-    args: argparse.Namespace, config: TrainConfig, data: DataConfig, names: list[str] | None
-) -> None:
-    """Check the arguments before the cameras of photos are found."""
-    from ..trainer.files.option_files import check_option_files
-
-    check_live_options(args)
-    check_option_files(config, data, names=names, start_checkpoint=args.start_checkpoint)
-
-
-def _stopped(args: argparse.Namespace) -> str:
-    if is_finding(args.output):
+def _stopped(output: Path) -> str:
+    if is_finding(output):
         return "Stopped while finding cameras; the same command continues from here."
     return STOPPED
 

@@ -9,6 +9,7 @@ import pytest
 
 from gscore.commands import dashed, main, train
 from gscore.commands.args import option_names_3dgs
+from gscore.commands.args.train_request import TrainRequest
 from gscore.commands.bench.config_changes import changed
 from gscore.config import LIFTED_BY, Background, Skip, Strategy, Switch, TrainConfig
 from gscore.options import options_of
@@ -25,7 +26,7 @@ def configured(line: str) -> TrainConfig:
     """The config of a command line."""
     parser = argparse.ArgumentParser()
     train.add_arguments(parser)
-    return train.configs(parser.parse_args(dashed(f"in -o out {line}".split())))[1]
+    return TrainRequest.of(parser.parse_args(dashed(f"in -o out {line}".split()))).configs()[1]
 
 
 def test_every_option_is_listed_once(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,8 @@ from experiments.depth.compare import _predict, _whole
 from experiments.depth.measures import is_seen, known_share
 from experiments.depth.plans import ARMS, TABLES, Setting
 from experiments.depth.tables import tables
-from gscore.commands.train import add_arguments, configs
+from gscore.commands.args.train_request import TrainRequest
+from gscore.commands.train import add_arguments
 from gscore.depth.origin import read_record
 from gscore.io.images.read_image import write_png
 from gscore.presets import PRESETS
@@ -91,7 +92,7 @@ def test_trainings_are_the_presets_own(table: str) -> None:
     parser = ArgumentParser()
     add_arguments(parser)
     line = ["capture", "-o", "out", *setting.options, *ARMS["none"]]
-    data, train = configs(parser.parse_args(line))
+    data, train = TrainRequest.of(parser.parse_args(line)).configs()
     wanted_data, wanted = PRESETS[preset](Path("capture"))
     limits = {"iterations": "steps_a_photo", "max_splats": "splats_a_photo"}
     lifted = {limits[key]: 0 for key in sizes if key in limits}  # explicit numbers take precedence

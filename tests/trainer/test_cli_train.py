@@ -17,6 +17,7 @@ import pytest
 
 from gscore.commands import main
 from gscore.commands import train as train_command
+from gscore.commands.args.train_request import TrainRequest
 from gscore.config import Background, Strategy
 from gscore.config_file import load_config
 from gscore.events import Done, Estimated, Event, Failed, Progress, Saved, from_line
@@ -315,7 +316,7 @@ def test_a_way_to_split_takes_the_place_of_another(capture: Path, tmp_path: Path
     parser = argparse.ArgumentParser()
     train_command.add_arguments(parser)
     other = f"-o out --config {config} --test-every 3"
-    data, _ = train_command.configs(parser.parse_args(other.split()))
+    data, _ = TrainRequest.of(parser.parse_args(other.split())).configs()
     assert (data.eval, data.test_first, data.test_last, data.test_every) == (True, 0, 0, 3)
 
 
@@ -360,7 +361,7 @@ def test_flags_of_3dgs_scripts_mean_what_they_mean_there() -> None:
     train_command.add_arguments(parser)
     flags = "--ip 127.0.0.1 --port 6009 --debug-from -1 --disable-viewer --test-iterations -1"
     line = f"-s in -m out {flags} --feature-lr 0.01 --random-background --position-lr-init 0.002"
-    _, config = train_command.configs(parser.parse_args(line.split()))
+    _, config = TrainRequest.of(parser.parse_args(line.split())).configs()
     assert config.test_iterations == ()
     assert (config.sh0_lr, config.shN_lr, config.means_lr) == (0.01, 0.0005, 0.002)
     assert config.background is Background.RANDOM

@@ -15,7 +15,7 @@ import pytest
 from gscore import commands
 from gscore._version import __version__
 from gscore.commands import train
-from gscore.commands.terminal.run_job import run_job
+from gscore.commands.terminal.run_job import OutputOptions, run_job
 from gscore.config import TrainConfig
 from gscore.datasets.dataset import map_threads
 from gscore.errors import Cancelled, ConfigError, DatasetError
@@ -136,7 +136,7 @@ def test_stopped_before_there_was_anything(
     def work(show: Any, control: Any) -> None:
         raise Cancelled("while reading")
 
-    result, code = run_job(argparse.Namespace(quiet=quiet, events=events), work)
+    result, code = run_job(OutputOptions(quiet=quiet, events=bool(events)), work)
     reported = capsys.readouterr()
     assert (result, code, reported.err) == (None, 3, err)
     assert ("Stopped before the first step; nothing was written." in reported.out) == bool(events)

@@ -10,6 +10,7 @@ import pytest
 from gscore.commands import depth
 from gscore.commands import train as verb
 from gscore.commands.args.data_options import with_data_options
+from gscore.commands.args.train_request import TrainRequest
 from gscore.commands.parser import Parser
 from gscore.config import Background, DataConfig, Skip, Strategy, Switch, TrainConfig
 from gscore.config_command import depth_command, preset_words, train_command
@@ -38,7 +39,7 @@ def parsed(command: str) -> tuple[DataConfig, TrainConfig]:
     assert (program, name) == ("gscore", "train")
     parser = Parser(prog="gscore train")
     verb.add_arguments(parser)
-    return verb.configs(parser.parse_args(words))
+    return TrainRequest.of(parser.parse_args(words)).configs()
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))

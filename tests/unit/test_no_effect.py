@@ -6,6 +6,7 @@ import pytest
 
 from gscore.commands import train
 from gscore.commands.args import option_names_3dgs
+from gscore.commands.args.train_request import TrainRequest
 from gscore.commands.args.unused_options import RULES, unused_options
 from gscore.option_marks import show_flags
 
@@ -27,9 +28,8 @@ def reported(line: str) -> str:
     """The sentence for a command line."""
     parser = argparse.ArgumentParser()
     train.add_arguments(parser)
-    args = parser.parse_args(f"in -o out {line}".split())
-    given = argparse.Namespace(**vars(args))
-    return unused_options(given, *train.configs(args))
+    request = TrainRequest.of(parser.parse_args(f"in -o out {line}".split()))
+    return unused_options(request.given, *request.configs())
 
 
 def test_no_option_is_forgotten() -> None:

@@ -53,14 +53,23 @@ def add_split_options(group: argparse._ActionsContainer) -> None:
 
 
 def with_data_options(config: DataConfig, args: argparse.Namespace) -> DataConfig:
-    """The config with the options of the command line; a split option turns on `eval`."""
+    """The config with the options of the command line."""
+    return replace(config, **given_data(args))
+
+
+def given_data(args: argparse.Namespace) -> dict[str, Any]:
+    """The given options of `DataConfig`; a split option turns on `eval`.
+
+    Raises:
+        ConfigError: rules for the split that contradict.
+    """
     given = passed_options(DataConfig, args)
     if given.get("resolution") == -1:  # the preset or run may have another width limit
         given["max_width"] = _MAX_WIDTH
     if split := _given_split(args):
         # The offset belongs to the rule that is replaced.
         given = {"eval": True, "test_offset": None} | given | split
-    return replace(config, **given)
+    return given
 
 
 def _given_split(args: argparse.Namespace) -> dict[str, Any]:

@@ -88,22 +88,22 @@ def rows() -> list[Row]:
     ]
 
 
-def translate(args: argparse.Namespace) -> None:
-    """Set the options that 3DGS names correspond to, unless given under their own names.
+def translated(args: argparse.Namespace) -> dict[str, Any]:
+    """The options of `TrainConfig` that the given 3DGS names set.
 
     Raises:
         ConfigError: contradicting options.
     """
     if args.white_background and args.random_background:
         raise ConfigError("Give either `--white-background` or `--random-background`.")
+    found: dict[str, Any] = {}
     if args.white_background or args.random_background:
-        color = Background.WHITE if args.white_background else Background.RANDOM
-        args.background = args.background or color
+        found["background"] = Background.WHITE if args.white_background else Background.RANDOM
     if args.train_test_exp:
-        args.exposure = args.exposure or Switch.ON
+        found["exposure"] = Switch.ON
     if args.feature_lr is not None:
-        args.sh0_lr = args.feature_lr if args.sh0_lr is None else args.sh0_lr
-        args.shN_lr = args.feature_lr / _FEATURE_LR_SHARE if args.shN_lr is None else args.shN_lr
+        found |= {"sh0_lr": args.feature_lr, "shN_lr": args.feature_lr / _FEATURE_LR_SHARE}
+    return found
 
 
 class _Refuse(argparse.Action):

@@ -1,7 +1,7 @@
 """Unused options: one warning for training options without effect in a run."""
 
-import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from ...config import DataConfig, Doubling, Skip, Stereo, Strategy, Switch, TrainConfig
 from ...hold_out import SPLIT
@@ -9,26 +9,26 @@ from ...live_options import LiveOptions
 from ...option_marks import mark_option
 from ...options import Option, options_of
 
-_Idle = Callable[[argparse.Namespace, DataConfig, TrainConfig], bool]
+_Idle = Callable[[Mapping[str, Any], DataConfig, TrainConfig], bool]
 _Rule = tuple[str, _Idle]
 
 
-def _no_depth(_: argparse.Namespace, data: DataConfig, config: TrainConfig) -> bool:
+def _no_depth(_: Mapping[str, Any], data: DataConfig, config: TrainConfig) -> bool:
     return not data.depths or config.depth_mode is Switch.OFF
 
 
-def _no_bands(_: argparse.Namespace, data: DataConfig, config: TrainConfig) -> bool:
+def _no_bands(_: Mapping[str, Any], data: DataConfig, config: TrainConfig) -> bool:
     return config.sh_degree == 0
 
 
-def _large_photos(_: argparse.Namespace, data: DataConfig, config: TrainConfig) -> bool:
+def _large_photos(_: Mapping[str, Any], data: DataConfig, config: TrainConfig) -> bool:
     return Skip.SMALL_PHOTOS in config.without
 
 
 def _beyond(name: str) -> _Idle:
     """Predicate: all steps of an option come after the last step of the run."""
 
-    def idle(_: argparse.Namespace, data: DataConfig, config: TrainConfig) -> bool:
+    def idle(_: Mapping[str, Any], data: DataConfig, config: TrainConfig) -> bool:
         steps = getattr(config, name)
         return not config.time_budget and bool(steps) and min(steps) > config.iterations
 
@@ -62,10 +62,10 @@ _WHEN: dict[str, _Rule] = {
     "dropping": ("not with `--drop-rate 0`", lambda a, d, c: c.drop_rate == 0),
     "guide_surface": ("only with `--guide-surface`", lambda a, d, c: c.guide_surface is None),
     "start_splats": ("only with `--start-splats`", lambda a, d, c: c.start_splats is None),
-    "viewer": ("not with `--disable-viewer`", lambda a, d, c: a.disable_viewer),
+    "viewer": ("not with `--disable-viewer`", lambda a, d, c: a["disable_viewer"]),
     "port": (
         "only with `--port`, not with `--disable-viewer`",
-        lambda a, d, c: not a.port or a.disable_viewer,
+        lambda a, d, c: not a.get("port") or a["disable_viewer"],
     ),
     "masks": ("not with `--mask-mode none`", lambda a, d, c: d.mask_mode == "none"),
     "hiding_masks": (
@@ -94,16 +94,16 @@ RULES: dict[str, _Rule] = {
     "debug_from": ("there are no debug dumps", lambda a, d, c: True),
     "white_background": (
         "overridden by `--background`",
-        lambda a, d, c: a.background not in (None, "white"),
+        lambda a, d, c: a.get("background") not in (None, "white"),
     ),
     "random_background": (
         "overridden by `--background`",
-        lambda a, d, c: a.background not in (None, "random"),
+        lambda a, d, c: a.get("background") not in (None, "random"),
     ),
     "train_test_exp": ("overridden by `--exposure`", lambda a, d, c: c.exposure is not Switch.ON),
     "feature_lr": (
         "overridden by `--sh0-lr` and `--shN-lr`",
-        lambda a, d, c: a.sh0_lr is not None and a.shN_lr is not None,
+        lambda a, d, c: "sh0_lr" in a and "shN_lr" in a,
     ),
 }
 """The same by option."""
@@ -114,17 +114,16 @@ def reason_of(one: Option) -> str:
     return RULES[one.name][0] if one.name in RULES else ""
 
 
-def unused_options(args: argparse.Namespace, data: DataConfig, config: TrainConfig) -> str:
+def unused_options(given: Mapping[str, Any], data: DataConfig, config: TrainConfig) -> str:
     """One sentence on given options without effect, with the reasons; empty if there are none.
 
     Args:
-        args: As parsed, before `configs` fills some in.
+        given: Arguments by name, without those that were not given.
         data, config: The resulting configs.
     """
     reasons: dict[str, list[str]] = {}
     for name, (reason, idle) in RULES.items():
-        value = getattr(args, name, None)
-        if value is not None and value is not False and idle(args, data, config):
+        if given.get(name, False) is not False and idle(given, data, config):
             reasons.setdefault(reason, []).append(mark_option(name))
     if not reasons:
         return ""

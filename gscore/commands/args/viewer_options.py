@@ -11,7 +11,7 @@ from ...events import Show, Warn
 from ...live.viewer_clients import ViewerClients
 from ...live_options import LiveOptions
 from ...quoting import quoted
-from .run_options import declare, passed_options
+from .run_options import declare
 
 
 def add_live_options(group: argparse._ActionsContainer) -> None:
@@ -19,26 +19,24 @@ def add_live_options(group: argparse._ActionsContainer) -> None:
     declare(group, LiveOptions)
 
 
-def check_live_options(args: argparse.Namespace) -> None:
-    """Check port and address of the viewer server without opening the port.
+def check_live_options(options: LiveOptions) -> None:
+    """Check the address of the viewer server without opening the port.
 
     Raises:
-        ConfigError: the port or the address is invalid.
+        ConfigError: the address is invalid.
     """
-    options = LiveOptions(**passed_options(LiveOptions, args))
-    if options.port and not args.disable_viewer:
+    if options.port:
         _is_own(options.ip)
 
 
 @contextmanager
 def viewer_clients_of(
-    args: argparse.Namespace, source: Path, show: Show, *, after_the_end: bool = False
+    options: LiveOptions, source: Path, show: Show, *, after_the_end: bool = False
 ) -> Iterator[ViewerClients | None]:
-    """Context of the viewer clients of a training; None without `--port` or with
-    `--disable-viewer`.
+    """Context of the viewer clients of a training; None without a port.
 
     Args:
-        args: Arguments of the verb.
+        options: Port and address.
         source: The capture, whose path viewers receive.
         show: Receives a warning if other computers can connect.
         after_the_end: Keep serving viewers after the last step.
@@ -46,8 +44,7 @@ def viewer_clients_of(
     Raises:
         ConfigError: the port or the address cannot be used.
     """
-    options = LiveOptions(**passed_options(LiveOptions, args))
-    if not options.port or args.disable_viewer:
+    if not options.port:
         yield None
         return
     from ...live.server import Server

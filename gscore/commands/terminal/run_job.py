@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeVar
 
 from ...control import Control, listen
@@ -29,8 +30,28 @@ def add_output_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class OutputOptions:
+    """The given output options."""
+
+    quiet: bool = False
+    events: bool = False
+    """Events as JSON lines on stdout, commands on stdin."""
+    json: bool = False
+
+    @classmethod
+    def of(cls, args: argparse.Namespace) -> "OutputOptions":
+        """Read the arguments of a verb with `add_output_options`."""
+        return cls(quiet=args.quiet, events=bool(args.events), json=args.json)
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether users see no text on the terminal."""
+        return self.quiet or self.events
+
+
 def run_job(
-    args: argparse.Namespace,
+    shown: OutputOptions,
     work: Callable[[Show, Control], Result],
     *,
     stopped: Callable[[], str] = lambda: STOPPED,
@@ -38,7 +59,7 @@ def run_job(
     """Run `work`; the command line reports its errors, as `gscore.commands.main` does.
 
     Args:
-        args: Arguments with the options `quiet` and `events`.
+        shown: The output options.
         work: Receives the event callback and the control to poll; raises Cancelled if stopped
             without a result.
         stopped: Returns the message on such a stop, sent as an event or printed on stderr.
@@ -47,11 +68,11 @@ def run_job(
         What `work` returned, None if it was stopped; and the exit code.
     """
     control = Control()
-    show = _display(args, control)
-    quiet = bool(args.events or args.quiet)
+    show = _display(shown, control)
+    quiet = shown.is_silent
     with interrupts() as interrupt, interrupt.stopped_by(control.stop, quiet=quiet):
         try:
-            if args.events:
+            if shown.events:
                 listen(control, 0, on_end=lambda: control.stop("input ended"))
             return work(show, control), interrupt.exit_code
         except Cancelled:
@@ -60,12 +81,12 @@ def run_job(
                 print(stopped(), file=sys.stderr)
             return None, interrupt.exit_code or EXIT_WITHOUT_RESULT
         except Exception as error:
-            if not args.events:
+            if not shown.events:
                 show(Failed(message=str(error)))  # ends the progress line
             raise
 
 
-def _display(args: argparse.Namespace, control: Control) -> Show:
-    if args.events:
+def _display(shown: OutputOptions, control: Control) -> Show:
+    if shown.events:
         return JsonLines(sys.stdout, on_closed=lambda: control.stop("output closed"))
-    return Silent() if args.quiet else Lines(sys.stderr)
+    return Silent() if shown.quiet else Lines(sys.stderr)

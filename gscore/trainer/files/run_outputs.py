@@ -1,6 +1,5 @@
 """Run outputs: splats, metrics and reports, each file written atomically."""
 
-import argparse
 import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
@@ -55,17 +54,18 @@ class RunOutputs:
             block.write(folder.path, RUN_BLOCK)
         write_cameras(folder.path / "cameras.json", self._trainer.photos.scene.cameras)
         # The viewers of the 3DGS authors read the SH degree and background from this file.
-        arguments = argparse.Namespace(
-            sh_degree=config.sh_degree,
-            source_path=str(self._data.source.resolve()),
-            model_path=str(folder.path.resolve()),
-            images=self._data.images,
-            resolution=self._data.resolution,
-            white_background=config.background is Background.WHITE,
-            data_device="cpu",
-            eval=self._data.eval,
-        )
-        folder.write_text("cfg_args", repr(arguments))
+        arguments = {
+            "sh_degree": config.sh_degree,
+            "source_path": str(self._data.source.resolve()),
+            "model_path": str(folder.path.resolve()),
+            "images": self._data.images,
+            "resolution": self._data.resolution,
+            "white_background": config.background is Background.WHITE,
+            "data_device": "cpu",
+            "eval": self._data.eval,
+        }
+        text = ", ".join(f"{name}={value!r}" for name, value in arguments.items())
+        folder.write_text("cfg_args", f"Namespace({text})")
 
     def write_splats(self, path: Any) -> None:
         """Write the current splats in COLMAP world units."""

@@ -24,13 +24,14 @@ MACHINE = options.Machine(threads=3, preview_seconds=2.5)
 
 PARSE = """
 import argparse, json, sys
+from gscore.commands.args.train_request import TrainRequest
 from gscore.commands import dashed, train
 parser = argparse.ArgumentParser(allow_abbrev=False)
 train.add_arguments(parser)
 out = []
 for line in sys.stdin:
     args = parser.parse_args(dashed(json.loads(line)[1:]))
-    data, config = train.configs(args)
+    data, config = TrainRequest.of(args).configs()
     out.append([{k: str(v) for k, v in vars(c).items()} for c in (data, config)])
     out[-1].append({k: str(v) for k, v in vars(args).items()})
 print(json.dumps(out))
