@@ -19,7 +19,6 @@ from ..metrics.evaluate import target_picture
 from ..quoting import brief
 from ..report.compare_page import PairPictures, names_of, write_comparison
 from ..report.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
-from ..scene import Cameras
 from ..text_format import count_words
 from .args.model_argument import ModelArgument, open_model
 from .parser import add_threads_option
@@ -176,7 +175,12 @@ def _pictures(
     found = []
     for done, name in enumerate(names, start=1):
         index = places[name]
-        renders = [_rendered(model, cameras, index, threads) for model, cameras in drawn]
+        renders = [
+            np.clip(
+                model.picture(cameras, index, threads=threads, mask_mode=dataset.mask_mode), 0, 1
+            )
+            for model, cameras in drawn
+        ]
         photo, _ = target_picture(
             dataset.image(index), dataset.mask(index), dataset.mask_mode, models[0].background
         )
@@ -187,10 +191,6 @@ def _pictures(
         ))  # fmt: skip
         progress(done, name)
     return found
-
-
-def _rendered(model: ModelArgument, cameras: Cameras, index: int, threads: int) -> np.ndarray:
-    return np.clip(model.picture(cameras, index, threads=threads), 0, 1)
 
 
 def _summary(comparison: RunComparison, output: Path) -> str:

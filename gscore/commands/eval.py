@@ -3,6 +3,7 @@
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from ..report import PictureCollector, cameras_section, splat_histograms, write_
 from ..report.colormap import brightest, error_map
 from ..report.html_parts import link_page
 from ..scene import Cameras
-from ..text_format import colour_words, count_words, psnr_name, quality_words, stopped_words
+from ..text_format import colour_words, count_words, number, psnr_name, quality_words, stopped_words
 from .args.data_options import add_data_options, with_data_options
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_threads_option
@@ -144,14 +145,18 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     warnings += [problem] if problem else []
     warnings += [
         *_stopped(model, course),
-        *_doubts(model, dataset, course, asked=args.split, split=split),
+        *_doubts(
+            model, dataset, course, asked=args.split, measured=[dataset.names[i] for i in indices]
+        ),
     ]
     pictures = PictureCollector(count=len(indices))
     errors = None
     if args.error_map is not None:
         errors = SplatErrors(model.splats, antialias=model.antialias, threads=args.threads)
     evaluation = evaluate(
-        lambda index: model.picture(cameras, index, threads=args.threads),
+        lambda index: model.picture(
+            cameras, index, threads=args.threads, mask_mode=dataset.mask_mode
+        ),
         dataset,
         indices,
         lpips=lpips,
@@ -274,7 +279,12 @@ def _stopped(model: ModelArgument, course: Course) -> list[str]:
 
 
 def _doubts(
-    model: ModelArgument, dataset: Dataset, course: Course, *, asked: str, split: str
+    model: ModelArgument,
+    dataset: Dataset,
+    course: Course,
+    *,
+    asked: str | None,
+    measured: Sequence[str],
 ) -> list[str]:
     """Sentences on the limits of the figures."""
     found = []
@@ -283,10 +293,12 @@ def _doubts(
             "The training views of this model are unknown; the test views are held out only if it "
             "was trained with the same split."
         )
-    if split != "test" and course.exposure and course.exposure.get("learnt"):
+    unknown = sum(name not in model.gains for name in measured)
+    if course.exposure and course.exposure.get("learnt") and unknown:
         found.append(
-            "The training compared each photo with a picture of the same exposure; here pictures "
-            "have the mean exposure, so PSNR is lower than in its report where exposures differ."
+            f"The exposures of {number(unknown)} of {count_words(len(measured), 'photo')} are "
+            "unknown, so their pictures have the mean exposure and PSNR is lower where exposures "
+            "differ."
         )
     return found
 

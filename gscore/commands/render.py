@@ -5,6 +5,7 @@ import math
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from ..text_format import count_words
 from .args.lod_argument import LodArgument
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_threads_option
+from .pictures.exposures import exposure_gains
 from .pictures.render_cameras import FPS, PATHS, find_shots
 from .pictures.stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .pictures.video import need_video, write_video
@@ -106,6 +108,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_color,
         metavar="COLOR",
         help="background colour: black, white or r,g,b from 0 to 1",
+    )
+    group.add_argument(
+        "--exposure",
+        metavar="{even,photo,NAME}",
+        help="exposure of all pictures: even, as each (nearest) photo, or as one photo by name or "
+        "number; default: photo for views, even on a path",
     )
     group.add_argument(
         "--transparent", action="store_true", help="PNG with alpha, without background"
@@ -199,7 +207,10 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
         "depths": args.depth is not None,
         "threads": args.threads,
     }
-    work = _Work(model, shots, options, status)
+    gains = exposure_gains(args.exposure, found, model, args.cameras)
+    if args.exposure is None and (gains != 1).any():
+        status.print_line("Pictures are exposed as their photos; `--exposure even` avoids that.")
+    work = _Work(model, shots, options, gains, status)
     if is_video:
         _check_one_size(shots)
         check_replaced([args.output], overwrite=args.overwrite)
@@ -271,10 +282,12 @@ class _Work:
         model: ModelArgument | LodArgument,
         shots: Cameras,
         options: dict[str, Any],
+        gains: np.ndarray,
         status: Status,
     ) -> None:
         self.shots = shots
         self._model, self._options, self._status = model, options, status
+        self._gains = gains.astype(np.float32)
         self._seconds: list[float] = []
 
     @property
@@ -290,8 +303,16 @@ class _Work:
             size = int(shots.widths[i]), int(shots.heights[i])
             rendered = self._model.draw(shots.Ks[i], shots.viewmats[i], *size, **self._options)
             self._seconds.append(time.perf_counter() - began)
-            yield rendered
+            yield self._exposed(rendered, self._gains[i])
             progress(i + 1, name)
+
+    def _exposed(self, rendered: Rendered, gain: np.ndarray) -> Rendered:
+        """The picture with the splats multiplied by a gain [3]; the background stays."""
+        if (gain == 1).all():
+            return rendered
+        background = np.array(self._options["background"], np.float32)
+        rest = background * (1 - rendered.alpha[..., None])
+        return replace(rendered, rgb=(rendered.rgb - rest) * gain + rest)
 
 
 def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:

@@ -3,10 +3,13 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from .files import atomic_write
+from ..errors import FormatError
+from ..json_text import parse_json
+from .files import atomic_write, read_bytes
 
 EXPOSURE_FILE = "exposure.json"
 
@@ -26,3 +29,24 @@ def write_exposures(path: Path, gains: Mapping[str, np.ndarray]) -> None:
         for name, gain in gains.items()
     }
     atomic_write(path, json.dumps(maps, indent=2).encode())
+
+
+def read_gains(run: Path | None) -> dict[str, np.ndarray]:
+    """Return the gains of the photos of a run, [3] float64 by name: the diagonals of its file.
+
+    Empty without a run, or for one without exposures.
+
+    Raises:
+        FormatError: the file is damaged.
+    """
+    path = None if run is None else run / EXPOSURE_FILE
+    if path is None or not path.is_file():
+        return {}
+    try:
+        maps: Any = parse_json(read_bytes(path))
+        gains = {str(name): np.diagonal(np.array(rows, np.float64)) for name, rows in maps.items()}
+        if any(gain.shape != (3,) or not (gain > 0).all() for gain in gains.values()):
+            raise ValueError("expected matrices [3][4] with positive diagonals")
+    except (ValueError, TypeError, AttributeError) as error:
+        raise FormatError(f"{path} is damaged ({error}). Train again to replace it.") from error
+    return gains

@@ -15,8 +15,8 @@ FAR_ABOVE = 4.0
 """Gap of training and held-out PSNR, dB, above which splats overfit the photos. Previews of
 examples/studio: 0.9 with 50 training views, 2.9 with 20, 16.1 with 6."""
 EXPOSED = (
-    "The training compares each photo with a picture of the same exposure. All other figures, also "
-    "of <code>gscore eval</code>, use the mean exposure and are lower where exposures differ."
+    "Pictures have the exposure of their photo: that of a held-out photo is predicted from its "
+    "neighbours and EXIF, not from its pixels. New views have the mean exposure."
 )
 """HTML, for a run with exposure compensation."""
 _HOW_ENDED = {

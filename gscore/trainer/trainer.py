@@ -48,6 +48,7 @@ from .step.training_views import TrainingView, ViewBatcher
 from .strategy import Change, all_within, make_strategy
 from .strategy.initialization import initial_splats
 from .strategy.pruning import Pruner
+from .views.held_out_gains import HeldOutGains
 from .views.model_renderer import ModelRenderer
 from .views.photo_gains import as_color
 from .views.photo_parameters import PhotoParameters, initial_poses
@@ -142,6 +143,12 @@ class Trainer:
             config,
             analysis.gains,
             initial_poses(analysis.pose_check, photos.train, self.frame),
+            HeldOutGains(
+                photos.scene.cameras.names,
+                photos.scene.cameras.centers,
+                photos.train,
+                stops=analysis.facts.stops,
+            ),
         )
         """Optimised exposure gains and camera poses of the photos."""
         region = analysis.region

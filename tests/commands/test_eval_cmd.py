@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from gscore.config_file import config_json, load_config
+from gscore.io.exposure_json import EXPOSURE_FILE, write_exposures
 from gscore.io.metrics_file import read_metrics
 from gscore.io.ply.splats import read_ply, write_splats
 from gscore.sh import SH_C0
@@ -129,16 +130,42 @@ def test_another_split_and_resolution(gscore, run_folder, tmp_path):
     assert all((v["width"], v["height"]) == (24, 18) and v["psnr"] > 25 for v in views)
 
 
-def test_neutral_pictures_are_reported(gscore, run_folder, tmp_path):
-    """Oracle: a run marked as having exposures; held-out views were neutral before too."""
+def test_unknown_exposures_are_reported(gscore, run_folder, tmp_path):
+    """Oracle: a run marked as having exposures, with those of some photos in exposure.json."""
     folder = run_folder()
     path = folder / "metrics.json"
     exposure = {"stops_apart": 0.6, "learnt": True, "why": "They differ.", "known_by": None}
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"exposure": exposure}))
-    for split, reported in (("train", True), ("test", False)):
-        out = ("-o", tmp_path / split, "--quiet")
-        code, _, err = gscore("eval", folder, "--split", split, *out)
-        assert code == 0 and ("here pictures have the mean exposure" in err) is reported
+    content = json.loads(path.read_text()) | {"exposure": exposure}
+    path.write_text(json.dumps(content))
+    for names in (content["train_views"], content["train_views"] + content["test_views"]):
+        write_exposures(folder / EXPOSURE_FILE, dict.fromkeys(names, np.ones(3)))
+        for split, known in (("train", True), ("test", len(names) > len(content["train_views"]))):
+            out = ("-o", tmp_path / split, "--quiet", "--overwrite")
+            code, _, err = gscore("eval", folder, "--split", split, *out)
+            assert code == 0 and ("have the mean exposure" in " ".join(err.split())) is not known
+
+
+def test_pictures_have_the_exposure_of_their_photo(gscore, run_folder, capture, tmp_path):
+    """Oracle: photos that are the run's own renders, darker by known gains."""
+    folder, dark, gain = run_folder(), tmp_path / "dark", np.array([0.5, 0.6, 0.7])
+    shutil.copytree(capture, dark)
+    for path in (dark / "images").iterdir():
+        pixels = np.asarray(Image.open(path).convert("RGB"), np.float64) * gain
+        Image.fromarray(pixels.round().astype(np.uint8)).save(path)
+
+    def worst() -> float:
+        out = ("-o", tmp_path / "out", "--quiet", "--overwrite")
+        assert gscore("eval", folder, "-s", dark, "--split", "all", *out)[0] == 0
+        content = json.loads((tmp_path / "out" / "metrics.json").read_text())
+        return min(view["psnr"] for view in content["views"])
+
+    assert worst() < 30
+    names = [path.name for path in (dark / "images").iterdir()]
+    write_exposures(folder / EXPOSURE_FILE, dict.fromkeys(names, gain))
+    assert worst() > 55
+    (folder / EXPOSURE_FILE).write_text('{"a": [[0, 0, 0, 0]]}')
+    code, _, err = gscore("eval", folder, "--quiet")
+    assert code == 2 and f"{EXPOSURE_FILE} is damaged" in " ".join(err.split())
 
 
 def test_held_out_views_are_not_replaced_by_others(gscore, run_folder, tmp_path):

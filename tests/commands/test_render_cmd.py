@@ -12,6 +12,7 @@ from PIL import Image
 from gscore.commands.pictures.stills import still_names, write_depth_png
 from gscore.errors import ShapeError
 from gscore.io.cameras_json import write_cameras
+from gscore.io.exposure_json import EXPOSURE_FILE, write_exposures
 from gscore.io.ply.splats import write_splats
 from gscore.raster.api import render
 
@@ -35,6 +36,37 @@ def test_all_views_of_a_run(gscore, run_folder, tmp_path, picture, capture):
         assert made.max() > 100
         np.testing.assert_array_equal(made, as_bytes(picture(i).rgb))
         np.testing.assert_array_equal(made, read(capture / "images" / f"a_{i}.png"))
+
+
+def test_pictures_are_exposed_as_photos(gscore, run_folder, tmp_path, picture, cameras):
+    """Oracle: the rasterizer's pictures over white times the gains in exposure.json, but for the
+    background."""
+    folder = run_folder()
+    gains = {f"a_{i}.png": np.array([0.5, 0.7, 1.0]) + i / 20 for i in range(9)}
+    write_exposures(folder / EXPOSURE_FILE, gains)
+
+    def made(name, *arguments):
+        out = tmp_path / "-".join(["out", *arguments])
+        options = ("--quiet", "--background", "white", *arguments)
+        code, _, err = gscore("render", folder, "-o", out, *options)
+        assert code == 0, err
+        return read(out / f"{name}.png").astype(int)
+
+    def expected(index, gain):
+        seen = picture(index)
+        return as_bytes(seen.rgb * gain + 1 - seen.alpha[..., None]).astype(int)
+
+    one = gains["a_5.png"]
+    for arguments, gain in (((), None), (("--exposure", "even"), 1), (("--exposure", "a_5"), one)):
+        for i in (2, 8):
+            wanted = expected(i, gains[f"a_{i}.png"] if gain is None else gain)
+            assert np.abs(made(f"a_{i}", *arguments) - wanted).max() <= 1
+    even = made("frame_00001", "--path", "spline", "--frames", "3")
+    photo = made("frame_00001", "--path", "spline", "--frames", "3", "--exposure", "photo")
+    assert (photo <= even)[..., 0].all() and (photo < even)[..., 0].any()  # red gains are below 1
+    (folder / EXPOSURE_FILE).unlink()
+    code, _, err = gscore("render", folder, "-o", tmp_path / "x", "--exposure", "photo")
+    assert code == 2 and "--exposure on" in err
 
 
 @pytest.mark.parametrize(

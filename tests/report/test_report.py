@@ -147,9 +147,9 @@ def test_exposed_and_neutral_figures_are_labelled(run):
     content = run(split="test")
     content.metrics["history"][-1]["psnr"] = 60.0
     content.metrics["exposure"] = {"learnt": False}
-    assert "use the mean exposure" not in report_html(content)
+    assert "New views have the mean exposure" not in report_html(content)
     content.metrics["exposure"]["learnt"] = True
-    assert report_html(content).count("use the mean exposure") == 2
+    assert report_html(content).count("New views have the mean exposure") == 2
 
 
 def test_gap_due_to_exposure_is_explained(run):

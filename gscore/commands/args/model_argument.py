@@ -14,6 +14,7 @@ from ...config import Background, DataConfig, TrainConfig
 from ...errors import ConfigError, DatasetError
 from ...formats import SplatFile, is_splat_file, read_splat_file
 from ...io.colmap.folder import find_model
+from ...io.exposure_json import read_gains
 from ...io.files import check_regular, is_file
 from ...io.ply.comments import stated_near
 from ...io.ply.splats import header_comments
@@ -98,10 +99,21 @@ class ModelArgument:
         """Render a picture, as `gscore.render`."""
         return render(self.splats, K, viewmat, width, height, **how)
 
-    def picture(self, cameras: Cameras, index: int, *, threads: int) -> np.ndarray:
-        """[H, W, 3] float32, the render at a camera, as in measurements."""
-        how = {"background": self.background, "near": self.near, "antialias": self.antialias}
-        return render_camera(self.splats, cameras, index, threads=threads, **how).rgb
+    @cached_property
+    def gains(self) -> dict[str, np.ndarray]:
+        """Exposure gains of the run's photos, see `read_gains`."""
+        return read_gains(self.run)
+
+    def picture(
+        self, cameras: Cameras, index: int, *, threads: int, mask_mode: str = "none"
+    ) -> np.ndarray:
+        """[H, W, 3] float32, the render at a camera with the exposure of its photo, as in
+        measurements; a background behind `composite` masks is not exposed."""
+        how = {"near": self.near, "antialias": self.antialias, "threads": threads}
+        gain = self.gains.get(cameras.names[index], np.ones(3))
+        background = np.array(self.background) / (gain if mask_mode == "composite" else 1)
+        rgb = render_camera(self.splats, cameras, index, background=tuple(background), **how).rgb
+        return rgb if (gain == 1).all() else rgb * gain.astype(np.float32)
 
 
 def trained_antialiased(train: TrainConfig | None) -> bool:

@@ -1,6 +1,5 @@
 """Exposure decision: whether to optimise photo gains, by their differences, and initial gains."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from ...config import Switch, TrainConfig
 from ...events import Decision
-from ..views.photo_gains import PhotoGains
+from ..views.photo_gains import STOP, PhotoGains
 from .analysis import Analysis
 from .gain_fit import fit_gains
 
@@ -22,8 +21,6 @@ _NEIGHBOURS = 4
 """Number of nearest photos that a photo is compared with."""
 _SHARED = 20
 """Least observations of the median photo for a measurement by points."""
-_STOP = math.log(2.0) / 2.2
-"""ln of the gain of one stop, in encoded values."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +46,7 @@ def decide_exposure(config: TrainConfig, analysis: Analysis) -> Exposure:
     )
     expected = np.zeros((len(train), 3))
     if stops is not None:
-        expected += ((stops - stops.mean()) * _STOP)[:, None]
+        expected += ((stops[train] - stops[train].mean()) * STOP)[:, None]
     found = fit_gains(colors, expected) if measured and colors is not None else expected
     known = "points seen in several photos" if measured else "EXIF" if stops is not None else ""
     off = stops_off_neighbours(found, cameras.centers[train])
@@ -87,8 +84,9 @@ def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) 
             "unchanged."
         )
     return True, (
-        f"Neighbouring photos differ in exposure ({fact}), so that of each is optimised; new views "
-        "get the mean. `--exposure off` uses colours unchanged."
+        f"Neighbouring photos differ in exposure ({fact}), so that of each is optimised; held-out "
+        "photos get that of their neighbours, new views the mean. `--exposure off` uses colours "
+        "unchanged."
     )
 
 
@@ -114,4 +112,4 @@ def stops_off_neighbours(log_gains: np.ndarray, centers: np.ndarray) -> np.ndarr
     # Cameras in one place come in any order; each is excluded from its own neighbours.
     near[:, -1] = np.where((near == own).any(axis=1), near[:, -1], own[:, 0])
     mean = (log_gains[near].sum(axis=1) - log_gains) / others
-    return np.sqrt(((log_gains - mean) ** 2).mean(axis=1) / (1 + 1 / others)) / _STOP
+    return np.sqrt(((log_gains - mean) ** 2).mean(axis=1) / (1 + 1 / others)) / STOP

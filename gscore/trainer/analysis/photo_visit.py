@@ -23,7 +23,8 @@ class PhotoFacts:
     colors: TrackColors | None = None
     """Colours of the points of `tracks`; None: unknown, or not needed."""
     stops: np.ndarray | None = None
-    """[T] float64, exposures by EXIF, stops; None: not needed, or unknown for some photo."""
+    """[V] float64, exposures of all photos by EXIF, stops; NaN: unknown for a held-out photo; None:
+    not needed, or unknown for some training photo."""
 
 
 def visit_photos(config: TrainConfig, photos: Dataset) -> PhotoFacts:
@@ -58,9 +59,9 @@ def visit_photos(config: TrainConfig, photos: Dataset) -> PhotoFacts:
 
 
 def _stated_stops(photos: Dataset, train: list[int], threads: int) -> np.ndarray | None:
-    """Exposures by EXIF, [T] stops; None unless all photos have them."""
-    files = [photos.files[i].image for i in train]
-    if not files or stated_exposure(files[0]) is None:
+    """Exposures by EXIF, see `PhotoFacts.stops`."""
+    files = [one.image for one in photos.files]
+    if not train or stated_exposure(files[train[0]]) is None:
         return None
-    stops = list(map_threads(stated_exposure, files, threads=threads))
-    return None if any(value is None for value in stops) else np.array(stops, np.float64)
+    stops = np.array([*map_threads(stated_exposure, files, threads=threads)], np.float64)
+    return stops if np.isfinite(stops[train]).all() else None

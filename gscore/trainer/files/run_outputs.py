@@ -183,10 +183,10 @@ class RunOutputs:
         trainer, entries = self._trainer, {}
         if exposure is not None:
             entries["exposure"] = exposure | {"learnt": trainer.photo_parameters.gains is not None}
-        gains, names = trainer.photo_parameters.gains, trainer.photos.scene.cameras.names
+        gains, names = trainer.photo_parameters.all_gains(), trainer.photos.scene.cameras.names
         if gains is not None:
-            values = np.exp(gains.log_gains)
-            by_name = {names[i]: values[i] for i in trainer.photos.train}
+            views = [*trainer.photos.train, *trainer.photos.test]
+            by_name = {names[i]: gains[i] for i in views}
             write_exposures(self._folder.path / EXPOSURE_FILE, by_name)
         if trainer.photo_parameters.poses is not None:
             entries["poses"] = {

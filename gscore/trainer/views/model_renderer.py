@@ -101,7 +101,8 @@ class ModelRenderer:
         return background_before_gain(background, gain)
 
     def picture(self, index: int, *, background: Color) -> np.ndarray:
-        """Render view `index` with the photo's gain, if any: [H, W, 3] float32, a copy."""
+        """Render view `index` with the photo's gain, if any, that of a held-out photo predicted:
+        [H, W, 3] float32, a copy."""
         return self._exposed(index, self.view(index), background).copy()
 
     def aligned_picture(self, index: int, *, background: Color) -> np.ndarray:
@@ -121,7 +122,7 @@ class ModelRenderer:
             )
 
         pose = align_pose(gradient, sized.view, unit=self._frame.extent)
-        return self._draw(replace(full, viewmat=pose), background).rgb.copy()
+        return self._exposed(index, replace(full, viewmat=pose), background).copy()
 
     def render_request(self, request: FrameRequest) -> np.ndarray:
         """Render a frame request of a viewer, [height, width, 3] float32."""
@@ -166,7 +167,8 @@ class ModelRenderer:
 
     def _exposed(self, index: int, view: Frustum, background: Color) -> np.ndarray:
         """Render `view`, the view of photo `index` at any size, with the photo's gain."""
-        gain = self._photo_parameters.gain_of(index)
+        gains = self._photo_parameters.all_gains()
+        gain = None if gains is None else torch.from_numpy(gains[index].astype(np.float32))
         picture = self._draw(view, self.background_before_gain(background, gain)).rgb
         if gain is not None:
             picture *= gain.numpy()

@@ -6,6 +6,7 @@ channel. A gain is stored as three coefficients of `_BASIS`, so that Adam change
 largest difference between photos, along one axis.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,8 @@ import torch
 from ...engine.base import Color
 from .photo_adam import PhotoAdam, checked_tensor
 
+STOP = math.log(2.0) / 2.2
+"""ln of the gain of one stop, in encoded values."""
 _BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
 """Rows: ln gain of R, G and B by exposure, by warmth and by green; orthogonal."""
 _NAME = "gain"
@@ -21,7 +24,7 @@ _NAME = "gain"
 
 
 class PhotoGains:
-    """Gains of the training photos; held-out photos keep a gain of one.
+    """Gains of the training photos; those of held-out photos are predicted, see `HeldOutGains`.
 
     Their geometric mean over the training photos is one after every step: otherwise splats could
     become darker and all gains larger, and the exposure of new views would be undefined.
@@ -30,9 +33,10 @@ class PhotoGains:
     def __init__(self, train: Sequence[int], log_gains: np.ndarray) -> None:
         """`log_gains`, [V, 3] float64: initial ln gain of R, G, B of all views; only those of
         `train` are used."""
-        self._train = list(train)
+        self.train = list(train)
+        """Training views."""
         self._value = np.zeros_like(log_gains)
-        self._value[self._train] = log_gains[self._train] @ np.linalg.inv(_BASIS)
+        self._value[self.train] = log_gains[self.train] @ np.linalg.inv(_BASIS)
         self._adam = PhotoAdam(len(log_gains), 3)
         self._centre()
 
@@ -42,7 +46,7 @@ class PhotoGains:
         return self._value @ _BASIS
 
     def of(self, index: int) -> torch.Tensor:
-        """Gain of view `index`, [3] float32."""
+        """Gain of training view `index`, [3] float32."""
         return torch.from_numpy(np.exp(self._value[index] @ _BASIS).astype(np.float32))
 
     def learn(self, index: int, v_log_gain: Sequence[float], rate: float) -> None:
@@ -82,7 +86,7 @@ class PhotoGains:
         return out
 
     def _centre(self) -> None:
-        self._value[self._train] -= self._value[self._train].mean(axis=0)
+        self._value[self.train] -= self._value[self.train].mean(axis=0)
 
 
 def as_color(gain: torch.Tensor) -> Color:

@@ -9,6 +9,7 @@ import torch
 from ...config import TrainConfig
 from ...raster.request import Frustum
 from ..model.training_frame import TrainingFrame
+from .held_out_gains import HeldOutGains
 from .photo_adam import rate_at
 from .photo_gains import PhotoGains
 from .photo_poses import PhotoPoses, PoseCheck
@@ -18,17 +19,30 @@ class PhotoParameters:
     """Gains and poses of the photos, each optional, with their updates."""
 
     def __init__(
-        self, config: TrainConfig, gains: PhotoGains | None, poses: PhotoPoses | None
+        self,
+        config: TrainConfig,
+        gains: PhotoGains | None,
+        poses: PhotoPoses | None,
+        held_out: HeldOutGains,
     ) -> None:
         self._config = config
+        self._held_out = held_out
         self.gains = gains
         """Exposure gains; None: photo colours are used unchanged."""
         self.poses = poses
         """Poses of the training cameras; None: those of the capture."""
 
     def gain_of(self, index: int) -> torch.Tensor | None:
-        """Gain of photo `index`, [3] float32; None: no gains."""
+        """Gain of training photo `index`, [3] float32; None: no gains."""
         return None if self.gains is None else self.gains.of(index)
+
+    def all_gains(self) -> np.ndarray | None:
+        """Gains of all photos, [V, 3] float64, those of held-out ones predicted; None: no gains."""
+        if self.gains is None:
+            return None
+        values = self._held_out.predict(self.gains.log_gains)
+        values[self.gains.train] = self.gains.log_gains[self.gains.train]
+        return np.exp(values)
 
     def at_refined_pose(self, view: Frustum, index: int) -> Frustum:
         """`view`, the view of photo `index` at any size, at its refined pose."""
