@@ -129,7 +129,7 @@ def column(datablock: Any, name: str, *, called: str = "") -> np.ndarray:
         called: Name of the datablock in messages; empty: its own.
 
     Raises:
-        ValueError: the attribute is missing, is no point attribute of a known type, or has
+        ValueError: the attribute is missing, is not a point attribute of a known type, or has
             non-finite values.
     """
     attribute = check_vectors(datablock, name, called=called)
@@ -289,8 +289,8 @@ def check(datablock: Any, *, called: str = "") -> None:
     # Blender drops `position` from a mesh without vertices.
     if missing and not (missing == [POSITION] and point_count(datablock) == 0):
         raise ValueError(
-            f"{called or datablock.name} holds no splats: the attributes {', '.join(missing)} are "
-            f"missing. Choose an object made by an import or a training run."
+            f"{called or datablock.name} contains no splats: the attributes {', '.join(missing)} "
+            f"are missing. Choose an object made by an import or a training run."
         )
     sh_count(datablock, called=called)
 

@@ -28,7 +28,7 @@ def _python_chosen(prefs: "Preferences", context: bpy.types.Context) -> None:
 
 
 class Preferences(bpy.types.AddonPreferences):
-    """Kept by Blender for the user, not in files."""
+    """Preferences of the add-on; Blender stores them for the user, not in files."""
 
     bl_idname = ROOT
 

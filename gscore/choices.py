@@ -36,7 +36,7 @@ class Switch(StrEnum):
     """State of a feature that only some captures need."""
 
     AUTO = "auto"
-    """On if the capture needs it; a message reports that."""
+    """`on` if the capture needs it, which a message reports; else `off`."""
     ON = "on"
     OFF = "off"
 

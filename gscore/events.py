@@ -68,17 +68,17 @@ class Started(Event):
     train_views: int
     test_views: int
     splats: int
-    """Of all models."""
+    """Number of splats of all models."""
     width: int
     height: int
     isa: str
     threads: int
     models: int = 1
-    """Models that are trained side by side, which begin alike."""
+    """Number of models of an ensemble, trained in parallel from the same splats."""
     left_s: float = math.nan
     """Seconds of training to expect up to the last step; NaN: not known."""
     mask_mode: str = "none"
-    """What masks are for, where the capture has some: `composite`, `ignore` or `none`."""
+    """Use of the capture's masks: `composite`, `ignore` or `none`."""
     decisions: list[Decision] = field(default_factory=list)
     """Decisions for these photos and options, in the order in which they are shown."""
     config: dict[str, Any] = field(default_factory=dict)
@@ -94,7 +94,7 @@ class Estimated(Event):
 
     kind: ClassVar[str] = "estimate"
     seconds: float
-    """Of training, without reading, measuring and writing."""
+    """Training time without reading, measuring and writing, s."""
     peak_bytes: int
     """Largest resident memory."""
     free_bytes: int | None
@@ -106,7 +106,7 @@ class Estimated(Event):
     max_splats: int
     """The number of splats of this estimate."""
     reading_seconds: float = 0.0
-    """Of reading points and photos, and of the neighbours of points, before the first step."""
+    """Time before the first step: reading points and photos, neighbours of points, s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +118,7 @@ class Progress(Event):
     iterations: int
     loss: float
     psnr: float
-    """Of the counted pixels of the training views, smoothed, dB."""
+    """PSNR of the unmasked pixels of the training views, smoothed, dB."""
     splats: int
     steps_per_s: float
     eta_s: float
@@ -156,7 +156,7 @@ class Eval(Event):
     step: int
     split: str
     metrics: dict[str, Any]
-    """As in metrics.json; only the PSNR if measured for a stopping criterion. See
+    """Keys of metrics.json; only the PSNR if measured for a stopping criterion. See
     `headline_psnr`."""
 
 
@@ -211,11 +211,11 @@ class DepthProgress(Event):
 
     kind: ClassVar[str] = "depth_progress"
     done: int
-    """Views."""
+    """Completed views."""
     total: int
-    """Views; 0: not known yet."""
+    """All views; 0: not known yet."""
     view: str
-    """The last one; empty before the first."""
+    """Name of the last view; empty before the first."""
     eta_s: float
     phase: str
     """reading, predicting or aligning."""
@@ -232,7 +232,7 @@ class DepthDone(Event):
     kept: int
     """Views that had a map already."""
     folder: str
-    """Of the maps."""
+    """Folder of the maps."""
     params: str
     """Written depth_params.json; empty: none."""
     sheet: str
@@ -249,11 +249,11 @@ class EvalProgress(Event):
 
     kind: ClassVar[str] = "eval_progress"
     done: int
-    """Views."""
+    """Completed views."""
     total: int
-    """Views; 0: not known yet."""
+    """All views; 0: not known yet."""
     view: str
-    """The last one and its PSNR; empty before the first."""
+    """Name and PSNR of the last view; empty before the first."""
     eta_s: float
 
 
@@ -281,8 +281,8 @@ class SfmEstimated(Event):
     kind: ClassVar[str] = "sfm_estimate"
     photos: int
     seconds: float
-    """Of the whole attempt, on an otherwise idle machine whose speed is measured in the attempts
-    before."""
+    """Time of the whole attempt on an otherwise idle machine, s, by the speed of earlier
+    attempts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,9 +294,9 @@ class SfmProgress(Event):
     """reading photos, entering photos, finding features, comparing photos, placing cameras,
     adjusting cameras or writing the capture; a further attempt repeats the middle ones."""
     done: int
-    """Photos, or pairs of photos while they are compared."""
+    """Completed photos, or pairs of photos while they are compared."""
     total: int
-    """Of the phase; 0: not known."""
+    """All photos or pairs of the phase; 0: unknown."""
     eta_s: float
     """Seconds left in the phase; NaN: not known."""
     left_s: float = math.nan
@@ -331,9 +331,9 @@ class FramesProgress(Event):
     phase: str
     """looking at frames or writing frames."""
     done: int
-    """Frames."""
+    """Completed frames."""
     total: int
-    """Of the phase; 0: not known."""
+    """All frames of the phase; 0: unknown."""
     eta_s: float
     """Seconds left in the phase; NaN: not known."""
 
@@ -361,7 +361,7 @@ class FrameStarted(Event):
     frame: int
     """Number of the frame."""
     place: int
-    """Its position, from 1."""
+    """Position of the frame, from 1."""
     frames: int
     """Number of all frames."""
     output: str

@@ -9,7 +9,7 @@ def glsl_defines(source: str) -> dict[str, str]:
     """Values of the macros GS_... in a shader: `shared_constants` as literals, lists by commas.
 
     Raises:
-        AttributeError: a macro is no shared constant.
+        AttributeError: a macro is not a shared constant.
     """
     names = sorted(set(re.findall(r"\bGS_(\w+)", source)))
     return {f"GS_{name}": _literal(getattr(shared_constants, name)) for name in names}

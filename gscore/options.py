@@ -23,7 +23,7 @@ class Range:
 
     low: float = 0
     high: float | None = None
-    """None: no upper bound."""
+    """Highest value; None: no upper bound."""
     above: bool = False
     """`low` itself is excluded."""
     below: bool = False
@@ -77,7 +77,7 @@ class Option:
     when: str = ""
     """Condition of its effect, a key of `commands.no_effect`; empty: always."""
     free: bool = False
-    """May change when a run is resumed."""
+    """True if the value may change when a run is resumed."""
 
     @property
     def flag(self) -> str:

@@ -195,7 +195,7 @@ class PointCloud:
         return 0 if self.made_up else len(self)
 
     def with_more(self, more: "PointCloud") -> "PointCloud":
-        """These and `more`."""
+        """Return these points followed by `more`."""
         return PointCloud(
             points=np.concatenate([self.points, more.points]),
             colors=np.concatenate([self.colors, more.colors]),

@@ -11,7 +11,7 @@ from .sh import sh_rotation
 from .splats import Splats, check_array
 
 CAMERA_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-"""From OpenCV camera axes (+y down, +z forward) to OpenGL/Blender ones (+y up), and back."""
+"""Change between OpenCV (+y down, +z forward) and OpenGL/Blender (+y up) camera axes."""
 
 SMALLEST = 1e-30
 """Smallest usable length, world units; its inverse is far from overflow."""

@@ -20,7 +20,7 @@ _SHOWN = {
     1: (_X, _Y), 2: (-_X, _Y), 3: (-_X, -_Y), 4: (_X, -_Y),
     5: (_Y, _X), 6: (-_Y, _X), 7: (-_Y, -_X), 8: (_Y, -_X),
 }  # fmt: skip
-"""By EXIF orientation (CIPA DC-008, tag 0x0112): right and down of the displayed picture, along the
+"""Right and down of the displayed picture by EXIF orientation (CIPA DC-008, tag 0x0112), along the
 axes of the stored one."""
 
 

@@ -25,6 +25,8 @@ STOPPED = {
 for each of them."""
 IN_SENTENCES = {"together", "beside", "apart", "alike", "leaving", "settle", "aside"}
 """Those that names of tests, which are sentences, may use."""
+FRAGMENT = re.compile(r"(Of|As|By|None:|0:|What|Which|How|Where|Who)\b")
+"""Begins a docstring that does not name its thing."""
 
 
 def _words(name: str) -> set[str]:
@@ -53,6 +55,20 @@ def test_names_avoid_stopped_words(path: Path) -> None:
     names = [path.stem, path.parent.name, *_defined(ast.parse(path.read_text(encoding="utf-8")))]
     stopped = STOPPED - IN_SENTENCES if "tests" in path.parts else STOPPED
     assert {name for name in names if _words(name) & stopped} == set()
+
+
+@for_each(PRODUCT)
+def test_docstrings_name_their_thing(path: Path) -> None:
+    """Oracle: FRAGMENT; all strings that are statements, those of fields and constants too."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    texts = [
+        node.value.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    ]
+    assert [text for text in texts if FRAGMENT.match(text)] == []
 
 
 @for_each(NATIVE)

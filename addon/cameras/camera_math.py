@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
-"""From OpenCV camera axes to Blender's, and back."""
+"""Change between OpenCV and Blender camera axes; its own inverse."""
 
 MIN_LENS = 1.0
 """Millimetres; Blender clamps `Camera.lens` below."""
@@ -33,9 +33,9 @@ class Lens:
     sensor_fit: str = "AUTO"
     """AUTO, HORIZONTAL or VERTICAL."""
     shift_x: float = 0.0
-    """In units of the fitted side; positive moves the picture to the left."""
+    """Horizontal shift in units of the fitted side; positive moves the picture to the left."""
     shift_y: float = 0.0
-    """In units of the fitted side; positive moves the picture down."""
+    """Vertical shift in units of the fitted side; positive moves the picture down."""
     ortho_scale: float = 6.0
     """World units across the fitted side; ORTHO only."""
 
@@ -142,7 +142,7 @@ def viewmat_from_matrix_world(matrix_world: np.ndarray) -> np.ndarray:
     """World to camera, OpenCV axes, of a Blender camera's `matrix_world`; both [4, 4] float64.
 
     The object's scale is ignored as in Blender: columns are normalised, then the matrix inverted.
-    For a sheared camera the result matches Blender's render, but is no rotation.
+    For a sheared camera the result matches Blender's render, but is not a rotation.
 
     Raises:
         ValueError: the matrix is not finite or has no inverse.

@@ -26,7 +26,7 @@ _NUMBER = re.compile(r"(\d+)\D*$")
 _SAME = 1e-6
 """Largest relative difference of equal pixel aspects."""
 _LAST = 1_000_000
-"""Last frame of Blender's timeline; larger numbers in names are no frames."""
+"""Last frame of Blender's timeline; larger numbers in names are not frames."""
 
 
 @dataclass(frozen=True, kw_only=True)

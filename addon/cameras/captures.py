@@ -34,10 +34,10 @@ def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
         Sentences about changed scene settings, and about a missing photo.
 
     Raises:
-        ValueError: the object is no camera of a photo.
+        ValueError: the object is not a camera of a photo.
     """
     if not is_camera(ob):
-        raise ValueError(f"{ob.name} is no camera of a photo. Import a capture's cameras first.")
+        raise ValueError(f"{ob.name} is not a camera of a photo. Import a capture's cameras first.")
     before, own = scene.camera, co.stated(ob)
     notes = scene_camera.use_photo(scene, ob)
     if not bpy.app.background:

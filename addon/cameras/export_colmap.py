@@ -84,7 +84,8 @@ def _write(
             raise ValueError(f"{folder} is the own model of {known}. Choose another folder.")
     if not binary and (folder / "cameras.bin").exists():
         raise ValueError(
-            f"{folder} holds a binary model, which readers prefer to text. Choose another folder."
+            f"{folder} contains a binary model, which readers prefer to text. Choose another "
+            "folder."
         )
     model, warnings = _source_model(source, inputs.origin)
     check()

@@ -38,9 +38,9 @@ class ExportPoints:
     positions: np.ndarray
     """[P, 3] float32."""
     indices: np.ndarray
-    """As `sfm_points.unique_places`."""
+    """Rows of the exported points, from `sfm_points.unique_places`."""
     linear: np.ndarray | None
-    """As `sfm_points.linear_of`; None: the object has no colours."""
+    """Linear colours from `sfm_points.linear_of`; None: the object has no colours."""
     name: str
     """Name of the object."""
 

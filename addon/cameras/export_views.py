@@ -207,7 +207,7 @@ def _plain_view(
     depsgraph: bpy.types.Depsgraph | None,
 ) -> ExportView:
     if ob.type != "CAMERA":
-        raise ValueError(f"{ob.name} is no camera. Select cameras only.")
+        raise ValueError(f"{ob.name} is not a camera. Select cameras only.")
     frame = co.frame_of(scene)
     letters = [c if c.isalnum() or c in " ._-" else "_" for c in ob.name]
     return ExportView(

@@ -49,7 +49,7 @@ class ImportedCapture:
     collection: bpy.types.Collection
     """Collection of the capture."""
     cameras: list[bpy.types.Object]
-    """By image name."""
+    """Camera objects, sorted by image name."""
     points: bpy.types.Object | None
     """The SfM points."""
     renewed: bool

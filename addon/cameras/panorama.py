@@ -115,7 +115,7 @@ def panorama_of(
         height: Pixels.
 
     Raises:
-        ValueError: the kind of panorama is unsupported, or the matrix is no pose.
+        ValueError: the kind of panorama is unsupported, or the matrix is not a pose.
     """
     own, kind = panorama_settings(ob.data), kind_of(ob.data)
     if kind not in KINDS:

@@ -20,7 +20,7 @@ class Decoded(NamedTuple):
     """True for linear light: Blender decodes 16 bits and more to it, and keeps bytes."""
 
     def arranged(self, own: PhotoCamera) -> np.ndarray:
-        """As [H, W, 4] float32, straight alpha, sRGB values, the top row first; touches no bpy.
+        """Return [H, W, 4] float32, straight alpha, sRGB, the top row first; uses no bpy.
 
         Raises:
             ValueError: its aspect ratio differs from its camera's.
@@ -80,7 +80,7 @@ def levels_of(values: np.ndarray) -> np.ndarray:
 def _decoded(image: bpy.types.Image, path: str) -> Decoded:
     width, height = image.size
     if not width * height or image.channels not in (1, 3, 4):
-        raise ValueError(f"{path} is no picture that Blender can decode.")
+        raise ValueError(f"{path} is not a picture that Blender can decode.")
     flat = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(flat)
     return Decoded(path, flat.reshape(height, width, image.channels), image.is_float)

@@ -49,9 +49,9 @@ class ReadPoints:
 
     count: int
     columns: tuple[tuple[str, str, np.ndarray], ...]
-    """As `sfm_points.columns`."""
+    """Attributes of the points, from `sfm_points.columns`."""
     radius: float
-    """As `sfm_points.display`."""
+    """Display radius, from `sfm_points.display`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,7 +59,7 @@ class ReadCapture:
     """Contents of a read capture."""
 
     source: Path
-    """Its folder or file, absolute."""
+    """Folder or file of the capture, absolute."""
     images: str
     """Folder of the photos."""
     up: np.ndarray | None
@@ -71,9 +71,9 @@ class ReadCapture:
     matrix: np.ndarray
     """[4, 4] alignment."""
     cameras: tuple[ReadCamera, ...]
-    """By image name."""
+    """Cameras, sorted by image name."""
     points: ReadPoints | None
-    """None: there are none, or they were not requested."""
+    """SfM points; None: there are none, or they were not requested."""
     drawing: Drawing
     copies: tuple[dict[str, Any], ...]
     """Undistortion tasks of missing copies."""
@@ -200,7 +200,7 @@ def _warnings(views: list[View], centers: np.ndarray) -> list[str]:
     usable = [view for view in views if view.camera.model not in NO_PINHOLE]
     if len(usable) < len(views):
         out.append(
-            f"{len(views) - len(usable)} panoramas were left out: they are no pinhole cameras."
+            f"{len(views) - len(usable)} panoramas were left out: they are not pinhole cameras."
         )
     Ks = np.stack([view.camera.K for view in usable])
     if np.abs(Ks[:, 1, 1] / Ks[:, 0, 0] - 1).max() > 1e-3:

@@ -58,11 +58,11 @@ def render_camera(
         height: Pixels; None: the scene's.
 
     Raises:
-        ValueError: the object is no camera, is panoramic or custom, or its matrix is no pose.
+        ValueError: the object is not a camera, is panoramic or custom, or its matrix is not a pose.
     """
     ob = camera_object.evaluated_get(depsgraph) if depsgraph else camera_object
     if ob.type != "CAMERA":
-        raise ValueError(f"{ob.name} is no camera. Choose a camera.")
+        raise ValueError(f"{ob.name} is not a camera. Choose a camera.")
     if ob.data.type not in ("PERSP", "ORTHO"):
         kind = {"PANO": "panoramic", "CUSTOM": "custom"}.get(ob.data.type, ob.data.type)
         raise ValueError(

@@ -14,7 +14,7 @@ ACCEPTED, REFUSED, MISSING, UNKNOWN = "accepted", "refused", "missing", "unknown
 
 @dataclass(frozen=True, kw_only=True)
 class DepthRow:
-    """One view; unknown numbers are None."""
+    """Depth map of one view; unknown numbers are None."""
 
     view: str
     """Name of the photo in the capture."""
@@ -68,7 +68,7 @@ class DepthRow:
 
 @dataclass(frozen=True)
 class DepthReport:
-    """All views of a capture."""
+    """Depth maps of all views of a capture."""
 
     rows: tuple[DepthRow, ...]
     """Sorted by name."""

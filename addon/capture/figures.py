@@ -16,9 +16,9 @@ class Figures:
     """PSNRs of photos."""
 
     path: Path
-    """Their file."""
+    """The metrics.json."""
     views: Mapping[str, float | None]
-    """dB by photo name; None: infinite or unknown."""
+    """PSNR by photo name, dB; None: infinite or unknown."""
 
     @property
     def ranked(self) -> list[tuple[str, float]]:

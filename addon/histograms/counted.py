@@ -58,7 +58,7 @@ class Counted:
 
     def __init__(self) -> None:
         self._entries: dict[int, _Entry] = {}
-        """By session uid of the object, most recently requested last."""
+        """Entries by session uid of the object, most recently requested last."""
 
     def of(self, ob: bpy.types.Object) -> dict[str, Histogram]:
         """Histograms of an object's own mesh by kind; empty without splats, or if attributes are

@@ -15,7 +15,7 @@ from .drawing import draw
 from .limits import Handle, handles, limits_of
 
 _KINDS = OPACITY, SIZE
-"""From left to right."""
+"""Kinds of the histograms, from left to right."""
 _REACH = 10.0
 """Distance at which the mouse still grabs a box or a handle, pixels."""
 _FINE = 0.1

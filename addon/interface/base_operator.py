@@ -64,7 +64,7 @@ def make_active(context: bpy.types.Context, ob: bpy.types.Object) -> None:
 
 
 def make_active_in(layer: bpy.types.ViewLayer, ob: bpy.types.Object) -> None:
-    """As `make_active`, in a view layer that need not be shown in a window."""
+    """Like `make_active`, in a view layer that need not be shown in a window."""
     for other in layer.objects.selected:
         if other is not None:  # None: removed, and the layer is not yet updated
             other.select_set(False, view_layer=layer)

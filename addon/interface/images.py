@@ -16,7 +16,7 @@ def show_image(
 
 
 def show_soon(context: bpy.types.Context, image: bpy.types.Image) -> bool:
-    """As `show_image`, in a new window if needed; True if the image is or will be shown.
+    """Like `show_image`, in a new window if needed; True if the image is or will be shown.
 
     For modal operators: Blender misses the end of one that has opened a window, so a timer opens
     it right after.

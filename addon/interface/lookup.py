@@ -36,7 +36,7 @@ class Lookup(Generic[KeyT, AnswerT]):
         return (None, "") if known is None else known[:2]
 
     def wait(self, key: KeyT, timeout: float = 60.0) -> tuple[AnswerT | None, str]:
-        """As `get`, after the function has returned; for scripts."""
+        """Like `get`, after the function has returned; for scripts."""
         self.forget(key)
         self.get(key)
         if task := self._tasks.get(key):

@@ -45,7 +45,7 @@ class Temporary:
         return block
 
     def dropping(self) -> Iterator[None]:
-        """As `drop`, with some of a collection's objects per step."""
+        """Like `drop`, with some of a collection's objects per step."""
         until = time.perf_counter() + BUDGET
         while some := _objects(self.found())[:_BATCH]:
             _remove(some)

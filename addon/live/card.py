@@ -82,7 +82,7 @@ class Card:
     def __init__(self) -> None:
         """Prepare; `step` compiles."""
         self.nears = shaders_write_depth()
-        """Whether it supports nearness."""
+        """True if shaders of this card can write depth."""
         self.ready = False
         """Whether all programs are compiled."""
         self._compiling = self._compile()

@@ -229,14 +229,14 @@ def can_go_on(settings: bpy.types.PropertyGroup, info: RunInfo) -> bool:
 def run_sentence(info: RunInfo) -> str:
     """Sentence on the run in the output folder."""
     if info.problem:
-        return f"The output folder holds a run that cannot continue: {info.problem}"
+        return f"The output folder contains a run that cannot continue: {info.problem}"
     if info.checkpoint is None:
-        return "The output folder holds a run without a checkpoint."
+        return "The output folder contains a run without a checkpoint."
     quality = f", PSNR {info.psnr:.2f} dB" if info.psnr is not None else ""
     if info.finished:
-        return f"The output folder holds a finished run: {info.steps:,} steps{quality}."
+        return f"The output folder contains a finished run: {info.steps:,} steps{quality}."
     done = f"step {info.steps:,}" + (f" of {info.iterations:,}" if info.iterations else "")
-    return f"The output folder holds a run that was stopped at {done}{quality}."
+    return f"The output folder contains a run that was stopped at {done}{quality}."
 
 
 CLASSES = (TrainPanel, TrainOptionsPanel, GuidesPanel)

@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import BinaryIO
 
 _LONGEST_LINE = 1 << 20
-"""Bytes; longer lines are no events and are dropped."""
+"""Bytes; longer lines are not events and are dropped."""
 _MOST_WAITING = 100_000
 """Lines kept until the owner reads them; further ones are dropped."""
 _STDERR_KEPT = 60

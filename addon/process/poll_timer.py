@@ -43,7 +43,7 @@ class Poller:
 
 
 POLLERS: list[Poller] = []
-"""In order of registration; later ones see the results of earlier ones."""
+"""Pollers in order of registration; later ones receive the results of earlier ones."""
 
 
 @dataclass

@@ -73,7 +73,7 @@ class SaveMask(_OnMask, bpy.types.Operator):
     bl_options: ClassVar = {"REGISTER"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """With Alt, discard."""
+        """Start the operator; Alt discards the mask."""
         if event.alt:
             return bpy.ops.gscore.discard_mask("EXEC_DEFAULT", image=self.mask(context).name)
         return self.execute(context)

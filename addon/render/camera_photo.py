@@ -104,7 +104,7 @@ class _Wanted:
 
 
 def _target(wanted: _Wanted, photo: Decoded, mask: Decoded | None) -> Target:
-    """As `load_target`, without bpy."""
+    """Like `load_target`, without bpy."""
     own, (width, height), mode = wanted.own, wanted.size, wanted.mode
     plan = undistortion_of(own)
     rgba = photo.arranged(own)
@@ -177,7 +177,7 @@ class _Masked(NamedTuple):
     """Session number of the object."""
     image: str
     file: str = ""
-    """Its mask."""
+    """File of the mask."""
 
 
 def _listed(camera: bpy.types.Object) -> list[_Masked]:

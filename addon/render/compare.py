@@ -36,12 +36,12 @@ class Comparison:
     """Result of a comparison."""
 
     psnr: float
-    """dB, of the splats' picture against the photo, on sRGB values; inf if they are equal. With a
-    mask, both are black outside of it, as in gscore's metrics."""
+    """PSNR of the rendered splats against the photo, dB, on sRGB values; inf if they are equal.
+    With a mask, both are black outside of it, as in gscore's metrics."""
     psnr_masked: float | None
-    """dB, over the pixels inside the mask; None without a mask."""
+    """PSNR of the pixels inside the mask, dB; None without a mask."""
     images: dict[str, bpy.types.Image]
-    """By the names in `KINDS`."""
+    """Images by the names in `KINDS`."""
 
 
 class Comparing:

@@ -21,7 +21,7 @@ class HoldoutMesh:
     """A mesh copied out of Blender."""
 
     triangles: Triangles
-    """In object space."""
+    """Triangles in object space."""
     matrices: np.ndarray
     """[K, 4, 4] float64, object to world, one per instance."""
 
@@ -75,9 +75,9 @@ class HoldoutMeshes:
     def __init__(self) -> None:
         self._known: dict[int, Triangles] = {}
         self._grown: dict[int, list[generated_instances.Part]] = {}
-        """In the space of their instancers."""
+        """Parts by object, in the space of their instancers."""
         self._walked: dict[generated_instances.InstancerKey, list[generated_instances.Part]] = {}
-        """In world space."""
+        """Generated parts by instancer, in world space."""
 
     def clear(self) -> None:
         """Drop all copies."""

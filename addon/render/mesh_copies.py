@@ -179,8 +179,8 @@ def freeze(data: Any, name: str) -> FrozenMesh:
 
 
 class Trace(NamedTuple):
-    """What is kept of a decoded copy, in a fraction of its memory: data that show whether another
-    copy differs and, if only in paint, in which splats."""
+    """Digest of a decoded copy, in a fraction of its memory: data that show whether another copy
+    differs and, if only in paint, in which splats."""
 
     fingerprint: Hashable
     """`Frozen.fingerprint`."""

@@ -16,10 +16,10 @@ from .scene import Identity, Placed
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """All splats of a picture."""
+    """Splats of a picture, merged from all objects."""
 
     splats: Splats
-    """In the space of the object with the most splats, which needs no transformation then."""
+    """Splats in the space of the object with the most splats, which needs no transformation."""
     matrix: np.ndarray
     """[4, 4] float64, similarity from that space to the world."""
     antialias: tuple[str, ...]
@@ -29,7 +29,7 @@ class Model:
     owners: tuple[tuple[Identity | None, int], ...] = ()
     """Owners of consecutive runs of `splats`, and the runs' lengths; None: a holdout."""
     shares: Splats | None = None
-    """With holdouts, which are black in `splats`: the same splats with all others white. Their
+    """The same splats with holdouts black and all others white; None: no holdouts. Their
     picture is the share of light that is not cut out."""
 
 
@@ -138,7 +138,7 @@ def _read(placed: Placed) -> tuple[Trace, Splats]:
 
 
 def _repainted(before: Trace, splats: Splats, placed: Placed) -> tuple[Trace, Splats] | None:
-    """As `_read`, if only colours and opacities have changed; all other arrays are shared with
+    """Like `_read`, if only colours and opacities have changed; all other arrays are shared with
     `splats`.
 
     Args:
@@ -164,7 +164,7 @@ def _repainted(before: Trace, splats: Splats, placed: Placed) -> tuple[Trace, Sp
 
 
 def check_similar(placed: Placed) -> None:
-    """Raise ValueError, which names the object, if its matrix is no similarity; quick enough for
+    """Raise ValueError, which names the object, if its matrix is not a similarity; quick enough for
     every redraw."""
     if problem := _refusal(placed.matrix.tobytes()):
         raise ValueError(f"{placed.name} cannot be rendered. {problem}")

@@ -49,7 +49,7 @@ class Request:
     transparent: bool
     to_scene: np.ndarray
     over_view: bool = False
-    """As in `Film`: whether it is drawn over Blender's overlays of the view."""
+    """True if it is drawn over Blender's overlays of the view."""
     tinted: Tinted = Tinted.NONE
     """Objects whose selection is shown."""
 
@@ -110,7 +110,7 @@ class ViewPainter:
         self.pixels: np.ndarray | None = None
         """The last finished picture, [H, W, 4], bottom row first."""
         self.made: Request | None = None
-        """Its request."""
+        """Request of the last picture."""
         self.problem = ""
         """Why there is no picture; empty: no problem."""
         self.fresh = False

@@ -16,7 +16,7 @@ class Worst:
 
     camera: bpy.types.Object
     psnr: float
-    """dB, as measured after the training."""
+    """PSNR measured after the training, dB."""
     among: int
     """Number of measured photos with a camera in the scene."""
 

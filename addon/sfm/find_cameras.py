@@ -70,7 +70,7 @@ def places(scene: bpy.types.Scene) -> Places:
     capture, problem = facts.refresh(scene)
     if capture is None or not capture.bare:
         raise ValueError(
-            problem or f"{source} is no folder of photos without cameras and no video."
+            problem or f"{source} is neither a folder of photos without cameras nor a video."
         )
     if errors := [p.text for p in capture.problems if p.is_error]:
         raise ValueError(errors[0])

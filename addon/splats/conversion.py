@@ -49,7 +49,7 @@ def other_python() -> OtherPython:
 
 
 def read(path: Path, by: OtherPython, check: Check) -> SplatFile:
-    """As `read_splat_file`, by another Python if this one lacks a package; in any thread.
+    """Like `read_splat_file`, by another Python if this one lacks a package; in any thread.
 
     Args:
         path: The file.

@@ -26,17 +26,17 @@ def check_movable(mesh: bpy.types.Mesh, called: str) -> None:
 
 
 def check_only_points(mesh: bpy.types.Mesh, called: str) -> None:
-    """As `check_movable`, for a changed number of points: edges and faces are errors too."""
+    """Like `check_movable`, for a changed number of points: edges and faces are errors too."""
     check_movable(mesh, called)
     if mesh.edges or mesh.polygons:
         raise ValueError(
-            f"{called} has edges or faces, which are no splats and would be lost: delete them "
+            f"{called} has edges or faces, which are not splats and would be lost: delete them "
             "first, in Edit Mode under Mesh > Delete > Only Edges & Faces."
         )
 
 
 def check_replaceable(mesh: bpy.types.Mesh, called: str) -> None:
-    """As `check_only_points`, for replacement by a new mesh, to which `copy_user_data` copies all
+    """Like `check_only_points`, for replacement by a new mesh, to which `copy_user_data` copies all
     but NLA tracks."""
     check_only_points(mesh, called)
     if mesh.animation_data is not None and mesh.animation_data.nla_tracks:

@@ -58,7 +58,7 @@ def export_splats(
         filtered: Leave out splats that the display filters hide.
 
     Raises:
-        ValueError: no objects, no splats, or a matrix that is no similarity; nothing is written.
+        ValueError: no objects, no splats, or a matrix that is not a similarity; nothing is written.
         GsError: the file cannot be written.
     """
     return run_blocking(exporting(obs, path, world=world, filtered=filtered))
@@ -141,7 +141,7 @@ def _same_file(
 
 
 def _parts(obs: Sequence[bpy.types.Object], world: str, filtered: bool) -> list[_Part]:
-    """One for each object; ValueError if a matrix is no similarity."""
+    """One for each object; ValueError if a matrix is not a similarity."""
     to_file = np.eye(4) if world == BLENDER else np.linalg.inv(source_matrix(obs[0]))
     parts = []
     for ob in obs:

@@ -22,7 +22,7 @@ class MeshBuffers(Protocol):
 
     @property
     def columns(self) -> tuple[tuple[str, str, np.ndarray], ...]:
-        """As `attributes.columns`; vertex groups and text as `point_attributes.blocks`."""
+        """Columns like `attributes.columns`, with groups and text of `point_attributes.blocks`."""
         ...
 
 
@@ -36,7 +36,7 @@ class Points:
     count: int
     """Number of points."""
     columns: tuple[tuple[str, str, np.ndarray], ...]
-    """As `MeshBuffers.columns`."""
+    """Attributes like `MeshBuffers.columns`."""
 
 
 def points_of(table: list[Column]) -> Points:

@@ -117,7 +117,7 @@ def read(ob: bpy.types.Object, *, rest: bool = True) -> Splats:
         ValueError: attributes are missing or not finite, or as `catch_up`.
     """
     if ob.type not in {"MESH", "POINTCLOUD"}:
-        raise ValueError(f"{ob.name} is no splat object: it is a {ob.type.lower()}.")
+        raise ValueError(f"{ob.name} is not a splat object: it is a {ob.type.lower()}.")
     catch_up(ob)
     with _readable(ob) as data:
         return attributes.read(data, rest=rest)
@@ -127,7 +127,7 @@ def read_world(ob: bpy.types.Object) -> Splats:
     """Raw parameters in Blender's world: means, quaternions, scales and SH transformed.
 
     Raises:
-        ValueError: as `read`, or the object's matrix is no similarity.
+        ValueError: as `read`, or the object's matrix is not a similarity.
     """
     return transformed(ob, compat.matrix_to_numpy(ob.matrix_world))
 
@@ -141,7 +141,7 @@ def moved(splats: Splats, matrix: np.ndarray, name: str) -> Splats:
     """The splats of an object called `name` after a 4x4 similarity; no bpy.
 
     Raises:
-        ValueError: the matrix is no similarity.
+        ValueError: the matrix is not a similarity.
     """
     if np.array_equal(matrix, np.eye(4)):
         return splats
@@ -156,7 +156,7 @@ def check_writable(ob: bpy.types.Object) -> None:
     if ob.mode == "EDIT":
         raise ValueError(f"{ob.name} is in Edit Mode: leave it before changing its splats.")
     if ob.type != "MESH":
-        raise ValueError(f"{ob.name} is no splat object: it is a {ob.type.lower()}.")
+        raise ValueError(f"{ob.name} is not a splat object: it is a {ob.type.lower()}.")
     editable_check.check(ob.data)
 
 

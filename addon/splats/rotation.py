@@ -40,7 +40,7 @@ def turned(table: list[Column], turns: np.ndarray, numbers: np.ndarray) -> list[
         The changed columns.
 
     Raises:
-        ValueError: a matrix is no similarity; nothing is changed.
+        ValueError: a matrix is not a similarity; nothing is changed.
     """
     by_name = point_attributes.of_splats(table)
     names = [n for n in by_name if n not in (attributes.BASE, attributes.POSITION)]

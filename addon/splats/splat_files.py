@@ -93,7 +93,7 @@ def import_splats(
             of `level` or the finest, and places them at this object.
 
     Raises:
-        GsError: the file is missing, corrupt or holds no splats; the scene is unchanged.
+        GsError: the file is missing, corrupt or contains no splats; the scene is unchanged.
         ValueError: there is no such level, or no splat in the box.
     """
     return import_requested(
@@ -102,7 +102,7 @@ def import_splats(
 
 
 def import_requested(context: bpy.types.Context, wanted: ImportRequest) -> bpy.types.Object:
-    """As `import_splats`, for a request of `import_request`."""
+    """Like `import_splats`, for a request of `import_request`."""
     file = read(wanted)
     ob = objects.create(file.splats, wanted.path.stem, collection=context.collection)
     set_up_object(ob, wanted, file)

@@ -70,7 +70,7 @@ class Series:
     """The frames of a sequence."""
 
     files: tuple[FrameFile, ...]
-    """At least one, sorted by number, without duplicates."""
+    """Files, at least one, sorted by number, without duplicates."""
     name: str
     """Name pattern of the files, `#` for the number."""
 

@@ -35,7 +35,7 @@ class Frame:
 
     file: FrameFile
     splats: Splats
-    """In the file's own world."""
+    """Splats in the file's own world."""
 
     @property
     def fingerprint(self) -> Hashable:
@@ -49,7 +49,7 @@ class Frame:
 
     @property
     def marks(self) -> None:
-        """None: selection and hiding are states of meshes."""
+        """Always None: only meshes store selection and hiding."""
 
     @property
     def bytes(self) -> int:
@@ -67,7 +67,7 @@ class Frame:
         return mask(splats.means, np.exp(splats.scales), opacities.astype(np.float32), filters)
 
     def columns(self) -> list[tuple[str, str, np.ndarray]]:
-        """As `attributes.columns`, for a mesh."""
+        """Like `attributes.columns`, for a mesh."""
         return columns(self.splats)
 
 

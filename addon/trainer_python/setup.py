@@ -110,7 +110,7 @@ class Setup:
             poll_timer.ensure()
 
     def check(self, prefs: Any) -> Verdict:
-        """As `start_check`, and wait; for scripts.
+        """Like `start_check`, but waits; for scripts.
 
         Raises:
             ValueError: the check itself failed.
@@ -145,7 +145,7 @@ class Setup:
         return self._making
 
     def make(self, prefs: Any, *, wheel: Path | None = None) -> Path:
-        """As `start_make`, and wait; returns the environment's Python.
+        """Like `start_make`, but waits; returns the environment's Python.
 
         Raises:
             ValueError: as `start_make`, or it could not be made, with the reason.

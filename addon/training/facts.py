@@ -27,7 +27,7 @@ def capture(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
 
 
 def refresh(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
-    """As `capture`, but reads the disk and waits; for scripts and before a training."""
+    """Like `capture`, but reads the disk and waits; for scripts and before a training."""
     path = absolute(scene.gscore.capture_path, "Capture")
     return lookups.captures.wait((str(path), scene.gscore.images))
 

@@ -23,7 +23,7 @@ class ImportResult(ImportOperator, bpy.types.Operator):
         self._source, self._run = start_training.run_of(context.scene)
         info = self._run.info
         if info.splats is None:
-            raise ValueError(f"{info.path} holds no splats yet: continue its training.")
+            raise ValueError(f"{info.path} contains no splats yet: continue its training.")
         return [
             splat_files.import_request(
                 info.splats, parent=results.capture_of(context.scene, self._source)

@@ -57,8 +57,8 @@ def train(
     before = _own_run(output, source)
     if before is not None and not overwrite:
         raise ValueError(
-            f"{output} holds another run; press Resume to continue it, Start Over to replace it, "
-            "or choose another output folder."
+            f"{output} contains another run; press Resume to continue it, Start Over to replace "
+            "it, or choose another output folder."
         )
     box = box_limit.arguments(scene, output)
     arguments = options.new_run(
@@ -127,7 +127,7 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
     before = existing_run.read_existing_run(output, _chosen_capture(scene))
     info = None if before is None else before.info
     if before is None or info is None or info.checkpoint is None:
-        raise ValueError(f"{output} holds no checkpoint to resume; press Train instead.")
+        raise ValueError(f"{output} contains no checkpoint to resume; press Train instead.")
     if before.foreign:
         raise ValueError(before.foreign_words)
     if info.problem:
@@ -234,7 +234,7 @@ def run_of(scene: bpy.types.Scene) -> tuple[Path, existing_run.EarlierRun]:
     output = output_folder(scene, preferences.get().output_folder)
     before = _own_run(output, _chosen_capture(scene))
     if before is None:
-        raise ValueError(f"{output} holds no run; press Train.")
+        raise ValueError(f"{output} contains no run; press Train.")
     return capture_folder(scene), before
 
 
@@ -268,7 +268,7 @@ def check_capture(scene: bpy.types.Scene) -> ShownFacts:
         raise ValueError(f"{found.source} has no cameras yet; press Find Cameras first.")
     errors = [p.text for p in found.problems if p.is_error]
     if errors or not found.can_train:
-        raise ValueError(errors[0] if errors else f"{found.source} holds no capture.")
+        raise ValueError(errors[0] if errors else f"{found.source} contains no capture.")
     return found
 
 

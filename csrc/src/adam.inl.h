@@ -212,9 +212,9 @@ static int64_t adam_step(const AdamArgs &a, int64_t chunk) {
     return bad;
 }
 
-// Mask of the splats [begin, begin + kLanes) that may reach the picture: all that `project` draws, and some more. The
-// Jacobian's rows are at most f / z sqrt(1 + ratio^2) long, so the largest scale bounds the splat on screen, with
-// sqrt(2 ln 255) deviations to alpha = 1/255, and more if an activated opacity exceeds 1.
+// Conservative mask of the splats [begin, begin + kLanes) that may be visible, a superset of those that `project`
+// draws. The rows of the Jacobian have a norm of at most f / z sqrt(1 + ratio^2), so the largest scale bounds the
+// splat on screen: alpha falls to 1/255 at sqrt(2 ln 255) deviations, farther out if an activated opacity exceeds 1.
 static inline uint32_t may_be_visible(const CatchUpArgs &a, int64_t begin, int lanes) {
     const gs_splats &in = *a.splats;
     const gs_view &c = *a.view;

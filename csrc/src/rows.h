@@ -1,4 +1,4 @@
-// Rows: transposes between rows of floats, one row for each lane, and vectors.
+// Rows: transposes between rows of floats in memory, one row per lane, and vectors.
 #pragma once
 
 #include "simd.h"
@@ -26,7 +26,7 @@ static inline void transpose_blocks(Vec v[4]) {
 }
 #endif
 
-// Four floats from each row[l] + at on: float k of all of them becomes out[k].
+// Loads four floats per lane: out[k][l] = row[l][at + k].
 static inline void load_columns(const float *const row[kLanes], size_t at, Vec out[4]) {
 #if defined(GS_ISA_AVX512)
     for (int r = 0; r < 4; ++r) {

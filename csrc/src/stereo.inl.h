@@ -250,7 +250,7 @@ class StereoSweep {
             const Vec column = iota() + float(x);
             const Mask in_row =
                 both(ge(column, set1(float(layout_.radius))), gt(set1(float(in_.width - layout_.radius)), column));
-            // The first and last plane are no peaks: beyond them the score may be higher.
+            // The first and last plane are not peaks: beyond them the score may be higher.
             const Mask within = both(gt(at, Vec{}), gt(set1(float(in_.planes - 1)), at));
             const Mask known = both(both(in_row, within), gt(set1(in_rows ? 1.0f : 0.0f), Vec{}));
             write_row(a_.found.inverse_depth, y, x, keep(known, fma(at + offset, step_, set1(in_.farthest))));

@@ -13,6 +13,6 @@ class BenchSetting:
     splats: int
     views: int
     width: int
-    """Of the first view, px."""
+    """Width of the first view, px."""
     height: int
-    """Of the first view, px."""
+    """Height of the first view, px."""

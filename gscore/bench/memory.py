@@ -34,7 +34,7 @@ class MemoryBench:
     splats: int
     views: int
     width: int
-    """Of each view, px."""
+    """Width of each view, px."""
     height: int
     steps: int
     said_bytes: int

@@ -37,9 +37,9 @@ class SizeOutcome:
 
     size: Size
     seconds: float
-    """Spent in steps."""
+    """Time spent in steps, s."""
     splats: int
-    """At the end."""
+    """Number of splats at the end."""
     psnr: float
     """Mean over the held-out views at the common size, dB."""
     ssim: float

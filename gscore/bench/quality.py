@@ -34,7 +34,7 @@ class ScoredView:
     psnr: float | None
     """Headline PSNR of a model: inside the masks if they hide pixels, dB."""
     psnr_cc: float | None
-    """dB."""
+    """PSNR after colour correction, dB."""
     ssim: float | None
     lpips: float | None
 
@@ -48,7 +48,7 @@ class Training:
     seed: int
     offset: int
     seconds: float
-    """Spent in steps."""
+    """Time spent in steps, s."""
     splats: int
     gap: float | None
     """Median PSNR of the training views minus that of the held-out ones, dB."""
@@ -76,7 +76,7 @@ class Summary:
     """One variant on one capture, over all views, seeds and offsets."""
 
     median: dict[str, float | None]
-    """By metric; None if no view has it."""
+    """Median of the views by metric; None if no view has it."""
     trimmed: dict[str, float | None]
     """Mean without the lowest and the highest fifth."""
     worst: Worst | None
@@ -232,7 +232,7 @@ def _worst(trainings: Iterable[Training]) -> Worst | None:
 def compare(trainings: Sequence[Training], base: str, variant: str) -> Comparison | None:
     """Compare a variant with `base` over their common trainings; None if they share no view.
 
-    A view without a metric in one of them (an infinite PSNR) is no pair.
+    A view without a metric in one of them (an infinite PSNR) makes no pair.
     """
     mine = {training.key: training for training in trainings}
     pairs: dict[str, list[tuple[Training, Training]]] = {}

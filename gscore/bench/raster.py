@@ -43,9 +43,9 @@ class RasterBench(BenchSetting):
     """Splats per tile of `header.LIST_TILE`."""
     visible: float
     forward_ms: float
-    """All stages of a forward pass."""
+    """Time of all stages of a forward pass."""
     backward_ms: float
-    """All stages of a backward pass."""
+    """Time of all stages of a backward pass."""
     forward_fps: float
     stages_ms: dict[str, float]
     workspace_bytes: int

@@ -18,14 +18,14 @@ class SkipRow:
     without: list[str]
     """Disabled skips; empty: the unchanged training."""
     seconds: float
-    """Spent in steps."""
+    """Time spent in steps, s."""
     slowdown: float
     """`seconds` divided by those of the training with all skips."""
     forward_gpairs: float
     """Pairs that the forward passes evaluated, in 10^9."""
     backward_gpairs: float
     psnr: float
-    """Of the held-out views, dB."""
+    """PSNR of the held-out views, dB."""
     ssim: float
     splats: int
     identical: bool

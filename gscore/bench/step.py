@@ -38,7 +38,7 @@ class StepBench(BenchSetting):
     """Stages of the rasterizer / the whole step."""
     pairs_per_pixel: float
     peak_memory_bytes: int | None
-    """Of the whole process so far."""
+    """Peak memory of the whole process so far; None: unknown."""
 
 
 def bench_step(

@@ -53,7 +53,7 @@ class SyntheticPhotos:
         return self._images[index]
 
     def mask(self, index: int) -> None:
-        """None: there are no masks."""
+        """Always None: there are no masks."""
 
     def _photo(self, index: int, width: int, height: int) -> np.ndarray:
         cameras = self.scene.cameras

@@ -41,12 +41,12 @@ class Curve:
 
     label: str
     width: int
-    """Of the first measured picture, px."""
+    """Width of the first measured picture, px."""
     height: int
     seeds: list[list[Point]]
     """Measurements of each seed, the same number for all."""
     trained_width: int | None = None
-    """Of the first training photo, px; None if unknown, like the fields below."""
+    """Width of the first training photo, px; None if unknown, like the fields below."""
     iterations: int | None = None
     max_splats: int | None = None
 

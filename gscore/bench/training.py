@@ -35,9 +35,9 @@ class Point:
 
     step: int
     seconds: float
-    """Spent in steps so far, without evaluation."""
+    """Time spent in steps so far, without evaluation, s."""
     splats: int
-    """0: unknown, for another program."""
+    """Number of splats; 0: unknown, for another program."""
     psnr: float
     """Mean over the held-out views, dB."""
     ssim: float
@@ -49,7 +49,7 @@ class Trained:
     """A training from its first to its last step."""
 
     seconds: float
-    """Spent in steps, and before them on the initial points."""
+    """Time spent in steps, and before them on the initial points, s."""
     points: list[Point]
     """Measurements, the last one after the last step."""
     forward_pairs: float

@@ -36,8 +36,8 @@ class Cells:
         return in_cells(points, self.axes, self.bounds)
 
     def around(self, points: np.ndarray, margin: float) -> np.ndarray:
-        """As `contains`, for cells widened on each side by `margin` of their extent; at the rim the
-        extent ends with the points."""
+        """Like `contains`, for cells widened on each side by `margin` of their extent; at the rim
+        the extent ends with the points."""
         ground = points @ self.axes.T
         low, high = np.quantile(ground, [_RIM, 1 - _RIM], axis=0)
         ends = np.clip(self.bounds, low, high)

@@ -61,7 +61,7 @@ class Cut:
     views: list[View]
     """Views of the capture, sorted by name."""
     masks: list[Path | None]
-    """Their masks."""
+    """Masks of the photos."""
     model: ColmapModel
     """Cameras and points; its images in the order of `views`."""
     blocks: list[Block]

@@ -59,8 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--lpips",
         type=Path,
         metavar="NETWORK",
-        help="LPIPS network (perceptual metric): an ONNX file, or alex, vgg or squeeze of the "
-        "package lpips; default: not measured",
+        help="LPIPS network (perceptual metric): an ONNX file, or alex, vgg or squeeze; default: "
+        "not measured",
     )
     parser.add_argument(
         "--lpips-download",
@@ -76,8 +76,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--error-map",
         type=Path,
         metavar="FILE",
-        help="also write the splats coloured by their error against the photos, for any viewer: "
-        "from black (low) to pale yellow (high)",
+        help="also write the splats coloured by their error, from black (low) to pale yellow "
+        "(high)",
     )
     add_threads_option(parser)
     parser.add_argument(

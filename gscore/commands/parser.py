@@ -41,7 +41,7 @@ def _threads(text: str) -> int:
     try:
         return checked_threads(int(text))
     except ValueError as error:  # ConfigError is one
-        words = str(error) if isinstance(error, ConfigError) else f"{text!r} is no whole number"
+        words = str(error) if isinstance(error, ConfigError) else f"{text!r} is not a whole number"
         raise argparse.ArgumentTypeError(words) from None
 
 
@@ -57,7 +57,7 @@ class Parser(argparse.ArgumentParser):
     """Parser whose errors are one sentence, without the usage page."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """As in argparse, but -1e-3 is a number in every Python version, not an option."""
+        """Create an argparse parser that reads -1e-3 as a number in every Python version."""
         super().__init__(*args, **kwargs)
         self._negative_number_matcher = _NEGATIVE
 
@@ -92,7 +92,7 @@ class Parser(argparse.ArgumentParser):
         return " ".join(["%(prog)s", *places, *required, "[options]"])
 
     def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """As in argparse, but the error for an unknown option suggests the nearest one."""
+        """Parse arguments; the error for an unknown option suggests the nearest one."""
         words = sys.argv[1:] if args is None else list(args)
         self._check_names(words)
         found, unknown = self.parse_known_args(words, namespace)
@@ -130,8 +130,8 @@ class Parser(argparse.ArgumentParser):
         )
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
-        """As in argparse, but with an error for missing values: in argparse `--x=--` raises a
-        traceback, and an empty path is the current folder."""
+        """Return the values of an action, with an error for missing ones: in argparse `--x=--`
+        raises a traceback, and an empty path is the current folder."""
         empty = action.type is Path and any(text == "" for text in arg_strings)
         if empty or (action.option_strings and arg_strings == ["--"]):
             given = "nothing" if empty else "'--'"
@@ -139,7 +139,7 @@ class Parser(argparse.ArgumentParser):
         return super()._get_values(action, arg_strings)
 
     def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
-        """As in argparse, but the message shortens long values."""
+        """Return a converted value; the error message shortens long ones."""
         try:
             return super()._get_value(action, arg_string)
         except argparse.ArgumentError as error:

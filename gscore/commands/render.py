@@ -82,9 +82,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which.add_argument(
         "--path",
         metavar="{orbit,spline,FILE}",
-        help="camera path: an orbit, a spline through all cameras in order, or a file: "
-        "cameras.json, nerfstudio's camera_path.json or transforms.json (a video without "
-        "chosen views: orbit)",
+        help="camera path: orbit, spline through all cameras, or a file such as cameras.json "
+        "(a video: orbit)",
     )
     group.add_argument(
         "--frames",
@@ -99,8 +98,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--resolution",
         type=float,
         default=-1,
-        help="divisor 2, 4 or 8 of the photos' size, or width in pixels; -1: size of the "
-        "cameras, in a run that of its training (-1)",
+        help="photo size: divisor 2, 4 or 8, or width in pixels; -1: as in the training, or that "
+        "of the cameras (-1)",
     )
     group = parser.add_argument_group("picture")
     group.add_argument(

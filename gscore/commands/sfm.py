@@ -24,8 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "source",
         type=Path,
         nargs="+",
-        help="folder of photos, with sub-folders; or videos, whose sharp frames are first written "
-        "to CAPTURE/images, in one folder per video if there are several",
+        help="folder of photos, with sub-folders; or videos, whose sharp frames are written to "
+        "CAPTURE/images",
     )
     parser.add_argument(
         "-o",
@@ -33,23 +33,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         required=True,
         metavar="CAPTURE",
-        help="output capture: a new folder that links to the photos, or the parent of the photo "
-        "folder `images`, which receives only the cameras",
+        help="capture: a new folder with links to the photos, or the parent of the photo folder "
+        "`images`",
     )
     parser.add_argument(
         "--matching",
         choices=MATCHERS,
         default="auto",
-        help="photo pairs to match: exhaustive: all; sequential: neighbours by name and some "
-        "distant ones; auto: exhaustive up to 120 photos, else sequential, retrieval and GPS "
-        "neighbours (auto)",
+        help="pairs to match: all, or neighbours by name; auto: all up to 120 photos, else by "
+        "content too (auto)",
     )
     parser.add_argument(
         "--mapper",
         choices=MAPPERS,
         default="auto",
-        help="global: all poses together; incremental: photo by photo; auto: global, then "
-        "incremental if many photos remain without a pose (auto)",
+        help="poses all together, or photo by photo; auto: global, incremental if many photos get "
+        "none (auto)",
     )
     parser.add_argument(
         "--camera-model",

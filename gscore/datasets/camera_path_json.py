@@ -63,11 +63,11 @@ def read_camera_path(path: str | Path) -> MovingCamera:
         moving = _transforms(path, data)
     else:
         raise FormatError(
-            f"{path} is no camera path: expected a cameras.json (a list), or an object with a list "
-            f"`camera_path` (nerfstudio) or `frames` (transforms.json). Export it again."
+            f"{path} is not a camera path: expected a cameras.json (a list), or an object with a "
+            f"list `camera_path` (nerfstudio) or `frames` (transforms.json). Export it again."
         )
     if not len(moving.cameras):
-        raise DatasetError(f"{path} holds no cameras. Export it again.")
+        raise DatasetError(f"{path} contains no cameras. Export it again.")
     return moving
 
 
@@ -141,7 +141,7 @@ def _nerfstudio(path: Path, data: dict[str, Any]) -> MovingCamera:
     for i, entry in enumerate(data["camera_path"]):
         where = f"{path}: camera {i}"
         if not isinstance(entry, dict):
-            raise FormatError(f"{where} is no object. Export the path again.")
+            raise FormatError(f"{where} is not an object. Export the path again.")
         pose = _rows(entry.get("camera_to_world"))
         viewmats.append(viewmat_from_opengl(rigid_matrix(where, "camera_to_world", pose)))
         fov = _number(where, "fov", entry.get("fov"))

@@ -42,7 +42,7 @@ class Capture:
     root: Path
     """Folder of the capture."""
     views: list[View]
-    """In any order."""
+    """Views in any order."""
     points: PointCloud
     """Points in world coordinates; may be empty."""
     up: np.ndarray | None = None

@@ -38,7 +38,7 @@ class ViewFile:
     image: Path
     """The photo."""
     mask: Path | None
-    """Its mask file, of the photo's size or a larger size of the same aspect ratio."""
+    """Mask file, of the photo's size or a larger size of the same aspect ratio."""
     mask_inverted: bool
     """True if white in the mask file marks pixels to ignore."""
     use_alpha: bool
@@ -158,7 +158,7 @@ def check_proportions(file: ViewFile, values: np.ndarray) -> None:
     """Raise ShapeError if a map [h, w] has another aspect ratio than the photo."""
     height, width = values.shape
     photo_width, photo_height = file.photo_size
-    # Networks and exporters round sizes: a difference of a pixel and 1 % is no crop.
+    # Networks and exporters round sizes: a difference of a pixel and 1 % is not a crop.
     expected = photo_height * width / photo_width
     if abs(expected - height) > 1 + 0.01 * height:
         raise ShapeError(

@@ -77,8 +77,8 @@ def find_frames(data: DataConfig) -> list[SequenceFrame]:
             _add(found, int(match[1]), folder)
     if not found:
         raise DatasetError(
-            f"{data.source} holds no frames; expected a numbered folder for each, with photos and "
-            f"a COLMAP model in it. If all frames share one model, give its folder, and "
+            f"{data.source} contains no frames; expected a numbered folder for each, with photos "
+            f"and a COLMAP model in it. If all frames share one model, give its folder, and "
             f"frames/{{frame:06d}} as `--images`."
         )
     return [

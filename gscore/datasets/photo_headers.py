@@ -116,7 +116,7 @@ def _copies(views: Sequence[View], cancelled: Callable[[], bool]) -> list[str]:
     return [
         f"{count_words(len(pairs), 'photo is a copy', 'photos are copies')} of others: "
         f"{listing(named, 3)}. Copies count twice, and a test view that is a "
-        f"copy of a training view is no test; remove them."
+        f"copy of a training view does not test anything; remove them."
     ]
 
 

@@ -72,8 +72,8 @@ def _read(config: DataConfig, photos_required: bool) -> Capture:
         return read_video(video, config, photos_required=photos_required)
     if config.frame is not None and config.source.exists():
         raise ConfigError(
-            f"{config.source} is no multi-view video, so it has no frame {config.frame}; expected "
-            f"a folder with data_COLMAP, per_frame or per_view. Leave `--frame` out."
+            f"{config.source} is not a multi-view video, so it has no frame {config.frame}; "
+            f"expected a folder with data_COLMAP, per_frame or per_view. Leave `--frame` out."
         )
     program = find_program(config.source, config.images) if config.source.is_file() else None
     if program is not None:

@@ -112,8 +112,8 @@ def load_transforms(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict) or not isinstance(data.get("frames"), list):
         raise FormatError(
             describe_unsupported(path)
-            or f"{path} is no transforms.json: it must hold an object with a list `frames`. Export "
-            "it again, or give the folder of the capture."
+            or f"{path} is not a transforms.json: it must be an object with a list `frames`. "
+            "Export it again, or give the folder of the capture."
         )
     return data
 
@@ -140,7 +140,7 @@ def views_of_file(
     for i, frame in enumerate(data["frames"]):
         where = f"{path}: frame {i}"
         if not isinstance(frame, dict):
-            raise FormatError(f"{where} is no object. Export it again.")
+            raise FormatError(f"{where} is not an object. Export it again.")
         name = inside(where, "file_path", frame.get("file_path"))
         image = find(path.parent, name)
         if image is None:

@@ -7,7 +7,7 @@ from .fit import NO_FIT, Fit, fit_of, scale_reason, tolerance
 from .maps import sample
 from .observations import Observations
 
-REVERSED = "the map is larger where the points are farther: it may hold depth"
+REVERSED = "the map is larger where the points are farther: it may contain depth"
 """Refusal of a map that decreases with inverse depth."""
 OFFICIAL_POINTS = 10
 """The official rule requires more points than this."""

@@ -29,7 +29,7 @@ class Alignment:
     """The fits of a capture's maps."""
 
     fits: list[Fit | None]
-    """By view; None: there is no map."""
+    """Fit of each view; None: it has no map."""
     kind: DepthKind
     """Kind of the maps; never AUTO."""
     warnings: tuple[str, ...] = ()

@@ -50,7 +50,7 @@ class Web:
 
     charts: list[Chart]
     neighbours: list[list[int]]
-    """By map, the neighbours into which its pixels are projected."""
+    """Neighbours of each map, into which its pixels are projected."""
 
     def projected_onto(self, index: int) -> list[int]:
         """The maps whose pixels are projected into map `index`."""

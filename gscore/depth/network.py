@@ -59,7 +59,7 @@ class Profile:
     family: str
     """Detected family of networks, for messages."""
     normalization: Normalization
-    """Never AUTO."""
+    """Normalization of the input, never AUTO."""
     kind: DepthKind
     """Kind of the output; never AUTO."""
     width: int

@@ -79,7 +79,7 @@ class PointVisibility:
     points: np.ndarray
     """[P, 3] float64, world."""
     observed: list[np.ndarray]
-    """By view: [M] int64, ascending rows of its visible points."""
+    """Visible points of each view: [M] int64, ascending rows."""
 
 
 def point_visibility(dataset: Dataset) -> PointVisibility:

@@ -14,10 +14,11 @@ _STEPS = (-1.0, -0.5, 0.5, 1.0)
 _FEW, _MOST = 4, 96
 """Least and largest number of sample points inside a large ellipsoid."""
 _PLACES = 0.3
-"""Their number per square of the reach in half cells: a disc with a reach of up to six cells has
-three in each square of three by three cells. Larger overlapping ones usually still meet."""
+"""Number of sample points per square of the reach in half cells: a disc with a reach of up to six
+cells has three in each square of three by three cells. Larger overlapping ones usually still
+meet."""
 _ALL = 4_000_000
-"""Most of them for all splats; beyond it only the largest splats are filled."""
+"""Most sample points of all splats; beyond it only the largest splats are filled."""
 _EXPONENT = 88.0
 """Largest log scale, the limit of float32, so that squares stay finite."""
 _BITS = 20

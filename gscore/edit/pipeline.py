@@ -91,7 +91,7 @@ def apply_edits(
 
     Raises:
         ConfigError: a step lacks its views, or leaves no splat.
-        ShapeError: a matrix is no similarity.
+        ShapeError: a matrix is not a similarity.
     """
     work = _Work(joined(parts), views, on_step)
     work.crop(request)

@@ -89,7 +89,7 @@ class EditRequest:
     def cleaned(self, count: int, *, with_cameras: bool) -> "EditRequest":
         """The request with default values for cleaning `count` splats, where none is given."""
         usual = {name: getattr(USUAL, name) for name in ("min_opacity", "max_isolation")}
-        # Small clusters are no dust in models of a few thousand splats.
+        # Small clusters are not dust in models of a few thousand splats.
         usual["min_cluster"] = min(USUAL.min_cluster or 0, count // _DUST) or None
         for name in ("min_contribution", "seen_share"):
             usual[name] = getattr(USUAL, name) if with_cameras else None

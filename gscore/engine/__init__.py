@@ -1,1 +1,1 @@
-"""Engines: what computes a training; the trainer decides what to train."""
+"""Engines: rendering, gradients and optimizer steps of a training, on one kind of device."""

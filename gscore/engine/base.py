@@ -1,8 +1,8 @@
-"""Engine protocol: what a training asks of the device that computes it.
+"""Engine protocol: the interface of the trainer to the device that computes a training.
 
-The trainer decides what to train: views, rates, loss terms, edits of rows. An engine owns the
-models, the photos of a step, and all memory for drawing and gradients. At this border all arrays
-are numpy; a column is one parameter or counter of all splats.
+The trainer chooses views, rates, loss terms and edits of rows. An engine owns the models, the
+photos of a step, and all memory for rendering and gradients. All arrays of the interface are numpy;
+a column is one parameter or counter of all splats.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -42,7 +42,7 @@ class Gltf:
 
         Raises:
             DatasetError: the file is missing.
-            FormatError: it is no glTF 2.0, or damaged.
+            FormatError: it is not glTF 2.0, or damaged.
         """
         self.path = path
         raw = memoryview(read_bytes(path))
@@ -56,7 +56,7 @@ class Gltf:
         except (ValueError, UnicodeDecodeError) as error:
             raise self.damaged(f"its JSON cannot be read ({error})") from error
         if not isinstance(content, dict):
-            raise self.damaged("its JSON is no object")
+            raise self.damaged("its JSON is not an object")
         self.content: dict[str, Any] = content
         asset = content.get("asset")
         version = asset.get("version") if isinstance(asset, dict) else None
@@ -84,7 +84,7 @@ class Gltf:
         """A list of an object; empty if missing."""
         value = place.get(key, [])
         if not isinstance(value, list):
-            raise self.damaged(f"{key} is no list")
+            raise self.damaged(f"{key} is not a list")
         return value
 
     def whole(self, place: dict[str, Any], key: str, default: int | None = None) -> int:
@@ -117,7 +117,7 @@ class Gltf:
         dtype = np.dtype(_TYPES[stored]) if type(stored) is int and stored in _TYPES else None
         if dtype is None or accessor.get("type") != kind:
             raise self.damaged(
-                f"accessor {index} holds {quoted(accessor.get('type'))} of {quoted(stored)}, "
+                f"accessor {index} contains {quoted(accessor.get('type'))} of {quoted(stored)}, "
                 f"expected {kind}"
             )
         if "sparse" in accessor or "bufferView" not in accessor:
@@ -178,7 +178,7 @@ class Gltf:
             try:
                 return memoryview(base64.b64decode(uri.partition(",")[2], validate=True))
             except ValueError as error:
-                raise self.damaged(f"buffer {index} is no base64 ({error})") from error
+                raise self.damaged(f"buffer {index} is not base64 ({error})") from error
         name = _unescaped(uri)
         if Path(name).name != name or "\\" in name or ":" in name or name in ("", ".", ".."):
             raise self.damaged(f"buffer {index} names the file {quoted(uri)}, outside its folder")
@@ -249,7 +249,7 @@ def write_glb(file: BinaryIO, content: dict[str, Any], buffer: GltfBuffer) -> No
     text += b" " * (-len(text) % 4)
     length = _HEADER.size + 2 * _CHUNK.size + len(text) + buffer.size
     if length >= 2**32:
-        raise ConfigError("A .glb holds 4 GiB at most; write a .gltf, or one with SPZ (.spz.glb).")
+        raise ConfigError("A .glb has 4 GiB at most; write a .gltf, or one with SPZ (.spz.glb).")
     file.write(_HEADER.pack(GLB_MAGIC, 2, length))
     file.write(_CHUNK.pack(len(text), _JSON) + text)
     file.write(_CHUNK.pack(buffer.size, _BINARY))

@@ -33,7 +33,7 @@ def gunzip_exactly(what: str, raw: bytes | memoryview, size: int, *, at_least: i
         ) from error
     if len(content) < at_least:
         raise FormatError(
-            f"{what}: it holds {len(content)} bytes, expected {at_least}. Copy or export it again."
+            f"{what}: it has {len(content)} bytes, expected {at_least}. Copy or export it again."
         )
     return content[:size]
 
@@ -64,7 +64,9 @@ def unzstd_exactly(what: str, raw: memoryview, size: int) -> memoryview:
             f"{what}: its zstd data are corrupt ({error}). Copy or export it again."
         ) from error
     if len(content) != size:
-        raise FormatError(f"{what}: a stream does not hold {size} bytes. Copy or export it again.")
+        raise FormatError(
+            f"{what}: a stream does not contain {size} bytes. Copy or export it again."
+        )
     return memoryview(content)
 
 
@@ -85,6 +87,6 @@ def check_ratio(what: str, packed: int, size: int) -> None:
     """Raise FormatError if `size` is too large for `packed` bytes."""
     if size > _MOST_RATIO * packed + _SLACK:
         raise FormatError(
-            f"{what}: its header announces {size} bytes, which {packed} packed ones cannot hold. "
-            f"Copy or export it again."
+            f"{what}: its header announces {size} bytes, which {packed} packed ones cannot "
+            f"contain. Copy or export it again."
         )

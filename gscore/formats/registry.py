@@ -76,13 +76,13 @@ def read_splats(path: str | Path) -> Splats:
 
 
 def read_decoded(path: str | Path) -> Decoded:
-    """As `read_splats`, with the metadata of the file."""
+    """Like `read_splats`, with the metadata of the file."""
     file = _file_of(Path(path))
     return _format_of(file).read(file)
 
 
 def read_splat_parts(path: str | Path, rows: int) -> Iterator[Splats]:
-    """As `read_splats`, about `rows` splats at a time, all of one SH degree.
+    """Like `read_splats`, about `rows` splats at a time, all of one SH degree.
 
     A PLY is never completely in memory; other formats are.
 
@@ -278,7 +278,7 @@ def _sample(path: Path) -> FileSample:
 def _refuse(path: Path) -> NoReturn:
     raise FormatError(
         describe_unsupported(path)
-        or f"{path} holds no splats in a supported format: {', '.join(SPLAT_ENDINGS)}. Choose "
+        or f"{path} contains no splats in a supported format: {', '.join(SPLAT_ENDINGS)}. Choose "
         f"the point_cloud.ply that a 3D Gaussian Splatting trainer wrote, or export it again."
     )
 

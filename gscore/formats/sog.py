@@ -88,14 +88,14 @@ def _from_folder(path: Path) -> _Fetch:
 def _from_zip(path: Path, archive: zipfile.ZipFile) -> _Fetch:
     metas = [info for info in archive.infolist() if info.filename.rpartition("/")[2] == META]
     if not metas:
-        raise _damaged(path, f"it holds no {META}")
+        raise _damaged(path, f"it contains no {META}")
     folder = min(metas, key=lambda info: len(info.filename)).filename[: -len(META)]
 
     def fetch(name: str) -> bytes:
         try:
             info = archive.getinfo(folder + name)
         except KeyError:
-            raise _damaged(path, f"it holds no {quoted(name)}") from None
+            raise _damaged(path, f"it contains no {quoted(name)}") from None
         if info.flag_bits & 1:
             raise FormatError(
                 f"{path} is an encrypted ZIP archive of a SOG. Unpack it with its password, and "

@@ -42,7 +42,7 @@ def _read(path: Path) -> Decoded:
     raw = read_bytes(path)
     if len(raw) % _ROW.itemsize or not raw:
         raise FormatError(
-            f"{path} is no whole .splat file: it has {len(raw)} bytes, expected rows of "
+            f"{path} is not a complete .splat file: it has {len(raw)} bytes, expected rows of "
             f"{_ROW.itemsize} bytes only. Copy or export it again."
         )
     rows = np.frombuffer(raw, _ROW)

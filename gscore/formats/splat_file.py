@@ -148,9 +148,9 @@ class SplatFormat:
     """A format: detection, reader and writer."""
 
     key: str
-    """Its name in options and in JSON."""
+    """Name in options and in JSON."""
     name: str
-    """Its name in messages."""
+    """Name in messages."""
     endings: tuple[str, ...]
     """Endings of its files, the usual one first; the longest match among all formats decides."""
     recognizes: Callable[[Path, FileSample], bool]

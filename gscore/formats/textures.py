@@ -41,7 +41,7 @@ def decode_texture(what: str, raw: bytes, least: int) -> np.ndarray:
     try:
         with pil.open(io.BytesIO(raw), formats=("WEBP", "PNG")) as image:
             if image.size != (width, height) or getattr(image, "n_frames", 1) != 1:
-                raise FormatError(f"{what} is no single picture. Export it again.")
+                raise FormatError(f"{what} is not a single picture. Export it again.")
             return np.asarray(image.convert("RGBA"))
     except GsError:
         raise

@@ -134,7 +134,7 @@ def _reason(error: Exception) -> str:
     try:
         text = str(error).strip()
     except UnicodeDecodeError:
-        return "it has bytes that are no text."
+        return "it has bytes that are not text."
     return text.splitlines()[-1].strip() if text else type(error).__name__
 
 
@@ -167,7 +167,7 @@ def _placed(root: Any, outer: np.ndarray, above: Any) -> Iterator[tuple[Any, np.
 
 
 def _of_points(instancer: Any, matrix: np.ndarray) -> Iterator[tuple[Any, np.ndarray]]:
-    """As `_placed`, for the prototypes of a point instancer."""
+    """Like `_placed`, for the prototypes of a point instancer."""
     time = need("pxr.Usd", "USD").TimeCode.EarliestTime()
     prototypes = instancer.GetPrototypesRel().GetForwardedTargets()
     which = instancer.GetProtoIndicesAttr().Get(time)
@@ -245,7 +245,7 @@ def _rows(
                 continue
             found = np.asarray(values, np.float32).reshape(-1, width)
         except (TypeError, ValueError) as error:  # a file may declare any type for it
-            raise _damaged(path, prim, f"has {name} that are no rows of {width}") from error
+            raise _damaged(path, prim, f"has {name} that are not rows of {width}") from error
         if count is not None and len(found) < count:
             raise _damaged(path, prim, f"has {len(found)} {name}, expected {count}")
         return found[:count]

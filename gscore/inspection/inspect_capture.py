@@ -81,7 +81,7 @@ class _Seen:
     views: list[View]
     missing: tuple[str, ...]
     infos: list[ImageInfo | None]
-    """None: unreadable, or unsupported on this machine."""
+    """Headers of the photos; None: unreadable, or unsupported on this machine."""
     errors: tuple[str, ...]
     """Messages on unreadable photos."""
     unknown: tuple[str, ...]

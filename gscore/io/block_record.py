@@ -133,7 +133,7 @@ def read_block(folder: Path, name: str = BLOCK_RECORD) -> BlockRecord | None:
         return _record(content)
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         raise FormatError(
-            f"{brief(path)} is no record of a block. Split the capture again with gscore split."
+            f"{brief(path)} is not a record of a block. Split the capture again with gscore split."
         ) from error
 
 

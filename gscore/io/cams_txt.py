@@ -46,7 +46,7 @@ def read_cam(path: Path) -> tuple[list[list[float]], list[list[float]]]:
 
     Raises:
         DatasetError: the file is missing.
-        FormatError: it is no text, or a matrix is missing or has too few numbers.
+        FormatError: it is not text, or a matrix is missing or has too few numbers.
     """
     try:
         words = read_bytes(path).decode("utf-8-sig").split()

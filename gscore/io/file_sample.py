@@ -37,7 +37,7 @@ def sample_file(path: Path) -> FileSample:
 
     Raises:
         OSError: it is missing or not readable.
-        DatasetError: it is no regular file.
+        DatasetError: it is not a regular file.
     """
     with open_regular(path) as file:
         head = file.read(_HEAD)

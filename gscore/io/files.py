@@ -189,7 +189,7 @@ def open_regular(path: str | Path) -> BufferedReader:
 
     Raises:
         OSError: it is missing or not readable.
-        DatasetError: it is no regular file.
+        DatasetError: it is not a regular file.
     """
     check_regular(path)
     return Path(path).open("rb")
@@ -199,7 +199,7 @@ def check_readable(path: str | Path) -> None:
     """Raise unless a file can be read, before another library opens it.
 
     Raises:
-        DatasetError: it is missing, cannot be read or is no regular file.
+        DatasetError: it is missing, cannot be read or is not a regular file.
     """
     try:
         with open_regular(path):
@@ -212,7 +212,7 @@ def read_bytes(path: str | Path) -> bytes:
     """All bytes of a file.
 
     Raises:
-        DatasetError: the file is missing, cannot be read or is no regular file.
+        DatasetError: the file is missing, cannot be read or is not a regular file.
     """
     try:
         with open_regular(path) as file:

@@ -93,7 +93,7 @@ class FolderLock:
                 ) from None
             except DatasetError as error:
                 raise ConfigError(
-                    f"{brief(self._path)}, the lock file of a {self._work}, is no regular file. "
+                    f"{brief(self._path)}, the lock file of a {self._work}, is not a regular file. "
                     "Remove it, or choose another output folder."
                 ) from error
             except (OSError, ValueError) as error:

@@ -158,7 +158,7 @@ def _read_index(path: Path, file: BinaryIO) -> LodIndex:
         header = file.read(HEADER_BYTES)
         if not header.startswith(f"{KIND}\n".encode()):
             raise FormatError(
-                f"{brief(path)} is no file of levels of detail. Make one with gscore lod."
+                f"{brief(path)} is not a file of levels of detail. Make one with gscore lod."
             )
         match = _HEADER.fullmatch(header)
         begin, length = map(int, match.groups()) if match else (0, 0)

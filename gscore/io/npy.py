@@ -33,7 +33,7 @@ def read_npy(raw: bytes) -> np.ndarray:
     except Exception as error:  # the parser and numpy raise many kinds
         raise ValueError("its header is damaged") from error
     if kind.kind not in "fiu":
-        raise ValueError(f"it is no array of numbers, but of {kind}")
+        raise ValueError(f"it is not an array of numbers, but of {kind}")
     if not all(type(side) is int and side >= 0 for side in shape):
         raise ValueError(f"its header states the shape {shape}")
     count = math.prod(shape)

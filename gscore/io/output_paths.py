@@ -38,8 +38,8 @@ def check_output_path(folder: Path, data: DataConfig | None = None, *, depths: b
 
 
 def check_separate(folder: Path, data: DataConfig | None = None, *, depths: bool = True) -> None:
-    """As `check_output_path`, for single files: the folder must not be that of the photos, masks or
-    maps."""
+    """Like `check_output_path`, for single files: the folder must not be that of the photos, masks
+    or maps."""
     if data is None:
         return
     parts = {"photos": data.images or "images", "masks": data.masks or "masks"}

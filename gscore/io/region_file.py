@@ -29,7 +29,9 @@ def read_region(path: str | Path) -> np.ndarray:
         content: Any = parse_json(read_bytes(path))
         matrix = _matrix(content)
     except (ValueError, TypeError, KeyError, OverflowError) as error:
-        raise FormatError(f"{brief(path)} is no region ({error}); expected {_LAYOUT}.") from error
+        raise FormatError(
+            f"{brief(path)} is not a region ({error}); expected {_LAYOUT}."
+        ) from error
     return matrix
 
 

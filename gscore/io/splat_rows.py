@@ -97,7 +97,7 @@ def drawable(
 
 
 def drawable_rows(splats: Splats) -> Splats:
-    """As `drawable`, without a warning; returns `splats` itself if all are valid."""
+    """Like `drawable`, without a warning; returns `splats` itself if all are valid."""
     # Programs that store opacity as a byte write a logit of +inf for 255: the splat is opaque.
     # A size of zero has a log scale of -inf: the splat is flat.
     opaque, flat = np.isposinf(splats.opacities), np.isneginf(splats.scales)

@@ -56,8 +56,8 @@ _FILES = {
     2: ("memory.max", "memory.current", "inactive_file"),
     1: ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
 }
-"""By cgroup version: files of the limit and the usage, and the line of memory.stat with the
-reclaimable file cache."""
+"""Files of the limit and the usage, and the line of memory.stat with the reclaimable file cache, by
+cgroup version."""
 _NO_LIMIT = 1 << 60
 """Value from which on there is no limit; version 1 writes a number near 2^63."""
 

@@ -52,10 +52,10 @@ class _Format:
     name: str
     advice: str
     matches: Callable[[FileSample], bool] | None = None
-    """None: its names suffice."""
+    """Test of the content; None: the names suffice."""
     but: str = ", which gscore does not read"
     names: tuple[str, ...] = ()
-    """Of files among photos: lower-case names, or their ends if they begin with a dot or
+    """Lower-case names of files among photos, or their ends if they begin with a dot or
     underscore."""
 
 

@@ -9,7 +9,7 @@ from ..quoting import brief
 from .files import read_bytes
 
 Element = ET.Element
-"""For annotations elsewhere: only this file imports the parser."""
+"""Type of XML elements for annotations, because only this file imports the parser."""
 
 
 def read_xml(path: Path) -> Element:

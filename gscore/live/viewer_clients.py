@@ -70,7 +70,7 @@ class ViewerClients:
     def __init__(self, *, decision: Decision | None = None, after_the_end: bool = False) -> None:
         """`after_the_end`: viewers may stay after the last step."""
         self.decision = decision
-        """How viewers connect; None: no port is open."""
+        """Message on how viewers connect; None: no port is open."""
         self._after_the_end = after_the_end
         self._all: list[ViewerClient] = []
         self._lock = threading.Lock()

@@ -43,9 +43,9 @@ class FrameRequest:
     """Frame request of one viewer."""
 
     width: int
-    """px; 0: no picture."""
+    """Width, px; 0: no picture."""
     height: int
-    """px."""
+    """Height, px."""
     viewmat: np.ndarray
     """[4, 4] float64, world to camera, OpenCV axes."""
     K: np.ndarray
@@ -141,7 +141,7 @@ def _viewmat(content: dict[str, Any]) -> np.ndarray:
         raise ValueError("a view_matrix that is not finite")
     off = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if off > _SKEWED or np.linalg.det(rotation) < 0 or (matrix[3] != (0, 0, 0, 1)).any():
-        raise ValueError("a view_matrix that is no rotation and shift")
+        raise ValueError("a view_matrix that is not a rotation and a translation")
     u, _, vt = np.linalg.svd(rotation)
     viewmat[:3, :3] = u @ vt
     return viewmat

@@ -76,7 +76,9 @@ def build_lod(
     """
     means, degree = _means_of(model, on_share)
     if not len(means):
-        raise ConfigError(f"{brief(model)} holds no splats that can be drawn. Give another model.")
+        raise ConfigError(
+            f"{brief(model)} contains no splats that can be drawn. Give another model."
+        )
     on_share("Sorting splats by position", 0.0)
     levels = levels_above(len(means))
     chunks = chunks_of(means, levels)

@@ -8,9 +8,9 @@ from ..io.lod_index import CHILDREN
 _NEIGHBOURS = 6
 """Number of neighbours among which each splat's partner is chosen."""
 _FEW = 30
-"""If less than one in this many rows is in a mutual pair, one-sided joins are allowed."""
+"""One-sided joins are allowed if less than one in this many rows is in a mutual pair."""
 _A_ROUND = 8
-"""Of these at most one in this many rows is joined, because costs change as groups grow."""
+"""At most one in this many rows is joined per round, because costs change as groups grow."""
 _COLOR = 5.0
 """Distance for a difference of 1 in all colours, in standard deviations of the larger splat."""
 

@@ -37,7 +37,7 @@ class Course:
     evals: Sequence[dict[str, Any]] = ()
     """{"step", "elapsed_s", "psnr"}, measured on the same split during the training."""
     peak_memory_bytes: int | None = None
-    """None: that of this process."""
+    """Peak memory of the training, bytes; None: use that of this process."""
     models: int | None = None
     """Number of models merged into one; None: a single model."""
     depth: dict[str, Any] | None = None

@@ -15,7 +15,7 @@ from ..io.files import atomic_write
 from .pack import Packed, ascii85
 
 _SCRIPTS = ("unpack.js", "draw.js", "eye.js", "hands.js", "view.js")
-"""In the order of their dependencies."""
+"""Scripts of the page, each after those it depends on."""
 _PLACE = re.compile("@([a-z]+)@")
 _TEXELS = 2048 * 16384
 """Texels of the texture of draw.js, at the maximum height of most graphics cards."""
@@ -33,9 +33,9 @@ class PageCamera:
     K: np.ndarray
     """[3, 3] float64, pixels."""
     width: int
-    """px."""
+    """Width, px."""
     height: int
-    """px."""
+    """Height, px."""
     photo: str = ""
     """`data:image/jpeg;base64,...`; empty: none."""
 

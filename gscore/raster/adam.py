@@ -39,7 +39,7 @@ class Slot:
     step: int
     """Number of this step, from 1."""
     skips: Skips | None = None
-    """None: every row takes every step."""
+    """State of lazy Adam; None: every row takes every step."""
     photos: int = 1
     """Number of photos in the gradient: the betas are raised to this power, and `step` counts
     photos. Must be 1 with `skips`."""

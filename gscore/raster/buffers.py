@@ -48,7 +48,7 @@ def address(name: str, array: Array, shape: tuple[int, ...], dtype: np.dtype = F
 def optional(
     name: str, array: Array | None, shape: tuple[int, ...], dtype: np.dtype = FLOAT32
 ) -> int | None:
-    """As `address`; None if there is no array."""
+    """Like `address`; None if there is no array."""
     return None if array is None else address(name, array, shape, dtype)
 
 

@@ -27,9 +27,9 @@ class Frustum:
     K: Array
     """[3, 3], px, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; pixel centres are at +0.5."""
     width: int
-    """px."""
+    """Width, px."""
     height: int
-    """px."""
+    """Height, px."""
     near: float = 0.01
     """Splats with z at or below this are not drawn; world units."""
     far: float = 1e10
@@ -61,7 +61,7 @@ class Settings:
     """[H, W]: at a pixel only splats with z at most this are drawn, in front of an opaque object;
     world units. None, or NaN at a pixel: all."""
     threads: int = 0
-    """0: all cores."""
+    """CPU threads; 0: all cores."""
     disable: int = 0
     """Bits of `header.NO_*`: skips to disable, for tests and benchmarks."""
     cancel: CancelFlag | None = None

@@ -31,7 +31,7 @@ class Report:
     metrics: dict[str, Any]
     """Content of metrics.json, of this or an older version."""
     views: Sequence[ViewPictures] = ()
-    """From a `PictureCollector` given to `evaluate`."""
+    """Pictures of a `PictureCollector` given to `evaluate`."""
     warnings: Sequence[str] = ()
     """Sentences."""
     preset: str = ""
@@ -43,7 +43,7 @@ class Report:
     depth: DepthSection | None = None
     cameras: CamerasSection | None = None
     histograms: Sequence[Histogram] = ()
-    """Of the splats."""
+    """Histograms of the splats."""
     config: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Option values by section."""
 

@@ -19,7 +19,7 @@ class CaptureOutput:
     """The capture of photos or of a video."""
 
     capture: Path
-    """Its folder."""
+    """Folder of the capture."""
     exists: bool
     """Whether it was made earlier from the same photos or video."""
 

@@ -20,7 +20,7 @@ SEEN, PLAIN, POSSIBLE, ORDINARY = "seen", "plain", "possible", "ordinary"
 too plain to tell; the same with a lens in EXIF or one varied pole, or not read; they show none."""
 _PROJECTION = re.compile(rb"GPano:ProjectionType\W{0,4}?(?:=\s*[\"']|>)\s*(\w+)")
 _CROPPED = re.compile(rb"GPano:CroppedAreaImage(Width|Height)Pixels(?:=\s*[\"']|>)\s*(\d+)")
-"""As attributes or elements of XMP (Google, Photo Sphere XMP metadata)."""
+"""Sizes of a cropped panorama, as attributes or elements (Google, Photo Sphere XMP)."""
 _CAMERAS = re.compile(
     r"theta|insta360|arashi vision|gopro max|gear 360|sm-[cr]2[01]0|virb 360|keymission 360|qoocam"
     r"|lg-r105|mi sphere|madv360|yi 360|osmo 360|antigravity|kandao|xphase|labpano|trisio",

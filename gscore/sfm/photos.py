@@ -38,7 +38,7 @@ class Photo:
     alias: str
     """Name for COLMAP, without spaces, which its pair lists do not support; in natural order."""
     width: int
-    """px as stored; COLMAP ignores the EXIF orientation, and so does gscore."""
+    """Stored width, px; COLMAP ignores the EXIF orientation, and so does gscore."""
     height: int
     camera: tuple[str, ...]
     """Make, model, lens and focal lengths from EXIF; photos of one camera have these and the size

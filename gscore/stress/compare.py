@@ -57,7 +57,7 @@ def picture_measures(
         raise EmptyTestError(f"{truth.band.mean():.0%} of the pixels are undecided")
     error = picture_errors(drawn, truth)
     inside = error[~truth.band]
-    # One pixel of a small picture exceeds the rate, but is no evidence.
+    # One pixel of a small picture exceeds the rate, but is not evidence.
     flipped = max(0, int((error > FLIP_ERROR).sum()) - 1) / error.size
     return [
         Measure("picture", float(inside.max()), tolerance),

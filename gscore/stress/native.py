@@ -31,7 +31,7 @@ class Drawn:
     projected: dict[str, np.ndarray]
     """means2d, depths, conics, colors, opacities; zero rows where culled."""
     gradients: dict[str, np.ndarray]
-    """By parameter, and means2d [N, 2], viewmat [4, 4]; empty without weights."""
+    """Gradients by parameter, and means2d [N, 2], viewmat [4, 4]; empty without weights."""
     stats: dict[str, float]
     guards_broken: int
     """Words changed next to the output arrays of the library."""

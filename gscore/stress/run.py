@@ -22,14 +22,14 @@ class Outcome:
 
     test: str
     isa: str
-    """Empty if the instruction set does not matter."""
+    """Instruction set; empty if it does not matter."""
     error: float
     tolerance: float
     passed: bool | None
-    """None: skipped."""
+    """Result; None: skipped."""
     note: str
     seconds: float
-    """Of the whole case."""
+    """Time of the whole case, s."""
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values; numbers that are not finite become null."""

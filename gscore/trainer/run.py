@@ -59,7 +59,7 @@ def train(
             the run has ended, so that a restart resumes the run.
 
     Returns:
-        The result of the run. A stop by `control` is no error.
+        The result of the run. A stop by `control` is not an error.
 
     Raises:
         GsError: bad input, a folder in use, too little memory, a full disk or a diverged training.

@@ -82,7 +82,7 @@ def train_sequence(
         agent: Identifier of the torchrun that restarts lost processes, see `WorkQueue`.
 
     Returns:
-        The result. A stop by `control` is no error.
+        The result. A stop by `control` is not an error.
 
     Raises:
         ConfigError: `output` contains another sequence, or none to resume.
@@ -195,7 +195,7 @@ class _Sequence:
             self._listed.write()
 
     def write_if_begun(self) -> None:
-        """As `write`, after all processes have ended; no effect if no frame was started."""
+        """Like `write`, after all processes have ended; no effect if no frame was started."""
         if _begun(self.output):
             self.write()
 

@@ -64,7 +64,7 @@ class TeamTrainer(Trainer):
             self._collect_now()
 
     def _collect_now(self) -> None:
-        """As `collect`, without a broadcast, because all ranks end with the same error."""
+        """Like `collect`, without a broadcast, because all ranks end with the same error."""
         self._engine.collect(self._all_models())
 
     def _make_engine(self) -> DataParallelEngine:

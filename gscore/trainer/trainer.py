@@ -326,7 +326,7 @@ class Trainer:
         return result._replace(change=change, lost_rows=lost_rows)
 
     def _request(self, place: int, training_view: TrainingView, step: int) -> StepRequest:
-        """What a step computes."""
+        """Request of a step to the engine."""
         config, plan, count = self.config, self.plan, len(training_view.indices)
         strategy, photos, factor = self.strategy, self.photo_parameters, self.rate_factor
         means_lr = factor * plan.means_lr_at(step) * math.sqrt(count)

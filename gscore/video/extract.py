@@ -96,7 +96,7 @@ def extract_frames(
     Raises:
         Cancelled: stopped by `control`; nothing is left behind.
         DatasetError: there is no such file, no video stream in it, or no camera motion.
-        FormatError: it is no video, damaged, encrypted or of an unsupported codec.
+        FormatError: it is not a video, damaged, encrypted or of an unsupported codec.
         ConfigError: the output is taken.
         BackendError: PyAV is not installed.
         GsError: the output cannot be written.

@@ -99,7 +99,7 @@ class FrameFolder:
         names = {path.name for path in self._aside.iterdir()} if self._aside.is_dir() else set()
         if names and (_LOCK not in names or names - {_LOCK, _FRAMES}):
             raise ConfigError(
-                f"{brief(self._aside)} is the temporary folder for unfinished frames, but holds "
+                f"{brief(self._aside)} is the temporary folder for unfinished frames, but contains "
                 "something else. Move it away, or choose another output with -o."
             )
 
@@ -151,11 +151,11 @@ class FrameFolder:
         place = brief(self._place)
         if record is None:
             raise ConfigError(
-                f"{place} holds something else. Choose a new folder with -o, or remove it."
+                f"{place} contains something else. Choose a new folder with -o, or remove it."
             )
         if not self._overwrite:
             raise ConfigError(
-                f"{place} holds frames of another video, of other options, or not all of them. "
+                f"{place} contains frames of another video, of other options, or not all of them. "
                 "Choose a new folder with -o, or replace them with `--overwrite`."
             )
         rows = record.get("frames")
@@ -165,7 +165,7 @@ class FrameFolder:
         others = sorted({path.name for path in self._place.iterdir()} - set(ours))
         if others:
             raise ConfigError(
-                f"{place} holds other files than the frames that gscore wrote, such as "
+                f"{place} contains other files than the frames that gscore wrote, such as "
                 f"{brief(others[0])}. Choose a new folder with -o, or move them away."
             )
         self._replaced = ours

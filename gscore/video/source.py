@@ -214,7 +214,7 @@ def opened_video(path: Path) -> Iterator[Video]:
     Raises:
         BackendError: PyAV is not installed.
         DatasetError: there is no such file, or it has no video stream.
-        FormatError: it is no video, damaged, encrypted or of an unsupported codec.
+        FormatError: it is not a video, damaged, encrypted or of an unsupported codec.
     """
     av = need("av", "Reading a video")
     if not path.exists():

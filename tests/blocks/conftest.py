@@ -10,7 +10,7 @@ from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, Colma
 from gscore.io.images.read_image import write_png
 
 LENGTH = 40.0
-"""Of the street, along +x; the houses are at z = 5, and down is +y."""
+"""Length of the street, along +x; the houses are at z = 5, and down is +y."""
 PHOTOS = 24
 
 

@@ -18,7 +18,7 @@ from gscore.splats import Splats
 
 @pytest.fixture
 def records(capture: Path) -> list[BlockRecord]:
-    """Of four blocks of the street."""
+    """Records of four blocks of the street."""
     cut = cut_capture(DataConfig(source=capture, eval=True), 4)
     return [block.record for block in cut.blocks]
 
@@ -112,7 +112,7 @@ def test_cells_that_do_not_fill_the_world_once_are_refused(
     record = read_block(tmp_path)
     assert record is not None and record.count == 2, odd
     (tmp_path / "block.json").write_text(json.dumps(content | changed))
-    with pytest.raises(FormatError, match="no record of a block"):
+    with pytest.raises(FormatError, match="not a record of a block"):
         read_block(tmp_path)
 
 

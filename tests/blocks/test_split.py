@@ -173,5 +173,5 @@ def test_damaged_record_is_refused(capture: Path, tmp_path: Path, text: str) -> 
     record = read_block(out / "block_1")
     assert record is not None and (record.index, record.count) == (1, 2)
     (out / "block_1" / BLOCK_RECORD).write_text(text)
-    with pytest.raises(FormatError, match=r"block\.json is no record"):
+    with pytest.raises(FormatError, match=r"block\.json is not a record"):
         read_block(out / "block_1")

@@ -39,7 +39,7 @@ def moved(capture: Path, folder: Path, shift: np.ndarray, scale: float = 1.0) ->
 
 
 def psnr(folder: Path) -> float:
-    """Of a metrics.json."""
+    """The PSNR of a metrics.json, dB."""
     return json.loads((folder / "metrics.json").read_text())["psnr"]
 
 

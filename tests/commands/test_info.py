@@ -191,7 +191,7 @@ def test_missing_path(gscore, tmp_path):
     assert code == 2 and "is an empty folder" in err
     (tmp_path / "x.txt").write_text("hello")
     code, _, err = gscore("info", tmp_path / "x.txt")
-    assert code == 2 and "holds no splats in a supported format" in err
+    assert code == 2 and "contains no splats in a supported format" in err
 
 
 def test_inverted_masks_in_every_verb(gscore, capture, cameras, tmp_path, monkeypatch):

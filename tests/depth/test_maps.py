@@ -134,7 +134,7 @@ def test_pictures_that_are_no_maps(tmp_path, ramp):
     with pytest.raises(FormatError, match=r"\[4, 5, 3\]"):
         read_map(tmp_path / "c.npy")
     np.save(tmp_path / "d.npy", np.array([["a"]]))
-    with pytest.raises(FormatError, match="no array of numbers"):
+    with pytest.raises(FormatError, match="not an array of numbers"):
         read_map(tmp_path / "d.npy")
     with pytest.raises(DatasetError, match="no depth map"):
         read_map(tmp_path / "e.npy")

@@ -90,7 +90,7 @@ def test_a_small_model_has_one_level(tmp_path: Path) -> None:
 def test_a_model_without_splats(tmp_path: Path) -> None:
     """Oracle: a sentence, and no file."""
     write_splats(tmp_path / "a.ply", wall(3).subset(np.zeros(0, np.int64)))
-    with pytest.raises(ConfigError, match="holds no splats that can be drawn"):
+    with pytest.raises(ConfigError, match="contains no splats that can be drawn"):
         build_lod(tmp_path / "a.ply", tmp_path / "a.lod", LodFacts())
     assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
 
@@ -141,7 +141,7 @@ def test_truncated(lod: Path, tmp_path: Path, share: float) -> None:
     path = tmp_path / "cut.lod"
     content = lod.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
-    with pytest.raises(FormatError, match=r"cut\.lod.*(truncated or damaged|no file of levels)"):
+    with pytest.raises(FormatError, match=r"cut\.lod.*(truncated or damaged|not a file of levels)"):
         open_lod_file(path)
 
 

@@ -87,7 +87,7 @@ class Chromium:
         return json.loads(message)
 
     def size(self, width: int, height: int, *, phone: bool = False) -> None:
-        """Of the window, px."""
+        """Set the size of the window, px."""
         metrics = {"width": width, "height": height, "deviceScaleFactor": 2 if phone else 1}
         self.call("Emulation.setDeviceMetricsOverride", mobile=phone, **metrics)
         self.call("Emulation.setTouchEmulationEnabled", enabled=phone)

@@ -15,7 +15,7 @@ from gscore.raster import header
 CSRC = Path(__file__).parents[2] / "csrc"
 HEADERS = sorted([*(CSRC / "include").rglob("*.h"), *(CSRC / "shared").glob("*.h")])
 TEXT = "".join(path.read_text(encoding="utf-8") for path in HEADERS)
-"""Of all headers."""
+"""Text of all headers."""
 STRUCTS = {
     re.sub(r"(?<!^)(?=[A-Z])", "_", name.removesuffix("Struct")).lower(): struct
     for name, struct in vars(header).items()

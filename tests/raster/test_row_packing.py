@@ -11,7 +11,7 @@ SHAPES = ((500, 3), (500,), (500, 8, 3))
 
 
 def tables(seed: int) -> list[torch.Tensor]:
-    """Of 500 rows, 28 numbers each."""
+    """Random tables of 500 rows, 28 numbers each."""
     generator = torch.Generator().manual_seed(seed)
     return [torch.randn(shape, generator=generator) for shape in SHAPES]
 

@@ -26,7 +26,7 @@ from .conftest import cloud
 Out = pytest.CaptureFixture[str]
 LUND = (55.7, 13.19, 30.0)
 METRES = 20.0
-"""Of a unit of the worlds below."""
+"""Metres in a unit of the worlds below."""
 
 
 def _turned(seed: int) -> np.ndarray:

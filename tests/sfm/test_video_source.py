@@ -62,7 +62,7 @@ def test_a_training_takes_frames_once(walk: Path, tmp_path: Path, capsys: Out) -
     other.write_bytes(walk.read_bytes() + b"\0" * 8)
     capsys.readouterr()
     assert main(["train", str(other), "-o", str(out), "--overwrite", *SHORT]) == 2
-    assert "holds frames of another video" in capsys.readouterr().err
+    assert "contains frames of another video" in capsys.readouterr().err
     assert _times(out / "capture/sparse/0") == model
 
 

@@ -200,7 +200,7 @@ def test_the_command_line(frames: Path, tmp_path: Path, capsys: pytest.CaptureFi
     ("arguments", "message"),
     [
         (["{video}/none", "-o", "{out}"], "There is no folder"),
-        (["{video}/000000", "-o", "{out}"], "holds no frames; expected a numbered folder"),
+        (["{video}/000000", "-o", "{out}"], "contains no frames; expected a numbered folder"),
         (["{video}", "-o", "{out}", "--frames", "3"], "the sequence has 3 frames, 0, 5, 10."),
         (["{video}", "-o", "{out}", "--frames", "a-b"], "frames is 'a-b'; expected numbers"),
         (["{video}", "-o", "{out}", "--frames", "0:10:0"], "expected numbers such as"),

@@ -127,8 +127,8 @@ def test_cameras_json_is_read_as_ever(tmp_path: Path) -> None:
         ({"camera_path": [{"camera_to_world": POSE[:15], "fov": 50}]}, "camera 0: camera_to_world"),
         ({"camera_path": [{"camera_to_world": POSE, "fov": 180}]}, "camera 0: the focal lengths"),
         ({"camera_path": [{"camera_to_world": POSE}]}, "camera 0: fov is None"),
-        ({"camera_path": [7]}, "camera 0 is no object"),
-        ({"camera_path": 7}, "is no camera path"),
+        ({"camera_path": [7]}, "camera 0 is not an object"),
+        ({"camera_path": 7}, "is not a camera path"),
     ],
 )
 def test_damaged_field_is_named(tmp_path: Path, spoil: dict, words: str) -> None:
@@ -140,7 +140,7 @@ def test_damaged_field_is_named(tmp_path: Path, spoil: dict, words: str) -> None
 def test_paths_without_cameras(tmp_path: Path) -> None:
     """Oracle: the sentence, for each kind of file, and for a missing one."""
     for content in ([], {"frames": []}, NERFSTUDIO | {"camera_path": []}):
-        with pytest.raises(DatasetError, match="holds no cameras"):
+        with pytest.raises(DatasetError, match="contains no cameras"):
             read_camera_path(written(tmp_path, content))
     with pytest.raises(DatasetError, match=r"gone\.json"):
         read_camera_path(tmp_path / "gone.json")

@@ -306,6 +306,20 @@ def test_help_is_short(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert ("--rig" in out) is (verb == "train")
 
 
+@pytest.mark.parametrize("verb", list(commands.VERBS))
+def test_the_text_of_an_option_fits_two_lines(
+    verb: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the help at 80 columns: lines of text below each option or argument."""
+    monkeypatch.setenv("COLUMNS", "80")
+    assert commands.main([verb, "--help"]) == 0
+    entries = re.split(r"^  (?=\S)", capsys.readouterr().out, flags=re.M)[1:]
+    for entry in entries:
+        first, *more = entry.splitlines()
+        below = [line for line in more if line.startswith(" " * 24)]
+        assert len(below) + ("  " in first.strip()) <= 2, entry
+
+
 def test_extras_bring_what_is_said_to_be_missing() -> None:
     """Oracle: pyproject.toml; every package of the extras for users is known."""
     path = Path(__file__).parents[2] / "pyproject.toml"

@@ -468,7 +468,7 @@ class TestMasks:
         assert mask is not None
         np.testing.assert_array_equal(mask, labels * 255)
         (warning,) = data.warnings
-        assert warning.startswith("The masks hold only 0 and 1; 1 is taken for white, for example")
+        assert warning.startswith("The masks contain only 0 and 1; 1 is read as white, for example")
         assert "view_00.png" in warning
 
     def test_opaque_alpha_is_no_mask(self, make_capture: Callable) -> None:

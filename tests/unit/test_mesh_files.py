@@ -69,12 +69,12 @@ OBJS = {
     "only edges": ("v 0 0 0\nv 1 0 0\nf 1 2\n", "no faces"),
     "a corner that is not there": ("v 0 0 0\nf 1 1 7\n", "uses vertex 6 of 1"),
     "one before the first": ("v 0 0 0\nf 1 1 -3\n", "uses vertex -2"),
-    "a corner that is no number": ("v 0 0 0\nf 1 x 1\n", "line 2 is no face: 'f 1 x 1'"),
-    "a corner beyond all counting": (f"v 0 0 0\nf 1 1 {10**20}\n", "line 2 is no face"),
-    "corner 0": ("v 0 0 0\nf 0 1 1\n", "line 2 is no face"),
-    "a vertex of two numbers": ("v 0 0\n", "line 1 is no vertex"),
-    "NaN": ("v 0 0 0\nv nan 0 0\nv 1 0 0\nf 1 2 3\n", "1 vertex is no place in space.*number 1"),
-    "infinity": ("v 0 0 0\nv inf 0 0\nv 1 1e30 0\nf 1 2 3\n", "2 vertices are no place"),
+    "a corner that is no number": ("v 0 0 0\nf 1 x 1\n", "line 2 is not a face: 'f 1 x 1'"),
+    "a corner beyond all counting": (f"v 0 0 0\nf 1 1 {10**20}\n", "line 2 is not a face"),
+    "corner 0": ("v 0 0 0\nf 0 1 1\n", "line 2 is not a face"),
+    "a vertex of two numbers": ("v 0 0\n", "line 1 is not a vertex"),
+    "NaN": ("v 0 0 0\nv nan 0 0\nv 1 0 0\nf 1 2 3\n", "1 vertex is not finite or .*number 1"),
+    "infinity": ("v 0 0 0\nv inf 0 0\nv 1 1e30 0\nf 1 2 3\n", "2 vertices are not finite"),
 }
 
 

@@ -182,7 +182,7 @@ def test_masks_of_labels(top: int, tmp_path: Path) -> None:
         if top == 1 and path.name.startswith("f4"):
             assert assumed == ""  # floats from 0 to 1 are unambiguous
         else:
-            assert assumed == f"hold only 0 and {top}; {top} is taken for white"
+            assert assumed == f"contain only 0 and {top}; {top} is read as white"
 
 
 def test_masks_of_yes_and_no(tmp_path: Path) -> None:

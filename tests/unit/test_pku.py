@@ -367,7 +367,7 @@ def test_frames_are_picked_by_number_or_path(make_case: Callable[..., Case]) -> 
     first = read_capture(DataConfig(source=root))
     assert frame_of(first) == {"000000"}
     assert "data_COLMAP" in str(first.views[0].image), "the layout with points comes first"
-    assert "holds 3 frames, 0 to 10 in steps of 5; using frame 0" in first.warnings[-1]
+    assert "contains 3 frames, 0 to 10 in steps of 5; using frame 0" in first.warnings[-1]
     shutil.rmtree(root / "data_COLMAP/000010")
     other = read_capture(DataConfig(source=root, frame=10))
     assert "per_frame" in str(other.views[0].image), "the next layout that has the frame"
@@ -375,7 +375,7 @@ def test_frames_are_picked_by_number_or_path(make_case: Callable[..., Case]) -> 
         read_capture(DataConfig(source=root, frame=7))
     with pytest.raises(ConfigError, match="is frame 5, but `--frame` is 10"):
         read_capture(DataConfig(source=root / "per_frame/000005", frame=10))
-    with pytest.raises(ConfigError, match="no multi-view video"):
+    with pytest.raises(ConfigError, match="not a multi-view video"):
         read_capture(DataConfig(source=root / "cams", frame=5))
 
 
@@ -642,7 +642,12 @@ NPZ = "data_NeuS/000000/cameras_sphere.npz"
             "No COLMAP model",
         ),
         ("data_COLMAP", lambda r: shutil.rmtree(r), DatasetError, "There is no folder"),
-        ("data_COLMAP", lambda r: shutil.rmtree(r / "data_COLMAP"), ConfigError, "no multi-view"),
+        (
+            "data_COLMAP",
+            lambda r: shutil.rmtree(r / "data_COLMAP"),
+            ConfigError,
+            "not a multi-view",
+        ),
         (
             "data_COLMAP",
             lambda r: shutil.rmtree(r / "data_COLMAP/000000"),
@@ -653,7 +658,7 @@ NPZ = "data_NeuS/000000/cameras_sphere.npz"
             "data_COLMAP",
             lambda r: [shutil.rmtree(r / f"data_COLMAP/{f:06d}") for f in FRAMES],
             DatasetError,
-            "holds no frames",
+            "contains no frames",
         ),
     ],
 )

@@ -178,9 +178,9 @@ class TestSynthetic:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"frames": None}, "must hold an object with a list `frames`"),
+        ({"frames": None}, "must be an object with a list `frames`"),
         ({"frames": []}, "lists no frames"),
-        ({"frames": [3]}, "frame 0 is no object"),
+        ({"frames": [3]}, "frame 0 is not an object"),
         ({"camera_model": "OMNI"}, "unknown camera_model 'OMNI', known are SIMPLE_PINHOLE"),
         ({"camera_model": ["x"]}, "unknown camera_model"),
         ({"fl_x": "long"}, "fl_x is 'long', expected a number"),

@@ -85,7 +85,7 @@ def test_a_second_run_finds_its_frames(film: Film, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="other options"):
         extract_frames(ExtractRequest(video=film.path, output=out, frames=12))
     (out / first.names[0]).unlink()
-    with pytest.raises(ConfigError, match="holds frames"):
+    with pytest.raises(ConfigError, match="contains frames"):
         extract_frames(ExtractRequest(video=film.path, output=out, frames=10))
 
 

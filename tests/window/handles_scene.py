@@ -76,7 +76,7 @@ def drag(kind: str, start: float, end: float, *, fine: bool = False) -> Iterator
 
 
 def limits(ob: bpy.types.Object) -> list[float]:
-    """Of its filters."""
+    """Values of its filters."""
     return [getattr(ob.gscore, name) for name in LIMITS]
 
 

@@ -12,7 +12,7 @@ from tests.window.scenes import SCREEN, pixels, run_scene
 pytestmark = pytest.mark.window
 
 PIXEL = 0.006
-"""Of a histogram's width, and a little more."""
+"""Width of a pixel as a share of a histogram's width, rounded up."""
 
 
 @pytest.fixture(scope="module")

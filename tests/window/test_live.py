@@ -15,7 +15,7 @@ pytestmark = pytest.mark.window
 
 LONGEST = 500
 COLOR = (204, 102, 51)
-"""Of the wall, 8 bit."""
+"""Colour of the wall, 8 bit."""
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.window
 
 LONGEST = 400
 COLOR = np.array([204, 102, 51])
-"""Of the wall, 8 bit."""
+"""Colour of the wall, 8 bit."""
 TINTED = 0.35 * COLOR + 0.65 * 255 * np.array([1.0, 0.5, 0.05])
 OFFSET = 107
 """Pixels from the middle to the hidden or selected part."""

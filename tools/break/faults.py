@@ -116,7 +116,7 @@ def written(path: Path) -> int:
 
 
 def stage(output: Path) -> str:
-    """Where a killed run resumes: at the beginning, between two steps, or after the last."""
+    """Stage at which a killed run resumes: before, between or after the steps."""
     if (output / LAST).exists():
         return "results"
     return "steps" if checkpoints(output) else "begin"

@@ -109,7 +109,7 @@ def compile_with_zig(name: str, zig_python: Path) -> tuple[Path, str]:
 
 
 def compile_here() -> tuple[Path, str]:
-    """As `compile_with_zig`, but with the system's compiler, for this machine only."""
+    """Like `compile_with_zig`, but with the system's compiler, for this machine only."""
     target = PLATFORMS[this_platform()]
     build = ROOT / "build" / "system"
     _cmake(build, dict(os.environ), target)

@@ -20,14 +20,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb, in the order of the steps."""
     parser.description = (
         f"{parser.description or ''} Steps run in the order of this list, regardless of the order "
-        "of the options."
+        f"of the options. Endings of OUT: {', '.join(_written_endings())}."
     ).strip()
     parser.add_argument("input", metavar="IN", type=Path, help="splat file, or the folder of a run")
     parser.add_argument(
         "output",
         metavar="OUT",
         type=Path,
-        help=f"output file; its ending selects the format: {', '.join(_written_endings())}",
+        help="output file; its ending selects the format",
     )
     _add_join_and_crop(parser)
     _add_clean(parser)
@@ -117,10 +117,9 @@ def _add_clean(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--clean",
         action="store_true",
-        help=f"default limits: opacity {USUAL.min_opacity:g}, contribution "
-        f"{USUAL.min_contribution:g} if there are cameras, isolation {USUAL.max_isolation:g}, "
-        f"clusters of {USUAL.min_cluster} (fewer in small models); splats that contribute "
-        f"{USUAL.seen_share:.2%}% of a picture are kept; the options below override these",
+        help=f"usual limits, unless given: opacity {USUAL.min_opacity:g}, contribution "
+        f"{USUAL.min_contribution:g}, isolation {USUAL.max_isolation:g}, clusters of "
+        f"{USUAL.min_cluster}",
     )
     group.add_argument(
         "--min-opacity", type=_share, metavar="X", help="drop splats with a lower opacity, 0 to 1"

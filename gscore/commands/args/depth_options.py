@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--method",
         choices=("network", "stereo"),
-        help="source of the maps: a network (--model), or stereo between the photos, which gives "
-        "depths where other photos confirm them",
+        help="source of the maps: a network (--model), or stereo, with depths that other photos "
+        "confirm",
     )
     parser.add_argument(
         "-d",
@@ -46,8 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--align",
         choices=("robust", "official"),
         default="robust",
-        help="fit of the maps to the SfM points: robust against outliers, or official as in the"
-        " 3DGS tools (medians and mean absolute deviations)",
+        help="fit of the maps to the SfM points: robust against outliers, or official as in the "
+        "3DGS tools (robust)",
     )
     parser.add_argument(
         "--kind",

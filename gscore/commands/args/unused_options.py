@@ -73,7 +73,7 @@ _WHEN: dict[str, _Rule] = {
         lambda a, d, c: d.mask_mode in ("none", "composite"),
     ),
 }
-"""By `Option.when`: the condition of the effect, and the predicate of an idle option."""
+"""Condition of the effect in words, and the predicate of an idle option, by `Option.when`."""
 _SPLIT: _Rule = ("not with `--no-eval`", lambda a, d, c: not d.eval)
 
 

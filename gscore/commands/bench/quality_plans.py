@@ -23,7 +23,7 @@ class Cell:
     offset: int
     seeds: list[int]
     datas: list[DataConfig]
-    """Of each variant; they differ only in the size of the photos."""
+    """Capture options of each variant; only the size of the photos differs."""
     variants: list[Variant]
     """The first is the baseline; all are measured on the same photos."""
 

@@ -28,7 +28,7 @@ _ALONE = (1280, 800, 1000.0)
 
 _X, _Y, _Z = np.eye(3)
 _UP_AND_FORWARD = {"-Y": (-_Y, _Z), "Y": (_Y, -_Z), "Z": (_Z, _Y), "-Z": (-_Z, -_Y), "X": (_X, _Z)}
-"""By the axis of a file that points up: up and the direction of the first view, each [3]."""
+"""Up and the direction of the first view, each [3], by the axis of a file that points up."""
 
 
 @dataclass(frozen=True, kw_only=True)

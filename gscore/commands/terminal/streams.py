@@ -35,12 +35,12 @@ class SafeStream:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """As in any text stream."""
+        """Write like a text stream; unencodable characters are escaped."""
         self._try(lambda: self._stream.write(self._printable(text)))
         return len(text)
 
     def flush(self) -> None:
-        """As in any text stream."""
+        """Flush like a text stream."""
         self._try(self._stream.flush)
 
     def _printable(self, text: str) -> str:

@@ -106,7 +106,7 @@ def read_video(video: PkuVideo, config: DataConfig, *, photos_required: bool = T
         warnings += notes
     if wanted is None and len(listed) > 1:
         warnings.append(
-            f"{video.case / layout} holds {count_words(len(listed), 'frame')}, {_span(listed)}; "
+            f"{video.case / layout} contains {count_words(len(listed), 'frame')}, {_span(listed)}; "
             f"using frame {frame}. Choose another with `--frame`."
         )
     return replace(capture, points=points, masks_are="composite", warnings=tuple(warnings))
@@ -191,7 +191,7 @@ def _no_frame(video: PkuVideo, wanted: int | None) -> DatasetError:
     where = video.case / video.layout
     if not listed:
         return DatasetError(
-            f"{where} holds no frames; expected folders or files with their numbers, as in "
+            f"{where} contains no frames; expected folders or files with their numbers, as in "
             f"{video.layout or 'data_COLMAP'}/{_EXAMPLES[video.layout]}."
         )
     have = "; ".join(f"{name} has {len(f)}, {_span(f)}" for name, f in listed.items())

@@ -115,7 +115,7 @@ def _capture(
 
 def _neus2_view(where: str, root: Path, data: dict[str, Any], entry: Any) -> View:
     if not isinstance(entry, dict):
-        raise FormatError(f"{where} is no object. Export it again.")
+        raise FormatError(f"{where} is not an object. Export it again.")
     name = inside(where, "file_path", entry.get("file_path"))
     pose = rigid_matrix(where, "transform_matrix", entry.get("transform_matrix"))
     merged = data | entry

@@ -31,7 +31,7 @@ def read_neus(
 
     Raises:
         DatasetError: photos are missing, or their number differs from that of the cameras.
-        FormatError: the npz is corrupt or its matrices are no cameras.
+        FormatError: the npz is corrupt or its matrices are not cameras.
     """
     projections = _projections(path / _FILE)
     images = photo_folder_name(path, config.images)

@@ -31,12 +31,12 @@ def read_llff(path: Path, names: Sequence[str]) -> PosedPhotos:
 
     Raises:
         DatasetError: the file is missing, or there are more or fewer photos than poses.
-        FormatError: it is no array of 17 numbers per row, or a pose or size is unusable.
+        FormatError: it is not an array of 17 numbers per row, or a pose or size is unusable.
     """
     try:
         rows = read_npy(read_bytes(path)).astype(np.float64)
     except ValueError as error:
-        raise FormatError(f"{path} is no array of poses: {error}. Copy it again.") from error
+        raise FormatError(f"{path} is not an array of poses: {error}. Copy it again.") from error
     if rows.ndim != 2 or rows.shape[1] != _NUMBERS:
         raise FormatError(
             f"{path} has the shape {rows.shape}, expected rows of {_NUMBERS} numbers. Make it "

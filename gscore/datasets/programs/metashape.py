@@ -53,8 +53,8 @@ def read_metashape(path: Path) -> PosedPhotos:
     if len(chunks) != 1:
         found = f"{len(chunks)} chunks" if chunks else "no chunk"
         raise FormatError(
-            f"{path} holds {found} with aligned cameras, expected 1. Align the photos and export "
-            "the cameras of one chunk."
+            f"{path} contains {found} with aligned cameras, expected 1. Align the photos and "
+            "export the cameras of one chunk."
         )
     (chunk,), warnings = chunks, []
     every = list(_cameras(chunk))

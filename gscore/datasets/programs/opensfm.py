@@ -45,14 +45,14 @@ def read_opensfm(path: Path) -> PosedPhotos:
         for part in parts
     ):
         raise FormatError(
-            f"{path} is no reconstruction of OpenSfM: it must be a list of objects with cameras "
+            f"{path} is not a reconstruction of OpenSfM: it must be a list of objects with cameras "
             "and shots. Run OpenSfM's reconstruct again."
         )
     best = max(parts, key=lambda part: len(part["shots"]))
     others = sum(len(part["shots"]) for part in parts) - len(best["shots"])
     warnings = [] if not others else [
-        f"{path} holds {len(parts)} reconstructions that OpenSfM could not join; using the largest "
-        f"with {count_words(len(best['shots']), 'photo')}, leaving out {others}."
+        f"{path} contains {len(parts)} reconstructions that OpenSfM could not join; using the "
+        f"largest with {count_words(len(best['shots']), 'photo')}, leaving out {others}."
     ]  # fmt: skip
     cameras = {name: _camera(f"{path}: camera {quoted(name)}", best["cameras"][name])
                for name in {_camera_of(path, key, shot) for key, shot in best["shots"].items()}
@@ -89,7 +89,7 @@ def _rotation(vector: np.ndarray) -> np.ndarray:
 
 def _camera(where: str, stated: Any) -> ColmapCamera:
     if not isinstance(stated, dict):
-        raise FormatError(f"{where} is no object. Reconstruct it again.")
+        raise FormatError(f"{where} is not an object. Reconstruct it again.")
 
     def get(key: str, default: float | None = None) -> float:
         return float(numbers(where, key, [stated.get(key, default)], 1)[0])

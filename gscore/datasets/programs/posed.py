@@ -23,7 +23,7 @@ class PosedPhoto:
     """One posed photo as in the program's file."""
 
     name: str
-    """Its file: a name with or without ending, or a path, perhaps on another machine."""
+    """File of the photo: a name with or without ending, or a path, perhaps on another machine."""
     viewmat: np.ndarray
     """[4, 4] float64, world to camera, OpenCV axes."""
     camera: Callable[[Size], ColmapCamera]
@@ -37,7 +37,7 @@ class PosedPhotos:
     """All posed photos of a file."""
 
     photos: list[PosedPhoto]
-    """In file order."""
+    """Photos in file order."""
     points: PointCloud | None = None
     """Points in world coordinates; None: the format has none."""
     up: np.ndarray | None = None

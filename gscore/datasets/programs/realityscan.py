@@ -154,7 +154,7 @@ def _rotation(yaw: float, pitch: float, roll: float) -> np.ndarray:
 
 
 def _check_no_degrees(path: Path, shots: Sequence[PosedPhoto]) -> None:
-    """Raise FormatError if x and y are longitudes and latitudes, which are no lengths."""
+    """Raise FormatError if x and y are longitudes and latitudes, which are not lengths."""
     if len(shots) < 2:
         return
     centers = camera_centers(np.stack([shot.viewmat for shot in shots]))

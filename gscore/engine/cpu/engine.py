@@ -224,7 +224,7 @@ class CpuEngine:
         return bad_rows
 
     def _random(self, request: StepRequest, stream: int) -> dict[str, int]:
-        """Where the random numbers of a step lie."""
+        """Arguments that select the random numbers of a step."""
         stream += base.STREAMS * request.place
         step = request.step
         return {"seed": request.seed, "step": step, "stream": stream, "threads": self._threads}

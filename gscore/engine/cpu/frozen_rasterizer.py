@@ -28,7 +28,7 @@ class FrozenRasterizer(TrainingRasterizer):
     def draw(
         self, splats: Sequence[Tensor], view: Frustum, settings: Settings | None = None
     ) -> Picture:
-        """As `TrainingRasterizer.draw`, with the frozen splats."""
+        """Like `TrainingRasterizer.draw`, with the frozen splats."""
         named: dict[str, Tensor] = dict(zip(PARAMETERS, splats, strict=True))
         return super().draw(tuple(self._before(named).values()), view, settings)
 
@@ -46,7 +46,7 @@ class FrozenRasterizer(TrainingRasterizer):
         *,
         viewmat: Tensor | None = None,
     ) -> Tensor:
-        """As `TrainingRasterizer.gradients`."""
+        """Like `TrainingRasterizer.gradients`."""
         count = self._count
         room = {name: self._room(name, grad) for name, grad in into.items()}
         room["shN"][count:] = into["shN"]  # gradients of shN accumulate
@@ -63,13 +63,13 @@ class FrozenRasterizer(TrainingRasterizer):
         shares: Tensor,
         scratch: Mapping[str, Tensor],
     ) -> np.ndarray:
-        """As `TrainingRasterizer.weights`."""
+        """Like `TrainingRasterizer.weights`."""
         room = {name: self._room(name, grad) for name, grad in scratch.items()}
         found = super().weights(self._before(splats), view, settings, shares, room)
         return found[self._count :]
 
     def release(self) -> None:
-        """As `TrainingRasterizer.release`."""
+        """Like `TrainingRasterizer.release`."""
         super().release()
         self._into = {}
 

@@ -108,7 +108,7 @@ def _is_picture(path: Path) -> bool:
 
 
 def _no_folder(path: Path) -> str:
-    """Error message: `path` is no folder with a capture."""
+    """Error message: `path` is not a folder with a capture."""
     if not path.is_file():
         return f"There is no folder {path}. Give the folder of the capture."
     return describe_unsupported(path) or (

@@ -156,9 +156,9 @@ class ColmapModel:
     cameras: dict[int, ColmapCamera]
     """Cameras by id."""
     images: list[ColmapImage]
-    """In file order."""
+    """Images in file order."""
     points: ColmapPoints
-    """May be empty."""
+    """Points of the model, possibly none."""
     path: Path = field(default=Path())
     """Folder the model was read from."""
     warnings: tuple[str, ...] = ()

@@ -49,7 +49,7 @@ class _Lines:
                 yield number, line
 
     def is_void(self, line: str) -> bool:
-        """True if a line is no record; a record count that it states is kept."""
+        """True if a line is not a record; a record count that it states is kept."""
         text = line.lstrip()
         if text.startswith("#") and self._stated is None and (found := _STATED.match(text)):
             self._stated = found[1], int(found[2])

@@ -47,7 +47,7 @@ def read_header(path: str | Path) -> ImageInfo | None:
     """Read the header of a PNG or JPEG; None for other, missing and damaged files.
 
     Raises:
-        DatasetError: it is no regular file.
+        DatasetError: it is not a regular file.
     """
     try:
         with open_regular(path) as file:

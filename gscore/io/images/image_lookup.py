@@ -38,8 +38,8 @@ class Pixels:
             out[key] = np.rint(a) if out.dtype.kind in "iu" else a
 
     def cubic(self, x: np.ndarray, y: np.ndarray, out: np.ndarray) -> None:
-        """As `bilinear`, for uint8, by cubic convolution (Keys 1981, with a = -1/2). Pixels at the
-        border are repeated outwards."""
+        """Like `bilinear`, for uint8, by cubic convolution (Keys 1981, with a = -1/2). Pixels at
+        the border are repeated outwards."""
         height, width = self._shape
         left, top = x.astype(np.int64), y.astype(np.int64)
         across, down = _keys((x - left).astype(np.float32)), _keys((y - top).astype(np.float32))

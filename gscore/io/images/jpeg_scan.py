@@ -134,7 +134,7 @@ def _count(data: bytes, blocks: list[tuple[list[int], list[int]]], most: int) ->
                 byte = at >> 3
                 ahead = int.from_bytes(data[byte : byte + 4], "big") >> (16 - (at & 7)) & 0xFFFF
                 entry = (rest if place else mean)[ahead]
-                if not entry:  # the padding bits of the last byte are no code
+                if not entry:  # the padding bits of the last byte are not a code
                     return done if end - at < 8 else most
                 value = entry & 255
                 at += (entry >> 8) + (value & 15)

@@ -64,8 +64,8 @@ def pillow() -> Any:
         BackendError: Pillow is not installed.
     """
     Image = need("PIL.Image", "Reading photos")
-    # Above half of its limit Pillow warns, but large photos are no mistake. The filter is set once
-    # for the process, because filters of a block are not thread-safe.
+    # Above half of its limit Pillow warns, but large photos are not a mistake. The filter is set
+    # once for the process, because filters of a block are not thread-safe.
     warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
     return Image
 
@@ -78,7 +78,7 @@ def opened_picture(path: Path) -> Iterator[Any]:
 
     Raises:
         DatasetError: the file is missing or no regular file.
-        FormatError: it is no picture of a supported format, damaged, or too large.
+        FormatError: it is not a picture of a supported format, damaged, or too large.
         BackendError: Pillow is not installed.
     """
     pil = pillow()

@@ -90,7 +90,7 @@ def mask_bytes(path: Path, image: Any, *, deep: bool) -> tuple[np.ndarray, str]:
 
 
 def _assumed(top: float, white: float | None) -> str:
-    return "" if top == white else f"hold only 0 and {top:g}; {top:g} is taken for white"
+    return "" if top == white else f"contain only 0 and {top:g}; {top:g} is read as white"
 
 
 def _grey_numbers(

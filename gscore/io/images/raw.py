@@ -72,7 +72,7 @@ def is_raw(path: Path) -> bool:
     raw photo.
 
     Raises:
-        DatasetError: it is no regular file.
+        DatasetError: it is not a regular file.
     """
     try:
         with open_regular(path) as file:

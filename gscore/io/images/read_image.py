@@ -40,7 +40,7 @@ def read_info(path: str | Path) -> ImageInfo:
 
     Raises:
         DatasetError: the file is missing or no regular file.
-        FormatError: it is no image, or too large.
+        FormatError: it is not an image, or too large.
         BackendError: Pillow is needed and not installed.
     """
     path = Path(path)
@@ -69,7 +69,7 @@ def read_image(path: str | Path, *, upright: bool = False) -> np.ndarray:
 
     Raises:
         DatasetError: the file is missing or no regular file.
-        FormatError: it is no image, truncated, corrupt or too large, or its value of white is
+        FormatError: it is not an image, truncated, corrupt or too large, or its value of white is
             unknown.
         BackendError: Pillow is not installed.
     """

@@ -35,7 +35,7 @@ def read_mesh_obj(path: Path) -> TriangleMesh:
         except (ValueError, IndexError) as error:
             what = "vertex" if kind == b"v" else "face"
             raise FormatError(
-                f"{path}: line {at} is no {what}: {quoted(line.decode('utf-8', 'replace'))}. "
+                f"{path}: line {at} is not a {what}: {quoted(line.decode('utf-8', 'replace'))}. "
                 "Export the mesh again."
             ) from error
     check_count(path, len(polygons))

@@ -29,7 +29,7 @@ def read_mesh_ply(path: Path) -> TriangleMesh:
     if any(axis not in names or table.dtype[axis].kind == "O" for axis in "xyz"):
         raise FormatError(f"{path} has no vertices with x, y, z. Export the mesh again.")
     if "face" not in elements and {"f_dc_0", "opacity"} & set(names):
-        raise FormatError(f"{path} holds Gaussian splats and no faces. Give a mesh.")
+        raise FormatError(f"{path} contains Gaussian splats and no faces. Give a mesh.")
     faces = elements.get("face", np.zeros(0, [("none", "f4")]))
     lists = [name for name in _FACES if name in (faces.dtype.names or ())]
     if len(faces) and not (lists and faces.dtype[lists[0]].kind == "O"):
@@ -40,7 +40,7 @@ def read_mesh_ply(path: Path) -> TriangleMesh:
     vertices = np.stack([np.asarray(table[axis], np.float64) for axis in "xyz"], axis=1)
     corners = list(faces[lists[0]]) if len(faces) else []
     if corners and corners[0].dtype.kind not in "iu":
-        raise FormatError(f"{path}: corners of faces are no whole numbers. Export the mesh again.")
+        raise FormatError(f"{path}: corners of faces are not whole numbers. Export the mesh again.")
     return checked_mesh(path, vertices, fans(corners))
 
 

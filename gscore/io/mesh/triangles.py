@@ -60,8 +60,9 @@ def checked_mesh(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> Tri
     wrong = np.flatnonzero(used & ~good)
     if len(wrong):
         raise FormatError(
-            f"{path}: {count_words(len(wrong), 'vertex is', 'vertices are')} no place in space, "
-            f"the first one number {wrong[0]} (counted from 0): {vertices[wrong[0]].tolist()}. "
+            f"{path}: {count_words(len(wrong), 'vertex is', 'vertices are')} not finite or larger "
+            f"than {_LARGEST:g}, the first one number {wrong[0]} (counted from 0): "
+            f"{vertices[wrong[0]].tolist()}. "
             "Clean the mesh up and export it again."
         )
     points = vertices.copy()

@@ -62,7 +62,7 @@ def read_ply(path: str | Path) -> Splats:
 
 
 def read_ply_parts(path: str | Path, rows: int) -> Iterator[Splats]:
-    """As `read_ply`, `rows` splats of the file at a time, for models larger than memory.
+    """Like `read_ply`, `rows` splats of the file at a time, for models larger than memory.
 
     Raises:
         As `read_ply`; FormatError also for the compressed layout.
@@ -174,7 +174,7 @@ def write_splat_parts(
     sh_degree: int,
     comments: tuple[str, ...] = (),
 ) -> None:
-    """As `write_splats`, for a model in parts with `count` splats of one SH degree in total."""
+    """Like `write_splats`, for a model in parts with `count` splats of one SH degree in total."""
     rest = 3 * SH_REST_BY_DEGREE[sh_degree]
     names = [*POSITION, "nx", "ny", "nz", *DC, *(f"f_rest_{k}" for k in range(rest))]
     names += ["opacity", *SCALE, *QUAT]

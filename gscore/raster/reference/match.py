@@ -6,7 +6,7 @@ import numpy as np
 def match_descriptors(
     first: np.ndarray, second: np.ndarray, *, max_distance: float, max_ratio: float
 ) -> np.ndarray:
-    """As `gscore.raster.match.match_descriptors`."""
+    """Like `gscore.raster.match.match_descriptors`."""
     difference = first[:, None].astype(np.float64) - second[None].astype(np.float64)
     squared = (difference**2).sum(axis=2)
     there = _distinct(squared, max_distance, max_ratio)

@@ -16,7 +16,7 @@ def mesh_depth(
     near: float = 0.0,
     orthographic: bool = False,
 ) -> np.ndarray:
-    """As `gscore.raster.mesh.mesh_depth`, [H, W] float64.
+    """Like `gscore.raster.mesh.mesh_depth`, [H, W] float64.
 
     The corners weighted by l / z give the ray of a pixel, with z = 1: one 3 x 3 system per
     triangle. With parallel rays, K times (X, Y, 1) weighted by l gives the pixel.

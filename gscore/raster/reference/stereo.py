@@ -21,7 +21,7 @@ def sweep(
     best: int = 2,
     noise: float = 1.5,
 ) -> SweepResult:
-    """As `gscore.raster.stereo_depth.sweep`, arrays [H, W] float64."""
+    """Like `gscore.raster.stereo_depth.sweep`, arrays [H, W] float64."""
     depths = np.linspace(farthest, nearest, planes)
     volume = np.stack([_scores(reference, sources, d, radius, best, noise) for d in depths])
     found = _peaks(volume, depths)
@@ -146,7 +146,7 @@ def check(
     relative: float = 0.01,
     passed: float = 0.05,
 ) -> Checked:
-    """As `gscore.raster.stereo_depth.check`, with the mean in float64."""
+    """Like `gscore.raster.stereo_depth.check`, with the mean in float64."""
     rows, columns = inverse_depth.shape
     x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
     known = np.isfinite(inverse_depth) & (inverse_depth > 0)

@@ -19,9 +19,9 @@ class DepthReport:
     """Depth after a training."""
 
     numbers: dict[str, Any]
-    """For metrics.json: used, why, weights, error, and fits and errors by view."""
+    """Entry of metrics.json: used, why, weights, error, and fits and errors by view."""
     section: DepthSection
-    """For report.html."""
+    """Section of report.html."""
 
 
 def measure_depth(

@@ -26,7 +26,7 @@ class BatchLosses(NamedTuple):
     values: list[float]
     """The loss of each photo, in the order of the ranks."""
     errors: list[float]
-    """Their mean squared errors."""
+    """Mean squared errors of the photos."""
     costs: list[float]
     """Rendering costs."""
     sizes: np.ndarray

@@ -21,13 +21,13 @@ class SharedModel(CpuModel):
     batch: BatchGradients
 
     def widen_sh(self, degree: int) -> None:
-        """As `CpuModel.widen_sh`."""
+        """Like `CpuModel.widen_sh`."""
         if self.sh_degree < degree:
             super().widen_sh(degree)
             self.batch.forget()
 
     def save(self) -> dict[str, np.ndarray]:
-        """As `CpuModel.save`, with the accumulated gradients of other ranks after `collect`."""
+        """Like `CpuModel.save`, with the accumulated gradients of other ranks after `collect`."""
         return super().save() | {name: t.numpy() for name, t in self.batch.tensors().items()}
 
 

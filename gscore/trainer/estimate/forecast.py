@@ -236,7 +236,7 @@ def machine_pace(threads: int = 0) -> float:
 
 
 def current_pace(threads: int = 0) -> float:
-    """As `machine_pace`, but the mean under the current load: for a run that starts now.
+    """Like `machine_pace`, but the mean under the current load: for a run that starts now.
 
     Args:
         threads: 0: all cores.

@@ -110,7 +110,7 @@ def load(path: Path) -> Checkpoint:
             text = metadata["gscore"]
         content = parse_json(text)
         if not isinstance(content, dict):
-            raise ValueError("its metadata is no object")
+            raise ValueError("its metadata is not an object")
         tensors = {}
         if content.get("format") == FORMAT:
             tensors = _tensors(path, keys)

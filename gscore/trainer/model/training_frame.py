@@ -19,7 +19,7 @@ class TrainingFrame:
     """Recentred and rescaled world in which rates and thresholds suit any capture."""
 
     similarity: Similarity
-    """From COLMAP world to the training frame."""
+    """Transform from COLMAP world to the training frame."""
     extent: float
     """1.1 times the largest distance of a camera from their mean (Kerbl et al. 2023), training
     units."""

@@ -11,7 +11,7 @@ from ...engine.rotation import rotate
 SPLIT_COUNT = 2
 """Number of splats that replace a split one (Kerbl et al. 2023, section 5.2)."""
 SPLIT_SHRINK = 1.6
-"""Divisor of their scales."""
+"""Divisor of the scales of split splats."""
 HALF_OFFSET, HALF_LENGTH, HALF_WIDTH, HALF_OPACITY = 0.7, 0.5, 0.85, 0.6
 """Halves of a splat relative to it: distance from its centre and length along the longest axis,
 width along the others, and opacity (factors of Deng et al. 2024; the distance was measured)."""

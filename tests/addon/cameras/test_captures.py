@@ -149,7 +149,7 @@ def test_cameras_that_are_refused(scene) -> None:
         bpy.context.view_layer.update()
         with pytest.raises(ValueError, match=r"Eye is (mirrored|scaled)"):
             render_camera(ob, scene)
-    with pytest.raises(ValueError, match="no camera"):
+    with pytest.raises(ValueError, match="not a camera"):
         render_camera(bpy.data.objects.new("Thing", None), scene)
 
 
@@ -218,7 +218,7 @@ def test_use_camera(scene) -> None:
     assert captures.step_camera(scene, made.root, 1) == first
     scene.camera = None
     assert captures.step_camera(scene, made.root, -1) == made.cameras[-1]
-    with pytest.raises(ValueError, match="no camera of a photo"):
+    with pytest.raises(ValueError, match="not a camera of a photo"):
         captures.use_camera(scene, made.root)
 
 

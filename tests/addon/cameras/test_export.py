@@ -352,7 +352,7 @@ def test_refusals(made, scene, capture: Path, tmp_path: Path) -> None:
         export_colmap(capture, made.cameras, scene)
     with pytest.raises(ValueError, match="no cameras"):
         export_colmap(tmp_path / "o", [], scene, root=root)
-    with pytest.raises(ValueError, match="is no camera"):
+    with pytest.raises(ValueError, match="is not a camera"):
         export_colmap(tmp_path / "o", [made.points], scene, root=root)
     made.cameras[3].data.type = "ORTHO"
     with pytest.raises(ValueError, match="v003 is not perspective"):

@@ -52,7 +52,7 @@ def progress(done: int, phase: str = "predicting") -> dict:
 
 @pytest.fixture
 def play(tmp_path: Path, play: Callable[..., Path]) -> Callable[..., Path]:
-    """As `play` of all tests, with a network."""
+    """Like `play` of all tests, with a network."""
 
     def choose(*script: dict) -> Path:
         network = tmp_path / "net.onnx"

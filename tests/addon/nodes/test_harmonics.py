@@ -17,7 +17,7 @@ from tests.addon import splat_scenes as lab
 SIZE = 200
 LIMIT = 3 / 255
 LIMITS = {"SOFT": LIMIT, "NATIVE": 25 / 255}
-"""Of single colors, by display: those of its own splats Blender works out more coarsely."""
+"""Largest errors of single colours by display; Blender's own splats have coarser ones."""
 OPAQUE = 0.99
 """Opacity at which the engine ends; Cycles does not."""
 

@@ -229,7 +229,7 @@ def test_refusals(ob: bpy.types.Object) -> None:
         bpy.ops.gscore.paint_stroke()
     with pytest.raises(RuntimeError, match="has no object nobody"):
         bpy.ops.gscore.paint_stroke(stroke=stroke(WAY), camera="nobody")
-    with pytest.raises(RuntimeError, match="is no camera"):
+    with pytest.raises(RuntimeError, match="is not a camera"):
         bpy.ops.gscore.paint_stroke(stroke=stroke(WAY), camera=ob.name)
     bpy.context.scene.camera = None
     with pytest.raises(RuntimeError, match="has no camera to paint through"):

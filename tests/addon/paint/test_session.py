@@ -35,7 +35,7 @@ class Desk:
 
     @property
     def brush(self) -> bpy.types.PropertyGroup:
-        """Of the session."""
+        """The brush of the session."""
         return bpy.context.window_manager.gscore_paint
 
     def spot(self, window: object, x: int, y: int) -> session.Spot | None:
@@ -71,7 +71,7 @@ class StandIn(session.Spot):
 
     @property
     def view(self) -> object:
-        """Of the scene's camera."""
+        """The view of the scene's camera."""
         return render_camera(bpy.context.scene.camera, bpy.context.scene)
 
 

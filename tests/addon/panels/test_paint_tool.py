@@ -11,7 +11,7 @@ from tests.addon.drawn import Layout
 
 
 def tools() -> list[str]:
-    """Of the 3D view in Object Mode."""
+    """Tools of the 3D view in Object Mode."""
     panel = ToolSelectPanelHelper._tool_class_from_space_type("VIEW_3D")
     listed = ToolSelectPanelHelper._tools_flatten(panel._tools["OBJECT"])
     return [tool.idname for tool in listed if tool is not None]

@@ -18,7 +18,7 @@ class Clock:
         self.now = 1000.0
 
     def monotonic(self) -> float:
-        """As `time.monotonic`."""
+        """Like `time.monotonic`."""
         return self.now
 
 

@@ -147,7 +147,7 @@ def at_once_of(camera) -> photo_module.Target:
 
 
 def test_masks_are_looked_for_in_a_thread(studio, scene, monkeypatch):
-    """Of all photos. Oracle: the thread that searches each; the same target as in one call."""
+    """Oracle: the thread that searches each photo; the same target as in one call."""
     threads = {}
 
     class Noted(Folder):

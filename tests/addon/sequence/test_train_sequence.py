@@ -141,7 +141,7 @@ def test_failures_are_shown_at_the_button(video, play: Play) -> None:
         bpy.ops.gscore.train_sequence(wait=True)
     assert "Frame 4 is broken" in drawn(TrainSequencePanel)
     video.gscore.capture_path = str(STUDIO)
-    assert "holds no frames" in panel()
+    assert "contains no frames" in panel()
     video.gscore.capture_path = str(STUDIO / "gone")
     assert "There is no folder" in drawn(TrainSequencePanel)
 

@@ -272,7 +272,7 @@ def test_unsearchable_sources_are_refused(
     with pytest.raises(RuntimeError, match="at least 3 that overlap"):
         bpy.ops.gscore.find_cameras()
     holiday.gscore.capture_path = str(STUDIO)
-    with pytest.raises(RuntimeError, match="is no folder of photos without cameras"):
+    with pytest.raises(RuntimeError, match="is neither a folder of photos without cameras"):
         bpy.ops.gscore.find_cameras()
     with pytest.raises(RuntimeError, match="There is no video"):
         bpy.ops.gscore.choose_video(filepath=str(tmp_path / "gone.mp4"))

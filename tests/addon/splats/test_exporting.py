@@ -153,7 +153,7 @@ def test_refuses(obs: list, tmp_path: Path) -> None:
         finished(export)
     export.cancel()
     obs[0].data.attributes.remove(obs[0].data.attributes[attributes.SCALE])
-    with pytest.raises(ValueError, match=r"^chair holds no splats: the attributes scale"):
+    with pytest.raises(ValueError, match=r"^chair contains no splats: the attributes scale"):
         Export(obs[:1], out, **options)
     assert out.read_bytes() == b"earlier"
     nothing_left(tmp_path, "out.ply")

@@ -70,9 +70,9 @@ def test_it_needs_no_cameras(scene: bpy.types.Scene, run: Path) -> None:
 def test_missing_result_is_an_error(scene: bpy.types.Scene, run: Path) -> None:
     """Oracle: nothing is imported, with an error."""
     (run / "point_cloud.ply").unlink()
-    assert "holds no splats yet" in error_of(bpy.ops.gscore.import_result)
+    assert "contains no splats yet" in error_of(bpy.ops.gscore.import_result)
     shutil.rmtree(run)
-    assert "holds no run" in error_of(bpy.ops.gscore.import_result)
+    assert "contains no run" in error_of(bpy.ops.gscore.import_result)
     assert scene.gscore.result is None
 
 

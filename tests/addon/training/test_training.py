@@ -451,7 +451,7 @@ def test_bad_input_is_a_sentence(studio: bpy.types.Scene, play: Play, tmp_path: 
     preferences.get().lpips_path = str(tmp_path / "no.onnx")
     assert "There is no LPIPS network" in _error(train)
     preferences.get().lpips_path = ""
-    assert "holds no checkpoint to resume" in _error(bpy.ops.gscore.resume_training)
+    assert "contains no checkpoint to resume" in _error(bpy.ops.gscore.resume_training)
     assert registry.jobs() == []
     assert not (tmp_path / "out").exists()
     for name in ("pause_training", "stop_training", "discard_training"):

@@ -31,7 +31,7 @@ def trained_on(trainer: Trainer) -> dict[str, torch.Tensor]:
 
 
 def alone(index: int) -> dict[str, torch.Tensor]:
-    """As `learnt_from`, of one photo, at the step that both ranks take together."""
+    """Like `learnt_from`, of one photo, at the step that both ranks take together."""
     trainer = Trainer(CONFIG, Analysis(photos=toy_photos()))
     trainer.steps = 1
     trainer._widen_to(trainer.members[0], 1)

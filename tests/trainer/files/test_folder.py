@@ -412,7 +412,7 @@ def test_a_lock_that_is_no_file_is_named(tmp_path: Path, kind: str) -> None:
         lock.mkdir()
     before = lock.lstat()
     with (
-        pytest.raises(ConfigError, match=r"is no regular file\. Remove it") as messages,
+        pytest.raises(ConfigError, match=r"is not a regular file\. Remove it") as messages,
         open_folder(tmp_path, resume=False, overwrite=False),
     ):
         pass

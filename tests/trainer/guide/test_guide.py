@@ -326,7 +326,7 @@ def test_files_that_hold_no_mesh_are_refused(
     """Oracle: exit code 2 and the readers' sentences."""
     path = tmp_path / "mesh.obj"
     path.write_text("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n")
-    refused("train", [str(capture), "-o", "{out}", flag, str(path)], "no place in space")
+    refused("train", [str(capture), "-o", "{out}", flag, str(path)], "not finite or larger")
     path.write_text("")
     refused("train", [str(capture), "-o", "{out}", flag, str(path)], "has no faces")
     refused("train", [str(capture), "-o", "{out}", flag, str(tmp_path / "no.ply")], "no such file")

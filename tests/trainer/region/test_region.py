@@ -287,7 +287,7 @@ def test_a_region_is_evaluated_on_its_own_pixels(
 @pytest.mark.parametrize(
     ("text", "wrong"),
     [
-        ("", "no region"),
+        ("", "not a region"),
         ("[]", "has no box"),
         ('{"low": [0, 0, 0]}', "high"),
         ('{"low": [0, 0, 0], "high": [1, 0, 1]}', "low corner"),
@@ -296,7 +296,7 @@ def test_a_region_is_evaluated_on_its_own_pixels(
         ('{"box": [[1,0,0,0],[0,1,0,0],[1,1,0,0],[0,0,0,1]]}', "no volume"),
         ('{"box": [[1,0,0,0],[0,1,0,0],[0,0,NaN,0],[0,0,0,1]]}', "numbers"),
         ('{"box": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,1,1]]}', "last row"),
-        ('{"box": "here"}', "no region"),
+        ('{"box": "here"}', "not a region"),
     ],
 )
 def test_a_file_that_is_no_region_is_refused(tmp_path: Path, text: str, wrong: str) -> None:
