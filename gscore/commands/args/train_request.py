@@ -22,7 +22,7 @@ from .unused_options import unused_options
 
 @dataclass(frozen=True, kw_only=True)
 class TrainRequest:
-    """What to train, from what, into which folder, and what to show meanwhile."""
+    """Request of a training: options, capture, output folder and output format."""
 
     source: Path | None
     """Capture; None: that of the run or config file."""
@@ -123,7 +123,7 @@ class TrainRequest:
         return data, config
 
     def configs_with_messages(self, show: Show) -> tuple[DataConfig, TrainConfig]:
-        """As `configs`, with a warning about options without effect in this run."""
+        """Like `configs`, with a warning about options without effect in this run."""
         data, config = self.configs()
         if idle := unused_options(self.given, data, config):
             show(Warn(message=idle, code="no_effect"))
