@@ -111,8 +111,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--exposure",
         metavar="{even,photo,NAME}",
-        help="exposure of all pictures: even, as each (nearest) photo, or as one photo by name or "
-        "number; default: photo for views, even on a path",
+        help="exposure: even, of the nearest photo, or of one by name or number (views: photo, "
+        "path: even)",
     )
     group.add_argument(
         "--transparent", action="store_true", help="PNG with alpha, without background"
