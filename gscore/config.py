@@ -536,22 +536,6 @@ class TrainConfig:
         group="poses",
         when="poses",
     )
-    pose_start: float = option(
-        0.1,
-        "Share of the run after which pose refinement starts.",
-        group="poses",
-        range=Range(high=1),
-        unit="share of the run",
-        when="poses",
-    )
-    pose_stop: float = option(
-        0.8,
-        "Share of the run after which pose refinement ends.",
-        group="poses",
-        range=Range(high=1),
-        unit="share of the run",
-        when="poses",
-    )
     drop_rate: float = option(
         0.0,
         "Dropout: share of splats left out of a step at random, rising from 0 to this at the "
@@ -656,13 +640,6 @@ class TrainConfig:
         " paper).",
         group="refinement",
         when="default",
-    )
-    grow_scale: float = option(
-        0.01,
-        "`clone-split`: size above which splats are split instead of cloned; in extents.",
-        group="refinement",
-        unit="extents",
-        when="clone_split",
     )
     prune_opacity: float = option(
         0.005,

@@ -3,7 +3,7 @@
 import difflib
 import json
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import fields, replace
 from enum import StrEnum
 from pathlib import Path
@@ -17,11 +17,14 @@ from .quoting import brief, quoted
 
 ConfigT = TypeVar("ConfigT", DataConfig, TrainConfig)
 AnyT = TypeVar("AnyT")
-_REMOVED = {
+REMOVED: dict[str, tuple[Any, str]] = {
     "coarse_by_detail": (False, "photos become larger at times that do not depend on their detail"),
     "reg_final": (1.0, "the penalties of mcmc keep their weight to the end of a training"),
+    "grow_scale": (0.01, "splats above 0.01 extents are split"),
+    "pose_start": (0.1, "pose refinement starts after a tenth of the run"),
+    "pose_stop": (0.8, "pose refinement ends after four fifths of the run"),
 }
-"""Removed options that files may still contain: the only accepted value, and the reason."""
+"""Removed options, without effect: the value of today, and its meaning as a sentence part."""
 
 
 def to_dict(config: DataConfig | TrainConfig) -> dict[str, Any]:
@@ -29,13 +32,16 @@ def to_dict(config: DataConfig | TrainConfig) -> dict[str, Any]:
     return {f.name: to_json(getattr(config, f.name)) for f in fields(config)}
 
 
-def from_dict(cls: type[AnyT], data: Any, *, where: str) -> AnyT:
+def from_dict(
+    cls: type[AnyT], data: Any, *, where: str, warn: Callable[[str], None] = lambda text: None
+) -> AnyT:
     """The config that `to_dict` wrote; options that are missing keep their defaults.
 
     Args:
         cls: DataConfig or TrainConfig, or another dataclass with fields of such types.
         data: The parsed JSON.
         where: Name of the file and section, for messages.
+        warn: Called with a sentence for each removed option with another value than today's.
 
     Raises:
         ConfigError: an unknown option, or a value of another type or out of range.
@@ -45,8 +51,10 @@ def from_dict(cls: type[AnyT], data: Any, *, where: str) -> AnyT:
     hints = get_type_hints(cls)
     values = {}
     for name, value in data.items():
-        if cls is TrainConfig and name in _REMOVED:
-            _check_removed(name, value, where)
+        if cls is TrainConfig and name in REMOVED:
+            usual, meaning = REMOVED[name]
+            if value != usual:
+                warn(f"{where}: {name} {quoted(value)} has no effect: {meaning}.")
             continue
         if name not in hints:
             guess = difflib.get_close_matches(name, hints, n=1)
@@ -71,8 +79,10 @@ def config_json(data: DataConfig, train: TrainConfig) -> str:
     return json.dumps(content, indent=2) + "\n"
 
 
-def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
-    """Read the config.json of a run, or one written by hand.
+def load_config(
+    path: Path, *, warn: Callable[[str], None] = lambda text: None
+) -> tuple[DataConfig, TrainConfig]:
+    """Read the config.json of a run, or one written by hand; `warn` as in `from_dict`.
 
     Raises:
         ConfigError: no such file, not JSON, an unknown option or an invalid value.
@@ -92,7 +102,7 @@ def load_config(path: Path) -> tuple[DataConfig, TrainConfig]:
         raise ConfigError(f"{name}: expected an object with 'data' and 'train', as in a run.")
     return (
         from_dict(DataConfig, content["data"], where=f"{path}: data"),
-        from_dict(TrainConfig, content["train"], where=f"{path}: train"),
+        from_dict(TrainConfig, content["train"], where=f"{path}: train", warn=warn),
     )
 
 
@@ -103,15 +113,6 @@ def differences(old: Any, new: Any, *, ignore: Collection[str] = ()) -> list[str
         for f in fields(old)
         if f.name not in ignore and getattr(old, f.name) != getattr(new, f.name)
     ]
-
-
-def _check_removed(name: str, value: Any, where: str) -> None:
-    usual, reason = _REMOVED[name]
-    if value != usual:
-        raise ConfigError(
-            f"{where}: {name} is {quoted(value)}, but {reason}; the option was removed. Leave it "
-            "out and train again."
-        )
 
 
 def _shown(value: Any) -> Any:

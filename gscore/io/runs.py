@@ -3,6 +3,7 @@
 import contextlib
 import re
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -133,14 +134,16 @@ def training_in(path: Path) -> int | None:
     return FolderLock(path, RUN_LOCK, "training").holder()
 
 
-def options_of_run(config: Path) -> tuple[DataConfig, TrainConfig]:
+def options_of_run(
+    config: Path, *, warn: Callable[[str], None] = lambda text: None
+) -> tuple[DataConfig, TrainConfig]:
     """Options in the config.json of a run. If the run was moved, the path of the capture in its
-    folder is updated.
+    folder is updated; `warn` as in `load_config`.
 
     Raises:
         ConfigError: as `load_config`.
     """
-    data, train = load_config(config)
+    data, train = load_config(config, warn=warn)
     capture = config.parent / CAPTURE
     if data.source.name == CAPTURE and not data.source.exists() and capture.is_dir():
         data = replace(data, source=capture.absolute())

@@ -142,6 +142,8 @@ class RunStart:
         found.tensors.clear()  # the model replaces them as it grows
         if other_isa := checkpoint.isa_warning(found):
             session.warn(other_isa, "isa")
+        for text in found.warnings:
+            session.warn(text, "no_effect")
         for path in self._damaged:
             session.warn(_rename_damaged(path, found.steps), "damaged_checkpoint")
 

@@ -7,9 +7,12 @@ from typing import Any
 
 import pytest
 
-from gscore.config import Strategy
+from gscore.config import DataConfig, Strategy
+from gscore.config_file import to_dict
+from gscore.events import Warn
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
+from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
 
@@ -91,3 +94,19 @@ def test_resume_with_other_threads_is_bit_equal(photos: Any, tmp_path: Path) -> 
         whole.step()
         resumed.step()
     assert bits(resumed) == bits(whole)
+
+
+def test_a_run_with_a_removed_option_goes_on(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the steps of the resumed run; one warning with name, value and what holds now."""
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "to_dict", lambda one: to_dict(one) | {"grow_scale": 0.02})
+        data, config = DataConfig(source=capture), replace(CONFIG, iterations=2)
+        train(config, data, tmp_path / "out")
+    events: list[Any] = []
+    longer = replace(config, iterations=3)
+    assert train(longer, data, tmp_path / "out", events.append, resume=True).steps == 3
+    told = [one.message for one in events if isinstance(one, Warn) and "grow_scale" in one.message]
+    assert len(told) == 1
+    assert told[0].endswith("grow_scale 0.02 has no effect: splats above 0.01 extents are split.")

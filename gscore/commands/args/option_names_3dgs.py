@@ -4,8 +4,9 @@ import argparse
 from typing import Any, NamedTuple
 
 from ...config import Background, Switch, TrainConfig
+from ...config_file import REMOVED
 from ...errors import ConfigError
-from ...options import options_of
+from ...options import Option, options_of
 from .run_options import argument_facts
 
 ALIASES = {
@@ -25,7 +26,6 @@ ALIASES = {
     "refine_every": "--densification-interval",
     "reset_every": "--opacity-reset-interval",
     "grow_grad": "--densify-grad-threshold",
-    "grow_scale": "--percent-dense",
     "mcmc_noise": "--noise-lr",
 }
 """Other names of options of `TrainConfig`."""
@@ -70,6 +70,11 @@ def add_3dgs_names(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--feature-lr", type=float, help=argparse.SUPPRESS)
     for flag in _WITHOUT_EFFECT:
         parser.add_argument(flag, help=argparse.SUPPRESS)
+    for name, (value, meaning) in REMOVED.items():
+        one = Option(name=name, default=value, kind=type(value), text=meaning, group="removed")
+        flags = [one.flag, "--percent-dense"] if name == "grow_scale" else [one.flag]
+        facts = argument_facts(one) | {"dest": name, "default": None, "help": argparse.SUPPRESS}
+        vars(parser.add_argument(*flags, **facts))["declared"] = one
     for flag, reason in REFUSED.items():
         parser.add_argument(flag, nargs="*", action=_Refuse, reason=reason)
 
@@ -84,6 +89,7 @@ def rows() -> list[Row]:
         Row("--train-test-exp", "exposure on; psnr_cc fits colours on half of a held-out view"),
         Row("--disable-viewer", "port 0, overriding `--port`"),
         *(Row(flag, "without effect") for flag in _WITHOUT_EFFECT),
+        Row("--percent-dense", f"without effect: {REMOVED['grow_scale'][1]}"),
         *(Row(flag, f"refused: {reason}") for flag, reason in REFUSED.items()),
     ]
 

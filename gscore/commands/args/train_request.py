@@ -1,7 +1,7 @@
 """Train request: the arguments of `gscore train` and `gscore sequence` as typed values."""
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -90,8 +90,12 @@ class TrainRequest:
         fewer = [{k: v for k, v in one.items() if k != name} for one in (self.data, self.given)]
         return replace(self, data=fewer[0], given=fewer[1])
 
-    def configs(self) -> tuple[DataConfig, TrainConfig]:
+    def configs(
+        self, *, warn: Callable[[str], None] = lambda text: None
+    ) -> tuple[DataConfig, TrainConfig]:
         """The options of a preset, a config file or the resumed run, overridden by the given ones.
+
+        `warn` is called with sentences on removed options in the config file.
 
         Raises:
             ConfigError: no capture, no run to resume, or options that contradict.
@@ -108,7 +112,9 @@ class TrainRequest:
         if self.preset and stored:
             data, config = PRESETS[self.preset](options_of_run(stored)[0].source)
         elif stored:
-            data, config = options_of_run(stored)
+            # The checkpoint of a resumed run has the same options, and warns of them.
+            found = options_of_run(stored) if self.resume else options_of_run(stored, warn=warn)
+            data, config = found
             data = replace(data, source=source or data.source)
         elif source is None:
             raise ConfigError("No capture was given: `gscore train SOURCE -o OUTPUT`.")
@@ -124,7 +130,11 @@ class TrainRequest:
 
     def configs_with_messages(self, show: Show) -> tuple[DataConfig, TrainConfig]:
         """Like `configs`, with a warning about options without effect in this run."""
-        data, config = self.configs()
+
+        def warn(text: str) -> None:
+            show(Warn(message=text, code="no_effect"))
+
+        data, config = self.configs(warn=warn)
         if idle := unused_options(self.given, data, config):
-            show(Warn(message=idle, code="no_effect"))
+            warn(idle)
         return data, config

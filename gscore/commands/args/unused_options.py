@@ -3,7 +3,8 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from ...config import DataConfig, Doubling, Skip, Stereo, Strategy, Switch, TrainConfig
+from ...config import DataConfig, Skip, Stereo, Strategy, Switch, TrainConfig
+from ...config_file import REMOVED
 from ...hold_out import SPLIT
 from ...live_options import LiveOptions
 from ...option_marks import mark_option
@@ -35,13 +36,14 @@ def _beyond(name: str) -> _Idle:
     return idle
 
 
+def _differs(name: str, value: Any) -> _Idle:
+    """Predicate: a removed option has another value than today's."""
+    return lambda given, data, config: given[name] != value
+
+
 _WHEN: dict[str, _Rule] = {
     "mcmc": ("only with `--strategy mcmc`", lambda a, d, c: c.strategy is not Strategy.MCMC),
     "default": ("not with `--strategy mcmc`", lambda a, d, c: c.strategy is Strategy.MCMC),
-    "clone_split": (
-        "only with `--doubling clone-split`, not with `--strategy mcmc`",
-        lambda a, d, c: c.strategy is Strategy.MCMC or c.doubling is not Doubling.CLONE_SPLIT,
-    ),
     "depth": ("only with `--depths`, not with `--depth-mode off`", _no_depth),
     "depth_maps": ("only with `--depths`", lambda a, d, c: not d.depths),
     "depth_on": ("not with `--depth-mode off`", lambda a, d, c: c.depth_mode is Switch.OFF),
@@ -91,6 +93,7 @@ RULES: dict[str, _Rule] = {
         if one.when
     },
     **dict.fromkeys(("hold_out", *SPLIT), _SPLIT),
+    **{name: (meaning, _differs(name, value)) for name, (value, meaning) in REMOVED.items()},
     "debug_from": ("there are no debug dumps", lambda a, d, c: True),
     "white_background": (
         "overridden by `--background`",

@@ -59,6 +59,8 @@ class Checkpoint:
     """`Trainer.tensors`."""
     isa: str | None = None
     """Instruction set of the run that wrote it; None: not recorded, as in older checkpoints."""
+    warnings: tuple[str, ...] = ()
+    """Sentences on removed options that the run had set."""
 
     @property
     def steps(self) -> int:
@@ -124,11 +126,14 @@ def load(path: Path) -> Checkpoint:
             f"{path} was written by gscore {brief(str(content.get('gscore')))} in format "
             f"{brief(str(content.get('format')))}; this gscore reads format {FORMAT}."
         )
+    warnings: list[str] = []
     with checkpoint_errors(path):
         as_int("steps", content["trainer"]["steps"])
+        config = from_dict(TrainConfig, content["config"], where=str(path), warn=warnings.append)
         return Checkpoint(
             path=path,
-            config=from_dict(TrainConfig, content["config"], where=str(path)),
+            config=config,
+            warnings=tuple(warnings),
             capture=dict(content["capture"]),
             trainer=dict(content["trainer"]),
             session=dict(content["session"]),

@@ -19,6 +19,9 @@ RESET_OPACITY = 0.01
 _COUNTERS = ("grad2d", "views")
 """Sum of the screen-space gradients, and number of views, of each splat."""
 
+_LARGE = 0.01
+"""Size above which `clone-split` splits a splat instead of cloning it, extents (Kerbl et al.)."""
+
 
 class DefaultStrategy:
     """Clones or splits splats with large screen-space gradients, prunes transparent and huge ones.
@@ -89,7 +92,7 @@ class DefaultStrategy:
             rows = grow.nonzero().flatten()
             return rows.repeat(splitting.SPLIT_COUNT), splitting.halve(params, rows), rows
         size = params["scales"].amax(dim=1)  # log
-        large = size > _log(self._config.grow_scale * self._extent)
+        large = size > _log(_LARGE * self._extent)
         clone, divide = (grow & ~large).nonzero().flatten(), (grow & large).nonzero().flatten()
         split = splitting.split(params, divide, generator)
         changes = {name: torch.cat([params[name][clone], rows]) for name, rows in split.items()}

@@ -14,6 +14,10 @@ from .photo_adam import rate_at
 from .photo_gains import PhotoGains
 from .photo_poses import PhotoPoses, PoseCheck
 
+_START, _STOP = 0.1, 0.8
+"""Shares of the run between which poses are refined: before, splats are too coarse to tell; at the
+end they adapt to the final poses."""
+
 
 class PhotoParameters:
     """Gains and poses of the photos, each optional, with their updates."""
@@ -52,11 +56,10 @@ class PhotoParameters:
         """Learning rate of poses after this share of the run; 0: no update."""
         if self.poses is None or not self.poses.learns:
             return 0.0
-        config = self._config
-        since, span = done - config.pose_start, config.pose_stop - config.pose_start
+        since, span = done - _START, _STOP - _START
         if not 0 <= since < span:
             return 0.0
-        return rate_at(config.pose_lr, config.pose_lr_final, since / span)
+        return rate_at(self._config.pose_lr, self._config.pose_lr_final, since / span)
 
     def learn(
         self, indices: Sequence[int], slopes: np.ndarray, *, done: float, factor: float

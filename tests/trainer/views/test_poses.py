@@ -19,6 +19,7 @@ from gscore.scene import camera_centers
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
+from gscore.trainer.views import photo_parameters
 from gscore.trainer.views.photo_poses import PhotoPoses, PoseCheck
 from gscore.trainer.views.pose_math import cross_matrix, moved_pose, pose_distances, pose_gradient
 from tests.trainer.short_run import CONFIG
@@ -129,7 +130,6 @@ def test_disturbed_poses_come_back(make_photos: Callable[..., Any]) -> None:
         iterations=600,
         background=Background.BLACK,
         sh_degree=0,
-        pose_start=0.05,
         pose_lr=3e-3,
     )
 
@@ -139,9 +139,9 @@ def test_disturbed_poses_come_back(make_photos: Callable[..., Any]) -> None:
             trainer.step()
         return trainer
 
-    photo_parameters = trained(PoseCheck(viewmats=wrong, learns=True))
+    refined = trained(PoseCheck(viewmats=wrong, learns=True))
     kept = trained(PoseCheck(viewmats=wrong))
-    similarity = photo_parameters.frame.similarity
+    similarity = refined.frame.similarity
     truth = similarity.cameras_to_training(photos.scene.cameras).viewmats
     points = similarity.points_to_training(photos.scene.points.points)
 
@@ -156,8 +156,8 @@ def test_disturbed_poses_come_back(make_photos: Callable[..., Any]) -> None:
         common = np.linalg.lstsq(slopes.reshape(-1, 6), off.ravel(), rcond=None)[0]
         return float(np.sqrt(((off.ravel() - slopes.reshape(-1, 6) @ common) ** 2).mean()))
 
-    assert missed(photo_parameters) < missed(kept) / 2
-    assert photo_parameters.error() < 0.9 * kept.error()
+    assert missed(refined) < missed(kept) / 2
+    assert refined.error() < 0.9 * kept.error()
 
 
 def _local(viewmats: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -178,11 +178,14 @@ def _slopes(viewmats: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.stack(found, axis=-1)
 
 
-def test_poses_stay_before_and_after_their_time(photos: Any) -> None:
-    """Oracle: the bits of the poses up to `pose_start` and from `pose_stop` on."""
-    config = replace(CONFIG, pose_start=0.25, pose_stop=0.5)
+def test_poses_stay_before_and_after_their_time(
+    photos: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the bits of the poses up to the start of the refinement and from its end on."""
+    monkeypatch.setattr(photo_parameters, "_START", 0.25)
+    monkeypatch.setattr(photo_parameters, "_STOP", 0.5)
     checked_poses = PoseCheck(viewmats=photos.scene.cameras.viewmats, learns=True)
-    trainer, seen = Trainer(config, Analysis(photos=photos, pose_check=checked_poses)), []
+    trainer, seen = Trainer(CONFIG, Analysis(photos=photos, pose_check=checked_poses)), []
     assert trainer.photo_parameters.poses is not None
     for _ in range(60):
         trainer.step()
