@@ -502,7 +502,7 @@ class TrainConfig:
     exposure: Switch = option(
         Switch.AUTO,
         "Exposure compensation: optimise brightness and white balance of each photo; `auto`: if"
-        " photos differ. New and held-out views get the mean.",
+        " photos differ. Held-out views get that of neighbours, new views the mean.",
         group="colour",
         basic=True,
     )
