@@ -1,11 +1,15 @@
 """A .blend file saved by an earlier version; oracle: what Blender listed when it was saved."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
+
+from addon.core import Splats
+from tests.addon.stored_names import stored_names
 
 SAVED = Path(__file__).parents[1] / "saved_before"
 
@@ -42,6 +46,14 @@ def test_settings_objects_and_nodes_are_there(facts: dict) -> None:
     assert [m.name for m in splats.modifiers] == facts["modifiers"]
     assert set(facts["node_groups"]) <= {g.name for g in bpy.data.node_groups}
     assert set(facts["collections"]) <= {c.name for c in bpy.data.collections}
+
+
+def test_no_stored_name_is_gone(make_splats: Callable[..., Splats]) -> None:
+    """Oracle: the names when the list was written: operators, properties, items, node groups and
+    their sockets, attributes. To add new ones, write `stored_names` to names.json again."""
+    kept, found = json.loads((SAVED / "names.json").read_text()), stored_names(make_splats(2, 24))
+    gone = {kind: sorted(set(names) - set(found[kind])) for kind, names in kept.items()}
+    assert {kind: names for kind, names in gone.items() if names} == {}
 
 
 def test_it_renders(facts: dict, tmp_path: Path) -> None:
