@@ -1,4 +1,4 @@
-// Adam over the rows of splats in training: driver interface and kernel arguments.
+// Adam over the rows of splats in training, with lazy rows that catch up later: interface, kernel arguments.
 #pragma once
 
 #include "gscore/optimizer.h"

@@ -1,4 +1,4 @@
-// Buffer: memory that a workspace reuses between calls.
+// Buffer: memory that a workspace reuses between calls, on huge pages where the system has them.
 #pragma once
 
 #include <cstddef>

@@ -1,4 +1,4 @@
-// Thread pool: parallel_for.
+// Thread pool: parallel_for, with subnormals off inside and the host's floating-point state restored.
 #pragma once
 
 #include <cstddef>

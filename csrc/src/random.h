@@ -1,4 +1,4 @@
-// Counter-based random numbers.
+// Counter-based random numbers by seed, step and row (Philox 4x32-10), uniform and normal.
 #pragma once
 
 #include "gscore/random.h"

@@ -1,4 +1,4 @@
-// Thread count of a call.
+// Thread count of a call: GSCORE_THREADS, or the number of usable cores.
 #pragma once
 
 namespace gs {

@@ -1,4 +1,4 @@
-// Types: what every part of the library uses.
+// Integer sizes that all parts of the library share: rounded-up quotients, chunks of rows.
 #pragma once
 
 #include <cstddef>

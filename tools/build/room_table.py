@@ -1,7 +1,7 @@
-"""Room table of docs/architecture.md, generated from the docstrings of the packages.
+"""Tables of docs/architecture.md: rooms by docstrings of packages, native files by their comments.
 
-`python tools/build/room_table.py` rewrites the part of the page between two markers; `--check`
-only compares, and exits with 1 if they differ.
+`python tools/build/room_table.py` rewrites the parts of the page between markers; `--check` only
+compares, and exits with 1 if they differ.
 """
 
 import ast
@@ -10,7 +10,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "architecture.md"
-BEGIN, END = "<!-- rooms: begin -->", "<!-- rooms: end -->"
+NATIVE = ROOT / "csrc" / "src"
+_ENDINGS = (".h", ".inl.h", ".cpp")
+"""Endings of files of one name; the first comment of the first of them states their purpose."""
 
 
 def _purpose(path: Path) -> str:
@@ -29,18 +31,51 @@ def rooms() -> list[tuple[str, str]]:
     return result
 
 
-def table() -> str:
-    """The table as Markdown, between the markers."""
+def _first_sentence(path: Path) -> str:
+    """The comment at the beginning of a file, up to the end of a sentence at a line's end."""
+    words: list[str] = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("//"):
+            break
+        words += line.removeprefix("//").split()
+        if words[-1].endswith("."):
+            break
+    return " ".join(words)
+
+
+def native_files() -> list[tuple[str, str]]:
+    """File names of each part of csrc/src, and its purpose."""
+    parts: dict[str, list[str]] = {}
+    for path in NATIVE.iterdir():
+        name, _, ending = path.name.partition(".")
+        parts.setdefault(name, []).append(f".{ending}")
+    result = []
+    for name, endings in sorted(parts.items()):
+        files = [f"{name}{ending}" for ending in sorted(endings, key=_ENDINGS.index)]
+        result.append(("`, `".join(files), _first_sentence(NATIVE / files[0])))
+    return result
+
+
+def _put(text: str, kind: str, table: list[str]) -> str:
+    """The text of a page with another table between the markers of `kind`."""
+    begin, end = f"<!-- {kind}: begin -->", f"<!-- {kind}: end -->"
+    head, _, rest = text.partition(begin)
+    _, _, tail = rest.partition(end)
+    return head + "\n".join([begin, "", *table, "", end]) + tail
+
+
+def page(text: str) -> str:
+    """The page with current tables."""
     rows = [f"| `{folder}/` | {purpose} |" for folder, purpose in rooms()]
-    return "\n".join([BEGIN, "", "| room | purpose |", "|---|---|", *rows, "", END])
+    text = _put(text, "rooms", ["| room | purpose |", "|---|---|", *rows])
+    rows = [f"| `{files}` | {purpose} |" for files, purpose in native_files()]
+    return _put(text, "native files", ["| files | purpose |", "|---|---|", *rows])
 
 
 def main() -> int:
     """Rewrite or check the page."""
     text = PAGE.read_text(encoding="utf-8")
-    head, _, rest = text.partition(BEGIN)
-    _, _, tail = rest.partition(END)
-    new = head + table() + tail
+    new = page(text)
     if "--check" in sys.argv[1:]:
         return int(new != text)
     PAGE.write_text(new, encoding="utf-8")
