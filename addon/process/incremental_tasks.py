@@ -3,7 +3,7 @@
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from .background_task import BackgroundTask
 
@@ -104,30 +104,3 @@ def _answered(pieces: Pieces[Any], request: ThreadCall) -> Callable[[], str | Th
         return partial(pieces.send, request.function(lambda: None))
     except Exception as error:
         return partial(pieces.throw, error)
-
-
-class Steps(Protocol):
-    """Incremental work as an object instead of a generator."""
-
-    @property
-    def sentence(self) -> str:
-        """Progress sentence."""
-
-    def step(self) -> Any:
-        """Run a short step; None until all is done, then the result."""
-
-    def cancel(self) -> None:
-        """Remove all partial results."""
-
-
-def stepped(steps: Steps) -> Pieces[Any]:
-    """`Steps` as `Pieces`; cancelled on an error or at the generator's close."""
-    done = False
-    try:
-        while (result := steps.step()) is None:
-            yield steps.sentence
-        done = True
-        return result
-    finally:
-        if not done:
-            steps.cancel()

@@ -16,11 +16,11 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ..cameras.lookup import root_of_run
 from ..cameras.objects import root_of
 from ..core import LOD_ENDING, SPLAT_ENDINGS
-from ..interface.base_operator import make_active
+from ..interface.base_operator import OnScene, make_active
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Pieces
 from . import exporting, framed, splat_files
-from .import_operator import ImportOperator
+from .importing import importing_splats
 from .objects import active_splats, can_export, hide_points, is_splats
 
 _GLOB = ";".join(f"*{ending}" for ending in SPLAT_ENDINGS)
@@ -60,6 +60,25 @@ _WORLDS = [
     ),
     (splat_files.BLENDER, "Blender", "Blender's world, as displayed, +Z up"),
 ]
+
+
+class ImportOperator(IncrementalOperator, OnScene):
+    """Base of import operators, which define the files and the handling of the objects."""
+
+    def import_requests(self, context: bpy.types.Context) -> list[splat_files.ImportRequest]:
+        """Files to import; raises ValueError if there are none."""
+        raise NotImplementedError
+
+    def show(
+        self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
+    ) -> str:
+        """Handle the objects, one per file; the text of the report."""
+        raise NotImplementedError
+
+    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+        """Read in a thread, then write to Blender."""
+        made = yield from importing_splats(context, self.import_requests(context))
+        return self.show(context, made.objects, made.warnings)
 
 
 class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):

@@ -21,7 +21,7 @@ from ..core import (
     stated_up,
 )
 from ..process.incremental_tasks import Check
-from . import conversion, objects
+from . import conversion
 from .filters import crop_matrix, is_cropped
 from .objects import ANTIALIAS
 
@@ -69,46 +69,6 @@ class ImportRequest:
     """Python for formats whose packages Blender's Python lacks."""
 
 
-def import_splats(
-    context: bpy.types.Context,
-    path: str | Path,
-    *,
-    parent: bpy.types.Object | None = None,
-    up: str = FROM_FILE,
-    level: int | None = None,
-    cropped: bpy.types.Object | None = None,
-) -> bpy.types.Object:
-    """Import a splat file of any format, or a part of a file with levels of detail, as an object.
-
-    Args:
-        context: Its collection receives the object.
-        path: The file.
-        parent: The empty of the capture that the splats were trained from; its alignment applies.
-        up: Without `parent`, the axis of the file that points up: a key of `UP_AXES`, or
-            `FROM_FILE`. The object is rotated; the data stay in the file's world. A file exported
-            in Blender's world keeps its position there, also under a parent.
-        level: Level of detail to read, 0 is the finest; None: the finest with at most
-            `MOST_AT_ONCE` splats.
-        cropped: A splat object of the same file with a crop object. Reads only splats in its box,
-            of `level` or the finest, and places them at this object.
-
-    Raises:
-        GsError: the file is missing, corrupt or contains no splats; the scene is unchanged.
-        ValueError: there is no such level, or no splat in the box.
-    """
-    return import_requested(
-        context, import_request(path, parent=parent, up=up, level=level, cropped=cropped)
-    )
-
-
-def import_requested(context: bpy.types.Context, wanted: ImportRequest) -> bpy.types.Object:
-    """Like `import_splats`, for a request of `import_request`."""
-    file = read(wanted)
-    ob = objects.create(file.splats, wanted.path.stem, collection=context.collection)
-    set_up_object(ob, wanted, file)
-    return ob
-
-
 def import_request(
     path: str | Path,
     *,
@@ -117,7 +77,7 @@ def import_request(
     level: int | None = None,
     cropped: bpy.types.Object | None = None,
 ) -> ImportRequest:
-    """Import request with the arguments of `import_splats`, for `read` in another thread.
+    """Import request for `read` in another thread; arguments as `importing.import_splats`.
 
     Raises:
         ValueError: `cropped` has no crop object, or the file no levels of detail.
@@ -151,7 +111,7 @@ def read(wanted: ImportRequest, check: Check = lambda: None) -> SplatFile:
     """Read an import request, in any thread. `check` raises after cancellation.
 
     Raises:
-        As `import_splats`.
+        As `importing.import_splats`.
     """
     if not is_lod_file(wanted.path):
         file = conversion.read(wanted.path, wanted.by, check)

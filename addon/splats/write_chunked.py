@@ -101,10 +101,11 @@ def filled(
         fillings: The writes, all complete right before this returns.
         check: Called at that moment; may raise.
     """
+    count = sum(filling.loaded.count for filling in fillings)
     try:
         while not all(filling.fill() for filling in fillings):
             share = sum(filling.share for filling in fillings) / len(fillings)
-            yield f"Writing splats to Blender: {share:.0%}"
+            yield f"Writing {count:,} splats to Blender: {share:.0%}"
         check()
         return [filling.take() for filling in fillings]
     finally:

@@ -1,15 +1,16 @@
 """Sequence import: a folder of frames as one splat object that plays them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
 
-from ..cameras.capture_transform import origin_of
-from ..core import read_splat_file
 from ..interface import editable_check
 from ..paths import relative
-from ..splats import objects, splat_files
-from ..splats.objects import ANTIALIAS
+from ..process.incremental_tasks import Pieces, run_blocking
+from ..splats import splat_files
+from ..splats.importing import importing_splats
+from ..splats.splat_files import ImportRequest
 from . import mesh
 from .frames import Series, find_series
 from .library import LIBRARY
@@ -32,7 +33,8 @@ def import_sequence(
         called: Name pattern of the frames, if the folder has several.
         start: Frame of the timeline that shows the first one.
         parent: The empty of the capture that the splats were trained from.
-        up: Without `parent`, the axis of the files that points up, a key of `files.UP_AXES`.
+        up: Without `parent`, the axis of the files that points up, a key of
+            `splat_files.UP_AXES`.
 
     Returns:
         The object, and its frames.
@@ -41,18 +43,37 @@ def import_sequence(
         GsError: the first frame cannot be read; the scene is untouched.
         ValueError: there are no frames.
     """
-    series = find_series(folder, called)
-    first = series.files[0]
-    read = read_splat_file(first.path).of_capture(origin_of(parent))
-    ob = objects.create(read.splats, folder.name, collection=context.collection, parent=parent)
-    if read.antialiased:
-        ob[ANTIALIAS] = True
-    splat_files.match_capture_origin(ob, read.origin)
-    if parent is None:
-        splat_files.turn_up(ob, up)
-    mesh.note(ob.data, first)
-    set_up_playback(ob, folder, called=called, start=start)
+    options = {"called": called, "start": start, "parent": parent, "up": up}
+    ob, series, _ = run_blocking(importing_sequence(context, folder, **options))
     return ob, series
+
+
+def importing_sequence(
+    context: bpy.types.Context,
+    folder: Path,
+    *,
+    called: str,
+    start: int,
+    parent: bpy.types.Object | None,
+    up: str,
+) -> Pieces[tuple[bpy.types.Object, Series, list[str]]]:
+    """`import_sequence` in short steps; also returns warnings.
+
+    A thread finds the frames and reads the first, which is then written to Blender.
+    """
+    found: list[Series] = []
+
+    def first(wanted: ImportRequest) -> ImportRequest:
+        found.append(find_series(folder, called))
+        return replace(wanted, path=found[0].files[0].path)
+
+    wanted = splat_files.import_request(folder, parent=parent, up=up)
+    made = yield from importing_splats(context, [wanted], find=first, note=mesh.mark_of)
+    (ob,), (mark,), series = made.objects, made.notes, found[0]
+    ob.name = ob.data.name = folder.name
+    mesh.note(ob.data, series.files[0], mark)
+    set_up_playback(ob, folder, called=called, start=start)
+    return ob, series, made.warnings
 
 
 def set_up_playback(ob: bpy.types.Object, folder: Path, *, called: str, start: int) -> None:

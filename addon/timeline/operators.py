@@ -2,22 +2,21 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..cameras.lookup import find_root
 from ..cameras.objects import root_of
-from ..core import SPLAT_ENDINGS, collected_warnings
+from ..core import SPLAT_ENDINGS
 from ..interface.base_operator import BaseOperator, OnScene, make_active
 from ..interface.incremental_operator import IncrementalOperator
 from ..process import poll_timer
-from ..process.incremental_tasks import Pieces, stepped
+from ..process.incremental_tasks import Pieces
 from ..splats.file_operators import AXIS_ITEMS
 from ..splats.objects import active_splats, hide_points, is_splats
 from . import frame_sync, importing
-from .async_import import SequenceImport
 from .frame_at import folder_of, moment_of
 from .frames import Series, name_of_file
 from .library import LIBRARY
@@ -96,23 +95,11 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Find the frames and read the first in a thread, then write it to Blender."""
-        folder, options = self._options(context)
-        coming = SequenceImport(context, folder, **options)
-        made = yield from stepped(coming)
-        return self._finish(context, made[0], coming.series, coming.warnings)
-
-    def act(self, context: bpy.types.Context) -> str:
-        """Import synchronously."""
-        folder, options = self._options(context)
-        with collected_warnings() as warnings:
-            ob, series = importing.import_sequence(context, folder, **options)
-        return self._finish(context, ob, series, warnings)
-
-    def _options(self, context: bpy.types.Context) -> tuple[Path, dict[str, Any]]:
-        """Arguments of `import_sequence`."""
         folder, called = self._chosen()
         parent = self._parent(context)
-        return folder, {"called": called, "start": self.start, "parent": parent, "up": self.up}
+        options = {"called": called, "start": self.start, "parent": parent, "up": self.up}
+        made = yield from importing.importing_sequence(context, folder, **options)
+        return self._finish(context, *made)
 
     def _finish(
         self,

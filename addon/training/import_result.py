@@ -6,7 +6,7 @@ import bpy
 
 from ..interface.base_operator import make_active
 from ..splats import framed, splat_files
-from ..splats.import_operator import ImportOperator
+from ..splats.file_operators import ImportOperator
 from . import results, start_training
 
 

@@ -8,9 +8,9 @@ import bpy
 
 from ..capture.folders import same_folder
 from ..interface.incremental_operator import with_readable_errors
-from ..nodes import display as display_nodes
 from ..process import poll_timer
 from ..process.incremental_tasks import Pieces, run_in_thread
+from ..splats import settings
 from ..splats.write_chunked import ChunkedWrite, filled
 from . import loader
 from .launch import Following, begin, follow, launch
@@ -97,9 +97,7 @@ def mesh_of(path: Path) -> Pieces[bpy.types.Mesh]:
     )
     if loaded.problem:
         raise ValueError(loaded.problem)
-    for build in display_nodes.builders():
-        build()
-        yield "Importing the splats"
+    yield from settings.building()
     [mesh] = yield from filled([ChunkedWrite(loaded)])
     return mesh
 

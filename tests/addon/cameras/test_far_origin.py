@@ -17,7 +17,7 @@ from addon.compat import matrix_to_numpy
 from addon.core import DataConfig, Splats, read_capture, read_colmap, write_colmap, write_splat_file
 from addon.splats import objects
 from addon.splats.exporting import export_splats
-from addon.splats.splat_files import import_splats
+from addon.splats.importing import import_splats
 from gscore.datasets.camera_path_json import read_camera_path
 from gscore.formats import read_splat_file
 from tests.addon.captures import write_capture
@@ -162,6 +162,6 @@ def test_reimport_keeps_the_origin_and_warns_of_another_capture(
     np.testing.assert_array_equal(capture_transform.origin_of(again.root), origin)
     other = tmp_path / "other"
     write_capture(other, np.random.default_rng(1), cameras=PINHOLES)
-    reported = captures.import_capture(scene, other).warnings
+    reported = import_capture(scene, other).warnings
     assert any("local origin" in one and made.root.name in one for one in reported)
-    assert capture_transform.ORIGIN not in captures.import_capture(scene, other).root
+    assert capture_transform.ORIGIN not in import_capture(scene, other).root

@@ -21,7 +21,7 @@ from addon.render import compare
 from addon.render.compare import PSNR
 from addon.splats import objects
 from addon.splats.error_maps import drop_maps
-from addon.splats.splat_files import import_splats
+from addon.splats.importing import import_splats
 from addon.training import lookups, verb_job
 from addon.training.verb_jobs import JOBS
 from tests.addon.captures import STUDIO

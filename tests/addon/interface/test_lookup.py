@@ -28,7 +28,7 @@ from addon.panels.depth import DepthPanel
 from addon.panels.error_maps import ErrorsPanel
 from addon.panels.train import TrainPanel
 from addon.panels.train_sequence import TrainSequencePanel
-from addon.splats.splat_files import import_splats
+from addon.splats.importing import import_splats
 from addon.training import existing_run, facts, lookups
 from tests.addon.captures import STUDIO, write_capture
 from tests.addon.drawn import drawn

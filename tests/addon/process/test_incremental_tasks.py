@@ -13,7 +13,6 @@ from addon.process.incremental_tasks import (
     TaskRunner,
     run_blocking,
     run_in_thread,
-    stepped,
 )
 
 MAIN = threading.main_thread()
@@ -97,41 +96,3 @@ def test_given_up():
     assert log == ["over"]
     go_on.set()
     assert ends.wait(60) and log == ["over"]
-
-
-class _Counting:
-    """A task as an object."""
-
-    def __init__(self, last: int) -> None:
-        self.at, self.last, self.cancelled = 0, last, False
-
-    @property
-    def sentence(self) -> str:
-        """Progress text."""
-        return f"{self.at} of {self.last}"
-
-    def step(self) -> str | None:
-        """One more."""
-        self.at += 1
-        if self.at > 2:
-            raise ValueError("too far")
-        return "there" if self.at == self.last else None
-
-    def cancel(self) -> None:
-        """Note it."""
-        self.cancelled = True
-
-
-def test_steps_are_pieces():
-    """Failed or cancelled tasks are cancelled, completed ones are not."""
-    steps = _Counting(2)
-    assert run_blocking(stepped(steps)) == "there" and not steps.cancelled
-    steps = _Counting(3)
-    with pytest.raises(ValueError, match="too far"):
-        run_blocking(stepped(steps))
-    assert steps.cancelled
-    steps = _Counting(9)
-    going = TaskRunner(stepped(steps))
-    assert not going.step() and going.sentence == "1 of 9"
-    going.cancel()
-    assert steps.cancelled

@@ -18,7 +18,7 @@ from addon.process import poll_timer
 from addon.region_training import start, train_region
 from addon.render.mesh_copies import read_marks
 from addon.splats import edit, objects, point_attributes, read_chunked, splat_files
-from addon.splats.splat_files import import_splats
+from addon.splats.importing import import_splats
 from addon.training import verb_job
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import STARTED, done, progress

@@ -4,21 +4,23 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import bmesh
 import bpy
 import numpy as np
 import pytest
 
-from addon.core import Splats, read_splats, sh0_to_rgb, write_splats
+from addon.core import GsError, Splats, read_splats, sh0_to_rgb, write_splats
 from addon.panels.sequence import SequencePanel
 from addon.process import poll_timer
+from addon.process.incremental_tasks import TaskRunner
 from addon.render.engine import final_cache
 from addon.render.scene import sources
 from addon.render.viewport_copies import Copies
 from addon.splats import objects
 from addon.timeline import frame_sync, importing, mesh
-from addon.timeline.async_import import SequenceImport
+from addon.timeline.frames import Series
 from addon.timeline.library import LIBRARY
 from tests.addon import points
 from tests.addon import splat_scenes as lab
@@ -414,13 +416,13 @@ def test_an_edit_that_blender_has_not_seen_is_kept(scene, scrubbed) -> None:
     assert len(objects.read(scrubbed)) == 120
 
 
-def come(coming: SequenceImport) -> bpy.types.Object:
-    """Complete an incremental import; return the object."""
-    end = time.monotonic() + 60
-    while (made := coming.step()) is None:
-        assert time.monotonic() < end and coming.sentence
+def come(**options: Any) -> tuple[bpy.types.Object, Series, list[str]]:
+    """Import in short steps."""
+    coming, end = TaskRunner(importing.importing_sequence(bpy.context, **options)), time.monotonic()
+    while not coming.step():
+        assert time.monotonic() < end + 60 and coming.sentence
         time.sleep(0.001)
-    return made[0]
+    return coming.result
 
 
 @pytest.mark.parametrize("under", [False, True])
@@ -429,10 +431,9 @@ def test_an_import_bit_by_bit(scene, folder, under) -> None:
     root = bpy.data.objects.new("Capture", None)
     scene.collection.objects.link(root)
     options = {"called": "", "start": 3, "parent": root if under else None, "up": "Y"}
-    coming = SequenceImport(bpy.context, folder, **options)
-    got = come(coming)
+    got, found, warnings = come(folder=folder, **options)
     wanted, series = importing.import_sequence(bpy.context, folder, **options)
-    assert coming.series == series and not coming.warnings
+    assert found == series and not warnings
     assert got.name == got.data.name == "frames" and wanted.name == "frames.001"
     assert got.parent == wanted.parent and got.matrix_basis == wanted.matrix_basis
     assert mesh.file_label(got) == mesh.file_label(wanted) and not mesh.was_edited(got)
@@ -447,11 +448,12 @@ def test_an_import_bit_by_bit_that_fails(scene, folder) -> None:
     """Oracle: the errors of the import in one call, and an empty file."""
     options = {"called": "", "start": 1, "parent": None, "up": "-Y"}
     with pytest.raises(ValueError, match="has no frames"):
-        come(SequenceImport(bpy.context, folder.parent, **options))
-    coming = SequenceImport(bpy.context, folder, **options)
+        come(folder=folder.parent, **options)
+    coming = TaskRunner(importing.importing_sequence(bpy.context, folder, **options))
+    assert not coming.step()
     coming.cancel()
-    assert coming._arrival._task.wait(60)  # a mapped file that is cut ends the process
+    assert coming._task.wait(60)  # a mapped file that is cut ends the process
     (folder / "frame_0000.ply").write_bytes(b"no splats")
-    with pytest.raises(ValueError, match="frame_0000"):
-        come(SequenceImport(bpy.context, folder, **options))
+    with pytest.raises(GsError, match="frame_0000"):
+        come(folder=folder, **options)
     assert not bpy.data.objects and not bpy.data.meshes

@@ -18,7 +18,7 @@ from addon.cameras.captures import import_capture
 from addon.cameras.objects import stated
 from addon.core import Capture, write_splats
 from addon.panels.train import GuidesPanel
-from addon.splats.splat_files import import_splats
+from addon.splats.importing import import_splats
 from addon.training import guides, registry, start_training
 from gscore.config import DataConfig
 from gscore.datasets.read import read_capture

@@ -1,5 +1,6 @@
 """Incremental imports; oracle: the same files imported in one call."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,9 +8,9 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.core import Splats, write_splats
-from addon.splats import async_import, objects, splat_files, write_chunked
-from addon.splats.async_import import AsyncImport
+from addon.core import GsError, Splats, write_splats
+from addon.process.incremental_tasks import TaskRunner
+from addon.splats import importing, objects, settings, splat_files, write_chunked
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
@@ -18,7 +19,7 @@ FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 def small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """One attribute or node group per step."""
     monkeypatch.setattr(write_chunked, "BUDGET", 0.0)
-    monkeypatch.setattr(async_import, "BUDGET", 0.0)
+    monkeypatch.setattr(settings, "BUDGET", 0.0)
 
 
 @pytest.fixture
@@ -29,27 +30,28 @@ def paths(tmp_path: Path, make_splats: Callable[..., Splats]) -> list[Path]:
     return [tmp_path / "chair.ply", tmp_path / "table.ply"]
 
 
-def begun(paths: list[Path], **options: object) -> AsyncImport:
+def begun(paths: list[Path], **options: object) -> TaskRunner:
     """An import with its files read."""
-    made = AsyncImport(bpy.context, [splat_files.import_request(path, **options) for path in paths])
-    assert made._task.wait(60)
-    return made
+    wanted = [splat_files.import_request(path, **options) for path in paths]
+    coming = TaskRunner(importing.importing_splats(bpy.context, wanted))
+    for _ in paths:
+        assert not coming.step() and coming._task.wait(60)
+    return coming
 
 
-def finished(coming: AsyncImport) -> list[bpy.types.Object]:
+def finished(coming: TaskRunner) -> list[bpy.types.Object]:
     """Complete an import; return its objects."""
     for _ in range(200):
-        made = coming.step()
-        if made is not None:
-            return made
+        if coming.step():
+            return coming.result.objects
     raise AssertionError("it never ends")
 
 
-def until_filling(coming: AsyncImport) -> bpy.types.Mesh:
-    """Step until a mesh is half filled; return it."""
-    while coming._fillings is None or coming._fillings[0].share < 0.5:
-        assert coming.step() is None
-    return next(mesh for mesh in bpy.data.meshes if "gs_temporary" in mesh)
+def until_filling(coming: TaskRunner, percent: int = 25) -> bpy.types.Mesh:
+    """Step until this part is written; return the mesh that is being filled."""
+    while int(re.search(r"Blender: (\d+)%|$", coming.sentence)[1] or 0) < percent:
+        assert not coming.step()
+    return [mesh for mesh in bpy.data.meshes if "gs_temporary" in mesh][-1]
 
 
 def same(one: bpy.types.Object, other: bpy.types.Object) -> None:
@@ -73,7 +75,7 @@ def test_as_at_once(scene: bpy.types.Scene, paths: list[Path], up: str) -> None:
     assert [ob.name for ob in made] == [ob.data.name for ob in made] == ["chair", "table"]
     assert not any("gs_temporary" in mesh for mesh in bpy.data.meshes)
     for ob, path in zip(made, paths, strict=True):
-        same(ob, splat_files.import_splats(bpy.context, path, up=up))
+        same(ob, importing.import_splats(bpy.context, path, up=up))
 
 
 @pytest.mark.parametrize(
@@ -92,7 +94,7 @@ def test_the_axis_that_a_file_states_points_up(
 ) -> None:
     """Oracle: the axis of the comment, rotated to Blender's +Z; -Y without a comment."""
     write_splats(tmp_path / "a.ply", make_splats(20), comments=(line,))
-    ob = splat_files.import_splats(bpy.context, tmp_path / "a.ply")
+    ob = importing.import_splats(bpy.context, tmp_path / "a.ply")
     turn = np.array(ob.matrix_basis)[:3, :3]
     np.testing.assert_allclose(turn @ up, (0, 0, 1), atol=1e-6)
     assert np.linalg.det(turn) == pytest.approx(1)
@@ -101,10 +103,10 @@ def test_the_axis_that_a_file_states_points_up(
 def test_all_or_none(scene: bpy.types.Scene, paths: list[Path]) -> None:
     """Oracle: an empty file, and an error with the name of the broken one."""
     paths[1].write_bytes(paths[1].read_bytes()[:-100])
-    with pytest.raises(ValueError, match=r"table\.ply is a truncated"):
+    with pytest.raises(GsError, match=r"table\.ply is a truncated"):
         finished(begun(paths))
     paths[1].unlink()
-    with pytest.raises(ValueError, match=r"table\.ply"):
+    with pytest.raises(GsError, match=r"table\.ply"):
         finished(begun(paths))
     assert not bpy.data.objects and not bpy.data.meshes
 
@@ -113,12 +115,11 @@ def test_undone_import_is_repeated(scene: bpy.types.Scene, paths: list[Path]) ->
     """Oracle: `import_splats`; undo removes meshes without users, complete ones too."""
     coming = begun(paths)
     bpy.data.meshes.remove(until_filling(coming))
-    while coming._fillings[1].share < 0.5:
-        assert coming.step() is None
+    until_filling(coming, 75)
     for mesh in list(bpy.data.meshes):
         bpy.data.meshes.remove(mesh)
     for ob, path in zip(finished(coming), paths, strict=True):
-        same(ob, splat_files.import_splats(bpy.context, path))
+        same(ob, importing.import_splats(bpy.context, path))
 
 
 def test_cancelled(scene: bpy.types.Scene, paths: list[Path]) -> None:
@@ -126,7 +127,8 @@ def test_cancelled(scene: bpy.types.Scene, paths: list[Path]) -> None:
     coming = begun(paths)
     until_filling(coming)
     coming.cancel()
-    AsyncImport(bpy.context, [splat_files.import_request(paths[0])]).cancel()
+    coming = begun(paths[:1])
+    coming.cancel()
     assert not bpy.data.objects and not bpy.data.meshes
 
 
@@ -143,8 +145,8 @@ def test_objects_removed_during_an_import(scene: bpy.types.Scene, paths: list[Pa
     bpy.data.collections.remove(own)
     ob = finished(coming)[0]
     assert ob.parent is None and ob.users_collection == (scene.collection,)
-    assert "chair" in coming.warnings[0] and "was removed" in coming.warnings[0]
-    same(ob, splat_files.import_splats(bpy.context, paths[0]))
+    assert "chair" in coming.result.warnings[0] and "was removed" in coming.result.warnings[0]
+    same(ob, importing.import_splats(bpy.context, paths[0]))
 
     other = bpy.data.scenes.new("other")
     with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):

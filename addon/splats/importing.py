@@ -1,0 +1,163 @@
+"""Import of splat files: read in a thread, written to Blender in short steps.
+
+The scene, the collection and the parents are looked up at the end, because undo or the user may
+have removed them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from .. import attributes
+from ..core import GsError, collected_warnings
+from ..interface.blocks import with_uid
+from ..process.incremental_tasks import Check, Pieces, run_blocking, run_in_thread
+from . import objects, settings, splat_files
+from .splat_files import FROM_FILE, ImportRequest, import_request
+from .write_chunked import ChunkedWrite, filled
+
+Columns = Sequence[tuple[str, str, np.ndarray]]
+"""As `attributes.columns`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Read:
+    """Contents of a read file."""
+
+    wanted: ImportRequest
+    count: int
+    columns: tuple[tuple[str, str, np.ndarray], ...]
+    size: float
+    """As `objects.typical_size`."""
+    antialiased: bool
+    origin: np.ndarray | None
+    comments: tuple[str, ...]
+    note: str
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportedSplats:
+    """Result of an import."""
+
+    objects: list[bpy.types.Object]
+    """One per file."""
+    notes: list[str]
+    """Results of `note`, one per file."""
+    warnings: list[str]
+    """Warnings for the user."""
+
+
+def import_splats(
+    context: bpy.types.Context,
+    path: str | Path,
+    *,
+    parent: bpy.types.Object | None = None,
+    up: str = FROM_FILE,
+    level: int | None = None,
+    cropped: bpy.types.Object | None = None,
+) -> bpy.types.Object:
+    """Import a splat file of any format, or a part of a file with levels of detail, as an object.
+
+    Args:
+        context: Its collection receives the object.
+        path: The file.
+        parent: The empty of the capture that the splats were trained from; its alignment applies.
+        up: Without `parent`, the axis of the file that points up: `FROM_FILE`, or a key of
+            `splat_files.UP_AXES`. The object is rotated; the data stay in the file's world. A file
+            exported in Blender's world keeps its position there, also under a parent.
+        level: Level of detail to read, 0 is the finest; None: the finest with at most
+            `splat_files.MOST_AT_ONCE` splats.
+        cropped: A splat object of the same file with a crop object. Reads only splats in its box,
+            of `level` or the finest, and places them at this object.
+
+    Raises:
+        GsError: the file is missing, corrupt or holds no splats; the scene is unchanged.
+        ValueError: there is no such level, or no splat in the box.
+    """
+    wanted = import_request(path, parent=parent, up=up, level=level, cropped=cropped)
+    return run_blocking(importing_splats(context, [wanted])).objects[0]
+
+
+def importing_splats(
+    context: bpy.types.Context,
+    wanted: Sequence[ImportRequest],
+    *,
+    find: Callable[[ImportRequest], ImportRequest] = lambda wanted: wanted,
+    note: Callable[[Columns], str] = lambda columns: "",
+) -> Pieces[ImportedSplats]:
+    """Import some files: all of them, or none.
+
+    Args:
+        context: Its scene and collection, as at the first step, receive the objects.
+        wanted: At least one file.
+        find: Resolves the file, if it must be searched for; runs in the thread.
+        note: Summarises the attributes of each file, for `notes`; runs in the thread.
+
+    Raises:
+        GsError, ValueError: a file cannot be imported, or the scene was removed; nothing is left.
+    """
+    scene_uid = context.scene.session_uid
+    collection_uid = getattr(context.collection, "session_uid", 0)
+    reads = []
+    for request in wanted:
+        read = partial(_read, request, find, note)
+        reads.append((yield from run_in_thread(read, f"Reading {request.path.name}")))
+    yield from settings.building()
+    meshes = yield from filled([ChunkedWrite(one) for one in reads], partial(_scene, scene_uid))
+    scene = _scene(scene_uid)
+    within = [scene.collection, *scene.collection.children_recursive]
+    collection = with_uid(within, collection_uid) or within[0]
+    made, warnings = [], [text for read in reads for text in read.warnings]
+    for read, mesh in zip(reads, meshes, strict=True):
+        mesh.name = read.wanted.path.stem
+        ob = objects.around(mesh, read.size, collection=collection)
+        splat_files.set_up_object(ob, read.wanted, read)
+        if read.wanted.parent and ob.parent is None:
+            warnings.append(
+                f"The parent of {ob.name} was removed during the import; it has no parent."
+            )
+        made.append(ob)
+    return ImportedSplats(objects=made, notes=[read.note for read in reads], warnings=warnings)
+
+
+def _scene(uid: int) -> bpy.types.Scene:
+    scene = with_uid(bpy.data.scenes, uid)
+    if scene is None:
+        raise ValueError("The scene of this import was removed; import the splats again.")
+    return scene
+
+
+def _read(
+    request: ImportRequest,
+    find: Callable[[ImportRequest], ImportRequest],
+    note: Callable[[Columns], str],
+    check: Check,
+) -> _Read:
+    """Read a file; runs in the thread."""
+    with collected_warnings() as warnings:
+        wanted = find(request)
+        try:
+            file = splat_files.read(wanted, check)
+            check()
+            columns = tuple(attributes.columns(file.splats))
+        except MemoryError as error:
+            raise GsError(
+                f"{wanted.path} does not fit into memory; close other programs and import it again."
+            ) from error
+        check()
+        return _Read(
+            wanted=wanted,
+            count=len(file.splats),
+            columns=columns,
+            size=objects.typical_size(file.splats),
+            antialiased=file.antialiased,
+            origin=file.origin,
+            comments=tuple(file.comments),
+            note=note(columns),
+            warnings=tuple(warnings),
+        )
