@@ -1,6 +1,7 @@
 """Render camera: pose and intrinsics of a Blender camera for the rasterizer."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -8,6 +9,10 @@ import numpy as np
 from ..compat import matrix_to_numpy
 from . import camera_math as cm
 from . import objects as co
+
+Eye = Callable[[bpy.types.Object], tuple[np.ndarray, float]]
+"""Function from an evaluated camera to an eye's matrix to the world, [4, 4], and horizontal
+shift."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +52,7 @@ def render_camera(
     depsgraph: bpy.types.Depsgraph | None = None,
     width: int | None = None,
     height: int | None = None,
+    eye: Eye | None = None,
 ) -> RenderCamera:
     """The projection of a Blender camera, equal to Blender's own.
 
@@ -56,6 +62,7 @@ def render_camera(
         depsgraph: Source of the animated pose and lens; None: the object's current ones.
         width: Pixels; None: the scene's.
         height: Pixels; None: the scene's.
+        eye: Pose and shift of an eye of a stereo pair; None: the camera's own.
 
     Raises:
         ValueError: the object is not a camera, is panoramic or custom, or its matrix is not a pose.
@@ -69,10 +76,14 @@ def render_camera(
             f"Camera {ob.name} is {kind}; splats are rendered by perspective and orthographic "
             f"cameras. Set its type to one of these."
         )
-    frame = co.frame_of(scene, width, height)
+    frame, lens = co.frame_of(scene, width, height), co.lens_of(ob.data)
+    matrix = matrix_to_numpy(ob.matrix_world)
+    if eye is not None:
+        matrix, shift = eye(ob)
+        lens = replace(lens, shift_x=shift)
     return RenderCamera(
-        viewmat=co.rigid_viewmat(matrix_to_numpy(ob.matrix_world), ob.name),
-        K=cm.intrinsics(co.lens_of(ob.data), frame),
+        viewmat=co.rigid_viewmat(matrix, ob.name),
+        K=cm.intrinsics(lens, frame),
         width=frame.width,
         height=frame.height,
         near=ob.data.clip_start,

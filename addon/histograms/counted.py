@@ -13,7 +13,7 @@ from ..interface.blocks import with_uid
 from ..interface.views import redraw_views
 from ..process import poll_timer
 from ..process.incremental_tasks import Check, Pieces, TaskRunner, run_blocking, run_in_thread
-from ..process.reserved_memory import written
+from ..splats import point_attributes
 from .counting import OPACITY, SIZE, Histogram, of_opacities, of_sizes
 
 MOST = 200_000
@@ -135,10 +135,11 @@ def _counting(uid: int, before: _Count) -> Pieces[_Count]:
     """Count a mesh, one attribute per step; returns `before` if it is still right, or if the mesh
     cannot be read."""
     columns: dict[str, np.ndarray] = {}
-    for name, width in ((attributes.BASE, 4), (attributes.SCALE, 3)):
+    for name, kind in ((attributes.BASE, "FLOAT_COLOR"), (attributes.SCALE, "FLOAT_VECTOR")):
         mesh = with_uid(bpy.data.meshes, uid)
         count = 0 if mesh is None else len(mesh.vertices)
-        values = yield from run_in_thread(lambda check, size=count * width: written(size), "")
+        make = partial(point_attributes.zeroed, {name: kind}, count)
+        [(_, _, values)] = yield from run_in_thread(make, "")
         mesh = with_uid(bpy.data.meshes, uid)
         if mesh is None or mesh.is_editmode or len(mesh.vertices) != count:
             return before  # another count follows, or none is requested
@@ -146,11 +147,10 @@ def _counting(uid: int, before: _Count) -> Pieces[_Count]:
             attribute = attributes.check_vectors(mesh, name)
         except ValueError:  # the panel shows the reason
             return _NOTHING
-        key, found = attributes.FORMATS[attribute.data_type]
-        if found != width:
+        if attributes.FORMATS[attribute.data_type][1] != values.shape[1]:
             return _NOTHING
-        attribute.data.foreach_get(key, values)
-        columns[name] = values.reshape(count, width)
+        point_attributes.copy_values(mesh, name, values)
+        columns[name] = values
     return (yield from run_in_thread(partial(_count, columns, before), ""))
 
 

@@ -53,13 +53,18 @@ class TaskRunner:
         self._pieces = pieces
         self._task: BackgroundTask | None = None
 
+    @property
+    def waits(self) -> bool:
+        """True while a thread runs, so that the next step does nothing."""
+        return self._task is not None and self._task.running
+
     def step(self) -> bool:
-        """Run the next step, unless a thread is still running; True if all is done.
+        """Run the next step, unless it `waits`; True if all is done.
 
         Raises:
             Any exception of the work, which ends it.
         """
-        if self._task is not None and self._task.running:
+        if self.waits:
             return False
         task, self._task = self._task, None
         try:

@@ -3,8 +3,8 @@
 import bpy
 
 from .. import compat
-from . import holdout_passes
 from .color import NOTHING
+from .pass_renderer import HOLDOUT_PASSES
 
 GROUP = "Combine by Depth"
 _FORM, _OF_NOW = "gs_form", 3
@@ -62,7 +62,7 @@ def group() -> bpy.types.NodeTree:
     backdrop = tree.interface.new_socket("World", in_out="INPUT", socket_type="NodeSocketColor")
     backdrop.default_value = (0, 0, 0, 0)
     tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
-    for name in holdout_passes.NAMES:  # last, so that links in older files stay valid
+    for name in HOLDOUT_PASSES:  # last, so that links in older files stay valid
         tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
     _fill(tree)
     return tree
@@ -77,7 +77,7 @@ def _fill(tree: bpy.types.NodeTree) -> None:
     """Add the nodes of the formula; variables are named as in it."""
     given = _placed(tree.nodes.new("NodeGroupInput"), tree)
     meshes, mesh_depth, splats, splat_depth, world = given.outputs[:5]
-    h, gone, held_depth, g, t = (given.outputs[name] for name in holdout_passes.NAMES)
+    h, gone, held_depth, g, t = (given.outputs[name] for name in HOLDOUT_PASSES)
     pictures = [_channels(tree, one) for one in (splats, meshes, world)]
     s, a = pictures[0][3], pictures[1][3]
     p = _before(tree, splat_depth, mesh_depth, g)

@@ -3,8 +3,8 @@
 import bpy
 
 from .. import compat
-from . import holdout_passes
 from .composite_group import group, is_current
+from .pass_renderer import HOLDOUT_PASSES
 
 LAYER_NODE, COMBINE_NODE, WORLD_NODE = "GS Splats", "GS Combine by Depth", "GS World"
 """Names of the nodes in the scene's tree."""
@@ -66,7 +66,7 @@ def _link_holdouts(
     tree: bpy.types.NodeTree, layers: bpy.types.Node, combine: bpy.types.Node
 ) -> None:
     """Link the holdout passes of the splats' render layers to the node."""
-    for name in holdout_passes.NAMES:
+    for name in HOLDOUT_PASSES:
         tree.links.new(layers.outputs[name], combine.inputs[name])
 
 

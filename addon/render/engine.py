@@ -8,24 +8,25 @@ from weakref import WeakSet, finalize
 import bpy
 import numpy as np
 
+from ..cameras.render_camera import Eye
 from ..compat import matrix_to_numpy, rec709_to_scene
 from ..core import Cancelled, GsError
 from ..interface.option_labels import error_words
 from ..timeline import frame_sync
 from ..timeline.frame_at import gap_sentence
 from ..timeline.settings import plays
-from . import holdout_meshes, holdout_passes, picture, unsupported_settings, viewport_copies
+from . import holdout_meshes, picture, unsupported_settings, viewport_copies
 from .compositing_scene import main_scene
 from .model import SplatCache
-from .pass_renderer import MESHES, SHARE, Film
+from .pass_renderer import Film, Shot
 from .passes import RequestedPasses, requested_passes
-from .regions import border_corner, border_window, camera_of, drawn_window
+from .regions import border_window, camera_of, drawn_window
 from .renders_only import renders_only
 from .samples import Mean
-from .scene import Identity, Placed, sources
+from .scene import Placed, sources
 from .selections import tinted_in
 from .shutter_lens import Stage
-from .stereo import eye_of, refusal, views_of
+from .stereo import eyes_of, refusal
 from .viewport import (
     EXACT,
     FALLBACKS,
@@ -36,7 +37,7 @@ from .viewport import (
     redraw_when_ready,
     view_camera,
 )
-from .world import background_of, world_light, world_of
+from .world import background_of, light_of
 
 NAME = "GSCORE_SPLATS"
 """The engine in `scene.render.engine`."""
@@ -63,7 +64,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self, scene: bpy.types.Scene | None = None, renderlayer: Any = None
     ) -> None:
         """Register the passes of the render for the compositor."""
-        for one in requested_passes(scene, renderlayer).registered():
+        for one in requested_passes(renderlayer, main_scene(scene)).registered():
             self.register_pass(scene, renderlayer, *one)
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
@@ -163,7 +164,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         matrices = [matrix_to_numpy(m) for m in (rv3d.view_matrix, rv3d.window_matrix)]
         size = region.width, region.height
         transparent = scene.render.film_transparent or over
-        light = np.zeros(3) if transparent else _light(depsgraph)
+        light = np.zeros(3) if transparent else light_of(depsgraph)
         return Request(
             placed=placed,
             holdout_meshes=meshes,
@@ -191,7 +192,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         """A picture without splats, [1, 1, 4]."""
         if depsgraph.scene.render.film_transparent:
             return np.zeros((1, 1, 4), np.float32)
-        return np.array([[[*_light(depsgraph), 1]]], np.float32)
+        return np.array([[[*light_of(depsgraph), 1]]], np.float32)
 
     def _refuse(self, message: str) -> None:
         """Stop with an error, in the render window and as the operator's report."""
@@ -199,70 +200,67 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self.report({"ERROR"}, message)
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
-        camera = self._camera(depsgraph.scene)
         scene, layer = depsgraph.scene, depsgraph.view_layer_eval
+        main = main_scene(scene)
+        camera = self._camera(scene, main)
         self._warn(unsupported_settings.Shown(scene=scene, layer=layer, camera=camera))
-        for view in views_of(scene.render):
-            self._render_view(depsgraph, camera, view)
+        requested = requested_passes(layer, main)
+        for view, eye in eyes_of(self, scene.render):
+            self._render_view(depsgraph, camera, requested, view, eye)
 
     def _render_view(
-        self, depsgraph: bpy.types.Depsgraph, camera: bpy.types.Object, view: str
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        camera: bpy.types.Object,
+        requested: RequestedPasses,
+        view: str,
+        eye: Eye | None,
     ) -> None:
         """Render the picture of one eye, or the only one."""
         scene, layer = depsgraph.scene, depsgraph.view_layer_eval
         size = self.resolution_x, self.resolution_y
         self.update_stats("", "Reading splats")
-        eye = eye_of(self, view)
+        window, corner = border_window(scene.render, *size)
+        transparent = scene.render.film_transparent
+        light = np.zeros(3) if transparent else light_of(depsgraph)
+        film = Film(
+            options=picture.Options(
+                background=background_of(light),
+                depths=requested.depth,
+                antialias=scene.gscore_render.antialias,
+                window=window,
+            ),
+            transparent=transparent,
+            to_scene=rec709_to_scene(),
+            mattes=requested.mattes,
+            holdouts=requested.holdout_depth,
+        )
         stage = Stage(depsgraph, camera, size, final_cache, self.frame_set, eye)
         still = stage.view()
-        requested = requested_passes(scene, layer)
-        film = self._film(depsgraph, depths=requested.depth)
         self.update_progress(0.1)
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
         if stage.blurs:
-            count = scene.gscore_render.blur_samples
-            passes, covered, blocked = self._mean(film, stage, requested, count)
+            shot = self._mean(film.without_depths(), stage, scene.gscore_render.blur_samples)
             if requested.depth:  # at the frame, through the lens's middle: mean depths are useless
-                passes["Depth"] = film.render(still, self.test_break)["Depth"]
+                shot.passes["Depth"] = film.render(still, self.test_break)["Depth"]
         else:
-            passes = film.render(still, self.test_break)
-            covered = film.coverage(still, self.test_break) if requested.mattes else {}
-            blocked = (
-                holdout_passes.blocked(film, still, self.test_break)
-                if requested.holdout_depth
-                else {}
-            )
-        if requested.holdout_depth:
-            blocked |= holdout_passes.depths(film, still, self.test_break)
-            passes |= holdout_passes.completed(blocked, passes)
-        else:
-            passes.pop(MESHES, None)
-        passes.pop(SHARE, None)  # internal, not a pass of Blender
-        passes |= requested.mattes_of(covered, passes["Combined"].shape[:2])
+            shot = film.expose(still, self.test_break)
+        passes = film.completed(shot, still, self.test_break)
+        mattes, stamps = requested.mattes_of(shot.covered, passes["Combined"].shape[:2], layer.name)
         self.update_progress(0.9)
-        self._deliver(passes, layer.name, view, scene.render, film.options.window)
-        requested.stamp(self.get_result(), layer.name, covered)
+        result = self.begin_result(0, 0, *size, layer=layer.name, view=view)
+        drawn = result.resolution_x, result.resolution_y  # may be smaller than the window
+        for name, values in (passes | mattes).items():
+            part = picture.crop(values, *corner, *drawn)
+            # Flat, and not assigned: rect = array converts each number separately.
+            result.layers[0].passes[name].rect.foreach_set(part.ravel())
+        self.end_result(result)
+        for key, value in stamps.items():
+            self.get_result().stamp_data_add_field(key, value)
 
-    def _film(self, depsgraph: bpy.types.Depsgraph, *, depths: bool) -> Film:
-        scene = depsgraph.scene
-        transparent = scene.render.film_transparent
-        black = (0.0, 0.0, 0.0)
-        options = picture.Options(
-            background=black if transparent else background_of(_light(depsgraph)),
-            depths=depths,
-            antialias=scene.gscore_render.antialias,
-            window=border_window(scene.render, self.resolution_x, self.resolution_y),
-        )
-        return Film(options=options, transparent=transparent, to_scene=rec709_to_scene())
-
-    def _mean(
-        self, film: Film, stage: Stage, requested: RequestedPasses, count: int
-    ) -> tuple[dict[str, np.ndarray], dict[Identity, np.ndarray], dict[str, np.ndarray]]:
-        """Means over lens and exposure: the passes without depths, the coverage of each object, and
-        the light that holdouts block, the last two if requested."""
-        plain, last = film.without_depths(), None
-        picture, covered, blocked = Mean(), Mean(), Mean()
-        shot, parts, light = {}, {}, {}
+    def _mean(self, film: Film, stage: Stage, count: int) -> Shot:
+        """Means over lens and exposure."""
+        last, shot, means = None, Shot({}, {}, {}), (Mean(), Mean(), Mean())
         _, top, _, height = film.options.window or (0, 0, 0, self.resolution_y)
         # Pictures have the bottom row first.
         rows = (np.arange(top, top + height)[::-1] + 0.5) / self.resolution_y
@@ -271,21 +269,13 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             for i, view in enumerate(views):
                 self.update_stats("", f"Sample {i + 1} of {count}")
                 if last is None or not view.same(last):
-                    last, shot = view, plain.render(view, self.test_break)
-                    parts = plain.coverage(view, self.test_break) if requested.mattes else {}
-                    light = (
-                        holdout_passes.blocked(plain, view, self.test_break)
-                        if requested.holdout_depth
-                        else {}
-                    )
+                    last, shot = view, film.expose(view, self.test_break)
                 if self.test_break():
                     raise Cancelled
-                row = None if shares is None else shares[i]
-                picture.add(shot, row)
-                covered.add(parts, row)
-                blocked.add(light, row)
+                for mean, pictures in zip(means, shot, strict=True):
+                    mean.add(pictures, None if shares is None else shares[i])
                 self.update_progress(0.1 + 0.8 * (i + 1) / count)
-        return picture.result(), covered.result(), blocked.result()
+        return Shot(*(mean.result() for mean in means))
 
     def _warn(self, shown: unsupported_settings.Shown) -> None:
         """Report settings without effect and missing frames, once per animation."""
@@ -295,14 +285,13 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         for sentence in [*unsupported_settings.without_effect(shown), *filter(None, gaps)]:
             self.report({"WARNING"}, sentence)
 
-    def _camera(self, scene: bpy.types.Scene) -> bpy.types.Object:
+    def _camera(self, scene: bpy.types.Scene, main: bpy.types.Scene | None) -> bpy.types.Object:
         ob = self.camera_override or scene.camera
         if ob is None:
             raise ValueError(
                 f"Scene {scene.name} has no camera: add one, or choose an imported one as the "
                 f"scene's camera."
             )
-        main = main_scene(scene)
         if main is not None and main.camera is not None and main.camera.name != ob.name:
             raise ValueError(
                 f"The camera of scene {scene.name} is {ob.name}, that of scene {main.name} is "
@@ -311,33 +300,6 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         if problem := refusal(scene, ob):
             raise ValueError(problem)
         return ob
-
-    def _deliver(
-        self,
-        passes: dict[str, np.ndarray],
-        layer: str,
-        view: str,
-        render: bpy.types.RenderSettings,
-        window: picture.Window | None,
-    ) -> None:
-        """Write the passes of the drawn window to Blender, whose own window may be smaller."""
-        full = self.resolution_x, self.resolution_y
-        left, bottom = 0, 0
-        if window is not None:
-            corner = border_corner(render, *full)
-            left, bottom = corner[0] - window[0], corner[1] - (full[1] - window[1] - window[3])
-        result = self.begin_result(0, 0, *full, layer=layer, view=view)
-        size = result.resolution_x, result.resolution_y
-        for name, values in passes.items():
-            part = picture.crop(values, left, bottom, *size)
-            # Flat, and not assigned: rect = array converts each number separately.
-            result.layers[0].passes[name].rect.foreach_set(part.ravel())
-        self.end_result(result)
-
-
-def _light(depsgraph: bpy.types.Depsgraph) -> np.ndarray:
-    """Scene-linear background color, [3]."""
-    return world_light(world_of(depsgraph.scene, depsgraph.view_layer_eval))[0]
 
 
 CLASSES = (SplatsRenderEngine,)

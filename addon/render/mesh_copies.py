@@ -4,6 +4,7 @@ import sys
 import zlib
 from collections.abc import Hashable, Sized
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -11,9 +12,9 @@ import numpy as np
 from .. import attributes
 from ..attributes import BASE, POSITION, SCALE
 from ..core import Splats
-from ..process.reserved_memory import Memory
+from ..process.incremental_tasks import Pieces, TaskRunner, run_in_thread
 from ..splats.filters import Filters, mask
-from ..splats.point_attributes import copy_values
+from ..splats.point_attributes import Column, copy_values, empty_values, zeroed
 
 SELECTED, HIDDEN = 1, 2
 """Bits of marks: selection and visibility of a point in Edit Mode."""
@@ -118,14 +119,14 @@ class Freezer:
             ahead: Floats of all attributes from which on a thread allocates their memory.
         """
         self._ahead = ahead
-        self._missing: list[str] | None = None
         self._copy = FrozenMesh("", {}, {})
-        self._memory: Memory | None = None
+        self._data: Any = None
+        self._runner = TaskRunner(self._copying())
 
     @property
     def waits(self) -> bool:
-        """Whether memory for the next step is not ready, so that the step does nothing."""
-        return self._memory is not None and not self._memory.ready
+        """Whether memory is not ready, so that the next step does nothing."""
+        return self._runner.waits
 
     def step(self, data: Any, name: str) -> FrozenMesh | None:
         """Copy one more attribute, unless it `waits`; return the copy when it is complete.
@@ -137,29 +138,22 @@ class Freezer:
         Raises:
             ValueError: attributes are missing.
         """
-        if self._missing is None:
-            self._begin(data, name)
-        if not self._missing:
-            return self._copy.remarked(read_marks(data))
-        if not self.waits:
-            one = self._missing.pop(0)
-            width = attributes.FORMATS[data.attributes[one].data_type][1]
-            shape = len(data.attributes[one].data), width
-            values = np.empty(shape, np.float32)
-            if self._memory is not None:
-                values = self._memory.take().reshape(shape)
-            copy_values(data, one, values)
-            self._copy.columns[one], self._copy.sums[one] = values, zlib.crc32(values)
-            if not self._missing:
-                self._memory = None  # all arrays are in use
-        return None
+        self._data, self._copy = data, replace(self._copy, name=name)
+        return self._copy.remarked(read_marks(data)) if self._runner.step() else None
 
-    def _begin(self, data: Any, name: str) -> None:
-        self._copy = FrozenMesh(name, {}, {})
-        self._missing = attributes.names(data, called=name)
-        found = [attributes.check_vectors(data, one, called=name) for one in self._missing]
-        sizes = [len(one.data) * attributes.FORMATS[one.data_type][1] for one in found]
-        self._memory = Memory(sizes) if sum(sizes) >= self._ahead else None
+    def _copying(self) -> Pieces[None]:
+        data, name = self._data, self._copy.name
+        found = attributes.names(data, called=name)
+        kinds = {one: attributes.check_vectors(data, one, called=name).data_type for one in found}
+        count = attributes.point_count(data)
+        if count * sum(attributes.FORMATS[kind][1] for kind in kinds.values()) < self._ahead:
+            columns = [Column(one, kind, empty_values(kind, count)) for one, kind in kinds.items()]
+        else:
+            columns = yield from run_in_thread(partial(zeroed, kinds, count), "")
+        for one, _, values in columns:
+            copy_values(self._data, one, values)
+            self._copy.columns[one], self._copy.sums[one] = values, zlib.crc32(values)
+            yield ""
 
     def repaint(self, base: np.ndarray) -> None:
         """Replace colours and opacities in an unfinished copy; as `FrozenMesh.repainted`.

@@ -1,17 +1,19 @@
 """Model of a render: all placed splat objects as one set of splats, cached; no bpy."""
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
 from .. import attributes
-from ..core import Splats, transform_splats
+from ..core import Splats, sh_basis, transform_splats
 from ..interface.option_labels import error_words
-from .holdout import apply_holdout
 from .mesh_copies import FrozenMesh, Trace, repainted_rows, trace_of
 from .scene import Identity, Placed
+
+HALF = float(0.5 / sh_basis(0, np.array([0.0, 0.0, 1.0]))[0])
+"""Difference in sh0 from grey to white, and from black to grey."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,3 +194,24 @@ def _concatenated(parts: list[Splats]) -> Splats:
     names = ("means", "quats", "scales", "opacities", "sh0")
     joined = {n: np.concatenate([getattr(p, n) for p in parts]) for n in names}
     return Splats(**joined, shN=np.concatenate(padded))
+
+
+def apply_holdout(splats: Splats, runs: list[tuple[int, bool]]) -> tuple[Splats, Splats]:
+    """Splats of which some cut holes.
+
+    Args:
+        splats: All splats.
+        runs: Lengths of consecutive runs, and whether the run cuts holes.
+
+    Returns:
+        The splats with holdouts in black; and the splats whose picture is the share of light that
+        is not cut out: holdouts black, others white, without view dependence.
+    """
+    cuts = np.repeat([cut for _, cut in runs], [count for count, _ in runs])[:, None, None]
+    sh0 = np.where(cuts, np.float32(-HALF), splats.sh0)
+    rest = np.where(cuts, np.float32(0), splats.shN)
+    share = np.repeat(np.where(cuts, np.float32(-HALF), np.float32(HALF)), 3, axis=2)
+    return (
+        replace(splats, sh0=sh0, shN=rest),
+        replace(splats, sh0=share, shN=np.zeros_like(rest[:, :0])),
+    )

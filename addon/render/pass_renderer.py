@@ -1,7 +1,15 @@
-"""Pass renderer: all passes of one sharp picture of a view."""
+"""Pass renderer: all passes of one sharp picture of a view.
 
-from collections.abc import Callable
+With holdouts these include data with which the compositor cuts meshes and the world. `HOLDOUT` is
+the share of light that holdout splats block by themselves. `HOLDOUT_BEHIND` is the share of the
+background to remove, beyond the picture's alpha. `HOLDOUT_DEPTH` is the depth of the holdout
+splats; *Depth* is then that of the other splats. `HOLDOUT_EDGE` is the picture's alpha in the
+part of a pixel that holdout meshes leave free.
+"""
+
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,10 +17,9 @@ from ..cameras.panorama import Panorama
 from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Rendered
 from . import color, picture
-from .coverage import one_hot
 from .cube import beyond, unfold
 from .mesh_holdout import Hidden, cut
-from .model import Model
+from .model import HALF, Model
 from .picture import Window
 from .scene import Identity
 from .shutter_lens import View
@@ -22,7 +29,29 @@ MESHES = "Holdout Meshes"
 such meshes."""
 SHARE = "Holdout Meshes Share"
 """Their coverage without splats; made together with `MESHES`, but not a pass of Blender."""
+HOLDOUT, HOLDOUT_BEHIND, HOLDOUT_DEPTH = "Holdout", "Holdout Behind", "Holdout Depth"
+HOLDOUT_EDGE = "Holdout Beside"
+HOLDOUT_PASSES = HOLDOUT, HOLDOUT_BEHIND, HOLDOUT_DEPTH, MESHES, HOLDOUT_EDGE
+"""Names of the passes with which the compositor cuts at holdouts, in their order."""
+_FULL = 1e-4
+"""Transmittance below which the background is taken as hidden."""
+_PART = 1 / 16
+"""Least part of a pixel that gets its own alpha; smaller ones are unreliable in lens means."""
 _BLACK, _WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+
+Stop = Callable[[], bool]
+
+
+class Shot(NamedTuple):
+    """Pictures of one view, or their means over several; all float32, the bottom row first."""
+
+    passes: dict[str, np.ndarray]
+    """As from `Film.render`."""
+    covered: dict[Identity, np.ndarray]
+    """Coverage of each pixel by each object, [H, W]; empty if not requested."""
+    blocked: dict[str, np.ndarray]
+    """The light that splats block, [H, W]: by holdouts as `HOLDOUT`, by all splats as
+    `HOLDOUT_BEHIND`; empty without holdouts, or if not requested."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,13 +65,17 @@ class Film:
     """[3, 3], from linear Rec. 709 to the file's working space."""
     over_view: bool = False
     """Whether Combined is drawn over a view's picture (`color.over_view`); a transparent film."""
+    mattes: bool = False
+    """Whether the coverage by each object is requested."""
+    holdouts: bool = False
+    """Whether `HOLDOUT_PASSES` are requested; with depths and a transparent film."""
 
     def without_depths(self) -> "Film":
         """The film without the pass Depth."""
         return replace(self, options=replace(self.options, depths=False))
 
     def render(
-        self, view: View, stop: Callable[[], bool], cancel: CancelFlag | None = None
+        self, view: View, stop: Stop, cancel: CancelFlag | None = None
     ) -> dict[str, np.ndarray]:
         """The passes by name, float32, the bottom row first: "Combined" [H, W, 4], "Depth" [H, W],
         `MESHES` and `SHARE` [H, W, 1].
@@ -81,21 +114,53 @@ class Film:
             passes["Depth"] = color.z_pass(rendered)
         return passes
 
-    def coverage(self, view: View, stop: Callable[[], bool]) -> dict[Identity, np.ndarray]:
-        """Coverage of each pixel by each object, [H, W] float32, the bottom row first.
+    def expose(self, view: View, stop: Stop) -> Shot:
+        """All pictures of a view; errors as `render`."""
+        passes = self.render(view, stop)
+        covered = self._coverage(view, stop) if self.mattes else {}
+        blocked = {}
+        if self.holdouts and view.model.shares is not None:
+            whole = replace(view, model=replace(view.model, shares=None))
+            shown = {HOLDOUT: _only(view, holdout=True), HOLDOUT_BEHIND: whole}
+            plain = self.without_depths()
+            blocked = {
+                n: plain.render(v, stop)["Combined"][..., 3].copy() for n, v in shown.items()
+            }
+        return Shot(passes, covered, blocked)
 
-        Draws one more picture per three objects; errors as `render`.
+    def completed(self, shot: Shot, view: View, stop: Stop) -> dict[str, np.ndarray]:
+        """All passes that Blender stores.
+
+        Args:
+            shot: Pictures of this film, or their means.
+            view: The view at the frame itself, for depths, of which means are useless.
+            stop: As for `render`.
         """
+        passes = dict(shot.passes)
+        if self.holdouts:
+            found = dict(shot.blocked)
+            if view.model.shares is not None:
+                shown = {
+                    "Depth": _only(view, holdout=False),
+                    HOLDOUT_DEPTH: _only(view, holdout=True),
+                }
+                found |= {name: self.render(v, stop)["Depth"] for name, v in shown.items()}
+            passes |= _holdout_passes(found, passes)
+        else:
+            passes.pop(MESHES, None)
+        passes.pop(SHARE, None)  # internal, not a pass of Blender
+        return passes
+
+    def _coverage(self, view: View, stop: Stop) -> dict[Identity, np.ndarray]:
+        """`Shot.covered`; draws one more picture per three objects."""
         found = {}
-        for three, model in one_hot(view.model):
+        for three, model in _one_hot(view.model):
             weights = self._weights(view, model, self.options.window, stop)
             for i, owner in enumerate(three):
                 found[owner] = np.ascontiguousarray(weights[..., i])
         return found
 
-    def _weights(
-        self, view: View, model: Model, window: Window | None, stop: Callable[[], bool]
-    ) -> np.ndarray:
+    def _weights(self, view: View, model: Model, window: Window | None, stop: Stop) -> np.ndarray:
         """Picture [H, W, 4] of a model at the place of the view's; the last channel is unused."""
         if isinstance(view.camera, Panorama):
 
@@ -110,9 +175,7 @@ class Film:
         rgb = _exposed(model, view.camera, options, view.hidden, stop, None)[0].rgb
         return np.pad(np.clip(rgb, 0, 1)[::-1], ((0, 0), (0, 0), (0, 1)))
 
-    def _unfold(
-        self, view: View, camera: Panorama, stop: Callable[[], bool]
-    ) -> dict[str, np.ndarray]:
+    def _unfold(self, view: View, camera: Panorama, stop: Stop) -> dict[str, np.ndarray]:
         def side(camera: RenderCamera, window: Window) -> dict[str, np.ndarray]:
             film = replace(self, options=replace(self.options, window=window))
             return film.render(replace(view, model=distant, camera=camera), stop)
@@ -129,7 +192,7 @@ def _exposed(
     camera: RenderCamera,
     options: picture.Options,
     at: Hidden | None,
-    stop: Callable[[], bool],
+    stop: Stop,
     cancel: CancelFlag | None,
 ) -> tuple[Rendered, np.ndarray | None]:
     """A picture, and with holdout meshes the share of the background that shows."""
@@ -146,3 +209,55 @@ def _exposed(
     drawn, light = cut(before, free, part)
     rgb = drawn.rgb + light[..., None] * np.array(options.background, np.float32)
     return replace(drawn, rgb=rgb), light
+
+
+def _one_hot(model: Model) -> Iterator[tuple[list[Identity], Model]]:
+    """A model with objects coded as colors, so that its pictures are the objects' coverage.
+
+    Yields:
+        Up to three objects, and the model with the first in red, the second in green, the third in
+        blue and all else black; repeated for all objects except holdouts.
+    """
+    found = list(dict.fromkeys(owner for owner, _ in model.owners if owner is not None))
+    counts = [count for _, count in model.owners]
+    for first in range(0, len(found), 3):
+        three = found[first : first + 3]
+        # Far below black, so that rounding leaves nothing of the other objects.
+        colors = np.full((len(counts), 3), -2 * HALF, np.float32)
+        for row, (owner, _) in zip(colors, model.owners, strict=True):
+            if owner in three:
+                row[three.index(owner)] = HALF
+        sh0 = np.repeat(colors, counts, axis=0)[:, None]
+        splats = replace(model.splats, sh0=sh0, shN=np.zeros_like(model.splats.shN[:, :0]))
+        yield three, replace(model, splats=splats, shares=None)
+
+
+def _holdout_passes(
+    found: dict[str, np.ndarray], passes: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """`HOLDOUT_PASSES` from `Shot.blocked` with depths, and from the other passes."""
+    picture = passes["Combined"]
+    nothing = np.zeros(picture.shape[:2], np.float32)
+    meshes, share = (passes.get(n, nothing).reshape(nothing.shape) for n in (MESHES, SHARE))
+    found = {MESHES: meshes, HOLDOUT_EDGE: _edge_alpha(picture[..., 3], meshes, share), **found}
+    if HOLDOUT not in found:
+        far = np.full_like(nothing, color.NOTHING)
+        return {**found, HOLDOUT: nothing, HOLDOUT_BEHIND: nothing, HOLDOUT_DEPTH: far}
+    light, left = 1 - found[HOLDOUT_BEHIND], 1 - picture[..., 3]
+    kept = np.divide(light, left, out=np.zeros_like(light), where=left > _FULL)
+    return {**found, HOLDOUT_BEHIND: 1 - np.clip(kept, 0, 1)}
+
+
+def _edge_alpha(alpha: np.ndarray, meshes: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Alpha in the part of each pixel outside holdout meshes, or of the whole pixel where they
+    cover all. At least the whole pixel's alpha, because the meshes hide splats behind them."""
+    more = (meshes - share * (1 - alpha)) / np.maximum(1 - share, _PART)
+    return np.clip(alpha + more, alpha, np.maximum(alpha, 1))
+
+
+def _only(view: View, *, holdout: bool) -> View:
+    """The view with holdout splats only, or without them."""
+    owners, counts = zip(*view.model.owners, strict=True)
+    cuts = np.repeat([owner is None for owner in owners], counts)
+    splats = view.model.splats.subset(cuts == holdout)
+    return replace(view, model=replace(view.model, splats=splats, shares=None, owners=()))

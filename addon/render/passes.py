@@ -1,16 +1,14 @@
 """Render passes: those that a view layer requests, and their registration with Blender."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import bpy
 import numpy as np
 
 from ..compat import index_pass_name
-from . import cryptomatte, holdout_passes
-from .compositing_scene import main_scene
-from .coverage import index_pass, summed
+from . import cryptomatte
+from .pass_renderer import HOLDOUT_PASSES
 from .scene import Identity
 
 SWITCHES = {
@@ -51,7 +49,7 @@ class RequestedPasses:
         if self.depth:
             found.append(("Depth", 1, "Z", "VALUE"))
         if self.holdout_depth:
-            found += [(name, 1, "Z", "VALUE") for name in holdout_passes.NAMES]
+            found += [(name, 1, "Z", "VALUE") for name in HOLDOUT_PASSES]
         if self.index:
             found.append((index_pass_name(), 1, "X", "VALUE"))
         for kind in self.kinds:
@@ -61,34 +59,23 @@ class RequestedPasses:
         return found
 
     def mattes_of(
-        self, covered: Mapping[Identity, np.ndarray], shape: tuple[int, int]
-    ) -> dict[str, np.ndarray]:
-        """The matte passes by name.
+        self, covered: Mapping[Identity, np.ndarray], shape: tuple[int, int], layer: str
+    ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+        """The matte passes by name, and the metadata of Cryptomatte for the render's result.
 
         Args:
             covered: Coverage by object, [H, W] float32.
             shape: H and W.
-        """
-        found = {}
-        if self.index:
-            found[index_pass_name()] = index_pass(covered, shape, self.threshold)
-        for kind in self.kinds:
-            named = summed(covered, _NAMES[kind])
-            found |= cryptomatte.ranked(named, shape, kind, self.levels)
-        return found
-
-    def stamp(self, result: Any, layer: str, covered: Mapping[Identity, np.ndarray]) -> None:
-        """Write the metadata of Cryptomatte into a render's result.
-
-        Args:
-            result: The RenderResult of the whole render.
             layer: Name of the view layer.
-            covered: As for `mattes_of`.
         """
+        found, stamps = {}, {}
+        if self.index:
+            found[index_pass_name()] = _index_pass(covered, shape, self.threshold)
         for kind in self.kinds:
-            names = sorted({_NAMES[kind](owner) for owner in covered})
-            for key, value in cryptomatte.metadata(layer, kind, names).items():
-                result.stamp_data_add_field(key, value)
+            named = _summed(covered, _NAMES[kind])
+            found |= cryptomatte.ranked(named, shape, kind, self.levels)
+            stamps |= cryptomatte.metadata(layer, kind, sorted(named))
+        return found, stamps
 
 
 _NAMES = {
@@ -97,18 +84,49 @@ _NAMES = {
 }
 
 
-def requested_passes(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> RequestedPasses:
-    """The passes that a view layer requests, with those that compositing needs in a splat-only
-    scene."""
+def requested_passes(layer: bpy.types.ViewLayer, main: bpy.types.Scene | None) -> RequestedPasses:
+    """The passes that a view layer requests.
+
+    Args:
+        layer: The view layer.
+        main: The main scene, if this is a splat-only one, whose compositing needs more passes.
+    """
     kinds = {
         cryptomatte.OBJECT: layer.use_pass_cryptomatte_object,
         cryptomatte.ASSET: layer.use_pass_cryptomatte_asset,
     }
     return RequestedPasses(
         depth=layer.use_pass_z,
-        holdout_depth=layer.use_pass_z and main_scene(scene) is not None,
+        holdout_depth=layer.use_pass_z and main is not None,
         index=layer.use_pass_object_index,
         kinds=tuple(kind for kind, on in kinds.items() if on),
         levels=layer.pass_cryptomatte_depth,
         threshold=layer.pass_alpha_threshold,
     )
+
+
+def _summed(
+    covered: Mapping[Identity, np.ndarray], name_of: Callable[[Identity], str]
+) -> dict[str, np.ndarray]:
+    """Coverage summed over the objects of one name, by name."""
+    total: dict[str, np.ndarray] = {}
+    for owner, part in covered.items():
+        name = name_of(owner)
+        total[name] = total[name] + part if name in total else part
+    return total
+
+
+def _index_pass(
+    covered: Mapping[Identity, np.ndarray], shape: tuple[int, int], threshold: float
+) -> np.ndarray:
+    """The Pass Index of the object with the largest coverage of a pixel, [H, W] float32.
+
+    0 where the coverage of all objects together is below the threshold, or zero.
+    """
+    most, total, result = (np.zeros(shape, np.float32) for _ in range(3))
+    for owner, part in covered.items():
+        result[part > most] = owner.index
+        np.maximum(most, part, out=most)
+        total += part
+    result[total < threshold] = 0
+    return result

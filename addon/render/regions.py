@@ -68,19 +68,18 @@ def drawn_window(
     return left, height - top, right - left, top - bottom
 
 
-def border_corner(render: bpy.types.RenderSettings, width: int, height: int) -> tuple[int, int]:
-    """Left and bottom pixel of the render border, in float32 as in Blender."""
-    left = np.float32(render.border_min_x) * np.float32(width)
-    bottom = np.float32(render.border_min_y) * np.float32(height)
-    return int(left), int(bottom)
-
-
-def border_window(render: bpy.types.RenderSettings, width: int, height: int) -> Window | None:
-    """Left, top, width and height of a window that includes the render border; None without one."""
+def border_window(
+    render: bpy.types.RenderSettings, width: int, height: int
+) -> tuple[Window | None, tuple[int, int]]:
+    """A window of a render that includes its border, and the border's left and bottom pixel in it;
+    None and (0, 0) without a border."""
     if not render.use_border:
-        return None
-    left, bottom = border_corner(render, width, height)
+        return None, (0, 0)
+    # In float32, as in Blender.
+    ends = np.float32([render.border_min_x, render.border_min_y])
+    corner = [int(end) for end in ends * np.float32([width, height])]
     right = min(int(np.ceil(render.border_max_x * width)) + 1, width)
     top = min(int(np.ceil(render.border_max_y * height)) + 1, height)
-    left, bottom = min(left, width - 1), min(bottom, height - 1)
-    return left, height - top, max(right - left, 1), max(top - bottom, 1)
+    left, bottom = min(corner[0], width - 1), min(corner[1], height - 1)
+    window = left, height - top, max(right - left, 1), max(top - bottom, 1)
+    return window, (corner[0] - left, corner[1] - (height - window[1] - window[3]))

@@ -11,7 +11,7 @@ import numpy as np
 
 from .. import attributes
 from ..cameras.panorama import Panorama, panorama_of
-from ..cameras.render_camera import RenderCamera, render_camera
+from ..cameras.render_camera import Eye, RenderCamera, render_camera
 from ..compat import matrix_to_numpy
 from ..timeline import frame_sync
 from .compositing_scene import main_scene
@@ -21,7 +21,6 @@ from .mesh_holdout import Hidden, hidden
 from .model import Model, SplatCache
 from .samples import Aperture, Sample, Shutter, samples
 from .scene import NO_SPLATS, Placed, Source, place, sources
-from .stereo import Eye, eye_camera
 
 _OPENINGS = {"START": 0.0, "CENTER": -0.5, "END": -1.0}
 """Opening time relative to the frame, in exposure times, by Blender's names."""
@@ -201,10 +200,8 @@ class Stage:
         if own.type == "CAMERA" and own.data.type == "PANO":
             return panorama_of(own, self._depsgraph.scene, width=width, height=height)
         scene = self._depsgraph.scene
-        camera = render_camera(
-            self._camera, scene, depsgraph=self._depsgraph, width=width, height=height
-        )
-        return camera if self._eye is None else eye_camera(self._eye, camera, own, scene)
+        size = {"width": width, "height": height}
+        return render_camera(self._camera, scene, depsgraph=self._depsgraph, **size, eye=self._eye)
 
     def _go(self, frame: float) -> None:
         whole = math.floor(frame)

@@ -29,6 +29,11 @@ def world_light(world: bpy.types.World | None) -> tuple[np.ndarray, str]:
     )
 
 
+def light_of(depsgraph: bpy.types.Depsgraph) -> np.ndarray:
+    """Scene-linear colour [3] of the background of a depsgraph."""
+    return world_light(world_of(depsgraph.scene, depsgraph.view_layer_eval))[0]
+
+
 def background_of(light: np.ndarray) -> tuple[float, float, float]:
     """sRGB values of a scene-linear colour."""
     rec709 = np.linalg.solve(rec709_to_scene(), np.asarray(light, np.float64))

@@ -1,11 +1,13 @@
 """Point attributes as tables, splat or other: kept when points are deleted or joined; no bpy."""
 
+from collections.abc import Mapping
 from itertools import takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..attributes import BASE, FORMATS, POSITION, ROTATION, SCALE, SELECTION, SH, SH_COUNTS
+from ..process.incremental_tasks import Check
 
 GROUP = "GROUP"
 """Data type of vertex group columns: weights; NaN: the splat is not in the group."""
@@ -72,6 +74,20 @@ def empty_values(kind: str, count: int) -> np.ndarray:
     """[N, width] uninitialised values for an attribute of a data type."""
     width = 1 if kind in _LACKING else FORMATS[kind][1]
     return np.empty((count, width), _DTYPES.get(kind, np.float32))
+
+
+def zeroed(kinds: Mapping[str, str], count: int, check: Check = lambda: None) -> list[Column]:
+    """Zero-filled columns by name and data type, for a thread; `check` raises after cancellation.
+
+    The first write to an array allocates its memory pages. For the 12 MB of one attribute of a
+    million splats this takes 10 to 70 ms; copying them takes 1 ms.
+    """
+    made = []
+    for name, kind in kinds.items():
+        check()
+        made.append(Column(name, kind, empty_values(kind, count)))
+        made[-1].values.fill(0)
+    return made
 
 
 def copy_values(mesh: Any, name: str, values: np.ndarray) -> None:

@@ -79,7 +79,9 @@ class ChunkedRead:
             count = attributes.point_count(self._copy())
             # First, because removing an attribute also removes the group of the same name.
             own = (yield from self._weights(groups, count)) if groups else []
-            columns = yield from run_in_thread(partial(_made, kinds, count), self._sentence(0.0))
+            columns = yield from run_in_thread(
+                partial(point_attributes.zeroed, kinds, count), self._sentence(0.0)
+            )
             until = time.perf_counter() + BUDGET
             for done, (name, kind, values) in enumerate(columns):
                 if time.perf_counter() > until:
@@ -130,17 +132,6 @@ class ChunkedRead:
         if copy is None:
             raise ValueError(f"{self._of} was removed before its splats were read: try again.")
         return copy
-
-
-def _made(kinds: dict[str, str], count: int, check: Check) -> list[Column]:
-    """Zero-filled columns: the first write allocates memory pages, which for a million splats takes
-    longer than copying them."""
-    made = []
-    for name, kind in kinds.items():
-        check()
-        made.append(Column(name, kind, point_attributes.empty_values(kind, count)))
-        made[-1].values.fill(0)
-    return made
 
 
 def _check_finite(columns: list[Column], called: str, check: Check) -> None:

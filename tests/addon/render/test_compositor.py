@@ -10,10 +10,10 @@ from addon.render import (
     composite_group,
     composite_nodes,
     compositor,
-    holdout_passes,
     shutter_lens,
     unsupported_settings,
 )
+from addon.render.pass_renderer import HOLDOUT_PASSES
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 from tests.addon.mesh_scenes import emitter, glass, paint_world, plane
@@ -495,7 +495,12 @@ def test_an_engine_that_is_gone_is_replaced(mixed):
 
 @pytest.mark.parametrize(
     "lacking",
-    [(), holdout_passes.NAMES[3:], holdout_passes.NAMES, ("World", *holdout_passes.NAMES)],
+    [
+        (),
+        HOLDOUT_PASSES[3:],
+        HOLDOUT_PASSES,
+        ("World", *HOLDOUT_PASSES),
+    ],
 )
 def test_an_older_file_keeps_its_links(mixed, tmp_path, lacking):
     """Oracle: the picture of a new set-up with holdout splats and a holdout mesh, and one group,

@@ -11,7 +11,6 @@ import pytest
 from addon.cameras.render_camera import render_camera
 from addon.compat import TEXTURES_ARE_ENCODED, matrix_to_numpy
 from addon.core import CancelFlag, Cancelled, Splats, render
-from addon.process.reserved_memory import Memory
 from addon.render import mesh_copies, picture, viewport, viewport_copies
 from addon.render.color import EXPONENT, over_view
 from addon.render.mesh_copies import HIDDEN, SELECTED
@@ -19,6 +18,7 @@ from addon.render.model import SplatCache
 from addon.render.scene import Placed, sources
 from addon.render.selections import Tinted, marks_of
 from addon.splats import filters
+from addon.splats.point_attributes import zeroed
 from tests.addon import splat_scenes as lab
 
 
@@ -169,28 +169,21 @@ def test_copying_is_spread_over_redraws(scene, monkeypatch):
     assert len(SplatCache().model(placed).splats) == 2000
 
 
-class _SlowMemory(Memory):
-    """Fake memory whose arrays are ready from the second check on."""
-
-    looks = 0
-
-    @property
-    def ready(self) -> bool:
-        """True at every other call, if the thread has allocated it."""
-        self.looks += 1
-        return self.looks % 2 == 0 and super().ready
-
-
 def test_a_copy_waits_for_memory(scene, monkeypatch):
     """Oracle: a copy of the same mesh without the thread; a waiting step copies nothing."""
-    ob = lab.add(scene, lab.blob(2000))
-    monkeypatch.setattr(mesh_copies, "Memory", _SlowMemory)
-    freezer, had, waits = mesh_copies.Freezer(ahead=0), 0, 0
+    ob, may_end = lab.add(scene, lab.blob(2000)), threading.Event()
+
+    def slow(*given):
+        assert may_end.wait(60)
+        return zeroed(*given)
+
+    monkeypatch.setattr(mesh_copies, "zeroed", slow)
+    freezer = mesh_copies.Freezer(ahead=0)
+    assert freezer.step(ob.data, ob.name) is None and freezer.waits
+    assert freezer.step(ob.data, ob.name) is None and not freezer._copy.columns
+    may_end.set()
     while (copy := freezer.step(ob.data, ob.name)) is None:
-        has = len(freezer._copy.columns)
-        waits += has == had
-        had = has
-    assert waits >= 12  # once an attribute: position, scale, rotation, base and 8 of SH
+        time.sleep(0.001)
     assert copy.fingerprint == mesh_copies.freeze(ob.data, ob.name).fingerprint
     assert not freezer.waits
 
