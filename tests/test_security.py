@@ -80,7 +80,7 @@ WRITES = {
     "addon/splats/exporting.py": "the user's choice",
     "addon/trainer_python/install_lock.py": "Blender's folder of it",
     "addon/trainer_python/installer.py": "Blender's folder of it",
-    "addon/training/box_limit.py": "the output folder",
+    "addon/training/start_training.py": "the output folder",
     "addon/training/guides.py": "the output folder",
     "addon/training/results.py": "no file, an object",
 }

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core import Cameras, atomic_write, file_errors, write_cameras, write_nerfstudio_path
 from ..process import garbage
-from ..process.incremental_tasks import BUDGET, Check, Pieces, run_blocking, run_in_thread
+from ..process.incremental_tasks import BUDGET, Check, Pieces, run_in_thread
 from . import objects as co
 from .capture_transform import origin_of
 from .export_transforms import transforms_text
@@ -20,18 +20,6 @@ from .export_views import ExportView, Tracked, collect, in_file_coordinates
 
 CAMERAS, TRANSFORMS, NERFSTUDIO = "CAMERAS", "TRANSFORMS", "NERFSTUDIO"
 """File formats: cameras.json, transforms.json, nerfstudio's camera_path.json."""
-
-
-def export_path(
-    path: str | Path,
-    camera: bpy.types.Object,
-    scene: bpy.types.Scene,
-    *,
-    root: bpy.types.Object | None = None,
-    kind: str = CAMERAS,
-) -> int:
-    """`exporting_path` in one call."""
-    return run_blocking(exporting_path(path, camera, scene, root=root, kind=kind))
 
 
 def exporting_path(

@@ -17,7 +17,7 @@ from ..interface.blocks import with_uid
 from ..interface.option_labels import panel_words
 from ..interface.temporary_data import Temporary
 from ..process import garbage
-from ..process.incremental_tasks import BUDGET, Check, Pieces, run_blocking, run_in_thread
+from ..process.incremental_tasks import BUDGET, Check, Pieces, run_in_thread
 from . import camera_math as cm
 from . import objects as co
 from .capture_transform import origin_of
@@ -45,11 +45,6 @@ class ImportedPath:
     """Timeline frames per second; None: the file has no frame rate."""
     warnings: tuple[str, ...]
     """Sentences for the user."""
-
-
-def import_path(path: str | Path, scene: bpy.types.Scene, **options: Any) -> ImportedPath:
-    """`importing_path` in one call."""
-    return run_blocking(importing_path(path, scene, **options))
 
 
 def importing_path(

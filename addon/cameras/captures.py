@@ -1,28 +1,16 @@
-"""Captures of a scene: synchronous import, inspection, search."""
+"""Captures of a scene: choice of cameras, and folders of photos."""
 
 from pathlib import Path
-from typing import Any
 
 import bpy
 
 from .. import stored_paths
 from ..core import Folder, find_capture
 from ..interface import editable_check
-from ..interface.incremental_removal import finish
-from ..process.incremental_tasks import run_blocking
 from . import objects as co
 from . import scene_camera, undistort_jobs
 from .backgrounds import KnownImages, photo_of, photo_on_disk, set_photo
-from .importing import ImportedCapture, importing
 from .objects import cameras_of, is_camera
-
-
-def import_capture(scene: bpy.types.Scene, path: str | Path, **options: Any) -> ImportedCapture:
-    """Import a capture into the scene in one call; arguments and errors as `importing`."""
-    try:
-        return run_blocking(importing(scene, path, **options))
-    finally:
-        finish()
 
 
 def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:

@@ -22,23 +22,9 @@ from ..core import (
     write_colmap,
 )
 from ..interface.option_labels import error_words
-from ..process.incremental_tasks import Check, Pieces, run_blocking, run_in_thread
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
 from .export_sources import ExportInputs, points_to_export, reading_inputs
 from .export_views import Exported, ExportView, Graph, all_or_none, kept_lenses
-
-
-def export_colmap(
-    path: str | Path,
-    cameras: Sequence[bpy.types.Object],
-    scene: bpy.types.Scene,
-    *,
-    root: bpy.types.Object | None = None,
-    binary: bool = True,
-    depsgraph: bpy.types.Depsgraph | None = None,
-) -> Exported:
-    """`exporting_colmap` in one call."""
-    options = {"root": root, "binary": binary, "depsgraph": lambda: depsgraph}
-    return run_blocking(exporting_colmap(path, cameras, scene, **options))
 
 
 def exporting_colmap(

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ..core import ColmapPoints, atomic_write, offset_between
-from ..process.incremental_tasks import Check, Pieces, run_blocking, run_in_thread
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
 from . import camera_math as cm
 from .export_sources import ExportInputs, points_to_export, reading_inputs
 from .export_views import Exported, ExportView, Graph, all_or_none, in_file_coordinates, kept_lenses
@@ -22,19 +22,6 @@ _KEYS = {"f": ("fl_x", "fl_y"), "fx": ("fl_x",), "fy": ("fl_y",), "cx": ("cx",),
 _OPENCV = frozenset({"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"})
 _UNUSED = frozenset({"k4", "k5", "k6"})
 """Parameters of FULL_OPENCV without an agreed meaning in transforms.json."""
-
-
-def export_transforms(
-    path: str | Path,
-    cameras: Sequence[bpy.types.Object],
-    scene: bpy.types.Scene,
-    *,
-    root: bpy.types.Object | None = None,
-    depsgraph: bpy.types.Depsgraph | None = None,
-) -> Exported:
-    """`exporting_transforms` in one call."""
-    options = {"root": root, "depsgraph": lambda: depsgraph}
-    return run_blocking(exporting_transforms(path, cameras, scene, **options))
 
 
 def exporting_transforms(

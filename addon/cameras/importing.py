@@ -22,7 +22,7 @@ from ..interface.incremental_removal import clear, clearing
 from ..interface.temporary_data import Temporary, release
 from ..process import garbage
 from ..process.incremental_tasks import BUDGET, Pieces, run_in_thread
-from . import footprint, sfm_points, undistort_jobs
+from . import capture_transform, sfm_points, undistort_jobs
 from . import objects as co
 from .backgrounds import KnownImages, set_photo, shows_photo
 from .capture_transform import PHOTO_UP, UP, note_origin, root_scale, set_root_matrix, size_drawing
@@ -258,8 +258,8 @@ class _PendingCapture:
         cameras, points = co.by_image(outer.children[0].objects), co.find_points(outer.objects)
         if self._align and (others := roots_of(scene)):
             matrix = self._read.matrix
-            reach = footprint.reach_of(matrix, cameras, points)
-            set_root_matrix(root, footprint.place_next_to(matrix, reach, others))
+            reach = capture_transform.reach_of(matrix, cameras, points)
+            set_root_matrix(root, capture_transform.place_next_to(matrix, reach, others))
         self._temporary.take()
         scene.collection.children.link(outer)
         return Present(root=root, cameras=cameras, points=points)

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..interface.base_operator import BaseOperator, OnScene
+from ..interface.base_operator import OnScene, Undoable
 from ..interface.incremental_operator import IncrementalOperator
 from ..paths import absolute
 from ..process.incremental_tasks import Pieces
@@ -19,10 +19,8 @@ from .objects import cameras_of
 from .select_imported import choose
 
 
-class OnCapture(BaseOperator):
+class OnCapture(Undoable):
     """Base of operators on a capture's empty."""
-
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     capture: StringProperty(
         name="Capture",
@@ -38,7 +36,6 @@ class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.import_cameras"
     bl_label = "Import Cameras"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     directory: StringProperty(
         name="Capture",

@@ -5,7 +5,7 @@ import bpy
 from .. import stored_paths
 from ..interface import framing
 from ..interface.base_operator import make_active_in
-from .footprint import frame_capture
+from .capture_transform import frame_capture
 from .importing import ImportedCapture
 
 

@@ -7,26 +7,24 @@ from typing import ClassVar
 import bpy
 from bpy.props import StringProperty
 
-from ..interface.base_operator import BaseOperator
-from ..interface.confirm_operator import ConfirmMixin, wrapped
+from ..interface.base_operator import BaseOperator, ConfirmMixin, Undoable, wrapped
 from ..interface.lookup import Lookup
 from ..preferences import SECTIONS, Preferences
 from ..process import poll_timer
 from . import undistort_jobs, undistorted_photos
 from .lookup import find_root
-from .missing_undistorted import missing_copies
 from .objects import cameras_of
+from .undistort_jobs import missing_copies
 
 _SIZES: Lookup[Path, tuple[int, int]] = Lookup(undistorted_photos.size_of, max_age=5.0)
 """Number of copies by folder, and their bytes."""
 
 
-class UndistortPhotos(BaseOperator, bpy.types.Operator):
+class UndistortPhotos(Undoable, bpy.types.Operator):
     """Make the missing undistorted copies of photos for the cameras' backgrounds"""
 
     bl_idname = "gscore.straighten_photos"
     bl_label = "Undistort Photos"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     capture: StringProperty(
         name="Capture",

@@ -1,7 +1,5 @@
 """Depth colors: cameras of a capture coloured by the state of their depth maps."""
 
-from typing import ClassVar
-
 import bpy
 from bpy.props import BoolProperty
 
@@ -9,7 +7,7 @@ from ..cameras.camera_colors import hide, mark_of, marks, own_cameras, set_color
 from ..cameras.lookup import panel_root
 from ..capture.depth_maps import ACCEPTED, MISSING, REFUSED, DepthReport
 from ..interface import undo
-from ..interface.base_operator import BaseOperator
+from ..interface.base_operator import Undoable
 from ..process import poll_timer
 from . import predict_depth
 
@@ -73,12 +71,11 @@ def _verdict(ob: bpy.types.Object, report: DepthReport) -> str | None:
     return row.verdict if row is not None and row.verdict in PALETTE else None
 
 
-class ColorCameras(BaseOperator, bpy.types.Operator):
+class ColorCameras(Undoable, bpy.types.Operator):
     """Color the cameras by their depth maps: green accepted, red refused, grey without a map"""
 
     bl_idname = "gscore.color_cameras"
     bl_label = "Color Cameras"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     show: BoolProperty(
         name="Show",

@@ -4,8 +4,7 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from .. import preferences
-from ..interface.base_operator import BaseOperator
-from ..interface.confirm_operator import ConfirmMixin
+from ..interface.base_operator import BaseOperator, ConfirmMixin
 from ..interface.images import show_image
 from ..training.verb_job import VerbJob
 from ..training.verb_operators import Cancelling, Starting

@@ -4,13 +4,14 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from .. import preferences, stored_paths
 from ..attributes import NO_SPLATS
-from ..cameras.camera_colors import hide
+from ..cameras.camera_colors import hide, marks, own_cameras, set_color, take
 from ..cameras.objects import root_of
 from ..capture.figures import MEASURED, Figures
-from ..core import EvalDone, EvalProgress
+from ..core import EvalDone, EvalProgress, colorize
 from ..interface import undo
 from ..process.incremental_tasks import Pieces
 from ..splats import objects
@@ -19,7 +20,6 @@ from ..splats.write_chunked import replace
 from ..training import lookups
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS, mesh_of
-from . import colors
 
 FILE = "errors.ply"
 """Name of the error map in the folder `MEASURED` of the run."""
@@ -89,7 +89,7 @@ def remove(ob: bpy.types.Object) -> None:
     splats, _ = siblings(ob)
     drop_maps(ob)
     root = root_of(splats[0]) if splats else None
-    if root is not None and colors.shown(root):
+    if root is not None and are_colored(root):
         hide(root)
 
 
@@ -119,7 +119,7 @@ def _show(job: VerbJob, mesh: bpy.types.Mesh) -> None:
     show_map(ob, True)
     root = root_of(ob)
     if root is not None:
-        colors.show(root, job.report)
+        color_cameras(root, job.report)
 
 
 def _made(ob: bpy.types.Object) -> bpy.types.Object:
@@ -135,3 +135,37 @@ def _made(ob: bpy.types.Object) -> bpy.types.Object:
     made.gscore.point_size = ob.gscore.point_size
     made.matrix_world = ob.matrix_world
     return made
+
+
+_MARK = "error"
+_DARKEST = 0.15
+"""Position of the best photo in the color map, above 0 because black lines are hard to see."""
+
+
+def color_cameras(root: bpy.types.Object, figures: Figures) -> int:
+    """Color the cameras of a capture by the PSNR of their photos; return their number."""
+    ranked, known = figures.ranked, figures.views
+    low, high = (ranked[0][1], ranked[-1][1]) if ranked else (0.0, 0.0)
+    shown = 0
+    for ob in own_cameras(root):
+        name = str(ob.get("gs_image", ""))
+        if name not in known:
+            take(ob)
+            continue
+        psnr = known[name]
+        place = 0.0 if psnr is None or high <= low else (high - psnr) / (high - low)
+        set_color(ob, _MARK, color_at(place))
+        shown += 1
+    return shown
+
+
+def color_at(place: float) -> tuple[float, ...]:
+    """Linear RGBA from the best, 0, to the worst, 1."""
+    srgb = colorize(np.array(_DARKEST + (1 - _DARKEST) * place)) / 255.0
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return (*linear.tolist(), 1.0)
+
+
+def are_colored(root: bpy.types.Object) -> bool:
+    """Whether cameras of a capture are colored by errors."""
+    return _MARK in marks(root)

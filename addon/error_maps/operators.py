@@ -1,19 +1,17 @@
 """Error map operators: measure the errors of a result, and show them."""
 
-from typing import ClassVar
-
 import bpy
 from bpy.props import BoolProperty
 
 from ..cameras.camera_colors import hide
 from ..cameras.objects import root_of
 from ..capture.figures import measured
-from ..interface.base_operator import BaseOperator
+from ..interface.base_operator import BaseOperator, Undoable
 from ..splats.objects import active_splats, is_splats
 from ..stored_paths import RUN
 from ..training.verb_job import VerbJob
 from ..training.verb_operators import Cancelling, Starting
-from . import colors, measure_errors
+from . import measure_errors
 
 
 class _OfRun(BaseOperator):
@@ -53,12 +51,11 @@ class StopErrors(Cancelling, bpy.types.Operator):
         return measure_errors.job_of(ob) if is_splats(ob) else None
 
 
-class ColorByError(_OfRun, bpy.types.Operator):
+class ColorByError(Undoable, _OfRun, bpy.types.Operator):
     """Color the cameras by the errors of their photos, or restore their colors"""
 
     bl_idname = "gscore.color_by_error"
     bl_label = "Color Cameras"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     show: BoolProperty(
         name="Show",
@@ -79,17 +76,16 @@ class ColorByError(_OfRun, bpy.types.Operator):
         figures = measured(measure_errors.run_of(ob))
         if figures is None:
             raise ValueError("Press Measure Errors first: the training was not measured since.")
-        if not colors.show(root, figures):
+        if not measure_errors.color_cameras(root, figures):
             raise ValueError(f"None of the measured photos has a camera in {root.name}.")
         return ""
 
 
-class ShowErrorMap(_OfRun, bpy.types.Operator):
+class ShowErrorMap(Undoable, _OfRun, bpy.types.Operator):
     """Show the error map, or the splats in their own colors"""
 
     bl_idname = "gscore.show_error_map"
     bl_label = "Color Splats"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     show: BoolProperty(
         name="Show",
@@ -104,12 +100,11 @@ class ShowErrorMap(_OfRun, bpy.types.Operator):
         return ""
 
 
-class RemoveErrors(_OfRun, bpy.types.Operator):
+class RemoveErrors(Undoable, _OfRun, bpy.types.Operator):
     """Remove the error map, and restore the colors of the cameras"""
 
     bl_idname = "gscore.remove_errors"
     bl_label = "Remove Errors"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     def act(self, context: bpy.types.Context) -> str:
         """Remove."""

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..interface.icons import PictureIcons
+from ..interface.images import PictureIcons
 from .counted import COUNTED
 from .limits import limits_of
 

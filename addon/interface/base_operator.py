@@ -1,6 +1,8 @@
 """Base operator: errors become reports and leave the scene unchanged."""
 
+import textwrap
 from collections.abc import Iterable
+from typing import ClassVar
 
 import bpy
 
@@ -50,7 +52,13 @@ class BaseOperator:
             self.report({"WARNING"}, sentence)
 
 
-class OnScene(BaseOperator):
+class Undoable(BaseOperator):
+    """Base of operators with an undo step and redo settings."""
+
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
+
+
+class OnScene(Undoable):
     """Base of operators that change the scene."""
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
@@ -70,3 +78,71 @@ def make_active_in(layer: bpy.types.ViewLayer, ob: bpy.types.Object) -> None:
             other.select_set(False, view_layer=layer)
     ob.select_set(True, view_layer=layer)
     layer.objects.active = ob
+
+
+WIDTH = 90
+"""Characters per line in a dialog and in the preferences."""
+_PIXELS = 520
+
+
+def wrapped(
+    layout: bpy.types.UILayout, text: str, *, icon: str = "NONE", width: int = WIDTH
+) -> None:
+    """Draw a sentence as several labels, because Blender's labels do not wrap.
+
+    Args:
+        layout: Parent of the column with the labels.
+        text: The sentence.
+        icon: Icon of the first line.
+        width: Characters per line.
+    """
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for number, line in enumerate(textwrap.wrap(text, width) or [""]):
+        column.label(text=line, icon="BLANK1" if number and icon != "NONE" else icon)
+
+
+def letters(context: bpy.types.Context) -> int:
+    """Characters per line in the drawn region."""
+    width = context.region.width if context.region else 260
+    # A letter is about 6.2 px wide at a scale of 1; margins and the icon take 60 px.
+    scale = context.preferences.system.ui_scale or 1.0  # 0 without a window
+    return max(int((width / scale - 60) / 6.2), 20)
+
+
+class ConfirmMixin:
+    """Mixed in before `BaseOperator`: shows `question` in a dialog before `execute`; Enter
+    cancels."""
+
+    confirm = "OK"
+    """Text of the confirm button."""
+
+    def question(self, context: bpy.types.Context) -> list[str]:
+        """Sentences about the effects; none: no confirmation is needed.
+
+        Raises:
+            GsError, ValueError, OSError: the operator fails; the message is for the user.
+        """
+        raise NotImplementedError
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Show the dialog."""
+        try:
+            editable_check.check(*self.changes(context))
+            self.lines = self.question(context)
+        except (GsError, ValueError, OSError) as error:
+            return self.refuse(error)
+        if not self.lines:
+            return self.execute(context)
+        return context.window_manager.invoke_props_dialog(
+            self,
+            width=_PIXELS,
+            title=self.bl_label,
+            confirm_text=self.confirm,
+            cancel_default=True,
+        )
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the sentences in place of the operator's properties."""
+        for line in getattr(self, "lines", ()):  # none in a redo panel
+            wrapped(self.layout, line, icon="DOT")

@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -16,17 +16,45 @@ from ..interface.views import redraw_views
 from ..process.pace import Pace
 from ..render import viewport, viewport_copies
 from ..render.engine import final_cache
+from ..render.operators import changes_colors
 from ..render.regions import drawn_window
 from ..render.scene import Placed, Source, sources
 from ..render.selections import tinted_in
 from ..splats import settings as splat_settings
 from ..splats.live_display import SESSION
 from ..splats.objects import is_splats
-from . import photos
+from . import view_context
 from .card import Card
-from .fallback import LiveFallback
 from .view_context import cuts_of, has_lines_in_front, is_hidden_by_others, is_own, keeps_colors
 from .views import View
+
+
+class LiveFallback:
+    """Live drawing as a `render.viewport.LiveFallback`."""
+
+    def __init__(self, views: Mapping[int, View]) -> None:
+        """Keep the known views, by the pointer of their region."""
+        self._views = views
+
+    def draws_live(self, context: bpy.types.Context) -> bool:
+        """Whether splats are drawn live there. Their colours must match the picture's, except with
+        a photo behind them, which shows its own colours too."""
+        wanted = SESSION.works and context.scene.gscore_render.live
+        return wanted and (not changes_colors(context.scene) or self.stays(context))
+
+    def moves(self, context: bpy.types.Context) -> bool:
+        """Whether its view has just changed."""
+        view = self._views.get(context.region.as_pointer())
+        return view is not None and view.level.moving
+
+    def stays(self, context: bpy.types.Context) -> bool:
+        """Whether there is a photo behind the splats, which Blender would draw over a picture."""
+        return view_context.is_behind(context)
+
+    def covers_photos(self, context: bpy.types.Context) -> bool:
+        """Whether there are pictures behind the splats and none in front, which it would cover."""
+        return SESSION.works and view_context.are_behind(context)
+
 
 POLL = 0.02
 """Seconds between two checks whether a view must be redrawn."""
@@ -181,7 +209,7 @@ def _show(
         spare=_state.pace.spare,
     )
     if picture is not None:
-        photo = photos.in_front(context, window, *part[2:])
+        photo = view_context.in_front(context, window, *part[2:])
         rests = photo is None and picture.nearness is None and not view.level.moving
         within = _state.scene if rests and keeps_colors(context) else None
         _state.card.show(picture, part, photo, within, region)

@@ -9,7 +9,7 @@ import gpu
 import numpy as np
 
 from ..cameras.render_camera import RenderCamera
-from ..process.latest_request import Latest
+from ..process.background_task import Latest
 from ..render import picture
 from ..render.marks import reselected
 from ..render.model import SplatCache, check_similar
@@ -17,12 +17,11 @@ from ..render.scene import Placed
 from ..render.selections import Tinted, marks_of
 from ..render.viewport import smaller
 from . import atlas, order
-from .card import Canvas, Card, Shot
+from .card import Canvas, Card, Shot, ViewPicture
 from .clip import Cuts
 from .depths import Depths
 from .level import Level
 from .texture_upload import Order, Texels
-from .view_picture import ViewPicture
 
 UPLOAD = 0.004
 """Seconds of a redraw after which uploading pauses."""

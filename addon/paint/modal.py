@@ -8,7 +8,7 @@ from bpy.props import BoolProperty
 
 from ..core import GsError
 from ..interface import undo
-from ..interface.modal_status import StatusBar
+from ..interface.incremental_operator import StatusBar
 from ..splats import objects
 from ..splats.operators import OnSplats, edit_vertices
 from .session import UNDO, Answer, Session, paintable

@@ -18,8 +18,7 @@ from ..render import viewport_copies
 from ..render.mesh_copies import HIDDEN, SELECTED, read_marks
 from ..splats import live_display, objects
 from ..timeline.settings import plays
-from .brush import SELECT, Brush
-from .stroke import Stroke
+from .brush import SELECT, Brush, Stroke
 from .visible_splats import VisibleSplats, copy_visible
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
 from ..interface import editable_check, undo
-from ..interface.modal_status import INTERVAL
+from ..interface.incremental_operator import INTERVAL
 from ..interface.views import redraw_views
 from ..process.incremental_tasks import Pieces, TaskRunner
 from ..render.viewport import view_camera

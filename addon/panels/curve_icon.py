@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..interface.icons import PictureIcons
+from ..interface.images import PictureIcons
 from ..training.curve import LOSS_COLOR, PSNR_COLOR
 from ..training.training_job import Job
 

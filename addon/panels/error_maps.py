@@ -6,7 +6,7 @@ import bpy
 
 from ..cameras.objects import cameras_of, root_of
 from ..capture.figures import Figures
-from ..error_maps import colors, measure_errors
+from ..error_maps import measure_errors
 from ..process import poll_timer
 from ..splats.objects import active_splats, is_splats
 from ..stored_paths import RUN
@@ -61,7 +61,7 @@ def draw_switches(
 ) -> None:
     """Draw the switches of the colors."""
     root, maps = root_of(ob), measure_errors.siblings(ob)[1]
-    colored = root is not None and colors.shown(root)
+    colored = root is not None and measure_errors.are_colored(root)
     if not maps and not colored and figures is None:
         return
     row = layout.row(align=True)

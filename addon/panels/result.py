@@ -10,7 +10,7 @@ from ..histograms.counting import OPACITY, SIZE
 from ..histograms.icons import ICONS
 from ..interface.option_labels import error_words
 from ..live import draw_handler
-from ..splats import edit, lag, live_display, uniform_scale
+from ..splats import edit, lag, live_display, operators
 from ..splats.mend_operators import outdated
 from ..splats.objects import active_splats, in_question, is_native, is_splats
 from .widgets import TabPanel, job, limit, rows, sentence
@@ -43,7 +43,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
             row.operator("gscore.select_result", text="Select")
         draw_counts(layout, context, ob)
         draw_outdated(layout, context)
-        if not uniform_scale.is_even(ob):
+        if not operators.is_even(ob):
             text = "The object's scale differs between axes or is zero; splats cannot be stretched."
             sentence(layout, context, text, icon="ERROR")
             layout.operator("gscore.make_scale_even")

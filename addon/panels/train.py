@@ -11,7 +11,7 @@ from ..core import PRESETS, Estimate, RunInfo
 from ..interface.option_labels import error_words
 from ..paths import output_folder
 from ..sequence import train_sequence as sequence
-from ..training import box_limit, facts, forecast, guides, results
+from ..training import facts, forecast, guides, results, start_training
 from ..training.existing_run import EarlierRun
 from ..training.options import AS_PRESET, BY_WIDTH, continuation
 from ..training.properties import purpose_of
@@ -178,7 +178,7 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         return
     if problem:
         sentence(layout, context, problem, icon="ERROR")
-    if conflict := box_limit.problem(context.scene.gscore):
+    if conflict := start_training.box_problem(context.scene.gscore):
         sentence(layout, context, conflict, icon="ERROR")
     big = layout.column()
     big.scale_y = 1.4

@@ -5,7 +5,7 @@ import bpy
 from .. import preferences
 from ..cameras.lookup import panel_root
 from ..capture.inspection import ShownFacts
-from ..interface.confirm_operator import letters, wrapped
+from ..interface.base_operator import letters, wrapped
 from ..interface.option_labels import error_words
 from ..interface.sidebar import TAB
 from ..trainer_python import setup

@@ -8,7 +8,7 @@ from bpy.props import EnumProperty, StringProperty
 
 from .. import compat
 from ..cameras.lookup import find_camera, find_root
-from ..interface.base_operator import BaseOperator
+from ..interface.base_operator import BaseOperator, Undoable
 from ..interface.images import editor_of, fit
 from ..interface.sidebar import TAB, choose_tab, close_shelf, in_turn, open_sidebar
 from . import masks
@@ -16,12 +16,11 @@ from . import masks
 _NO_BRUSH = "There is no brush yet; choose one in the image editor, then press Exclude."
 
 
-class PaintMask(BaseOperator, bpy.types.Operator):
+class PaintMask(Undoable, bpy.types.Operator):
     """Paint a mask on the photo of the camera: erased pixels are excluded from the training"""
 
     bl_idname = "gscore.paint_mask"
     bl_label = "Paint Mask"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     camera: StringProperty(
         name="Camera",
@@ -86,12 +85,11 @@ class SaveMask(_OnMask, bpy.types.Operator):
         return f"Saved {file}."
 
 
-class DiscardMask(_OnMask, bpy.types.Operator):
+class DiscardMask(Undoable, _OnMask, bpy.types.Operator):
     """Discard the strokes since the mask was saved; its file is not changed"""
 
     bl_idname = "gscore.discard_mask"
     bl_label = "Discard Mask"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     def act(self, context: bpy.types.Context) -> str:
         """Discard the strokes."""

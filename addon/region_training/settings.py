@@ -3,7 +3,7 @@
 import bpy
 
 from ..core import TrainConfig
-from ..training.declared import declared
+from ..training.properties import declared
 
 
 class SteerSettings(bpy.types.PropertyGroup):

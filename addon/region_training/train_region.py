@@ -22,8 +22,7 @@ from ..training import guides, lookups, options, start_training
 from ..training.results import signature
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS, mesh_of
-from .region import region_of
-from .start import start_files
+from .start import region_of, start_files
 
 
 def _message(job: VerbJob) -> str:

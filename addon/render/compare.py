@@ -1,7 +1,7 @@
 """Photo comparison: a photo and the render from its camera side by side, with the PSNR."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import bpy
@@ -16,11 +16,12 @@ from ..core import colorize, psnr, read_header, rgba_png
 from ..interface.blocks import with_uid
 from ..process.background_task import Cancelled
 from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..splats.read_chunked import ChunkedRead
 from . import picture
 from .camera_photo import Target, load_target
 from .engine import final_cache
-from .scene import Placed
-from .snapshot import snapshot
+from .mesh_copies import Frozen, FrozenMesh
+from .scene import NO_SPLATS, NONE_IN_VIEW, Placed, place, sources
 from .world import background_of, world_light
 
 ERROR_GAIN = 4.0
@@ -211,3 +212,38 @@ def store(kind: str, png: bytes, camera: str) -> bpy.types.Image:
     image.buffers_free()  # of the picture before
     image["gs_image"] = camera
     return image
+
+
+def snapshot(depsgraph: bpy.types.Depsgraph) -> Pieces[list[Placed]]:
+    """The splats of a depsgraph at the first step, unaffected by later changes.
+
+    Raises:
+        ValueError: there is nothing to draw, attributes are missing or not finite, or a copy was
+            removed.
+    """
+    placed: list[Placed] = []
+    frozen: dict[int, Frozen] = {}
+    reads: dict[int, tuple[str, ChunkedRead]] = {}
+    try:
+        for source in sources(depsgraph):
+            placed.append(place(source, FrozenMesh(source.ob.name, {}, {})))
+            if source.moment is not None:
+                frozen[source.uid] = source.frozen()
+            elif source.uid not in reads:
+                reads[source.uid] = source.ob.name, ChunkedRead(source.ob.original)
+        if not placed:
+            raise ValueError(NO_SPLATS if depsgraph.mode == "RENDER" else NONE_IN_VIEW)
+        yield "Reading splats"
+        for uid, (name, taken) in reads.items():
+            columns = yield from taken.read()
+            frozen[uid] = yield from run_in_thread(
+                partial(_frozen, name, columns), "Reading splats"
+            )
+        return [replace(one, frozen=frozen[one.uid]) for one in placed]
+    finally:
+        for _, taken in reads.values():
+            taken.drop()
+
+
+def _frozen(name: str, columns: dict[str, np.ndarray], check: Check) -> FrozenMesh:
+    return FrozenMesh.of(name, columns)

@@ -1,7 +1,5 @@
 """Decimation operator: keeps the splats of highest contribution and reports the loss of PSNR."""
 
-from typing import ClassVar
-
 import bpy
 import numpy as np
 from bpy.props import IntProperty
@@ -87,7 +85,6 @@ class DecimateSplats(Editing, bpy.types.Operator):
 
     bl_idname = "gscore.decimate_splats"
     bl_label = "Decimate Splats"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     count: IntProperty(name="Splats", description="Number to keep", default=100_000, min=1)
 

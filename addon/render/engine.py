@@ -21,12 +21,12 @@ from .model import SplatCache
 from .pass_renderer import Film, Shot
 from .passes import RequestedPasses, requested_passes
 from .regions import border_window, camera_of, drawn_window
-from .renders_only import renders_only
 from .samples import Mean
 from .scene import Placed, sources
 from .selections import tinted_in
 from .shutter_lens import Stage
 from .stereo import eyes_of, refusal
+from .unsupported_settings import renders_only
 from .viewport import (
     EXACT,
     FALLBACKS,

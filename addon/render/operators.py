@@ -1,10 +1,14 @@
 """Render operators: set up the engine and its colours, compare with photos, composite."""
 
 import math
-from typing import ClassVar
+from dataclasses import dataclass
+from pathlib import Path
 
 import bpy
 
+from .. import stored_paths
+from ..cameras.objects import cameras_of, is_camera, root_of
+from ..capture.figures import figures
 from ..interface.base_operator import OnScene, make_active
 from ..interface.images import show_soon
 from ..interface.incremental_operator import IncrementalOperator
@@ -15,7 +19,6 @@ from ..stored_paths import RUN
 from . import compare as comparing
 from . import compositor
 from .engine import ENGINE_BEFORE, NAME
-from .worst_photo import worst_of
 
 
 def use_engine(scene: bpy.types.Scene) -> None:
@@ -58,7 +61,6 @@ class UseEngine(OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.use_engine"
     bl_label = "Render with Gaussian Splats"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     def act(self, context: bpy.types.Context) -> str:
         """Set the scene's engine."""
@@ -71,7 +73,6 @@ class UsePhotoColors(OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.use_photo_colors"
     bl_label = "Use the Colors of the Photos"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     def act(self, context: bpy.types.Context) -> str:
         """Set the scene's colour management."""
@@ -84,7 +85,6 @@ class ComparePhoto(IncrementalOperator, bpy.types.Operator):
 
     bl_idname = "gscore.compare_photo"
     bl_label = "Compare with Photo"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     camera: bpy.props.StringProperty(
         name="Camera",
@@ -101,7 +101,6 @@ class CompareWorstPhoto(IncrementalOperator, bpy.types.Operator):
 
     bl_idname = "gscore.compare_worst_photo"
     bl_label = "Compare Worst Photo"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -141,7 +140,6 @@ class SetUpCompositing(OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.set_up_compositing"
     bl_label = "Composite Splats with Meshes"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     transparent: bpy.props.BoolProperty(
         name="Transparent Film",
@@ -160,7 +158,6 @@ class RemoveCompositing(OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.remove_compositing"
     bl_label = "Remove Compositing"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     def act(self, context: bpy.types.Context) -> str:
         """Undo the set-up."""
@@ -183,6 +180,47 @@ def chosen_camera(context: bpy.types.Context, name: str = "") -> bpy.types.Objec
         if comparing.is_camera(candidate):
             return candidate
     raise ValueError("Select an imported camera, or make one the scene's, to compare its photo.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Worst:
+    """The worst photo of a run."""
+
+    camera: bpy.types.Object
+    psnr: float
+    """dB, as measured after the training."""
+    among: int
+    """Number of measured photos with a camera in the scene."""
+
+
+def worst_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> Worst:
+    """The camera of the worst measured photo of the run that splats come from.
+
+    Args:
+        scene: Scene of the cameras, if the splats have no capture as parent.
+        ob: The splats.
+
+    Raises:
+        ValueError: the splats come from no run, its evaluation cannot be read, or none of its
+            photos has a camera in the scene.
+    """
+    folder = stored_paths.read(ob, stored_paths.RUN)
+    if not folder:
+        raise ValueError(f"{ob.name} was not trained with this add-on: its photos are not known.")
+    run = figures(Path(folder))
+    found = dict(run.ranked)
+    root = root_of(ob)
+    cameras = cameras_of(root) if root is not None else filter(is_camera, scene.objects)
+    known = [
+        (found[name], camera) for camera in cameras if (name := camera.get("gs_image")) in found
+    ]
+    if not known:
+        raise ValueError(
+            f"None of the photos in {run.path} has a camera here: import the cameras of that "
+            "capture."
+        )
+    psnr, camera = min(known, key=lambda pair: pair[0])
+    return Worst(camera=camera, psnr=psnr, among=len(known))
 
 
 CLASSES = (

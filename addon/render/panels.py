@@ -6,7 +6,7 @@ import bpy
 
 from ..cameras.panorama import KINDS, kind_of
 from ..compat import panorama_settings
-from ..interface.confirm_operator import letters, wrapped
+from ..interface.base_operator import letters, wrapped
 from ..splats.objects import is_native, is_splats
 from ..timeline.settings import plays
 from . import unsupported_settings

@@ -18,7 +18,7 @@ from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Rendered
 from . import color, picture
 from .cube import beyond, unfold
-from .mesh_holdout import Hidden, cut
+from .holdout_meshes import Hidden, cut
 from .model import HALF, Model
 from .picture import Window
 from .scene import Identity

@@ -1,28 +1,26 @@
 """Show operator: one button that displays splats in the 3D view as they were trained."""
 
 from collections.abc import Iterable
-from typing import ClassVar
 
 import bpy
 from bpy.props import BoolProperty
 
 from .. import stored_paths
 from ..cameras import photos
-from ..interface.base_operator import BaseOperator, make_active
+from ..interface.base_operator import Undoable, make_active
 from ..splats import framed
 from ..splats.error_maps import is_map, show_map, siblings
 from ..splats.objects import in_question, is_splats
 from .operators import use_engine
 
 
-class ShowSplats(BaseOperator, bpy.types.Operator):
+class ShowSplats(Undoable, bpy.types.Operator):
     """Show the splats as they were trained: set engine, colors and shading, hide photos, and align
     views with the photo camera of the most similar direction; it becomes the scene camera, or a new
     one does, if there is none but Blender's default"""
 
     bl_idname = "gscore.show_splats"
     bl_label = "Show Splats"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     trained: BoolProperty(
         name="Trained",

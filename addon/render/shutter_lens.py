@@ -15,9 +15,8 @@ from ..cameras.render_camera import Eye, RenderCamera, render_camera
 from ..compat import matrix_to_numpy
 from ..timeline import frame_sync
 from .compositing_scene import main_scene
-from .holdout_meshes import HoldoutMesh, HoldoutMeshes, same_meshes
+from .holdout_meshes import Hidden, HoldoutMesh, HoldoutMeshes, hidden, same_meshes
 from .mesh_copies import Frozen
-from .mesh_holdout import Hidden, hidden
 from .model import Model, SplatCache
 from .samples import Aperture, Sample, Shutter, samples
 from .scene import NO_SPLATS, Placed, Source, place, sources

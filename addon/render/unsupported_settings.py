@@ -16,6 +16,7 @@ from ..splats.objects import is_native, is_splats
 from .compositing_scene import SPLAT_SCENE, main_scene
 from .holdout_meshes import is_holdout, may_hide, missing_holdouts
 from .passes import SWITCHES
+from .shutter_lens import has_depth_of_field, has_motion_blur
 from .stereo import refusal
 from .world import world_light, world_of
 
@@ -243,3 +244,23 @@ CHECKS = (
         lambda s: _if(abs(s.scene.render.filter_size - _FILTER.default) > 1e-3),
     ),
 )
+
+
+def renders_only(depsgraph: bpy.types.Depsgraph, camera: bpy.types.Object | None) -> str:
+    """Status text with the effects that a view in Rendered shading lacks; empty: none.
+
+    Args:
+        depsgraph: Depsgraph of the view.
+        camera: Camera of the view; None: no camera.
+    """
+    if camera is None or camera.type != "CAMERA":
+        return ""
+    scene, data = depsgraph.scene, camera.data
+    found = {
+        "Depth of Field": has_depth_of_field(camera),
+        "Motion Blur": has_motion_blur(scene.render) and depsgraph.view_layer_eval.use_motion_blur,
+        "Panoramic": data.type == "PANO",
+        "Stereoscopy": scene.render.use_multiview,
+    }
+    names = [name for name, there in found.items() if there]
+    return f"In renders only: {', '.join(names)}" if names else ""

@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import BoolProperty
 
-from ..interface.confirm_operator import ConfirmMixin
+from ..interface.base_operator import ConfirmMixin
 from ..training.verb_job import VerbJob
 from ..training.verb_operators import Cancelling, Starting
 from . import train_sequence

@@ -3,7 +3,7 @@
 import bpy
 
 from ..core import SequenceOptions
-from ..training.declared import declared
+from ..training.properties import declared
 
 
 class TrainSequenceSettings(bpy.types.PropertyGroup):

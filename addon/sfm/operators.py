@@ -1,7 +1,6 @@
 """SfM operators: choose photos or a video, find cameras, cancel."""
 
 from pathlib import Path
-from typing import ClassVar
 
 import bpy
 from bpy.props import StringProperty
@@ -22,7 +21,6 @@ class ChooseVideo(OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.choose_video"
     bl_label = "Choose Video"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     filepath: StringProperty(
         name="Video",
@@ -55,7 +53,7 @@ class ChooseVideo(OnScene, bpy.types.Operator):
         return ""
 
 
-class FindCameras(IncrementalOperator, OnScene, Waiting, bpy.types.Operator):
+class FindCameras(Waiting, IncrementalOperator, OnScene, bpy.types.Operator):
     """Find the camera of each photo by structure from motion, in the background.
     From a video, sharp frames are extracted first"""
 

@@ -1,4 +1,4 @@
-"""Export of splat objects to one file: in one call for scripts, in short steps for users."""
+"""Export of splat objects to one file, in short steps."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from .. import attributes
 from ..cameras.capture_transform import origin_of
 from ..compat import matrix_to_numpy
 from ..core import BackendError, GsError, Splats, file_errors, join_splats, write_splat_file
-from ..process.incremental_tasks import Check, Pieces, ResultT, run_blocking, run_in_thread
+from ..process.incremental_tasks import Check, Pieces, ResultT, run_in_thread
 from . import conversion, filters, objects
 from .filters import Filters
 from .read_chunked import ChunkedRead
@@ -41,14 +41,13 @@ class _Part:
         return objects.moved(splats, self.matrix, self.name)
 
 
-def export_splats(
-    obs: Sequence[bpy.types.Object],
-    path: str | Path,
-    *,
-    world: str = SOURCE,
-    filtered: bool = False,
-) -> Written:
+def exporting(
+    obs: Sequence[bpy.types.Object], path: str | Path, *, world: str, filtered: bool
+) -> Pieces[Written]:
     """Write splat objects with their edits and transforms as one file.
+
+    Reads the splats as of the first step, then transforms and writes them in a thread. Cancellation
+    leaves the file unchanged.
 
     Args:
         obs: At least one; several are joined.
@@ -61,14 +60,6 @@ def export_splats(
         ValueError: no objects, no splats, or a matrix that is not a similarity; nothing is written.
         GsError: the file cannot be written.
     """
-    return run_blocking(exporting(obs, path, world=world, filtered=filtered))
-
-
-def exporting(
-    obs: Sequence[bpy.types.Object], path: str | Path, *, world: str, filtered: bool
-) -> Pieces[Written]:
-    """`export_splats` in steps: reads the splats as of the first step, then transforms and writes
-    them in a thread. Cancellation leaves the file unchanged."""
     if not obs:
         raise ValueError("There is nothing to export: select a splat object.")
     path = Path(bpy.path.abspath(str(path)))

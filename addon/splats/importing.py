@@ -7,7 +7,6 @@ have removed them.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import bpy
 import numpy as np
@@ -15,9 +14,9 @@ import numpy as np
 from .. import attributes
 from ..core import GsError, collected_warnings
 from ..interface.blocks import with_uid
-from ..process.incremental_tasks import Check, Pieces, run_blocking, run_in_thread
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
 from . import objects, settings, splat_files
-from .splat_files import FROM_FILE, ImportRequest, import_request
+from .splat_files import ImportRequest
 from .write_chunked import ChunkedWrite, filled
 
 Columns = Sequence[tuple[str, str, np.ndarray]]
@@ -50,37 +49,6 @@ class ImportedSplats:
     """Results of `note`, one per file."""
     warnings: list[str]
     """Warnings for the user."""
-
-
-def import_splats(
-    context: bpy.types.Context,
-    path: str | Path,
-    *,
-    parent: bpy.types.Object | None = None,
-    up: str = FROM_FILE,
-    level: int | None = None,
-    cropped: bpy.types.Object | None = None,
-) -> bpy.types.Object:
-    """Import a splat file of any format, or a part of a file with levels of detail, as an object.
-
-    Args:
-        context: Its collection receives the object.
-        path: The file.
-        parent: The empty of the capture that the splats were trained from; its alignment applies.
-        up: Without `parent`, the axis of the file that points up: `FROM_FILE`, or a key of
-            `splat_files.UP_AXES`. The object is rotated; the data stay in the file's world. A file
-            exported in Blender's world keeps its position there, also under a parent.
-        level: Level of detail to read, 0 is the finest; None: the finest with at most
-            `splat_files.MOST_AT_ONCE` splats.
-        cropped: A splat object of the same file with a crop object. Reads only splats in its box,
-            of `level` or the finest, and places them at this object.
-
-    Raises:
-        GsError: the file is missing, corrupt or holds no splats; the scene is unchanged.
-        ValueError: there is no such level, or no splat in the box.
-    """
-    wanted = import_request(path, parent=parent, up=up, level=level, cropped=cropped)
-    return run_blocking(importing_splats(context, [wanted])).objects[0]
 
 
 def importing_splats(

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from functools import partial
-from typing import ClassVar
 
 import bpy
 import numpy as np
@@ -32,7 +31,6 @@ class MendSplats(IncrementalOperator, bpy.types.Operator):
 
     bl_idname = "gscore.mend_splats"
     bl_label = "Update Shapes and Colors"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
-from .. import attributes, compat
+from .. import attributes
 from ..cameras.objects import points_of
 from ..core import Splats, transform_splats
 from ..interface import editable_check
@@ -121,20 +121,6 @@ def read(ob: bpy.types.Object, *, rest: bool = True) -> Splats:
     catch_up(ob)
     with _readable(ob) as data:
         return attributes.read(data, rest=rest)
-
-
-def read_world(ob: bpy.types.Object) -> Splats:
-    """Raw parameters in Blender's world: means, quaternions, scales and SH transformed.
-
-    Raises:
-        ValueError: as `read`, or the object's matrix is not a similarity.
-    """
-    return transformed(ob, compat.matrix_to_numpy(ob.matrix_world))
-
-
-def transformed(ob: bpy.types.Object, matrix: np.ndarray) -> Splats:
-    """The object's splats after a 4x4 similarity from object space; ValueError as `read_world`."""
-    return moved(read(ob), matrix, ob.name)
 
 
 def moved(splats: Splats, matrix: np.ndarray, name: str) -> Splats:

@@ -1,24 +1,29 @@
 """Operators on splats: filters, crop, scale, display, conversion of native splats."""
 
 from collections.abc import Iterable
-from typing import ClassVar
+from functools import partial
 
 import bpy
+import numpy as np
+from mathutils import Vector
 
-from .. import compat
-from ..interface.base_operator import BaseOperator, make_active
+from .. import attributes, compat
+from ..core import transform_splats
+from ..interface import editable_check
+from ..interface.base_operator import Undoable, make_active
 from ..interface.blocks import with_uid
 from ..interface.incremental_operator import IncrementalOperator
-from ..process.incremental_tasks import Pieces
-from . import edit, native_splats, settings, uniform_scale
+from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from . import edit, objects, settings
+from .mesh_buffers import Points
 from .objects import active_splats, is_native, is_splats
+from .read_chunked import read_chunked
+from .write_chunked import ChunkedWrite, filled
 
 
-class OnSplats(BaseOperator):
+class OnSplats(Undoable):
     """Base of operators on the active splat object, or on the one that the active object crops; by
     default they change its settings."""
-
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The object."""
@@ -66,11 +71,11 @@ class MakeScaleEven(OnSplats, bpy.types.Operator):
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The objects with a changed scale."""
-        return uniform_scale.uneven(active_splats(context))
+        return uneven(active_splats(context))
 
     def act(self, context: bpy.types.Context) -> str:
         """Change the scales."""
-        changed = uniform_scale.make_even(context, active_splats(context))
+        changed = make_even(context, active_splats(context))
         if changed:
             return f"Made the scale uniform: {', '.join(changed)}."
         return "The scale is uniform already."
@@ -100,7 +105,6 @@ class TakeNativeSplats(IncrementalOperator, bpy.types.Operator):
 
     bl_idname = "gscore.take_native_splats"
     bl_label = "Make Splat Object"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -116,10 +120,111 @@ class TakeNativeSplats(IncrementalOperator, bpy.types.Operator):
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Convert the splats."""
-        made = yield from native_splats.taking(context.object)
+        made = yield from taking(context.object)
         if context.mode == "OBJECT" and made.name in context.view_layer.objects:
             make_active(context, made)
         return f"{made.name} has {len(made.data.vertices):,} splats."
+
+
+def taking(cloud: bpy.types.Object) -> Pieces[bpy.types.Object]:
+    """Create a splat object at a point cloud's location; the cloud is kept and hidden.
+
+    Raises:
+        ValueError: attributes are missing, the cloud was removed meanwhile, or values are not
+            finite; nothing is left then.
+    """
+    name, uid = cloud.name, cloud.session_uid
+    columns = yield from read_chunked(cloud)
+    size = yield from run_in_thread(partial(_size, columns), f"Measuring {name}")
+    yield from settings.building()
+    [mesh] = yield from filled([ChunkedWrite(_points(columns))], partial(_cloud, uid, name))
+    return _place(mesh, size, _cloud(uid, name))
+
+
+def _cloud(uid: int, name: str) -> bpy.types.Object:
+    cloud = with_uid(bpy.data.objects, uid)
+    if cloud is None:
+        raise ValueError(f"{name} was removed; its splats were not converted.")
+    return cloud
+
+
+def _size(columns: dict[str, np.ndarray], check: Check) -> float:
+    """`objects.typical_size` of attributes."""
+    sizes = columns[attributes.SCALE].max(axis=1, initial=0.0)
+    return float(np.median(sizes)) if len(sizes) else 0.0
+
+
+def _place(mesh: bpy.types.Mesh, size: float, cloud: bpy.types.Object) -> bpy.types.Object:
+    mesh.name = f"{cloud.name} splats"
+    collection = editable_check.taking(cloud.users_collection)[0]
+    made = objects.around(mesh, size, collection=collection, parent=cloud.parent)
+    made.matrix_parent_inverse = cloud.matrix_parent_inverse
+    made.matrix_basis = cloud.matrix_basis
+    cloud.hide_render = True
+    for scene in bpy.data.scenes:
+        objects.hide(cloud, scene)
+    return made
+
+
+def _points(columns: dict[str, np.ndarray]) -> Points:
+    flat = tuple((n, attributes.kind_of(n), values.ravel()) for n, values in columns.items())
+    return Points(count=len(columns[attributes.BASE]), columns=flat)
+
+
+def is_even(ob: bpy.types.Object) -> bool:
+    """True if an object's matrix is a similarity, which splats can represent."""
+    try:
+        transform_splats(attributes.NO_SPLATS, compat.matrix_to_numpy(ob.matrix_world))
+    except ValueError:
+        return False
+    return True
+
+
+def make_even(context: bpy.types.Context, ob: bpy.types.Object) -> list[str]:
+    """Make the scales of an object and its parents uniform.
+
+    The volume stays, a volume of 0 becomes 1, and reflections stay.
+
+    Returns:
+        The names of the changed objects.
+
+    Raises:
+        ValueError: the object would still be uneven; nothing is changed then.
+    """
+    before = {one: _scales(one) for one in uneven(ob)}
+    for one in before:
+        one.scale, one.delta_scale = _even(one.scale), _even(one.delta_scale)
+    context.view_layer.update()
+    if not is_even(ob):
+        for one, (scale, delta) in before.items():
+            one.scale, one.delta_scale = scale, delta
+        context.view_layer.update()
+        raise ValueError(
+            f"{ob.name} is not stretched by its scale or its parents' alone: clear its parent "
+            "(Alt P, Clear Parent Inverse), its constraints or its drivers."
+        )
+    return [one.name for one in before]
+
+
+def uneven(ob: bpy.types.Object) -> list[bpy.types.Object]:
+    """The object and its parents whose scale is not uniform; empty if the object's matrix is a
+    similarity."""
+    if is_even(ob):
+        return []
+    chain = objects.chain(ob)
+    return [one for one in chain if _scales(one) != (_even(one.scale), _even(one.delta_scale))]
+
+
+def _scales(ob: bpy.types.Object) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return ob.scale[:], ob.delta_scale[:]
+
+
+def _even(scale: Vector) -> tuple[float, float, float]:
+    sides = np.array(scale, np.float64)
+    if np.ptp(np.abs(sides)) <= 1e-6 * np.abs(sides).max():
+        return tuple(scale)
+    side = np.cbrt(np.abs(sides).prod()) or 1.0
+    return tuple(np.where(sides < 0, -side, side))
 
 
 CLASSES = (

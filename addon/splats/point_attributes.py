@@ -29,7 +29,7 @@ _ENTRIES = np.dtype([("row", np.int32), ("weight", np.float32)])
 _TEXTS = np.dtype([("row", np.int32), ("text", np.object_)])
 _LACKING = {GROUP: np.nan, TEXT: b""}
 """Non-zero defaults of attributes that an object lacks."""
-_BLOCK = 1 << 12
+BLOCK = 1 << 12
 """Splats of a group or string attribute per block: a few milliseconds."""
 
 
@@ -127,8 +127,8 @@ def blocks(column: Column) -> list[tuple[str, str, np.ndarray]]:
     grouped = column.kind == GROUP
     has = ~np.isnan(values) if grouped else values.astype(np.bool_)
     rows = np.flatnonzero(has).astype(np.int32)
-    for at in range(0, len(rows) or 1, _BLOCK):
-        some = rows[at : at + _BLOCK]
+    for at in range(0, len(rows) or 1, BLOCK):
+        some = rows[at : at + BLOCK]
         if grouped:
             some = some[np.argsort(values[some], kind="stable")]
         entries = np.empty(len(some), _ENTRIES if grouped else _TEXTS)
@@ -176,3 +176,29 @@ def joined(tables: list[list[Column]]) -> list[Column]:
             values[at : at + count], at = own, at + count
         made.append(Column(name, kind, values))
     return made
+
+
+def read_texts(
+    mesh: Any, name: str, begin: int, values: np.ndarray, known: dict[bytes, bytes]
+) -> None:
+    """Read a string attribute of `BLOCK` points from an index on.
+
+    Args:
+        mesh: Not in Edit Mode. Access to the first point copies shared memory in one call: 256 MB
+            for a million splats, 0.05 to 0.7 s.
+        name: Attribute name.
+        begin: Index of the first point.
+        values: [N, 1] of `empty_values`.
+        known: Strings read before, extended; equal strings are stored once.
+    """
+    data = mesh.attributes[name].data
+    # One by one, because the Python objects of a slice would trigger garbage collection.
+    texts = (data[row].value for row in range(begin, min(begin + BLOCK, len(values))))
+    values[begin : begin + BLOCK, 0] = [known.setdefault(text, text) for text in texts]
+
+
+def set_texts(mesh: Any, name: str, entries: np.ndarray) -> None:
+    """Set strings of an existing attribute, from entries of `blocks`."""
+    data = mesh.attributes[name].data
+    for row, text in entries.tolist():
+        data[row].value = text

@@ -10,7 +10,7 @@ import numpy as np
 from .. import attributes
 from ..interface.temporary_data import Temporary
 from ..process.incremental_tasks import BUDGET, Check, Pieces, run_in_thread
-from . import objects, point_attributes, string_attributes, vertex_groups
+from . import objects, point_attributes, vertex_groups
 from .point_attributes import TEXT, Column
 
 
@@ -114,11 +114,11 @@ class ChunkedRead:
     def _text(self, name: str, values: np.ndarray) -> Pieces[None]:
         known: dict[bytes, bytes] = {}
         until = time.perf_counter() + BUDGET
-        for begin in range(0, len(values), string_attributes.BLOCK):
+        for begin in range(0, len(values), point_attributes.BLOCK):
             if time.perf_counter() > until:
                 yield f"Reading {name} of {self._of}: {begin / len(values):.0%}"
                 until = time.perf_counter() + BUDGET
-            string_attributes.read(self._copy(), name, begin, values, known)
+            point_attributes.read_texts(self._copy(), name, begin, values, known)
 
     def drop(self) -> None:
         """Remove the copy."""

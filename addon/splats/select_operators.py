@@ -8,19 +8,92 @@ import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty
 
 from .. import attributes
-from ..core import in_unit_shape
+from ..core import Splats, cluster_sizes, in_unit_shape, reached_from, sh0_to_rgb
 from ..process.incremental_tasks import Pieces, run_in_thread
-from . import filters, selection_masks
+from . import filters
 from .edit_guard import EditGuard
 from .edit_operators import Editing
 from .operators import check_shown, edit_vertices
 from .read_chunked import read_chunked
 
+_BLOCK = 1 << 14
+"""Splats per block, so that intermediate results stay in the cache."""
+SET, ADD, TAKE, COMMON = "SET", "ADD", "TAKE", "COMMON"
+
+
+def combined(before: np.ndarray, mask: np.ndarray, mode: str) -> np.ndarray:
+    """[N] bool: a selection [N] combined with a new mask [N].
+
+    Args:
+        before: Previous selection.
+        mask: New mask.
+        mode: SET: the mask alone; ADD: union; TAKE: difference; COMMON: intersection.
+    """
+    if mode == ADD:
+        return before | mask
+    if mode == TAKE:
+        return before & ~mask
+    return before & mask if mode == COMMON else mask
+
+
+def between(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """[N] bool: values [N] between two inclusive limits; `high` 0: no limit."""
+    keep = values >= np.float32(low)
+    return keep & (values <= np.float32(high)) if high > 0 else keep
+
+
+def similar_color(base: np.ndarray, color: np.ndarray, tolerance: float) -> np.ndarray:
+    """[N] bool: splats with a colour near the given one.
+
+    Args:
+        base: [N, 4] of `radiance:base`.
+        color: [3] sRGB values.
+        tolerance: Largest distance in sRGB values; black and white are sqrt(3) apart.
+    """
+    similar, color = np.empty(len(base), bool), np.asarray(color, np.float32)
+    for at in range(0, len(base), _BLOCK):
+        part = slice(at, at + _BLOCK)
+        x, y, z = (colors(base[part]) - color).T
+        similar[part] = x * x + y * y + z * z <= np.float32(tolerance) ** 2
+    return similar
+
+
+def colors(base: np.ndarray) -> np.ndarray:
+    """[N, 3] float32 sRGB values of `radiance:base` [N, 4], without the view-dependent part."""
+    return np.maximum(sh0_to_rgb(base[:, :3]), 0).astype(np.float32)
+
+
+def flooded(
+    means: np.ndarray, base: np.ndarray, seeds: np.ndarray, gap: float, tolerance: float
+) -> np.ndarray:
+    """[N] bool: splats connected to the seeds, with similar colours.
+
+    Args:
+        means: [N, 3].
+        base: [N, 4] of `radiance:base`.
+        seeds: [N] bool, included in the result.
+        gap: Side of the cells of `gscore.edit.reached_from`, units of `means`.
+        tolerance: As `similar_color`, from the seeds' mean colour; 0: any colour.
+    """
+    if tolerance <= 0 or not seeds.any():
+        return reached_from(means, seeds, gap)
+    allowed = similar_color(base, colors(base[seeds]).mean(axis=0), tolerance) | seeds
+    reached = np.zeros(len(means), bool)
+    reached[allowed] = reached_from(means[allowed], seeds[allowed], gap)
+    return reached
+
+
+def floaters(splats: Splats, gap: float, few: int) -> np.ndarray:
+    """[N] bool: splats in clusters of fewer than `few` splats; `gap` as a share of the model's size
+    (`gscore.edit.cluster_sizes`)."""
+    return cluster_sizes(splats, gap) < few
+
+
 _MODES = [
-    (selection_masks.SET, "Set", "Select only the matching splats"),
-    (selection_masks.ADD, "Extend", "Add the matching splats to the selection"),
-    (selection_masks.TAKE, "Subtract", "Deselect the matching splats"),
-    (selection_masks.COMMON, "Intersect", "Keep only matching splats selected"),
+    (SET, "Set", "Select only the matching splats"),
+    (ADD, "Extend", "Add the matching splats to the selection"),
+    (TAKE, "Subtract", "Deselect the matching splats"),
+    (COMMON, "Intersect", "Keep only matching splats selected"),
 ]
 
 
@@ -36,8 +109,8 @@ class _Choosing(Editing):
 
     @property
     def how(self) -> str:
-        """Mode of `selection_masks.combined`."""
-        return selection_masks.SET
+        """Mode of `combined`."""
+        return SET
 
     def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """Select."""
@@ -47,7 +120,7 @@ class _Choosing(Editing):
         find, how = self.find(ob, before), self.how
         columns = yield from read_chunked(ob, self.reads)
         chosen = yield from run_in_thread(
-            lambda check: selection_masks.combined(before, find(columns), how), self.bl_label
+            lambda check: combined(before, find(columns), how), self.bl_label
         )
         ob = guard.to_change()
         check_shown(ob)
@@ -134,8 +207,8 @@ class SelectByColor(_Selecting, bpy.types.Operator):
 
         def similar(columns: dict[str, np.ndarray]) -> np.ndarray:
             base = columns[attributes.BASE]
-            target = selection_masks.colors(base[before]).mean(axis=0) if color is None else color
-            return selection_masks.similar_color(base, target, tolerance)
+            target = colors(base[before]).mean(axis=0) if color is None else color
+            return similar_color(base, target, tolerance)
 
         return similar
 
@@ -178,9 +251,7 @@ class SelectBySize(_Selecting, bpy.types.Operator):
         low, high = self.low, self.high
 
         def between(columns: dict[str, np.ndarray]) -> np.ndarray:
-            return selection_masks.between(
-                columns[attributes.SCALE].max(axis=1, initial=0.0), low, high
-            )
+            return between(columns[attributes.SCALE].max(axis=1, initial=0.0), low, high)
 
         return between
 
@@ -229,7 +300,7 @@ class SelectFlood(_Selecting, bpy.types.Operator):
 
         def flooded(columns: dict[str, np.ndarray]) -> np.ndarray:
             means, base = columns[attributes.POSITION], columns[attributes.BASE]
-            return selection_masks.flooded(means, base, before, gap, tolerance)
+            return flooded(means, base, before, gap, tolerance)
 
         return flooded
 
@@ -259,7 +330,7 @@ class SelectFloaters(_Selecting, bpy.types.Operator):
     def find(self, ob: bpy.types.Object, before: np.ndarray) -> Find:
         """Mask as in `gscore convert --min-cluster`."""
         gap, few = self.gap, self.few
-        return lambda columns: selection_masks.floaters(attributes.as_splats(columns), gap, few)
+        return lambda columns: floaters(attributes.as_splats(columns), gap, few)
 
 
 CLASSES = (

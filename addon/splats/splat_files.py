@@ -77,7 +77,18 @@ def import_request(
     level: int | None = None,
     cropped: bpy.types.Object | None = None,
 ) -> ImportRequest:
-    """Import request for `read` in another thread; arguments as `importing.import_splats`.
+    """Import request of a splat file of any format, or of a part of a file with levels of detail.
+
+    Args:
+        path: The file.
+        parent: The empty of the capture that the splats were trained from; its alignment applies.
+        up: Without `parent`, the axis of the file that points up: `FROM_FILE`, or a key of
+            `UP_AXES`. The object is rotated; the data stay in the file's world. A file
+            exported in Blender's world keeps its position there, also under a parent.
+        level: Level of detail to read, 0 is the finest; None: the finest with at most
+            `MOST_AT_ONCE` splats.
+        cropped: A splat object of the same file with a crop object. Reads only splats in its box,
+            of `level` or the finest, and places them at this object.
 
     Raises:
         ValueError: `cropped` has no crop object, or the file no levels of detail.
@@ -111,7 +122,8 @@ def read(wanted: ImportRequest, check: Check = lambda: None) -> SplatFile:
     """Read an import request, in any thread. `check` raises after cancellation.
 
     Raises:
-        As `importing.import_splats`.
+        GsError: the file is missing, corrupt or holds no splats.
+        ValueError: there is no such level, or no splat in the box.
     """
     if not is_lod_file(wanted.path):
         file = conversion.read(wanted.path, wanted.by, check)

@@ -13,7 +13,7 @@ import bpy
 from .. import attributes
 from ..interface.temporary_data import Temporary
 from ..process.incremental_tasks import BUDGET, Pieces
-from . import copy_metadata, objects, string_attributes, vertex_groups
+from . import copy_metadata, objects, point_attributes, vertex_groups
 from .mesh_buffers import ReadyT
 from .point_attributes import GROUP, TEXT
 
@@ -61,7 +61,7 @@ class ChunkedWrite(Generic[ReadyT]):
                     if time.perf_counter() > until:
                         return False
                 if kind == TEXT:
-                    string_attributes.write(mesh, name, values)
+                    point_attributes.set_texts(mesh, name, values)
                 else:
                     attributes.fill(mesh, name, kind, values)
             self._next += 1

@@ -7,7 +7,7 @@ import bpy
 
 from ..interface import editable_check
 from ..paths import relative
-from ..process.incremental_tasks import Pieces, run_blocking
+from ..process.incremental_tasks import Pieces
 from ..splats import splat_files
 from ..splats.importing import importing_splats
 from ..splats.splat_files import ImportRequest
@@ -16,7 +16,7 @@ from .frames import Series, find_series
 from .library import LIBRARY
 
 
-def import_sequence(
+def importing_sequence(
     context: bpy.types.Context,
     folder: Path,
     *,
@@ -24,8 +24,9 @@ def import_sequence(
     start: int = 1,
     parent: bpy.types.Object | None = None,
     up: str = "-Y",
-) -> tuple[bpy.types.Object, Series]:
-    """Make a splat object that plays the frames in a folder.
+) -> Pieces[tuple[bpy.types.Object, Series, list[str]]]:
+    """Make a splat object that plays the frames in a folder. A thread finds the frames and reads
+    the first, which is then written to Blender.
 
     Args:
         context: The object is linked to its collection.
@@ -37,29 +38,11 @@ def import_sequence(
             `splat_files.UP_AXES`.
 
     Returns:
-        The object, and its frames.
+        The object, its frames, and warnings.
 
     Raises:
         GsError: the first frame cannot be read; the scene is untouched.
         ValueError: there are no frames.
-    """
-    options = {"called": called, "start": start, "parent": parent, "up": up}
-    ob, series, _ = run_blocking(importing_sequence(context, folder, **options))
-    return ob, series
-
-
-def importing_sequence(
-    context: bpy.types.Context,
-    folder: Path,
-    *,
-    called: str,
-    start: int,
-    parent: bpy.types.Object | None,
-    up: str,
-) -> Pieces[tuple[bpy.types.Object, Series, list[str]]]:
-    """`import_sequence` in short steps; also returns warnings.
-
-    A thread finds the frames and reads the first, which is then written to Blender.
     """
     found: list[Series] = []
 
@@ -80,7 +63,7 @@ def set_up_playback(ob: bpy.types.Object, folder: Path, *, called: str, start: i
     """Set up playback of a folder on an object whose mesh has its first frame.
 
     Args:
-        As `import_sequence`.
+        As `importing_sequence`.
     """
     LIBRARY.forget((folder, called))
     own = ob.gscore_sequence

@@ -207,12 +207,6 @@ class Library:
             for file in [f for f in self._problems if folder[0] in f.path.parents]:
                 del self._problems[file]
 
-    def keep_owners(self, owners: set[Hashable]) -> None:
-        """Drop the requests of all other owners."""
-        with self._changed:
-            for owner in self._wanted.keys() - owners:
-                del self._wanted[owner]
-
     def clear(self) -> None:
         """Drop all frames and requests; a file being read is dropped when it is loaded."""
         with self._changed:

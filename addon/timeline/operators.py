@@ -10,7 +10,7 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from ..cameras.lookup import find_root
 from ..cameras.objects import root_of
 from ..core import SPLAT_ENDINGS
-from ..interface.base_operator import BaseOperator, OnScene, make_active
+from ..interface.base_operator import OnScene, Undoable, make_active
 from ..interface.incremental_operator import IncrementalOperator
 from ..process import poll_timer
 from ..process.incremental_tasks import Pieces
@@ -23,10 +23,8 @@ from .library import LIBRARY
 from .settings import is_sequence
 
 
-class OnSequence(BaseOperator):
+class OnSequence(Undoable):
     """Base of operators on the active splat object with a sequence."""
-
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -44,7 +42,6 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.import_sequence"
     bl_label = "Import Splat Sequence"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     filepath: StringProperty(
         name="Frame",

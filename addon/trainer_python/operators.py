@@ -6,8 +6,7 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from .. import preferences
-from ..interface.base_operator import BaseOperator
-from ..interface.confirm_operator import ConfirmMixin
+from ..interface.base_operator import BaseOperator, ConfirmMixin
 from ..process import poll_timer
 from .setup import CURRENT, contents
 

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..interface.confirm_operator import wrapped
+from ..interface.base_operator import wrapped
 from ..preferences import SECTIONS, Preferences
 from . import installer
 from .setup import CURRENT

@@ -184,10 +184,6 @@ class Setup:
             if t is not None and t.running
         ]
 
-    def making(self) -> bool:
-        """Whether an environment is being made."""
-        return self._making is not None and self._making.running
-
     def busy(self) -> bool:
         """Whether a task is running or its result is not collected."""
         return self._checking is not None or self._making is not None

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import ClassVar
 
 import bpy
 from bpy.props import StringProperty
@@ -48,7 +47,6 @@ class ChooseCapture(OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.choose_capture"
     bl_label = "Choose Capture"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     path: StringProperty(name="Capture", description="Folder of the capture", options={"SKIP_SAVE"})
 

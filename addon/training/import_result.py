@@ -1,7 +1,5 @@
 """Import operator for the result of a finished run that the open file does not have yet."""
 
-from typing import ClassVar
-
 import bpy
 
 from ..interface.base_operator import make_active
@@ -15,7 +13,6 @@ class ImportResult(ImportOperator, bpy.types.Operator):
 
     bl_idname = "gscore.import_result"
     bl_label = "Show Trained Splats"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     def import_requests(self, context: bpy.types.Context) -> list[splat_files.ImportRequest]:
         """The splats of the run."""

@@ -3,8 +3,11 @@
 Messages of gscore are translated to panel labels here, so callers show and raise them unchanged.
 """
 
+import json
+import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ..capture.depth_maps import DepthReport, read_run_report
 from ..capture.figures import Figures, measured
@@ -19,8 +22,44 @@ from ..core import (
 )
 from ..interface.lookup import Lookup
 from ..interface.option_labels import panel_words
+from ..process.child_program import Process
 from . import existing_run, forecast
-from .networks import networks_here
+
+_TIMEOUT = 60.0
+"""Seconds for an answer from a cold disk."""
+
+
+def networks_here(python: str) -> frozenset[str]:
+    """Names of the installed networks; for a thread.
+
+    Raises:
+        ValueError: the Python gave no answer.
+    """
+    problem = f"{python} cannot list depth networks; press Check in the add-on's preferences."
+    try:
+        process = Process([python, "-m", "gscore", "depth", "--list-models", "--json"])
+    except OSError as error:
+        raise ValueError(problem) from error
+    try:
+        until, output = time.monotonic() + _TIMEOUT, []
+        while not process.ended and time.monotonic() < until:
+            output += list(process.lines(0.1))
+            time.sleep(0.05)
+        output += list(process.lines(0.1))
+    finally:
+        process.kill(wait=5.0)
+    for line in reversed(output):
+        if (names := _names(line)) is not None:
+            return names
+    raise ValueError(problem)
+
+
+def _names(line: str) -> frozenset[str] | None:
+    try:
+        rows: Any = json.loads(line)["models"]
+        return frozenset(str(row["name"]) for row in rows if row["file"])
+    except (ValueError, KeyError, TypeError):
+        return None
 
 
 def _inspected(key: tuple[str, str]) -> ShownFacts:

@@ -5,11 +5,10 @@ from typing import ClassVar
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..interface.base_operator import BaseOperator, OnScene, make_active
-from ..interface.confirm_operator import ConfirmMixin
+from ..interface.base_operator import BaseOperator, ConfirmMixin, OnScene, Undoable, make_active
 from ..interface.images import show_image
 from ..process import poll_timer
-from . import facts, registry, run_state, start_training
+from . import facts, guides, registry, run_state, start_training
 from .options import BY_WIDTH
 from .training_job import Job
 from .verb_operators import Waiting
@@ -48,7 +47,7 @@ class _OnJob(BaseOperator):
         raise NotImplementedError
 
 
-class Train(ConfirmMixin, OnScene, Waiting, bpy.types.Operator):
+class Train(ConfirmMixin, Waiting, OnScene, bpy.types.Operator):
     """Train splats from the capture in the background"""
 
     bl_idname = "gscore.train"
@@ -80,7 +79,6 @@ class FitTraining(OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.fit_training"
     bl_label = "Fit into Memory"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     which: EnumProperty(
         name="Change",
@@ -106,7 +104,7 @@ class FitTraining(OnScene, bpy.types.Operator):
         return ""
 
 
-class ResumeTraining(OnScene, Waiting, bpy.types.Operator):
+class ResumeTraining(Waiting, OnScene, bpy.types.Operator):
     """Resume the run in the output folder from its last checkpoint"""
 
     bl_idname = "gscore.resume_training"
@@ -157,7 +155,6 @@ class FollowTraining(OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.follow_training"
     bl_label = "Follow Training"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     job_id: StringProperty(name="Training", description="Id of the training", options={"HIDDEN"})
 
@@ -222,12 +219,11 @@ class ShowTestView(BaseOperator, bpy.types.Operator):
         return ""
 
 
-class SelectResult(BaseOperator, bpy.types.Operator):
+class SelectResult(Undoable, bpy.types.Operator):
     """Make the splats of the training the active object"""
 
     bl_idname = "gscore.select_result"
     bl_label = "Select Result"
-    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     def act(self, context: bpy.types.Context) -> str:
         """Select."""
@@ -261,6 +257,38 @@ def _report(job: Job) -> str:
     return job.state.sentence if job.state.ended else ""
 
 
+class AddGuides(OnScene, bpy.types.Operator):
+    """Add the selected objects to the collection of meshes that guide the training"""
+
+    bl_idname = "gscore.add_guides"
+    bl_label = "Add Selected"
+
+    role: EnumProperty(
+        name="Role",
+        description="Use of the meshes in the training",
+        items=(
+            ("surface", "Surface Mesh", "Splats are pulled onto these meshes"),
+            ("free", "Free-Space Mesh", "Splats between the cameras and these meshes are removed"),
+        ),
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """True if something is selected."""
+        if context.selected_objects:
+            return True
+        cls.poll_message_set("Select the meshes first")
+        return False
+
+    def act(self, context: bpy.types.Context) -> str:
+        """Link the objects."""
+        obs = [ob for ob in context.selected_objects if guides.may_guide(ob)]
+        if not obs:
+            raise ValueError("None of the selected objects is a mesh or can be converted to one.")
+        collection = guides.add_to_guides(context.scene, self.role, obs)
+        return f"Added {len(obs)} objects to {collection.name}."
+
+
 CLASSES = (
     Train,
     FitTraining,
@@ -274,4 +302,5 @@ CLASSES = (
     ShowTestView,
     SelectResult,
     ShowReport,
+    AddGuides,
 )

@@ -23,7 +23,8 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 from addon.splats import exporting, objects  # noqa: E402
 from addon.splats.file_operators import ExportSplats  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import ScriptRunner, area, clear, write_results  # noqa: E402
+from tests.addon.calls import export_splats  # noqa: E402
+from tools.window.desk import ScriptRunner, area, clear, leaving  # noqa: E402
 
 seen: dict = {"log": []}
 
@@ -48,7 +49,7 @@ def story() -> Iterator[object]:
     bpy.context.view_layer.objects.active = ob
     ExportSplats.invoke = lambda self, context, event: self.execute(context)  # no file browser
     yield 1.0
-    exporting.export_splats([ob], FOLDER / "at once.ply")
+    export_splats([ob], FOLDER / "at once.ply")
     seen["begun"], seen["under_way"] = list(export("bit by bit.ply")), under_way()
     yield lambda: not under_way()
     names = ("at once.ply", "bit by bit.ply")

@@ -22,7 +22,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.cameras import camera_path, camera_path_import, export_colmap, importing  # noqa: E402
 from addon.cameras.objects import cameras_of, points_of  # noqa: E402
-from addon.interface import modal_status  # noqa: E402
+from addon.interface import incremental_operator  # noqa: E402
 from tests.window.blocking import Held  # noqa: E402
 from tools.window.desk import ScriptRunner, area, clear, save_screenshot, send, space, write_results  # noqa: E402
 
@@ -249,8 +249,11 @@ def story() -> Iterator[object]:
     importing.BUDGET = 0.0  # one camera per step, so that there is time to press a key
     clear()
     bpy.data.batch_remove([*bpy.data.cameras, *bpy.data.meshes, *bpy.data.lights])
-    say = modal_status.StatusBar.show
-    modal_status.StatusBar.show = lambda self, text: (said.append(text or ""), say(self, text))[1]
+    say = incremental_operator.StatusBar.show
+    incremental_operator.StatusBar.show = lambda self, text: (
+        said.append(text or ""),
+        say(self, text),
+    )[1]
     with bpy.context.temp_override(window=window(), area=area()):
         bpy.ops.ed.undo_push(message="start")
     yield 0.5

@@ -22,11 +22,11 @@ import numpy as np  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon import attributes  # noqa: E402
-from addon.cameras import captures  # noqa: E402
 from addon.core import join_splats  # noqa: E402
 from addon.render import decimate, picture  # noqa: E402
-from addon.splats import objects, selection_masks  # noqa: E402
+from addon.splats import objects, select_operators  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
+from tests.addon.calls import import_capture  # noqa: E402
 from tests.window.blocking import Held  # noqa: E402
 from tools.window.desk import ScriptRunner, area, clear, save_screenshot, write_results  # noqa: E402
 
@@ -132,7 +132,7 @@ def given_up() -> Iterator[object]:
     seed()
     mode("EDIT")
     yield 0.5
-    held = Held(selection_masks, "flooded")
+    held = Held(select_operators, "flooded")
     invoke("select_flood", gap=1.0)
     yield held.began.is_set
     seen["meanwhile"] = ob().mode
@@ -164,7 +164,7 @@ def compared() -> Iterator[object]:
     """A photo comparison, while the picture of the splats is drawn; then cancelled."""
     clear()
     scene = bpy.context.scene
-    capture = captures.import_capture(scene, ROOT / "examples" / "studio", photos=False)
+    capture = import_capture(scene, ROOT / "examples" / "studio", photos=False)
     values = np.empty(3 * len(capture.points.data.vertices), np.float32)
     capture.points.data.attributes["position"].data.foreach_get("vector", values)
     blob = lab.blob(len(values) // 3)
@@ -230,7 +230,7 @@ def disabled() -> Iterator[object]:
     """The add-on is disabled during a search for splats, and enabled again."""
     begin()
     yield 0.5
-    held = Held(selection_masks, "flooded")
+    held = Held(select_operators, "flooded")
     seed()
     mode("EDIT")
     invoke("select_flood", gap=1.0)

@@ -24,7 +24,7 @@ from mathutils import Quaternion  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.core import read_splats  # noqa: E402
-from addon.live import card, depths, draw_handler, texture_upload, view_picture  # noqa: E402
+from addon.live import card, depths, draw_handler, texture_upload  # noqa: E402
 from addon.live.program import QUADS  # noqa: E402
 from addon.splats import objects  # noqa: E402
 from tools.window import desk  # noqa: E402
@@ -61,7 +61,7 @@ class Meter:
 
     def __init__(self) -> None:
         self.redraws: list[Redraw] = []
-        draw, texture, wait = draw_handler.draw, texture_upload.texture, view_picture._wait
+        draw, texture, wait = draw_handler.draw, texture_upload.texture, card._wait
         read = depths._read_depths
         step, reserve = card.Card.step, texture_upload.Texels.__init__
 
@@ -86,7 +86,7 @@ class Meter:
         texture_upload.texture = card.texture = counted
         # Allocation of an atlas, which software rendering clears on the CPU.
         texture_upload.Texels.__init__ = lambda this, values: self.time(reserve, this, values)
-        view_picture._wait = lambda target: self.time(wait, target)
+        card._wait = lambda target: self.time(wait, target)
         depths._read_depths = lambda *given: self.time(
             read, *given
         )  # waits for all drawing of Blender

@@ -13,14 +13,14 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from addon.cameras import camera_math as cm
-from addon.cameras import capture_transform, captures
-from addon.cameras.camera_path import export_path
+from addon.cameras import capture_transform
 from addon.cameras.render_camera import render_camera
 from addon.core import write_splats
 from addon.splats import objects
 from gscore.datasets.camera_path_json import read_camera_path
 from gscore.io.cameras_json import read_cameras_json as read_cameras
 from tests.addon import splat_scenes as lab
+from tests.addon.calls import export_path, import_capture
 from tests.addon.captures import write_capture
 
 ROOT = Path(__file__).parents[3]
@@ -104,7 +104,7 @@ def seen(scene, camera) -> list[np.ndarray]:
 
 def capture_with(camera) -> bpy.types.Object:
     """A capture that is rotated, moved and scaled in the scene."""
-    made = captures.import_capture(bpy.context.scene, ROOT / "examples" / "studio", photos=False)
+    made = import_capture(bpy.context.scene, ROOT / "examples" / "studio", photos=False)
     capture_transform.set_root_matrix(made.root, made_matrix())
     bpy.context.view_layer.update()
     return made.root
@@ -397,7 +397,7 @@ def test_a_camera_of_a_straightened_photo(scene, tmp_path: Path) -> None:
     """Oracle: its pinhole camera in Blender, with the size of the undistorted photo and the
     animated lens."""
     write_capture(tmp_path / "c", np.random.default_rng(0))
-    made = captures.import_capture(scene, tmp_path / "c")
+    made = import_capture(scene, tmp_path / "c")
     ob = next(ob for ob in made.cameras if ob["gs_model"] == "OPENCV")
     scene.frame_start, scene.frame_end = 1, 2
     ob.data.keyframe_insert("lens", frame=1)

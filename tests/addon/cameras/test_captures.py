@@ -19,6 +19,7 @@ from addon.cameras.render_camera import RenderCamera, render_camera
 from addon.capture.inspection import inspect
 from addon.compat import matrix_to_numpy
 from addon.core import GsError, plan_undistortion, read_capture, read_colmap, write_colmap
+from tests.addon.calls import import_capture
 from tests.addon.captures import STUDIO, write_capture
 from tests.program_files import Rig, write_metashape
 from tests.upright_photos import upright_capture
@@ -55,7 +56,7 @@ def capture(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("aligned", [False, True])
 def test_imported_cameras_project_as_colmap_says(scene, capture: Path, aligned: bool) -> None:
     """Oracle: COLMAP's K and pose in float64, compared with Blender's own projection."""
-    made = captures.import_capture(bpy.context.scene, capture, align=aligned)
+    made = import_capture(bpy.context.scene, capture, align=aligned)
     if aligned:
         capture_transform.set_extent(made.root, 12.5)
     bpy.context.view_layer.update()
@@ -165,7 +166,7 @@ def test_another_size(scene) -> None:
 
 def test_import_matches_the_model(scene) -> None:
     """Oracle: the model: names, sizes, float64 values to the last bit, photos not decoded."""
-    made = captures.import_capture(bpy.context.scene, STUDIO / "sparse" / "0")
+    made = import_capture(bpy.context.scene, STUDIO / "sparse" / "0")
     model = read_colmap(STUDIO)
     assert made.root["gs_kind"] == "capture" and made.root["gs_source"] == str(STUDIO)
     assert [ob["gs_image"] for ob in made.cameras] == sorted(i.name for i in model.images)
@@ -185,7 +186,7 @@ def test_import_matches_the_model(scene) -> None:
 
 def test_points_show_their_colors(scene) -> None:
     """Oracle: the model's points; the depsgraph's mesh: octahedra and one bare vertex."""
-    made = captures.import_capture(bpy.context.scene, STUDIO)
+    made = import_capture(bpy.context.scene, STUDIO)
     model = read_colmap(STUDIO)
     np.testing.assert_array_equal(
         sfm_points.positions_of(made.points), model.points.xyz.astype(np.float32)
@@ -203,7 +204,7 @@ def test_points_show_their_colors(scene) -> None:
 
 def test_use_camera(scene) -> None:
     """Oracle: the photo's size and K; the former camera's photo leaves memory."""
-    made = captures.import_capture(bpy.context.scene, STUDIO)
+    made = import_capture(bpy.context.scene, STUDIO)
     first, second = made.cameras[:2]
     assert captures.use_camera(scene, first) == []
     assert scene.camera == first
@@ -224,7 +225,7 @@ def test_use_camera(scene) -> None:
 
 def test_pixel_aspect_is_reported(scene, capture: Path) -> None:
     """Oracle: fy / fx of the model, in the scene and in the message."""
-    made = captures.import_capture(bpy.context.scene, capture)
+    made = import_capture(bpy.context.scene, capture)
     assert any("fx and fy differ" in warning for warning in made.warnings)
     assert any("differ in size" in warning for warning in made.warnings)
     ob = next(ob for ob in made.cameras if tuple(ob["gs_size"]) == (640, 640))
@@ -235,7 +236,7 @@ def test_pixel_aspect_is_reported(scene, capture: Path) -> None:
 
 def test_distorted_cameras_come_as_trainings_see_them(scene, capture: Path) -> None:
     """Oracle: the pinhole camera of a training; model, parameters and the photo's size are kept."""
-    made = captures.import_capture(bpy.context.scene, capture)
+    made = import_capture(bpy.context.scene, capture)
     ob = next(ob for ob in made.cameras if ob["gs_model"] == "OPENCV")
     own = co.stated(ob)
     assert own.params == (800.0, 801.0, 505.0, 370.0, -0.1, 0.02, 0.001, -0.002)
@@ -251,7 +252,7 @@ def test_lens_without_inverse_is_reported(scene, tmp_path: Path) -> None:
     pinhole part of the lens, and its photo is not undistorted."""
     bent = {1: ("SIMPLE_RADIAL", 640, 480, (400.0, 320.0, 240.0, -1.5))}
     write_capture(tmp_path / "x", np.random.default_rng(0), cameras=bent, photos=True)
-    made = captures.import_capture(bpy.context.scene, tmp_path / "x")
+    made = import_capture(bpy.context.scene, tmp_path / "x")
     assert sum("cannot be undistorted" in warning for warning in made.warnings) == 1
     own = co.stated(made.cameras[0])
     np.testing.assert_array_equal(own.K, [[400, 0, 320], [0, 400, 240], [0, 0, 1]])
@@ -265,7 +266,7 @@ def test_photos_that_are_missing(scene, tmp_path: Path) -> None:
     shutil.copytree(STUDIO / "sparse", tmp_path / "c" / "sparse")
     (tmp_path / "c" / "images").mkdir()
     shutil.copy(STUDIO / "images" / "view_000.jpg", tmp_path / "c" / "images")
-    made = captures.import_capture(bpy.context.scene, tmp_path / "c")
+    made = import_capture(bpy.context.scene, tmp_path / "c")
     assert "59 of the 60 images" in made.warnings[0]
     assert [photo_of(ob) is not None for ob in made.cameras] == [True] + 59 * [False]
     notes = captures.use_camera(scene, made.cameras[1])
@@ -288,7 +289,7 @@ def test_bad_captures_leave_the_scene_alone(scene, tmp_path: Path, kind: str) ->
         file.write_bytes(file.read_bytes()[:100])
     before = _counts()
     with pytest.raises((GsError, ValueError), match=str(folder)):
-        captures.import_capture(bpy.context.scene, folder)
+        import_capture(bpy.context.scene, folder)
     with pytest.raises(RuntimeError, match=str(folder)):
         bpy.ops.gscore.import_cameras(directory=str(folder))
     assert _counts() == before
@@ -301,7 +302,7 @@ def _counts() -> dict[str, int]:
 
 def test_save_and_load(scene, tmp_path: Path) -> None:
     """Oracle: the model's values, read from the .blend file to the last bit."""
-    captures.import_capture(bpy.context.scene, STUDIO)
+    import_capture(bpy.context.scene, STUDIO)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
@@ -322,7 +323,7 @@ def test_up_by_the_orientation_of_photos(scene, tmp_path: Path, held: tuple[int,
     """Oracle: the vertical of the world in which the photos were taken upright, stored according to
     their EXIF orientation; a ground may be tilted by up to 12 degrees."""
     up = upright_capture(tmp_path / "walk", held)
-    root = captures.import_capture(bpy.context.scene, tmp_path / "walk").root
+    root = import_capture(bpy.context.scene, tmp_path / "walk").root
     for how in ("", "CAMERAS", "CAPTURE"):
         if how:
             bpy.ops.gscore.align_capture(capture=root.name, up=how)
@@ -334,12 +335,12 @@ def test_up_that_a_capture_states(scene, tmp_path: Path) -> None:
     the cameras differs."""
     shutil.copytree(STUDIO / "sparse", tmp_path / "studio" / "sparse")
     model = read_colmap(tmp_path / "studio")
-    root = captures.import_capture(bpy.context.scene, tmp_path / "studio", photos=False).root
+    root = import_capture(bpy.context.scene, tmp_path / "studio", photos=False).root
     own = matrix_to_numpy(root.matrix_basis)
     bpy.data.batch_remove(list(bpy.data.objects))
     stated = np.array([1.0, 2.0, 2.0]) / 3
     write_colmap(replace(model, up=stated), tmp_path / "studio" / "sparse" / "0")
-    root = captures.import_capture(bpy.context.scene, tmp_path / "studio", photos=False).root
+    root = import_capture(bpy.context.scene, tmp_path / "studio", photos=False).root
     turned = matrix_to_numpy(root.matrix_basis)[:3, :3] @ stated
     assert turned[2] > np.cos(np.radians(12.1))  # largest tilt of a ground
     bpy.ops.gscore.align_capture(capture=root.name, up="CAMERAS")
@@ -353,7 +354,7 @@ def test_another_machine(scene, tmp_path: Path) -> None:
     """Oracle: cameras as before; a message about the photo, which is found again at its new
     path."""
     shutil.copytree(STUDIO, tmp_path / "here" / "studio")
-    made = captures.import_capture(bpy.context.scene, tmp_path / "here" / "studio")
+    made = import_capture(bpy.context.scene, tmp_path / "here" / "studio")
     (tmp_path / "here").rename(tmp_path / "there")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
@@ -388,7 +389,7 @@ def test_undo(scene) -> None:
 
 def test_moving_and_zooming_is_noticed(scene) -> None:
     """Oracle: a change of a hundredth of a pixel counts, another rotation mode does not."""
-    made = captures.import_capture(bpy.context.scene, STUDIO)
+    made = import_capture(bpy.context.scene, STUDIO)
     ob = made.cameras[7]
     own = co.stated(ob)
     ob.rotation_mode = "XYZ"
@@ -413,7 +414,7 @@ def test_moving_and_zooming_is_noticed(scene) -> None:
 
 def test_a_property_that_is_gone(scene) -> None:
     """Oracle: the sentence names camera and property."""
-    made = captures.import_capture(bpy.context.scene, STUDIO)
+    made = import_capture(bpy.context.scene, STUDIO)
     del made.cameras[0]["gs_K"]
     with pytest.raises(ValueError, match=r"view_000 .*gs_K"):
         co.stated(made.cameras[0])
@@ -464,8 +465,8 @@ def test_operators(scene) -> None:
 
 def test_two_captures(scene, capture: Path) -> None:
     """Oracle: the active object decides; without one, a name must be given."""
-    a = captures.import_capture(bpy.context.scene, STUDIO)
-    b = captures.import_capture(bpy.context.scene, capture)
+    a = import_capture(bpy.context.scene, STUDIO)
+    b = import_capture(bpy.context.scene, capture)
     assert a.root != b.root and len(cameras_of(a.root)) == 60
     with pytest.raises(RuntimeError, match="several captures"):
         bpy.ops.gscore.use_camera(index=0)
@@ -480,11 +481,11 @@ def test_transforms_json(scene, tmp_path: Path) -> None:
     """Oracle: gscore's reader of the same file, photos decoded by Blender."""
     from addon.core import DataConfig
 
-    made = captures.import_capture(bpy.context.scene, STUDIO)
+    made = import_capture(bpy.context.scene, STUDIO)
     bpy.ops.gscore.export_cameras(directory=str(tmp_path), kind="TRANSFORMS")
     shutil.copytree(STUDIO / "images", tmp_path / "images")
     bpy.ops.wm.read_homefile(use_empty=True)
-    made = captures.import_capture(bpy.context.scene, tmp_path / "transforms.json")
+    made = import_capture(bpy.context.scene, tmp_path / "transforms.json")
     views = {v.name: v for v in read_capture(DataConfig(source=tmp_path)).views}
     assert len(made.cameras) == 60 and len(made.points.data.vertices) == 6725
     for ob in made.cameras:
@@ -505,7 +506,7 @@ def test_cameras_of_metashape(scene, tmp_path: Path) -> None:
     shutil.copytree(STUDIO / "images", tmp_path / "images")
     file = write_metashape(tmp_path, rig)
     assert inspect(tmp_path / "images").lines()[0] == ("Metashape XML", str(file))
-    made = captures.import_capture(bpy.context.scene, tmp_path)
+    made = import_capture(bpy.context.scene, tmp_path)
     assert len(made.cameras) == 60
     poses = {image.name: image.viewmat for image in model.images}
     for ob in made.cameras:
@@ -515,7 +516,7 @@ def test_cameras_of_metashape(scene, tmp_path: Path) -> None:
 def test_one_switch_shows_all_photos_of_the_capture(scene, tmp_path: Path) -> None:
     """Oracle: Blender's own settings of each camera; a camera of the user keeps its own."""
     write_capture(tmp_path / "odd", np.random.default_rng(0), photos=True)
-    made = captures.import_capture(bpy.context.scene, tmp_path / "odd")
+    made = import_capture(bpy.context.scene, tmp_path / "odd")
     own = bpy.data.objects.new("own", bpy.data.cameras.new("own"))
     scene.collection.objects.link(own)
     own.data.background_images.new().alpha, own.data.show_background_images = 0.25, True

@@ -13,12 +13,11 @@ from mathutils import Vector
 from addon.cameras import camera_math as cm
 from addon.cameras import capture_transform, captures, sfm_points
 from addon.cameras import objects as co
-from addon.cameras.export_colmap import export_colmap
-from addon.cameras.export_transforms import export_transforms
 from addon.cameras.objects import cameras_of
 from addon.cameras.render_camera import render_camera
 from addon.compat import matrix_to_numpy
 from addon.core import DataConfig, read_capture, read_colmap
+from tests.addon.calls import export_colmap, export_transforms, import_capture
 from tests.addon.captures import STUDIO, write_capture
 
 FILES = ("cameras", "images", "points3D")
@@ -34,7 +33,7 @@ def capture(tmp_path: Path) -> Path:
 @pytest.fixture
 def made(scene, capture: Path) -> captures.ImportedCapture:
     """That capture in Blender, aligned and scaled."""
-    made = captures.import_capture(bpy.context.scene, capture)
+    made = import_capture(bpy.context.scene, capture)
     capture_transform.set_extent(made.root, 3.0)
     bpy.context.view_layer.update()
     return made
@@ -56,7 +55,7 @@ def test_untouched_is_bit_for_bit(made, scene, capture: Path, tmp_path: Path) ->
 
 def test_real_capture_is_kept(scene, tmp_path: Path) -> None:
     """Oracle: the studio's files; only the order of points within tracks may differ."""
-    made = captures.import_capture(bpy.context.scene, STUDIO)
+    made = import_capture(bpy.context.scene, STUDIO)
     export_colmap(tmp_path, made.cameras, scene, root=made.root, depsgraph=graph())
     for name in ("cameras", "images"):
         ours = tmp_path / "sparse" / "0" / f"{name}.bin"
@@ -69,9 +68,9 @@ def test_real_capture_is_kept(scene, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["COLMAP", "COLMAP_TEXT", "TRANSFORMS"])
 def test_imported_again_the_cameras_are_the_same(scene, tmp_path: Path, kind: str) -> None:
     """Oracle: Blender's own numbers of the first import."""
-    first = captures.import_capture(bpy.context.scene, STUDIO, align=False)
+    first = import_capture(bpy.context.scene, STUDIO, align=False)
     bpy.ops.gscore.export_cameras(directory=str(tmp_path), kind=kind)
-    again = captures.import_capture(bpy.context.scene, tmp_path, align=False)
+    again = import_capture(bpy.context.scene, tmp_path, align=False)
     for a, b in zip(first.cameras, again.cameras, strict=True):
         assert Path(a["gs_image"]).name == Path(b["gs_image"]).name
         for field in ("location", "rotation_quaternion"):
@@ -235,7 +234,7 @@ def test_cameras_of_ones_own(made, scene, tmp_path: Path) -> None:
     wanted = render_camera(ob, scene)
     done = export_colmap(tmp_path, [*made.cameras, ob], scene, root=made.root, depsgraph=graph())
     assert (done.views, done.moved) == (15, 1)
-    other = captures.import_capture(bpy.context.scene, tmp_path, align=False)
+    other = import_capture(bpy.context.scene, tmp_path, align=False)
     capture_transform.set_root_matrix(other.root, matrix_to_numpy(made.root.matrix_basis))
     again = next(o for o in other.cameras if o["gs_image"] == "Dolly_1.png")
     captures.use_camera(scene, again)
@@ -381,7 +380,7 @@ def test_other_captures_of_the_file_stay(made, scene, tmp_path: Path) -> None:
         write_capture(folder, np.random.default_rng(1))
         (folder / "transforms.json").write_text("{}")
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
-    captures.import_capture(bpy.context.scene, imported)
+    import_capture(bpy.context.scene, imported)
     scene.gscore.capture_path = str(chosen)
     for folder in (chosen, imported):
         with pytest.raises(ValueError, match=f"own model of .*{folder.name}"):
@@ -395,7 +394,7 @@ def test_a_fisheye_has_no_transforms(scene, tmp_path: Path) -> None:
     """Oracle: the message names photo and model."""
     bent = {1: ("THIN_PRISM_FISHEYE", 640, 480, (400.0, 400.0, 320.0, 240.0, *8 * (0.01,)))}
     write_capture(tmp_path / "c", np.random.default_rng(0), cameras=bent)
-    made = captures.import_capture(bpy.context.scene, tmp_path / "c")
+    made = import_capture(bpy.context.scene, tmp_path / "c")
     with pytest.raises(ValueError, match=r"v000.png has the camera model THIN_PRISM"):
         export_transforms(tmp_path / "transforms.json", made.cameras, scene, root=made.root)
     assert not (tmp_path / "transforms.json").exists()

@@ -8,11 +8,12 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras import captures, export_views
+from addon.cameras import export_views
 from addon.cameras.importing import ImportedCapture
 from addon.core import atomic_write
 from addon.process.background_task import Cancelled
 from addon.process.incremental_tasks import TaskRunner
+from tests.addon.calls import import_capture
 from tests.addon.cameras.test_importing import until
 from tests.addon.captures import STUDIO
 from tools.measure.windowless import windowless
@@ -21,7 +22,7 @@ from tools.measure.windowless import windowless
 @pytest.fixture
 def made(scene: bpy.types.Scene) -> ImportedCapture:
     """A capture in the scene, one of its cameras moved."""
-    found = captures.import_capture(scene, STUDIO, photos=False)
+    found = import_capture(scene, STUDIO, photos=False)
     found.cameras[3].location.x += 1
     bpy.context.view_layer.update()
     return found

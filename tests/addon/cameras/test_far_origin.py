@@ -9,17 +9,21 @@ import numpy as np
 import pytest
 
 from addon.cameras import capture_transform, captures
-from addon.cameras.camera_path import NERFSTUDIO, export_path
-from addon.cameras.camera_path_import import import_path
-from addon.cameras.export_colmap import export_colmap
-from addon.cameras.export_transforms import export_transforms
+from addon.cameras.camera_path import NERFSTUDIO
 from addon.compat import matrix_to_numpy
 from addon.core import DataConfig, Splats, read_capture, read_colmap, write_colmap, write_splat_file
-from addon.splats import objects
-from addon.splats.exporting import export_splats
-from addon.splats.importing import import_splats
 from gscore.datasets.camera_path_json import read_camera_path
 from gscore.formats import read_splat_file
+from tests.addon.calls import (
+    export_colmap,
+    export_path,
+    export_splats,
+    export_transforms,
+    import_capture,
+    import_path,
+    import_splats,
+    read_world,
+)
 from tests.addon.captures import write_capture
 
 UTM = np.array([500000.0, 5600000.0, 120.0])
@@ -57,7 +61,7 @@ def test_cameras_and_splats_land_in_one_frame_near_the_origin(
 ) -> None:
     """Oracle: poses of the files minus the local origin, in float64; splats relative to that
     origin, to another one, and without one are at the file's positions, to 1e-4 of the capture."""
-    made = captures.import_capture(scene, far, align=False)
+    made = import_capture(scene, far, align=False)
     origin = capture_transform.origin_of(made.root)
     assert origin is not None and (np.abs(origin - UTM) < 10).all()
     assert any("local origin" in sentence for sentence in made.warnings)
@@ -71,7 +75,7 @@ def test_cameras_and_splats_land_in_one_frame_near_the_origin(
         splats = splats_in(made, make_splats, path, about)
         ob = import_splats(bpy.context, path, parent=made.root)
         bpy.context.view_layer.update()
-        np.testing.assert_allclose(objects.read_world(ob).means, splats.means, atol=1e-5)
+        np.testing.assert_allclose(read_world(ob).means, splats.means, atol=1e-5)
         np.testing.assert_array_equal(capture_transform.noted_origin(ob), about)
         assert export_splats([ob], tmp_path / "out.ply")[0] == 50
         back = read_splat_file(tmp_path / "out.ply")
@@ -81,7 +85,7 @@ def test_cameras_and_splats_land_in_one_frame_near_the_origin(
     write_splat_file(lost, splats)
     ob = import_splats(bpy.context, lost, parent=made.root)
     bpy.context.view_layer.update()
-    np.testing.assert_allclose(objects.read_world(ob).means, splats.means, atol=1e-6)
+    np.testing.assert_allclose(read_world(ob).means, splats.means, atol=1e-6)
 
 
 def test_splats_without_a_capture_keep_their_origin(scene, make_splats, tmp_path: Path) -> None:
@@ -99,7 +103,7 @@ def test_splats_without_a_capture_keep_their_origin(scene, make_splats, tmp_path
 
 def test_exports_are_in_the_coordinates_of_the_capture(scene, far: Path, tmp_path: Path) -> None:
     """Oracle: the imported files; 3e-9 is the rounding of float64 at these coordinates."""
-    made = captures.import_capture(scene, far)
+    made = import_capture(scene, far)
     bpy.context.view_layer.update()
     graph = bpy.context.evaluated_depsgraph_get()
     (tmp_path / "tf").mkdir()
@@ -127,7 +131,7 @@ def test_exports_are_in_the_coordinates_of_the_capture(scene, far: Path, tmp_pat
 @pytest.mark.parametrize("kind", ["CAMERAS", "TRANSFORMS", NERFSTUDIO])
 def test_camera_paths_go_out_and_come_back(scene, far: Path, tmp_path: Path, kind: str) -> None:
     """Oracle: the camera's position in Blender, plus the local origin."""
-    made = captures.import_capture(scene, far, align=False)
+    made = import_capture(scene, far, align=False)
     data = bpy.data.cameras.new("moving")
     ob = bpy.data.objects.new("moving", data)
     scene.collection.objects.link(ob)
@@ -153,15 +157,15 @@ def test_reimport_keeps_the_origin_and_warns_of_another_capture(
 ) -> None:
     """Oracle: the origin of the first import, although a moved model would get another one; a
     warning that names both captures."""
-    made = captures.import_capture(scene, far)
+    made = import_capture(scene, far)
     origin = capture_transform.origin_of(made.root)
     model = read_colmap(far)
     write_colmap(replace(model, origin=np.array([40.0, 0, 0])).about(None), far / "sparse/0")
-    again = captures.import_capture(scene, far)
+    again = import_capture(scene, far)
     assert again.root == made.root
     np.testing.assert_array_equal(capture_transform.origin_of(again.root), origin)
     other = tmp_path / "other"
     write_capture(other, np.random.default_rng(1), cameras=PINHOLES)
-    reported = import_capture(scene, other).warnings
-    assert any("local origin" in one and made.root.name in one for one in reported)
+    told = import_capture(scene, other).warnings
+    assert any("local origin" in one and made.root.name in one for one in told)
     assert capture_transform.ORIGIN not in import_capture(scene, other).root

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras import capture_transform, captures, importing, sfm_points
+from addon.cameras import capture_transform, importing, sfm_points
 from addon.cameras import objects as co
 from addon.cameras.backgrounds import file_of, photo_of
 from addon.cameras.objects import cameras_of, points_of
@@ -22,6 +22,7 @@ from addon.core import read_colmap, write_colmap
 from addon.interface import incremental_removal, temporary_data
 from addon.panels.cameras import CamerasPanel
 from addon.process.incremental_tasks import TaskRunner
+from tests.addon.calls import import_capture
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tools.measure.windowless import windowless
@@ -89,7 +90,7 @@ def half() -> bool:
 
 def test_bit_by_bit_as_at_once(scene, folder: Path) -> None:
     """Equal to the bit; the scene shows nothing of it meanwhile, and steps report the progress."""
-    captures.import_capture(scene, folder)
+    import_capture(scene, folder)
     at_once = state()
     bpy.ops.wm.read_homefile(use_empty=True)
     work = going(directory=str(folder))
@@ -111,7 +112,7 @@ def test_given_up(scene, folder: Path, name: str) -> None:
     incremental_removal.finish()
     assert counts() == before
     scene.gscore.capture_path = str(folder)
-    captures.import_capture(scene, folder)
+    import_capture(scene, folder)
     there, seen = counts(), state()
     shutil.rmtree(folder / "images")
     work = going(directory=str(folder))
@@ -132,7 +133,7 @@ def _points_come() -> bool:
 
 def test_undone_import_is_repeated(scene, folder: Path) -> None:
     """Oracle: the import in one call."""
-    captures.import_capture(scene, folder)
+    import_capture(scene, folder)
     at_once = state()
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.ed.undo_push(message="start")
@@ -207,7 +208,7 @@ def test_photos_that_are_gone_leave_bit_by_bit(
     """Oracle: cameras removed from the scene, then from the file; undo restores them, and redo
     removes them."""
     monkeypatch.setattr(temporary_data, "BUDGET", 0.0)
-    made = captures.import_capture(scene, folder)
+    made = import_capture(scene, folder)
     child = bpy.data.objects.new("child", None)
     scene.collection.objects.link(child)
     child.parent, scene.camera = made.cameras[40], made.cameras[40]
@@ -245,7 +246,7 @@ def test_a_scene_that_is_gone(scene, folder: Path) -> None:
 def test_anew(scene, folder: Path) -> None:
     """Oracle: the current files. The user's data stay: the empty with its alignment and children,
     names, collections, and users of a camera."""
-    made = captures.import_capture(scene, folder, align=False)
+    made = import_capture(scene, folder, align=False)
     capture_transform.set_extent(made.root, 12.5)
     model, listed = read_colmap(folder), made.cameras
     matrix = matrix_to_numpy(made.root.matrix_basis)
@@ -268,7 +269,7 @@ def test_anew(scene, folder: Path) -> None:
         replace(model, images=[one for one in kept if one.name != "view_010.jpg"]),
         folder / "sparse" / "0",
     )
-    again = captures.import_capture(scene, folder)
+    again = import_capture(scene, folder)
     assert again.renewed and again.root == made.root and len(again.cameras) == 59
     np.testing.assert_array_equal(matrix_to_numpy(again.root.matrix_basis), matrix)
     assert splats.parent == again.root and gone not in bpy.data.objects
@@ -290,13 +291,13 @@ def test_anew(scene, folder: Path) -> None:
     ]
     assert len(bpy.data.meshes) == 1 and len(bpy.data.cameras) == 59
     before = state()
-    third = captures.import_capture(scene, folder)
+    third = import_capture(scene, folder)
     assert state() == before and len(third.warnings) == len(again.warnings) - 1
 
 
 def test_a_capture_that_is_removed_meanwhile(scene, folder: Path) -> None:
     """Or only its empty, or there was none and one was added. Oracle: the import in one call."""
-    made = captures.import_capture(scene, folder)
+    made = import_capture(scene, folder)
     at_once = state()
     work = going(directory=str(folder))
     until(work, _begun)
@@ -336,7 +337,7 @@ def test_another_mesh_is_edited_meanwhile(scene, folder: Path) -> None:
 
 def test_a_collection_that_is_left_out(scene, folder: Path) -> None:
     """Oracle: the camera is updated, and the selection stays."""
-    made = captures.import_capture(scene, folder)
+    made = import_capture(scene, folder)
     other = bpy.data.objects.new("other", None)
     scene.collection.objects.link(other)
     bpy.context.view_layer.objects.active = other
@@ -350,7 +351,7 @@ def test_a_collection_that_is_left_out(scene, folder: Path) -> None:
 
 def test_cameras_that_another_scene_has_too(scene, folder: Path) -> None:
     """Oracle: new cameras are only in the scene of the import."""
-    made = captures.import_capture(scene, folder)
+    made = import_capture(scene, folder)
     other = bpy.data.scenes.new("Other")
     shared = bpy.data.collections.new("a")  # before those of the capture
     other.collection.children.link(shared)
@@ -358,14 +359,14 @@ def test_cameras_that_another_scene_has_too(scene, folder: Path) -> None:
     for ob in made.cameras[:5]:
         shared.objects.link(ob)
     bpy.data.cameras.remove(made.cameras[9].data)
-    captures.import_capture(scene, folder)
+    import_capture(scene, folder)
     assert list(bpy.data.objects["view_009"].users_collection) == [inside]
     bpy.data.cameras.remove(bpy.data.objects["view_009"].data)
     for ob in cameras_of(made.root):
         scene.collection.objects.link(ob)
         inside.objects.unlink(ob)
     bpy.context.window.scene = other
-    captures.import_capture(scene, folder)
+    import_capture(scene, folder)
     bpy.context.window.scene = scene
     assert list(bpy.data.objects["view_009"].users_collection) == [scene.collection]
 
@@ -373,7 +374,7 @@ def test_cameras_that_another_scene_has_too(scene, folder: Path) -> None:
 def test_reimport_resets_deltas_and_keeps_animation(scene, folder: Path) -> None:
     """Deltas are removed; keyframes and constraints stay, with a warning. Oracle: Blender's own
     matrices."""
-    listed = captures.import_capture(scene, folder).cameras
+    listed = import_capture(scene, folder).cameras
     bpy.context.view_layer.update()
     before = [matrix_to_numpy(ob.matrix_world) for ob in listed]
     listed[0].delta_location.x = 9
@@ -384,9 +385,9 @@ def test_reimport_resets_deltas_and_keeps_animation(scene, folder: Path) -> None
         ob.keyframe_insert("location", frame=1)
     limit = listed[8].constraints.new("LIMIT_LOCATION")
     limit.use_min_x, limit.min_x = True, 99
-    made = captures.import_capture(scene, folder)
-    (reported,) = made.warnings
-    assert "view_003, view_004, view_005 and 3 more." in reported
+    made = import_capture(scene, folder)
+    (told,) = made.warnings
+    assert "view_003, view_004, view_005 and 3 more." in told
     scene.frame_set(2)
     bpy.context.view_layer.update()
     far = [np.abs(matrix_to_numpy(ob.matrix_world) - was).max()
@@ -397,12 +398,12 @@ def test_reimport_resets_deltas_and_keeps_animation(scene, folder: Path) -> None
     for ob in listed[3:9]:
         ob.animation_data_clear()
         ob.constraints.clear()
-    assert not captures.import_capture(scene, folder).warnings
+    assert not import_capture(scene, folder).warnings
 
 
 def test_reimport_writes_changed_properties_only(scene, folder: Path) -> None:
     """Every changed property of a camera, and no other. Oracle: the scene before."""
-    listed = captures.import_capture(scene, folder).cameras
+    listed = import_capture(scene, folder).cameras
     before = state()
     listed[0].rotation_mode, listed[0].location.x = "XYZ", 5.0
     listed[1].rotation_mode, listed[1].rotation_axis_angle = "AXIS_ANGLE", (1.0, 0.0, 0.0, 1.0)
@@ -413,14 +414,14 @@ def test_reimport_writes_changed_properties_only(scene, folder: Path) -> None:
     listed[9].matrix_parent_inverse[0][3] = 5.0
     listed[10].data.passepartout_alpha = 0.25
     assert state() != before
-    captures.import_capture(scene, folder)
+    import_capture(scene, folder)
     assert state() == before and listed[10].data.passepartout_alpha == 0.25
     assert {ob.rotation_mode for ob in listed} == {"QUATERNION"}
 
 
 def test_a_camera_that_is_renamed_meanwhile(scene, folder: Path) -> None:
     """It is not found during the comparison. Oracle: it is updated to the files nevertheless."""
-    captures.import_capture(scene, folder)
+    import_capture(scene, folder)
     work = going(directory=str(folder))
     until(work, _begun)
     late = cameras_of(bpy.data.objects["studio"])[-1]
@@ -434,7 +435,7 @@ def test_a_camera_that_is_changed_after_it_was_compared(
     scene, folder: Path, monkeypatch, what: str
 ) -> None:
     """Oracle: the import in one call: all data match the files, whatever was moved meanwhile."""
-    camera = captures.import_capture(scene, folder).cameras[0]
+    camera = import_capture(scene, folder).cameras[0]
     before = state()
     camera.data.lens += 3
     done, compare = [], importing._PendingCapture._compare
@@ -463,11 +464,11 @@ def test_a_camera_that_is_changed_after_it_was_compared(
 
 def test_points_that_another_object_shows_too(scene, folder: Path) -> None:
     """Oracle: it keeps the earlier points, also after the removal of unused data."""
-    made = captures.import_capture(scene, folder)
+    made = import_capture(scene, folder)
     twin = made.points.copy()
     scene.collection.objects.link(twin)
     made.points.data.vertices.add(3)
-    assert captures.import_capture(scene, folder).points == made.points
+    assert import_capture(scene, folder).points == made.points
     assert len(twin.data.vertices) == len(made.points.data.vertices) + 3
     assert len(bpy.data.meshes) == 2 and not _begun()
 
@@ -493,7 +494,7 @@ def test_python_searches_for_garbage_again(scene, folder: Path, ends: str) -> No
 
 def test_points_that_are_edited(scene, folder: Path) -> None:
     """Oracle: an error; nothing is changed."""
-    made = captures.import_capture(scene, folder)
+    made = import_capture(scene, folder)
     bpy.context.view_layer.objects.active = made.points
     bpy.ops.object.mode_set(mode="EDIT")
     before = counts()

@@ -10,11 +10,11 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras import camera_path, camera_path_import, captures
-from addon.cameras.camera_path import export_path
+from addon.cameras import camera_path, camera_path_import
 from addon.compat import curves_of
 from addon.process.background_task import Cancelled
 from addon.process.incremental_tasks import TaskRunner, ThreadCall
+from tests.addon.calls import export_path, import_capture, import_path
 from tests.addon.cameras.test_camera_path import camera  # noqa: F401 - a fixture
 from tests.addon.cameras.test_importing import until
 from tests.addon.captures import STUDIO
@@ -55,7 +55,7 @@ def counts() -> dict[str, int]:
 @pytest.mark.parametrize("world", ["BLENDER", "CAPTURE"])
 def test_export_as_at_once(scene, camera, tmp_path: Path, kind: str, world: str) -> None:  # noqa: F811
     """Equal to the byte, while the user changes the frame and renames the camera."""
-    captures.import_capture(scene, STUDIO, photos=False, points=False)
+    import_capture(scene, STUDIO, photos=False, points=False)
     scene.camera = camera
     if kind == "NERFSTUDIO":
         camera.data.animation_data_clear()
@@ -149,7 +149,7 @@ def test_changes_during_a_path_export(
     says: str,
 ) -> None:
     """Oracle: an error, and no file; an existing scene is at the user's frame."""
-    captures.import_capture(scene, STUDIO, photos=False, points=False)
+    import_capture(scene, STUDIO, photos=False, points=False)
     scene.camera = camera
     bpy.data.scenes.new("other")
     scene.frame_set(4)
@@ -218,7 +218,7 @@ def file(scene, camera, tmp_path: Path) -> Path:  # noqa: F811
 def test_keyframes_as_blender_inserts_them(file: Path) -> None:
     """Oracle: `keyframe_insert` at each frame."""
     scene = bpy.context.scene
-    ob = camera_path_import.import_path(file, scene).camera
+    ob = import_path(file, scene).camera
     other = ob.copy()
     other.data = ob.data.copy()
     scene.collection.objects.link(other)
@@ -298,7 +298,7 @@ def test_import_given_up(file: Path, number: int) -> None:
 def test_import_into_what_is_gone(file: Path, what: str) -> None:
     """Oracle: an error; nothing is left."""
     scene = bpy.context.scene
-    captures.import_capture(scene, STUDIO, photos=False, points=False)
+    import_capture(scene, STUDIO, photos=False, points=False)
     bpy.data.scenes.new("other")
     work = importing(file, world="CAPTURE")
     assert not until(work, at_curve(work, 3))
@@ -313,7 +313,7 @@ def test_import_into_what_is_gone(file: Path, what: str) -> None:
 
 def test_import_below_a_capture_meanwhile_renamed(file: Path) -> None:
     """Oracle: the camera is its child, in its collection, with the clip end of its cameras."""
-    made = captures.import_capture(bpy.context.scene, STUDIO, photos=False, points=False)
+    made = import_capture(bpy.context.scene, STUDIO, photos=False, points=False)
     work = importing(file, world="CAPTURE")
     assert not until(work, at_curve(work, 3))
     made.root.name = "other"

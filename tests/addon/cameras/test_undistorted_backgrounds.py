@@ -29,6 +29,7 @@ from addon.panels.cameras import CamerasPanel
 from addon.process import poll_timer
 from addon.region_training import masks
 from gscore.io.images.read_image import write_png
+from tests.addon.calls import import_capture
 from tests.addon.drawn import Layout, drawn
 
 SIZE = (320, 240)
@@ -160,7 +161,7 @@ def own_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_backgrounds_fit_up_to_the_corners(scene, tmp_path: Path, ending: str) -> None:
     """Oracle: corners of the board by Blender's projection, at their place in the background."""
     names = [*LENSES] if ending == ".png" else ["OPENCV"]
-    made = captures.import_capture(
+    made = import_capture(
         scene, capture_of(tmp_path / "c", names, ending), align=False, points=False
     )
     assert bpy.ops.gscore.straighten_photos() == {"FINISHED"}
@@ -188,7 +189,7 @@ def test_backgrounds_fit_up_to_the_corners(scene, tmp_path: Path, ending: str) -
 
 def test_masks_stay_those_of_the_photo(scene, tmp_path: Path) -> None:
     """Oracle: the photo's own pixels and size, and the size of the file that is saved."""
-    made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
+    made = import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
     scene.gscore.capture_path = str(tmp_path / "c")
     image, own = masks.make(scene, made.cameras[0]), stated(made.cameras[0])
     assert tuple(image.size) == SIZE != (own.width, own.height)
@@ -199,7 +200,7 @@ def test_masks_stay_those_of_the_photo(scene, tmp_path: Path) -> None:
 
 def test_photos_that_change_or_move_get_new_copies(scene, tmp_path: Path, own_copies: Path) -> None:
     """Oracle: the files in the folder, and the picture of the current photo."""
-    made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
+    made = import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
     ob = made.cameras[0]
     assert copy_needed(ob) is not None and "(Undistort Photos)" in panel()
     bpy.ops.gscore.straighten_photos()
@@ -228,7 +229,7 @@ def test_photos_that_change_or_move_get_new_copies(scene, tmp_path: Path, own_co
 
 def test_files_find_their_copies_again(scene, tmp_path: Path, own_copies: Path) -> None:
     """Oracle: the picture after opening the file; a message if no copy can be made."""
-    captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"]))
+    import_capture(scene, capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"]))
     bpy.ops.gscore.straighten_photos()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "c" / "x.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "c" / "x.blend"))
@@ -247,7 +248,7 @@ def test_unreadable_photo_is_reported(scene, tmp_path: Path, own_copies: Path) -
     """Oracle: the message of the operator and in the panel; the other photo is shown."""
     folder = capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"])
     (folder / "images" / "OPENCV.png").write_bytes(b"no picture")
-    captures.import_capture(scene, folder)
+    import_capture(scene, folder)
     with pytest.raises(RuntimeError, match=r"OPENCV\.png"):
         bpy.ops.gscore.straighten_photos()
     assert "OPENCV.png" in panel()
@@ -257,7 +258,7 @@ def test_unreadable_photo_is_reported(scene, tmp_path: Path, own_copies: Path) -
 
 def test_the_queue_stops_and_goes_on(scene, tmp_path: Path, own_copies: Path) -> None:
     """Oracle: the existing copies; none is waited for."""
-    made = captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
+    made = import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
     assert not bpy.ops.gscore.stop_straightening.poll()
     assert undistort_jobs.queue_copies(made.cameras) == 3
     assert not undistort_jobs.collect()
@@ -274,7 +275,7 @@ def test_the_queue_stops_and_goes_on(scene, tmp_path: Path, own_copies: Path) ->
 
 def test_a_picture_that_the_user_chose_stays(scene, tmp_path: Path, own_copies: Path) -> None:
     """Oracle: the picture in the background, after backgrounds were linked to their copies."""
-    made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
+    made = import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
     ob = made.cameras[0]
     write_png(tmp_path / "own.png", board("OPENCV"))
     chosen = bpy.data.images.load(str(tmp_path / "own.png"))
@@ -295,7 +296,7 @@ def test_a_wrong_link_is_led_to_a_copy_that_is_there(
     scene, tmp_path: Path, own_copies: Path
 ) -> None:
     """Oracle: the file in the background; no copy is requested, and opacity stays."""
-    made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
+    made = import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
     bpy.ops.gscore.straighten_photos()
     (ob,), (copy,) = made.cameras, own_copies.iterdir()
     slot = ob.data.background_images[0]
@@ -309,7 +310,7 @@ def test_a_wrong_link_is_led_to_a_copy_that_is_there(
 
 def test_a_damaged_camera_keeps_none_from_the_others(scene, tmp_path: Path) -> None:
     """Oracle: the number of requested copies; the message in the panel and of the operator."""
-    made = captures.import_capture(scene, capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"]))
+    made = import_capture(scene, capture_of(tmp_path / "c", ["OPENCV", "SIMPLE_RADIAL"]))
     del made.cameras[0]["gs_K"]
     assert undistort_jobs.queue_copies(made.cameras) == 1
     undistort_jobs.QUEUE.kill()
@@ -321,7 +322,7 @@ def test_a_damaged_camera_keeps_none_from_the_others(scene, tmp_path: Path) -> N
 
 def test_panels_wait_for_no_disk(scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the threads that check photos, and the number of checks."""
-    captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
+    import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
     main, looks = threading.current_thread(), []
 
     def copy_of(own: PhotoCamera, photo: Path) -> Path:
@@ -339,7 +340,7 @@ def test_many_cameras_are_asked_for_at_once(
     scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the number of passes over all images of the file."""
-    made = captures.import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
+    made = import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
     for ob in made.cameras:
         os.utime(stated(ob).photo, (1e9, 1e9))  # so that all copies have other names
     calls = []

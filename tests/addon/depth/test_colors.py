@@ -8,7 +8,7 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from addon.cameras import camera_colors, overlay
+from addon.cameras import camera_colors
 from addon.cameras.lookup import roots_of
 from addon.cameras.objects import cameras_of
 from addon.capture import depth_maps
@@ -144,7 +144,7 @@ def test_drawn_frames_match_the_cameras(root: bpy.types.Object) -> None:
     bpy.ops.gscore.use_camera(index=0, look_through=False)
     bpy.context.view_layer.update()
     some = cameras_of(root)[:3]
-    for ob, (place, *frame) in zip(some, overlay.corners(some, scene), strict=True):
+    for ob, (place, *frame) in zip(some, camera_colors.corners(some, scene), strict=True):
         np.testing.assert_allclose(place, ob.matrix_world.translation, atol=1e-6)
         seen = [world_to_camera_view(scene, ob, Vector(corner))[:2] for corner in frame]
         ends = [(0, 0), (0, 1), (1, 0), (1, 1)]
@@ -159,7 +159,7 @@ def test_a_selected_camera_keeps_its_lines(root: bpy.types.Object) -> None:
     depth_colors.show(root, report(root))
     cameras = [ob for ob in cameras_of(root) if camera_colors.MARK in ob]
     cameras[0].select_set(True)
-    lines, line_colors, faces, face_colors = overlay.geometry(cameras, scene)
+    lines, line_colors, faces, face_colors = camera_colors.geometry(cameras, scene)
     assert (lines.shape, faces.shape) == ((5 * 16, 3), (6 * 6, 3))
     assert len(line_colors) == len(lines) and len(face_colors) == len(faces)
     assert tuple(face_colors[0][:3]) == pytest.approx(depth_colors.PALETTE[ACCEPTED][:3])

@@ -12,7 +12,7 @@ from addon.core import depth_networks
 from addon.depth import networks, predict_depth
 from addon.panels.depth import DepthPanel
 from addon.training import lookups
-from addon.training.networks import networks_here
+from addon.training.lookups import networks_here
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import fake_python
 

@@ -13,7 +13,7 @@ import pytest
 from addon import attributes, preferences, stored_paths
 from addon.cameras.objects import cameras_of
 from addon.core import colorize, write_splats
-from addon.error_maps import colors, measure_errors
+from addon.error_maps import measure_errors
 from addon.panels.error_maps import ErrorsPanel
 from addon.process.incremental_tasks import run_blocking
 from addon.region_training.train_region import train_region
@@ -21,9 +21,9 @@ from addon.render import compare
 from addon.render.compare import PSNR
 from addon.splats import objects
 from addon.splats.error_maps import drop_maps
-from addon.splats.importing import import_splats
 from addon.training import lookups, verb_job
 from addon.training.verb_jobs import JOBS
+from tests.addon.calls import import_splats
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import fake_python
@@ -102,7 +102,7 @@ def test_errors_are_shown_and_taken_away(result: bpy.types.Object, tmp_path: Pat
     bpy.ops.gscore.color_by_error(show=False)
     assert [tuple(camera.color) for camera in cameras] == own
     bpy.ops.gscore.color_by_error(show=True)
-    assert colors.shown(result.parent)
+    assert measure_errors.are_colored(result.parent)
     os.utime(run / "errors" / "metrics.json", (1e9, 1e9))
     with pytest.raises(RuntimeError, match="not measured since"):
         bpy.ops.gscore.color_by_error(show=True)
@@ -217,7 +217,7 @@ def test_a_real_run(result: bpy.types.Object) -> None:
     (run / "config.json").write_text(json.dumps(config))
     job = measure_errors.measure(result, wait=True)
     assert job.status == verb_job.FINISHED, job.sentence
-    assert len(job.report.ranked) == 60 and colors.shown(result.parent)
+    assert len(job.report.ranked) == 60 and measure_errors.are_colored(result.parent)
     (shown,) = measure_errors.siblings(result)[1]
     positions = (attributes.column(ob.data, attributes.POSITION) for ob in (shown, result))
     assert np.array_equal(*positions) and objects.is_splats(shown)

@@ -8,8 +8,7 @@ import pytest
 
 import addon
 from addon.core import GsError
-from addon.interface.base_operator import BaseOperator
-from addon.interface.confirm_operator import ConfirmMixin
+from addon.interface.base_operator import BaseOperator, ConfirmMixin
 from addon.interface.option_labels import panel_words
 from addon.training.run_state import read_event
 from gscore.events import Failed, Warn, to_line

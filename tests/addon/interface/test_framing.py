@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Quaternion, Vector
 
-from addon.cameras import captures, footprint, select_imported
+from addon.cameras import capture_transform, select_imported
 from addon.compat import matrix_to_numpy
 from addon.interface import framing
 from addon.splats import framed
 from tests.addon import splat_scenes as lab
+from tests.addon.calls import import_capture
 from tests.addon.captures import STUDIO
 
 WIDE, HIGH = 0.72, 0.405
@@ -148,7 +149,7 @@ def test_imported_cameras_are_in_the_view(scene: bpy.types.Scene, view: Any) -> 
     for again in range(2):
         if again:
             view.region_3d.view_location = Vector((1, 2, 3))
-        made = captures.import_capture(scene, STUDIO)
+        made = import_capture(scene, STUDIO)
         select_imported.choose(scene, made)
         if again:
             assert view.region_3d.view_location == Vector((1, 2, 3))
@@ -165,12 +166,12 @@ def test_captures_stand_beside_each_other(
     """Oracle: boxes around the cameras and most points of each in Blender's world; the first is
     where it would be alone, heights and rotations stay, and Align to Ground keeps each in place.
     Without alignment the axes of the files stay, whatever is in the scene."""
-    made = [captures.import_capture(scene, STUDIO)]
+    made = [import_capture(scene, STUDIO)]
     alone = matrix_to_numpy(made[0].root.matrix_basis)
     for i in range(1, count):
         other = tmp_path / f"copy{i}"
         other.symlink_to(STUDIO, target_is_directory=True)
-        made.append(captures.import_capture(scene, tmp_path / f"copy{i}", align=True))
+        made.append(import_capture(scene, tmp_path / f"copy{i}", align=True))
     assert len({one.root for one in made}) == count
     matrices = [matrix_to_numpy(one.root.matrix_basis) for one in made]
     np.testing.assert_array_equal(matrices[0], alone)
@@ -179,7 +180,7 @@ def test_captures_stand_beside_each_other(
         np.testing.assert_allclose(matrix[1:, 3], alone[1:, 3], atol=1e-6)
     spans = []
     for one, matrix in zip(made, matrices, strict=True):
-        reach = footprint.reach_of(matrix, one.cameras, one.points)
+        reach = capture_transform.reach_of(matrix, one.cameras, one.points)
         spans.append(np.quantile(reach[:, 0], (0.05, 0.95)))
     for left, right in pairwise(spans):
         assert right[0] > left[1]
@@ -187,5 +188,5 @@ def test_captures_stand_beside_each_other(
     np.testing.assert_allclose(matrix_to_numpy(made[1].root.matrix_basis), matrices[1], atol=1e-4)
     kept = tmp_path / "kept"
     kept.symlink_to(STUDIO, target_is_directory=True)
-    stays = captures.import_capture(scene, kept, align=False)
+    stays = import_capture(scene, kept, align=False)
     np.testing.assert_array_equal(matrix_to_numpy(stays.root.matrix_basis), np.eye(4))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from addon import stored_paths
-from addon.cameras import camera_path_import, captures, export_colmap, reading, undistorted_photos
+from addon.cameras import camera_path_import, export_colmap, reading, undistorted_photos
 from addon.cameras import objects as co
 from addon.core import (
     PRESETS,
@@ -28,8 +28,9 @@ from addon.panels.depth import DepthPanel
 from addon.panels.error_maps import ErrorsPanel
 from addon.panels.train import TrainPanel
 from addon.panels.train_sequence import TrainSequencePanel
-from addon.splats.importing import import_splats
 from addon.training import existing_run, facts, lookups
+from tests.addon import calls
+from tests.addon.calls import import_capture, import_path, import_splats
 from tests.addon.captures import STUDIO, write_capture
 from tests.addon.drawn import drawn
 from tests.addon.trainings import splats, until
@@ -149,7 +150,7 @@ def test_camera_warnings_are_shown(
     odd = DataConfig(source=tmp_path / "odd")
     warned = replace(read_capture(odd, photos_required=False), warnings=(SAID,))
     monkeypatch.setattr(reading, "read_capture", lambda *_, **__: warned)
-    made = captures.import_capture(bpy.context.scene, tmp_path / "odd")
+    made = import_capture(bpy.context.scene, tmp_path / "odd")
     assert made.warnings[0] == SHOWN
     assert any(text.startswith(f"{SHOWN} Until then") for text in made.warnings)
     bent = next(
@@ -158,14 +159,14 @@ def test_camera_warnings_are_shown(
     with pytest.raises(ValueError, match=f"cannot be undistorted. {SHOWN}"):
         undistorted_photos.undistortion_of(co.stated(bent))
     monkeypatch.setattr(export_colmap, "read_colmap", refuse)
-    done = export_colmap.export_colmap(tmp_path / "out", made.cameras, scene, root=made.root)
+    done = calls.export_colmap(tmp_path / "out", made.cameras, scene, root=made.root)
     assert done.warnings[0].endswith(f"cannot be read: {SHOWN}")
     scene.camera, scene.frame_end = made.cameras[0], 2
     file = tmp_path / "path.json"
     bpy.ops.gscore.export_camera_path(filepath=str(file))
     read = replace(camera_path_import.read_camera_path(file), warnings=(SAID,))
     monkeypatch.setattr(camera_path_import, "read_camera_path", lambda _: read)
-    assert camera_path_import.import_path(file, scene).warnings == (SHOWN,)
+    assert import_path(file, scene).warnings == (SHOWN,)
 
 
 def test_masks_that_will_be_used_are_named(studio: bpy.types.Scene) -> None:

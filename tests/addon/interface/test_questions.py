@@ -6,8 +6,7 @@ import bpy
 import pytest
 
 from addon.depth.operators import PredictDepth
-from addon.interface.base_operator import BaseOperator
-from addon.interface.confirm_operator import ConfirmMixin
+from addon.interface.base_operator import BaseOperator, ConfirmMixin
 from addon.trainer_python.operators import MakeEnvironment
 from addon.training.operators import DiscardTraining, Train
 

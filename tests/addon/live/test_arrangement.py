@@ -10,7 +10,7 @@ import pytest
 from addon.core import Splats, transform_splats
 from addon.live import atlas, order
 from addon.live.level import BUDGET, FEWEST, STILL, Detail, Level
-from addon.process.latest_request import Latest
+from addon.process.background_task import Latest
 from addon.render import marks
 from addon.render.mesh_copies import HIDDEN, SELECTED
 from gscore import sh

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from addon.live.overlay_lines import in_front
+from addon.live.depths import in_front
 
 
 def test_lines_without_a_depth_are_found() -> None:

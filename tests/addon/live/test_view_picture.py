@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from addon.live.view_picture import ViewPicture
+from addon.live.card import ViewPicture
 
 SHOT = SimpleNamespace(camera=SimpleNamespace(width=4, height=3), same=lambda other: True)
 

@@ -6,8 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from addon.paint.brush import COLOR, OPACITY, Brush
-from addon.paint.stroke import Stroke
+from addon.paint.brush import COLOR, OPACITY, Brush, Stroke
 from tests.addon.splat_scenes import SH_C0
 
 

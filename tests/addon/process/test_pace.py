@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from addon.interface import incremental_operator, modal_status
+from addon.interface import incremental_operator
 from addon.process import pace, poll_timer
 from addon.process.incremental_tasks import Pieces, TaskRunner
 
@@ -140,7 +140,7 @@ def test_an_operator_does_more_where_redraws_are_slow(clock: Clock) -> None:
     try:
         while not own.step():
             said.append(int(own.runner.sentence) + 1)
-            clock.now += 0.49 + modal_status.INTERVAL
+            clock.now += 0.49 + incremental_operator.INTERVAL
     finally:
         incremental_operator._MODAL_RUNS.discard(own)
     assert said == [1, 14, 27] and own.runner.result == "done"

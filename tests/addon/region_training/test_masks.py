@@ -10,7 +10,6 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras import captures
 from addon.cameras.objects import stated
 from addon.core import Folder, gray_png, masks_inside
 from addon.panels.cameras import CamerasPanel
@@ -19,6 +18,7 @@ from addon.region_training import masks
 from addon.region_training.mask_operators import MaskPanel
 from addon.render.camera_photo import load_target
 from addon.training import facts, start_training
+from tests.addon.calls import import_capture
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.splat_scenes import read_image
@@ -30,7 +30,7 @@ def studio(scene: bpy.types.Scene, tmp_path: Path) -> bpy.types.Scene:
     shutil.copytree(STUDIO, tmp_path / "studio", ignore=shutil.ignore_patterns("masks"))
     scene.gscore.capture_path = str(tmp_path / "studio")
     facts.refresh(scene)
-    capture = captures.import_capture(bpy.context.scene, tmp_path / "studio")
+    capture = import_capture(bpy.context.scene, tmp_path / "studio")
     scene.camera = capture.cameras[5]
     bpy.context.view_layer.objects.active = capture.cameras[5]
     return scene
@@ -185,7 +185,7 @@ def test_photos_with_opacity_of_their_own(scene: bpy.types.Scene, tmp_path: Path
     frame = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}
     facts_of = {"w": 40, "h": 30, "fl_x": 30, "frames": [frame]}
     (folder / "transforms.json").write_text(json.dumps(facts_of))
-    capture = captures.import_capture(bpy.context.scene, folder)
+    capture = import_capture(bpy.context.scene, folder)
     scene.gscore.capture_path = str(folder)
     facts.refresh(scene)
     scene.camera = capture.cameras[0]
@@ -202,7 +202,7 @@ def test_a_mask_that_the_capture_names(scene: bpy.types.Scene, tmp_path: Path) -
     facts_of = {"w": 40, "h": 30, "fl_x": 30, "frames": [frame]}
     (folder / "transforms.json").write_text(json.dumps(facts_of))
     scene.gscore.capture_path = str(folder)
-    captures.import_capture(bpy.context.scene, folder)
+    import_capture(bpy.context.scene, folder)
     bpy.ops.gscore.paint_mask(camera="a.png")
     image = next(filter(masks.is_mask, bpy.data.images))
     pixels = np.array(image.pixels[:], np.float32).reshape(30, 40, 4)

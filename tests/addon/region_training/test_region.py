@@ -18,8 +18,8 @@ from addon.process import poll_timer
 from addon.region_training import start, train_region
 from addon.render.mesh_copies import read_marks
 from addon.splats import edit, objects, point_attributes, read_chunked, splat_files
-from addon.splats.importing import import_splats
 from addon.training import verb_job
+from tests.addon.calls import import_splats
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import STARTED, done, progress
 from tests.addon.trainings import positions, splats, until
@@ -213,7 +213,8 @@ def test_no_step_of_the_start_is_long(
     write_splats(tmp_path / "a.ply", splats(50))
     play({"say": STARTED}, {"follow": 600})
     ob = cropped(studio, tmp_path / "a.ply")
-    expected = objects.transformed(ob, splat_files.source_matrix_of_data(ob))
+    matrix = splat_files.source_matrix_of_data(ob)
+    expected = objects.moved(objects.read(ob), matrix, ob.name)
     read, writers, meshes = [], [], len(bpy.data.meshes)
     copy, write = point_attributes.copy_values, start.write_splat_file
     monkeypatch.setattr(read_chunked, "BUDGET", 0.0)

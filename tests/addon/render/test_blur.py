@@ -10,8 +10,9 @@ import pytest
 from addon.core import Splats, write_splats
 from addon.render import compositor, panels, pass_renderer, shutter_lens
 from addon.render.samples import Aperture, Shutter, samples
-from addon.timeline import importing, mesh
+from addon.timeline import mesh
 from tests.addon import splat_scenes as lab
+from tests.addon.calls import import_sequence
 from tests.addon.drawn import Layout
 from tests.addon.render import test_mesh_holdout as meshes
 
@@ -316,7 +317,7 @@ def test_a_sequence_blurs_over_its_frames(scene, tmp_path: Path):
     folder.mkdir()
     for i in range(1, 9):
         write_splats(folder / f"{i:04}.ply", lab.blob(200, seed=i))
-    ob, _ = importing.import_sequence(bpy.context, folder)
+    ob, _ = import_sequence(bpy.context, folder)
     alone = []
     for frame in (3, 4):
         scene.frame_set(frame)
@@ -401,7 +402,7 @@ def test_the_switch_is_offered(scene, tmp_path):
 
     camera = lab.prepare(scene)
     write_splats(tmp_path / "1.ply", lab.blob(20))
-    playing, _ = importing.import_sequence(bpy.context, tmp_path)
+    playing, _ = import_sequence(bpy.context, tmp_path)
     for ob in (camera, lab.add(scene, lab.blob(20))):
         assert offered(ob) == "<use_motion_blur>"
     assert offered(playing) == "<use_motion_blur> <use_deform_motion>"

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from addon import stored_paths
-from addon.cameras import captures
 from addon.cameras.objects import stated
 from addon.cameras.undistorted_photos import lens_of
 from addon.core import Folder, downscale, plan_undistortion, psnr, read_colmap, render, write_colmap
@@ -23,6 +22,7 @@ from addon.render import compare
 from addon.splats import objects
 from gscore.io.images.read_image import write_png
 from tests.addon import splat_scenes as lab
+from tests.addon.calls import import_capture
 from tests.addon.drawn import drawn
 
 STUDIO = Path(__file__).parents[3] / "examples" / "studio"
@@ -31,7 +31,7 @@ STUDIO = Path(__file__).parents[3] / "examples" / "studio"
 @pytest.fixture
 def studio(scene):
     """The bundled capture, a splat at each of its points, and the engine's settings."""
-    capture = captures.import_capture(bpy.context.scene, STUDIO, photos=False)
+    capture = import_capture(bpy.context.scene, STUDIO, photos=False)
     values = np.empty(3 * len(capture.points.data.vertices), np.float32)
     capture.points.data.attributes["position"].data.foreach_get("vector", values)
     means = values.reshape(-1, 3)
@@ -420,7 +420,7 @@ def bent(scene, tmp_path):
         write_png(folder / "images" / image.name.replace(".jpg", ".png"), photo)
         image = replace(image, name=image.name.replace(".jpg", ".png"))
         write_colmap(replace(model, cameras={key: lens}, images=[image]), folder / "sparse" / "0")
-        return captures.import_capture(scene, folder), pinhole, photo
+        return import_capture(scene, folder), pinhole, photo
 
     return make
 

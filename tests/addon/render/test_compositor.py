@@ -6,13 +6,7 @@ import pytest
 
 from addon import compat
 from addon.panels.render import RenderPanel
-from addon.render import (
-    composite_group,
-    composite_nodes,
-    compositor,
-    shutter_lens,
-    unsupported_settings,
-)
+from addon.render import composite_nodes, compositor, shutter_lens, unsupported_settings
 from addon.render.pass_renderer import HOLDOUT_PASSES
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
@@ -227,7 +221,7 @@ def test_import_and_render_change_no_compositing(scene):
     lab.prepare(scene)
     lab.add(scene, lab.blob())
     bpy.ops.render.render()
-    assert len(bpy.data.scenes) == 1 and not bpy.data.node_groups.get(composite_group.GROUP)
+    assert len(bpy.data.scenes) == 1 and not bpy.data.node_groups.get(composite_nodes.GROUP)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from addon.render.scene import sources
 from addon.render.viewport_copies import Copies
 from addon.splats import objects
 from tests.addon import splat_scenes as lab
+from tests.addon.calls import import_capture
 
 ROOT = Path(__file__).parents[3]
 SIZE = (90, 70)
@@ -39,7 +40,7 @@ def test_png_shows_the_values_of_gscore(scene, tmp_path, light):
 
 def test_same_picture_as_the_command_line(scene, tmp_path):
     """Oracle: `gscore render` from the capture's own camera, pixel by pixel."""
-    capture = captures.import_capture(bpy.context.scene, ROOT / "examples" / "studio", photos=False)
+    capture = import_capture(bpy.context.scene, ROOT / "examples" / "studio", photos=False)
     splats = _around(_means(capture.points))
     write_splats(tmp_path / "a.ply", splats)
     objects.create(splats, "s", collection=capture.collection, parent=capture.root)

@@ -11,9 +11,8 @@ from addon import compat
 from addon.render import (
     compositing_scene,
     compositor,
-    generated_instances,
     holdout_meshes,
-    mesh_holdout,
+    instances,
     unsupported_settings,
 )
 from addon.render.engine import SplatsRenderEngine
@@ -141,7 +140,7 @@ def held(scene: bpy.types.Scene) -> bpy.types.Scene:
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both ways to read instances; before 4.5 there is one."""
     if request.param == "walked":
-        monkeypatch.setattr(generated_instances, "needs_walk", generated_instances.may_grow)
+        monkeypatch.setattr(instances, "needs_walk", instances.may_grow)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -383,7 +382,7 @@ def test_composites_have_them(held, tmp_path, shape):
 def test_too_many_triangles_are_refused(held, tmp_path, monkeypatch):
     """Oracle: an error with both numbers, and no picture."""
     owner(held, "object")
-    monkeypatch.setattr(mesh_holdout, "MOST_TRIANGLES", 5)
+    monkeypatch.setattr(holdout_meshes, "MOST_TRIANGLES", 5)
     with pytest.raises(RuntimeError, match="have 6 triangles with all instances; the limit is"):
         lab.render_exr(tmp_path, "none")
 

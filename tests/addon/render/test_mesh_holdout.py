@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from addon.core import Splats
-from addon.render import holdout_meshes, mesh_holdout, picture
+from addon.render import holdout_meshes, picture
 from addon.render.engine import final_cache
 from addon.render.pass_renderer import Film
 from addon.render.shutter_lens import Stage, View
@@ -236,7 +236,7 @@ def test_a_slanted_plane_has_its_depth_everywhere(scene):
     lab.add(scene, lab.blob())
     view = Stage(bpy.context.evaluated_depsgraph_get(), camera, SIZE, final_cache, print).view()
     assert len(holdout_meshes.HoldoutMeshes().of(depsgraph)) == 1
-    found = mesh_holdout.hidden(view.holdouts, view.camera)
+    found = holdout_meshes.hidden(view.holdouts, view.camera)
     assert (found.share == 1).all()
     y = (35 - (np.arange(SIZE[1]) + 0.5)) / view.camera.K[1, 1]
     # A point (x, y t, 4 - t) is on the plane where z = y tan(0.9).

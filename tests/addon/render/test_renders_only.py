@@ -3,7 +3,7 @@
 import bpy
 import pytest
 
-from addon.render.renders_only import renders_only
+from addon.render.unsupported_settings import renders_only
 from tests.addon import splat_scenes as lab
 
 

@@ -9,10 +9,11 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from addon.cameras import captures, scene_camera
+from addon.cameras import scene_camera
 from addon.cameras.objects import cameras_of, is_camera
 from addon.core import Splats, write_splats
 from tests.addon import splat_scenes as lab
+from tests.addon.calls import import_capture
 from tests.addon.captures import STUDIO
 
 
@@ -80,7 +81,7 @@ def test_a_photo_of_the_capture_is_the_scene_camera(
 ) -> None:
     """Oracle: the photo camera nearest to the view's direction, with its photo's size; the photos
     stay hidden."""
-    made = captures.import_capture(startup, STUDIO)
+    made = import_capture(startup, STUDIO)
     ob = lab.add(startup, lab.blob())
     ob.parent = made.root
     bpy.context.view_layer.update()
@@ -101,7 +102,7 @@ def test_undo_restores_the_scene_camera(startup: bpy.types.Scene, removed: bool)
     if removed:
         bpy.data.objects.remove(startup.camera)
     before = startup.camera and startup.camera.name
-    made = captures.import_capture(startup, STUDIO)
+    made = import_capture(startup, STUDIO)
     lab.add(startup, lab.blob()).parent = made.root
     bpy.ops.ed.undo_push(message="before")
     assert bpy.ops.gscore.show_splats() == {"FINISHED"}
@@ -167,7 +168,7 @@ def test_imported_splats_of_a_capture_get_its_camera(
     bpy.ops.gscore.import_splats(filepath=file)
     assert startup.camera == default
     assert [ob for ob in startup.objects if ob.type == "CAMERA"] == [default]
-    made = captures.import_capture(startup, STUDIO)
+    made = import_capture(startup, STUDIO)
     bpy.context.view_layer.objects.active = made.root
     bpy.ops.gscore.import_splats(filepath=file, turn_views=False)
     assert startup.camera == default
@@ -178,7 +179,7 @@ def test_imported_splats_of_a_capture_get_its_camera(
 
 def test_a_damaged_photo_camera_is_named(startup: bpy.types.Scene) -> None:
     """Oracle: the camera's name in the warning; the scene camera stays, the splats are shown."""
-    made = captures.import_capture(startup, STUDIO)
+    made = import_capture(startup, STUDIO)
     lab.add(startup, lab.blob()).parent = made.root
     for ob in made.cameras:
         del ob["gs_K"]

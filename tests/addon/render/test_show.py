@@ -5,16 +5,16 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from addon.cameras import captures
 from addon.splats import framed
 from tests.addon import splat_scenes as lab
+from tests.addon.calls import import_capture
 from tests.addon.captures import write_capture
 
 
 def test_one_button_shows_splats(scene: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: engine, colours, photos, selection and visibility afterwards."""
     write_capture(tmp_path / "odd", np.random.default_rng(0), photos=True)
-    captures.import_capture(bpy.context.scene, tmp_path / "odd")
+    import_capture(bpy.context.scene, tmp_path / "odd")
     ob = lab.add(scene, lab.blob())
     ob.hide_viewport = True
     scene.gscore.result = ob

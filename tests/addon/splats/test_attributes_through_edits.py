@@ -9,9 +9,9 @@ import pytest
 from mathutils import Matrix
 
 from addon import attributes
-from addon.splats import objects, string_attributes, vertex_groups
-from addon.splats import point_attributes as carrying
+from addon.splats import point_attributes, vertex_groups
 from tests.addon import splat_scenes as lab
+from tests.addon.calls import read_world
 
 COUNT = 300
 BEFORE = {"head": (1, 2, 3), "locked": (4, 5, 6)}
@@ -85,7 +85,7 @@ def give_all(ob: bpy.types.Object) -> None:
             for row, text in enumerate(ob.data.attributes[name].data):
                 text.value = (b"", b"\xc3\xa9 %d" % row, b"\xff%d" % row + b"-" * 250)[row % 3]
             continue
-        values = carrying.empty_values(kind, COUNT)
+        values = point_attributes.empty_values(kind, COUNT)
         numbers = np.arange(values.size).reshape(values.shape) % 100
         values[:] = numbers / 255 if kind == "BYTE_COLOR" else numbers
         attributes.fill(ob.data, name, kind, values.reshape(-1))
@@ -111,8 +111,7 @@ def test_attributes_of_all_types_follow(
     ob: bpy.types.Object, edit: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the earlier values of each point, identified by its index."""
-    for module, name in ((carrying, "_BLOCK"), (string_attributes, "BLOCK")):
-        monkeypatch.setattr(module, name, 7)
+    monkeypatch.setattr(point_attributes, "BLOCK", 7)
     give_all(ob)
     ids = ob.data.attributes.new("id", "INT", "POINT")
     ids.data.foreach_set("value", np.arange(COUNT, dtype=np.int32))
@@ -156,7 +155,7 @@ def test_unsupported_data_is_named(ob: bpy.types.Object, monkeypatch: pytest.Mon
     """Oracle: the error, and nothing is lost; moving keeps the data and is allowed."""
     give_all(ob)
     before = others_of(ob)
-    monkeypatch.delitem(carrying.FORMATS, "FLOAT2")  # like a type of a later Blender
+    monkeypatch.delitem(point_attributes.FORMATS, "FLOAT2")  # like a type of a later Blender
     attributes.select(ob.data, np.arange(COUNT) % 7 == 3)
     with pytest.raises(RuntimeError, match=r"has the type \w+, which this add-on cannot keep"):
         bpy.ops.gscore.separate_splats()
@@ -184,7 +183,7 @@ def test_numbers_are_as_blender_keeps_them(ob: bpy.types.Object) -> None:
     for kind in sorted(KINDS - {"STRING", "BYTE_COLOR"}):  # which is read as floats
         data = ob.data.attributes.new(kind, kind, "POINT").data
         stride = data[1].as_pointer() - data[0].as_pointer()
-        assert carrying.empty_values(kind, 2).strides[0] == stride, kind
+        assert point_attributes.empty_values(kind, 2).strides[0] == stride, kind
 
 
 @pytest.mark.parametrize("what", ["groups", "text"])
@@ -202,8 +201,8 @@ def test_reading_starts_no_garbage_collection(scene: bpy.types.Scene, what: str)
             values = vertex_groups.made(["all"], len(mesh.vertices))
             vertex_groups.read(mesh, vertex_groups.BLOCK, values)
         else:
-            values = carrying.empty_values("STRING", len(mesh.vertices))
-            string_attributes.read(mesh, "tag", string_attributes.BLOCK, values, {})
+            values = point_attributes.empty_values("STRING", len(mesh.vertices))
+            point_attributes.read_texts(mesh, "tag", point_attributes.BLOCK, values, {})
     finally:
         gc.callbacks.remove(note)
     assert not begun
@@ -214,7 +213,7 @@ def test_reading_starts_no_garbage_collection(scene: bpy.types.Scene, what: str)
 def test_separated(ob: bpy.types.Object, edited: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: rows of the earlier data, in both parts, from Edit Mode too; also incrementally."""
     monkeypatch.setattr(vertex_groups, "BLOCK", 7)
-    monkeypatch.setattr(carrying, "_BLOCK", 7)
+    monkeypatch.setattr(point_attributes, "BLOCK", 7)
     before, some = carried(ob), np.arange(COUNT) % 7 == 3
     assert len(before["head"]) == len(before["locked"]) == 90
     attributes.select(ob.data, some & ~hidden(ob))
@@ -335,11 +334,11 @@ def test_children_of_joined_objects_stay(ob: bpy.types.Object, below: bool) -> N
     bpy.context.view_layer.update()
     stay = [one for one in (ob, box, between) if below or one != between]
     before = {one.name: np.array(one.matrix_world) for one in stay}
-    splats = np.vstack([objects.read_world(one).means for one in (ob, other)])
+    splats = np.vstack([read_world(one).means for one in (ob, other)])
     bpy.ops.gscore.join_splats()
     bpy.context.view_layer.update()
     for name, matrix in before.items():
         got = np.array(bpy.data.objects[name].matrix_world)
         np.testing.assert_allclose(got, matrix, atol=1e-5, err_msg=name)
     assert box.parent == ob and between.parent == (root if below else None)
-    np.testing.assert_allclose(objects.read_world(ob).means, splats, atol=1e-4)
+    np.testing.assert_allclose(read_world(ob).means, splats, atol=1e-4)

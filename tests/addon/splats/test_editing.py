@@ -14,9 +14,10 @@ from addon.core import Splats, join_splats, render, sh0_to_rgb
 from addon.panels import edit as edit_panel
 from addon.panels.edit import EditPanel
 from addon.process.incremental_tasks import run_blocking
-from addon.splats import filters, grading, objects
-from addon.splats import selection_masks as choose_splats
+from addon.splats import edit_operators, filters, objects
+from addon.splats import select_operators as choose_splats
 from tests.addon import splat_scenes as lab
+from tests.addon.calls import read_world
 from tests.addon.drawn import drawn
 from tools.measure.windowless import windowless
 
@@ -221,13 +222,13 @@ def test_the_button_grades_what_is_selected(ob: bpy.types.Object, mode: str, sha
 def test_many_are_graded_and_compared_as_few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the same numbers when all splats are processed in one block."""
     base = np.random.default_rng(0).normal(size=(1000, 4)).astype(np.float32)
-    grade = grading.Grade(lift=(0.1, 0, -0.1), gamma=(1.2, 1, 0.9), saturation=0.5)
+    grade = edit_operators.Grade(lift=(0.1, 0, -0.1), gamma=(1.2, 1, 0.9), saturation=0.5)
     color = np.array([0.6, 0.5, 0.5])
-    wanted = grading.graded(base, grade), choose_splats.similar_color(base, color, 0.3)
+    wanted = edit_operators.graded(base, grade), choose_splats.similar_color(base, color, 0.3)
     assert 0 < wanted[1].sum() < 1000
-    for module in (grading, choose_splats):
+    for module in (edit_operators, choose_splats):
         monkeypatch.setattr(module, "_BLOCK", 64)
-    np.testing.assert_allclose(grading.graded(base, grade), wanted[0], rtol=1e-6)
+    np.testing.assert_allclose(edit_operators.graded(base, grade), wanted[0], rtol=1e-6)
     np.testing.assert_array_equal(choose_splats.similar_color(base, color, 0.3), wanted[1])
 
 
@@ -276,13 +277,13 @@ def test_join_shows_what_was_seen(scene: bpy.types.Scene) -> None:
     activate(one)
     with pytest.raises(RuntimeError, match="two or more"):
         bpy.ops.gscore.join_splats()
-    want = picture(join_splats([objects.read_world(o) for o in (one, other)]))
+    want = picture(join_splats([read_world(o) for o in (one, other)]))
     activate(one, other)
     bpy.ops.gscore.join_splats()
     bpy.context.view_layer.update()
     assert [o for o in scene.objects if objects.is_splats(o)] == [one]
     assert np.ptp(want) > 0.5
-    np.testing.assert_allclose(picture(objects.read_world(one)), want, atol=1e-3)
+    np.testing.assert_allclose(picture(read_world(one)), want, atol=1e-3)
     values = np.empty(len(one.data.vertices), np.float32)
     one.data.attributes["mine"].data.foreach_get("value", values)
     np.testing.assert_array_equal(values, np.repeat([0, 7], [200, 41 * 41]))

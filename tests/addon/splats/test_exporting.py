@@ -13,8 +13,8 @@ from addon import attributes
 from addon.core import GsError, Splats, read_splats
 from addon.process.incremental_tasks import TaskRunner
 from addon.splats import exporting, objects, read_chunked
-from addon.splats.exporting import export_splats
 from tests.addon import points
+from tests.addon.calls import export_splats
 
 Make = Callable[..., Splats]
 

@@ -11,6 +11,7 @@ import pytest
 from addon.core import GsError, Splats, write_splats
 from addon.process.incremental_tasks import TaskRunner
 from addon.splats import importing, objects, settings, splat_files, write_chunked
+from tests.addon.calls import import_splats
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
@@ -75,7 +76,7 @@ def test_as_at_once(scene: bpy.types.Scene, paths: list[Path], up: str) -> None:
     assert [ob.name for ob in made] == [ob.data.name for ob in made] == ["chair", "table"]
     assert not any("gs_temporary" in mesh for mesh in bpy.data.meshes)
     for ob, path in zip(made, paths, strict=True):
-        same(ob, importing.import_splats(bpy.context, path, up=up))
+        same(ob, import_splats(bpy.context, path, up=up))
 
 
 @pytest.mark.parametrize(
@@ -94,7 +95,7 @@ def test_the_axis_that_a_file_states_points_up(
 ) -> None:
     """Oracle: the axis of the comment, rotated to Blender's +Z; -Y without a comment."""
     write_splats(tmp_path / "a.ply", make_splats(20), comments=(line,))
-    ob = importing.import_splats(bpy.context, tmp_path / "a.ply")
+    ob = import_splats(bpy.context, tmp_path / "a.ply")
     turn = np.array(ob.matrix_basis)[:3, :3]
     np.testing.assert_allclose(turn @ up, (0, 0, 1), atol=1e-6)
     assert np.linalg.det(turn) == pytest.approx(1)
@@ -119,7 +120,7 @@ def test_undone_import_is_repeated(scene: bpy.types.Scene, paths: list[Path]) ->
     for mesh in list(bpy.data.meshes):
         bpy.data.meshes.remove(mesh)
     for ob, path in zip(finished(coming), paths, strict=True):
-        same(ob, importing.import_splats(bpy.context, path))
+        same(ob, import_splats(bpy.context, path))
 
 
 def test_cancelled(scene: bpy.types.Scene, paths: list[Path]) -> None:
@@ -146,7 +147,7 @@ def test_objects_removed_during_an_import(scene: bpy.types.Scene, paths: list[Pa
     ob = finished(coming)[0]
     assert ob.parent is None and ob.users_collection == (scene.collection,)
     assert "chair" in coming.result.warnings[0] and "was removed" in coming.result.warnings[0]
-    same(ob, importing.import_splats(bpy.context, paths[0]))
+    same(ob, import_splats(bpy.context, paths[0]))
 
     other = bpy.data.scenes.new("other")
     with bpy.context.temp_override(scene=other, view_layer=other.view_layers[0]):

@@ -17,6 +17,7 @@ from addon.render import unsupported_settings
 from addon.splats import objects, settings
 from addon.splats.filters import visible_mask
 from tests.addon import splat_scenes as lab
+from tests.addon.calls import read_world
 from tests.addon.drawn import drawn
 from tests.addon.splats.test_operators import close
 from tools.measure.windowless import windowless
@@ -112,7 +113,7 @@ def test_native_import_is_converted(
     assert objects.is_splats(made) and cloud.hide_get() and cloud.hide_render
     bpy.ops.gscore.import_splats(filepath=str(file), up=up)
     ours = bpy.context.object
-    found, wanted = objects.read_world(made), objects.read_world(ours)
+    found, wanted = read_world(made), read_world(ours)
     np.testing.assert_allclose(found.means, wanted.means, atol=2e-3)
     np.testing.assert_allclose(found.scales, wanted.scales, atol=0.05)
     np.testing.assert_allclose(found.sh0, wanted.sh0, atol=0.03)

@@ -11,6 +11,7 @@ from addon.core import Splats, read_splats, transform_splats, write_splats
 from addon.render.mesh_copies import read_marks
 from addon.splats import objects
 from tests.addon import points
+from tests.addon.calls import read_world
 
 Make = Callable[..., Splats]
 RAW = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -194,7 +195,7 @@ def test_world(scene: bpy.types.Scene, make_splats: Make) -> None:
     bpy.context.view_layer.update()
     matrix = np.array([tuple(r) for r in parent.matrix_world @ ob.matrix_local], np.float64)
     wanted = transform_splats(objects.read(ob), matrix)
-    got = objects.read_world(ob)
+    got = read_world(ob)
     for name in RAW:
         np.testing.assert_allclose(getattr(got, name), getattr(wanted, name), atol=3e-6)
 
@@ -205,7 +206,7 @@ def test_uneven_scale_is_refused(scene: bpy.types.Scene, make_splats: Make) -> N
     ob.scale = (1, 1, 2)
     bpy.context.view_layer.update()
     with pytest.raises(ValueError, match=r"Chair.*unevenly"):
-        objects.read_world(ob)
+        read_world(ob)
 
 
 @pytest.mark.parametrize("name", ["scale", "rotation", "radiance:base", "radiance:sh_2"])

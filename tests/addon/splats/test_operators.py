@@ -26,10 +26,11 @@ from addon.core import (
 )
 from addon.panels import result
 from addon.process.incremental_tasks import TaskRunner
-from addon.splats import conversion, edit, exporting, objects, uniform_scale
+from addon.splats import conversion, edit, exporting, objects, operators
 from addon.splats.filters import visible_mask
 from gscore.config_file import config_json
 from gscore.formats.registry import FORMATS, format_to_write
+from tests.addon.calls import export_splats, read_world
 from tests.addon.drawn import drawn, labels
 
 Make = Callable[..., Splats]
@@ -476,7 +477,7 @@ def test_export_visible(ob: bpy.types.Object, tmp_path: Path) -> None:
     bpy.ops.gscore.export_splats(filepath=str(out))
     np.testing.assert_array_equal(read_splats(out).means, means[keep])
     assert len(ob.data.vertices) == COUNT
-    _, notes = exporting.export_splats([ob], out, filtered=True)
+    _, notes = export_splats([ob], out, filtered=True)
     assert notes == (f"{COUNT - keep.sum():,} splats that the filters hide were left out.",)
     bpy.ops.gscore.export_splats(filepath=str(out), filtered=False)
     np.testing.assert_array_equal(read_splats(out).means, means)
@@ -604,12 +605,12 @@ def test_an_uneven_scale_is_made_even(ob: bpy.types.Object, parented: bool) -> N
     stretched.scale = (-1, 2, 4)
     bpy.context.view_layer.update()
     with pytest.raises(ValueError, match="scale"):
-        objects.read_world(ob)
-    assert not uniform_scale.is_even(ob)
+        read_world(ob)
+    assert not operators.is_even(ob)
     bpy.ops.gscore.make_scale_even()
     assert ob.matrix_world.to_3x3().determinant() == pytest.approx(-8, rel=1e-5)
-    objects.read_world(ob)
-    assert uniform_scale.is_even(ob)
+    read_world(ob)
+    assert operators.is_even(ob)
 
 
 def test_a_stretch_that_no_scale_explains_is_refused(ob: bpy.types.Object) -> None:
@@ -635,7 +636,7 @@ def test_apply_transform(ob: bpy.types.Object) -> None:
     """Oracle: the splats in the world are the same, and the object's matrix is the identity."""
     ob.location, ob.scale = (1, 2, 3), (-2, 2, 2)
     bpy.context.view_layer.update()
-    before = objects.read_world(ob)
+    before = read_world(ob)
     assert bpy.ops.gscore.apply_splat_transform() == {"FINISHED"}
     bpy.context.view_layer.update()
     np.testing.assert_array_equal(ob.matrix_world, np.eye(4))

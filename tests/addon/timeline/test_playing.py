@@ -24,6 +24,7 @@ from addon.timeline.frames import Series
 from addon.timeline.library import LIBRARY
 from tests.addon import points
 from tests.addon import splat_scenes as lab
+from tests.addon.calls import import_sequence
 from tests.addon.drawn import drawn
 
 SIZE = (90, 70)
@@ -432,7 +433,7 @@ def test_an_import_bit_by_bit(scene, folder, under) -> None:
     scene.collection.objects.link(root)
     options = {"called": "", "start": 3, "parent": root if under else None, "up": "Y"}
     got, found, warnings = come(folder=folder, **options)
-    wanted, series = importing.import_sequence(bpy.context, folder, **options)
+    wanted, series = import_sequence(bpy.context, folder, **options)
     assert found == series and not warnings
     assert got.name == got.data.name == "frames" and wanted.name == "frames.001"
     assert got.parent == wanted.parent and got.matrix_basis == wanted.matrix_basis

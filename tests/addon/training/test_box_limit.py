@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix, Vector
 
-from addon.cameras.captures import import_capture
 from addon.panels.train import TrainPanel
 from addon.training import registry
 from gscore.io.region_file import read_region
+from tests.addon.calls import import_capture
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import STARTED, finish

@@ -14,15 +14,14 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Euler, Matrix, Vector
 
 from addon import preferences
-from addon.cameras.captures import import_capture
 from addon.cameras.objects import stated
 from addon.core import Capture, write_splats
 from addon.panels.train import GuidesPanel
-from addon.splats.importing import import_splats
 from addon.training import guides, registry, start_training
 from gscore.config import DataConfig
 from gscore.datasets.read import read_capture
 from gscore.raster.mesh import mesh_depth
+from tests.addon.calls import import_capture, import_splats
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import STARTED, fake_python, finish

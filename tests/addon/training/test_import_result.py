@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from addon import stored_paths
-from addon.cameras.captures import import_capture
 from addon.core import MIP_COMMENT, PRESETS
 from addon.panels.train import TrainPanel
 from addon.splats.objects import ANTIALIAS
 from addon.training import facts, lookups, results
 from gscore.config_file import config_json
 from gscore.io.ply.splats import write_splats
+from tests.addon.calls import import_capture
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.splat_scenes import error_of

@@ -16,7 +16,6 @@ from mathutils import Matrix, Quaternion, Vector
 
 from addon import preferences
 from addon import training as job_api
-from addon.cameras.captures import import_capture
 from addon.core import write_splats
 from addon.panels.progress import bar_text
 from addon.panels.running_work import RunningWorkPanel
@@ -26,6 +25,7 @@ from addon.splats import write_chunked
 from addon.stored_paths import RUN
 from addon.training import display, registry, run_state, start_training
 from addon.training.training_job import Job
+from tests.addon.calls import import_capture
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import CONFIG, STARTED, fake_python, finish, step
 from tests.addon.splat_scenes import error_of
