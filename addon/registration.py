@@ -1,52 +1,71 @@
-"""Registration of a module: its CLASSES, its HANDLERS, then `on_register`; undone in reverse."""
+"""Registration of a module: what it declares, then `on_register`; undone in reverse."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
+from functools import partial
 from types import ModuleType
 
 import bpy
 
-Handler = Callable[..., None]
-"""Handler of Blender, called with a scene and a depsgraph, or other arguments of its list."""
+Step = tuple[Callable[[], object], Callable[[], object]]
+"""A change of Blender's or the add-on's lists, and its undoing."""
+_drawing: dict[Callable[..., object], object] = {}
+"""Handles of Blender by the function that draws in 3D views."""
 
 
 def register(module: ModuleType) -> None:
-    """Register a module's classes, append its handlers, then call its hook.
+    """Register what a module declares, then call its hook.
 
     Args:
-        module: May have CLASSES, HANDLERS (functions by the name of a list in `bpy.app.handlers`),
-            `on_register()` and `on_unregister()`. After a failure nothing of it stays registered.
+        module: May have, registered in this order:
+            CLASSES: Classes of Blender.
+            PROPERTIES: Owners, names and properties of `bpy.props`.
+            HANDLERS: Functions by the name of a list in `bpy.app.handlers`.
+            APPENDED: Lists or menus, and what is appended to them.
+            DRAWING: Functions that draw in all 3D views, and when: PRE_VIEW, POST_VIEW or
+                POST_PIXEL. Blender has no views in the background.
+            `on_register()` and `on_unregister()`.
+            After a failure nothing of it stays registered.
     """
-    done: list[type] = []
-    appended: dict[str, Handler] = {}
+    undone: list[Callable[[], object]] = []
     try:
-        for cls in getattr(module, "CLASSES", ()):
-            bpy.utils.register_class(cls)
-            done.append(cls)
-        for name, function in getattr(module, "HANDLERS", {}).items():
-            getattr(bpy.app.handlers, name).append(function)
-            appended[name] = function
+        for change, undo in _steps(module):
+            change()
+            undone.append(undo)
         getattr(module, "on_register", _nothing)()
     except BaseException:
-        _remove_handlers(appended)
-        _unregister_classes(done)
+        for undo in reversed(undone):
+            undo()
         raise
 
 
 def unregister(module: ModuleType) -> None:
     """Undo `register`."""
     getattr(module, "on_unregister", _nothing)()
-    _remove_handlers(getattr(module, "HANDLERS", {}))
-    _unregister_classes(getattr(module, "CLASSES", ()))
+    for _, undo in reversed(list(_steps(module))):
+        undo()
 
 
-def _remove_handlers(handlers: Mapping[str, Handler]) -> None:
-    for name, function in handlers.items():
-        getattr(bpy.app.handlers, name).remove(function)
+def _steps(module: ModuleType) -> Iterator[Step]:
+    for cls in getattr(module, "CLASSES", ()):
+        yield partial(bpy.utils.register_class, cls), partial(bpy.utils.unregister_class, cls)
+    for owner, name, prop in getattr(module, "PROPERTIES", ()):
+        yield partial(setattr, owner, name, prop), partial(delattr, owner, name)
+    handlers = getattr(module, "HANDLERS", {}).items()
+    lists = [(getattr(bpy.app.handlers, name), function) for name, function in handlers]
+    for entries, entry in (*lists, *getattr(module, "APPENDED", ())):
+        yield partial(entries.append, entry), partial(entries.remove, entry)
+    if not bpy.app.background:
+        for function, when in getattr(module, "DRAWING", ()):
+            yield partial(_draw, function, when), partial(_end_drawing, function)
 
 
-def _unregister_classes(classes: tuple[type, ...] | list[type]) -> None:
-    for cls in reversed(classes):
-        bpy.utils.unregister_class(cls)
+def _draw(function: Callable[..., object], when: str) -> None:
+    add = bpy.types.SpaceView3D.draw_handler_add
+    _drawing[function] = add(function, (), "WINDOW", when)
+
+
+def _end_drawing(function: Callable[..., object]) -> None:
+    bpy.types.SpaceView3D.draw_handler_remove(_drawing.pop(function), "WINDOW")
 
 
 def _nothing() -> None:

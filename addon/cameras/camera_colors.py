@@ -150,20 +150,14 @@ def _nearer(projection: Matrix) -> Matrix:
 
 
 class _Drawing:
-    """Draw handler and the last batches."""
+    """The last batches."""
 
     def __init__(self) -> None:
-        self._handle: Any = None
         self._key: tuple[bytes, ...] = ()
         self._made: tuple[Any, Any] = ((), ())
 
-    def begin(self) -> None:
-        """Start drawing in 3D views."""
-        self._handle = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", "POST_VIEW")
-
-    def end(self) -> None:
-        """Stop drawing."""
-        bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
+    def clear(self) -> None:
+        """Drop the batches."""
         self.__init__()
 
     def batches(
@@ -185,4 +179,5 @@ class _Drawing:
 
 
 _drawing = _Drawing()
-on_register, on_unregister = _drawing.begin, _drawing.end
+DRAWING = ((draw, "POST_VIEW"),)
+on_unregister = _drawing.clear

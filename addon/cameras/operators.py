@@ -235,16 +235,6 @@ def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     self.layout.operator(ImportCameras.bl_idname, text=text).browse = True
 
 
-def on_register() -> None:
-    """Add the entry of File > Import."""
-    bpy.types.TOPBAR_MT_file_import.append(_draw_import)
-
-
-def on_unregister() -> None:
-    """Remove the entry."""
-    bpy.types.TOPBAR_MT_file_import.remove(_draw_import)
-
-
 def _settings(context: bpy.types.Context) -> Any:
     """The scene's settings; None if only these operators are registered."""
     return getattr(context.scene, "gscore", None)
@@ -261,3 +251,6 @@ def _chosen(
         return cameras_of(root)
     source = context.selected_objects if which == "SELECTED" else context.scene.objects
     return sorted((ob for ob in source if ob.type == "CAMERA"), key=lambda ob: ob.name)
+
+
+APPENDED = ((bpy.types.TOPBAR_MT_file_import, _draw_import),)

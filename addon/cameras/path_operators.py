@@ -134,11 +134,4 @@ def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     self.layout.operator(ImportCameraPath.bl_idname, text="Camera Path (.json)")
 
 
-def on_register() -> None:
-    """Add the entry of File > Import."""
-    bpy.types.TOPBAR_MT_file_import.append(_draw_import)
-
-
-def on_unregister() -> None:
-    """Remove the entry."""
-    bpy.types.TOPBAR_MT_file_import.remove(_draw_import)
+APPENDED = ((bpy.types.TOPBAR_MT_file_import, _draw_import),)

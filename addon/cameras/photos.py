@@ -64,13 +64,4 @@ class PhotoSettings(bpy.types.PropertyGroup):
 
 
 CLASSES = (PhotoSettings,)
-
-
-def on_register() -> None:
-    """Add the settings to scenes."""
-    bpy.types.Scene.gscore_photos = bpy.props.PointerProperty(type=PhotoSettings)
-
-
-def on_unregister() -> None:
-    """Remove the settings."""
-    del bpy.types.Scene.gscore_photos
+PROPERTIES = ((bpy.types.Scene, "gscore_photos", bpy.props.PointerProperty(type=PhotoSettings)),)

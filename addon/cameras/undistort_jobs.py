@@ -209,15 +209,9 @@ _POLLERS = (
 
 
 HANDLERS = {"load_post": _file_loaded}
-
-
-def on_register() -> None:
-    """Register with the poll timer."""
-    poll_timer.POLLERS.extend(_POLLERS)
+APPENDED = tuple((poll_timer.POLLERS, poller) for poller in _POLLERS)
 
 
 def on_unregister() -> None:
-    """Remove the pollers and kill the program; a partly written copy is discarded."""
-    for poller in _POLLERS:
-        poll_timer.POLLERS.remove(poller)
+    """Kill the program; a partly written copy is discarded."""
     QUEUE.kill()

@@ -121,13 +121,4 @@ CLASSES = (UndistortPhotos, StopUndistorting, RemoveUndistortedPhotos)
 _FOLLOWER = poll_timer.Poller(_SIZES.collect, lambda: _SIZES.busy)
 
 
-def on_register() -> None:
-    """Draw in the preferences."""
-    SECTIONS.append(draw_copies)
-    poll_timer.POLLERS.append(_FOLLOWER)
-
-
-def on_unregister() -> None:
-    """Remove the section from the preferences."""
-    poll_timer.POLLERS.remove(_FOLLOWER)
-    SECTIONS.remove(draw_copies)
+APPENDED = ((SECTIONS, draw_copies), (poll_timer.POLLERS, _FOLLOWER))

@@ -106,14 +106,9 @@ class ColorCameras(Undoable, bpy.types.Operator):
 
 CLASSES = (ColorCameras,)
 _FOLLOWER = poll_timer.Poller(follow)
-
-
-def on_register() -> None:
-    """Start following reports."""
-    poll_timer.POLLERS.append(_FOLLOWER)
+APPENDED = ((poll_timer.POLLERS, _FOLLOWER),)
 
 
 def on_unregister() -> None:
     """Stop following reports; colors stay in the file until the add-on removes them."""
-    poll_timer.POLLERS.remove(_FOLLOWER)
     _followed.clear()

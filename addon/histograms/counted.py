@@ -181,14 +181,9 @@ def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 
 HANDLERS = {"depsgraph_update_post": _changed}
-
-
-def on_register() -> None:
-    """Start counting on the poll timer."""
-    poll_timer.POLLERS.append(_FOLLOWER)
+APPENDED = ((poll_timer.POLLERS, _FOLLOWER),)
 
 
 def on_unregister() -> None:
     """Stop counting."""
-    poll_timer.POLLERS.remove(_FOLLOWER)
     COUNTED.clear()

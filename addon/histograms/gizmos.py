@@ -215,18 +215,12 @@ class HistogramGizmos(bpy.types.GizmoGroup):
 
 CLASSES = (HistogramGizmo, HistogramGizmos)
 
-
-def on_register() -> None:
-    """Store the switch in the window manager: no file saves it, and undo does not change it."""
-    bpy.types.WindowManager.gscore_histograms = bpy.props.BoolProperty(
-        name="Handles in View",
-        description="Show the histograms at the bottom of 3D views, with draggable handles. Splats "
-        "beyond a handle are hidden; a handle at the end of the axis has no effect. Hold Shift for "
-        "small steps",
-        update=lambda self, context: redraw_views(),
-    )
-
-
-def on_unregister() -> None:
-    """Remove the switch."""
-    del bpy.types.WindowManager.gscore_histograms
+_SWITCH = bpy.props.BoolProperty(
+    name="Handles in View",
+    description="Show the histograms at the bottom of 3D views, with draggable handles. Splats "
+    "beyond a handle are hidden; a handle at the end of the axis has no effect. Hold Shift for "
+    "small steps",
+    update=lambda self, context: redraw_views(),
+)
+# In the window manager: no file saves it, and undo does not change it.
+PROPERTIES = ((bpy.types.WindowManager, "gscore_histograms", _SWITCH),)

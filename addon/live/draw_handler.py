@@ -78,7 +78,6 @@ class _State:
     """Consecutive failures of the graphics card."""
     paused_until: float = float("-inf")
     """Monotonic seconds before which nothing is drawn."""
-    handles: list[object] = field(default_factory=list)
     scene: gpu.types.GPUFrameBuffer | None = None
     """Blender's target of the view being drawn, valid during its drawing only."""
     problems: dict[int, str] = field(default_factory=dict)
@@ -299,7 +298,8 @@ def _redraw_stale() -> bool:
 
 @persistent
 def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    viewport_copies.SHARED.forget_changed(depsgraph)
+    if SESSION.there:
+        viewport_copies.SHARED.forget_changed(depsgraph)
 
 
 @persistent
@@ -331,31 +331,21 @@ def _draw_handler() -> None:
     _state.scene = None
 
 
+DRAWING = ((_before_handler, "PRE_VIEW"), (_draw_handler, "POST_VIEW"))
+HANDLERS = {"depsgraph_update_post": _changed, "load_post": _file_loaded}
+APPENDED = ((viewport.FALLBACKS, _STAND_IN),)
+
+
 def on_register() -> None:
-    """Draw in all 3D views, unless Blender runs in the background."""
+    """Draw live, unless Blender runs in the background."""
     SESSION.there = not bpy.app.background
-    if not SESSION.there:
-        return
-    for handler, when in ((_before_handler, "PRE_VIEW"), (_draw_handler, "POST_VIEW")):
-        handle = bpy.types.SpaceView3D.draw_handler_add(handler, (), "WINDOW", when)
-        _state.handles.append(handle)
-    bpy.app.handlers.depsgraph_update_post.append(_changed)
-    bpy.app.handlers.load_post.append(_file_loaded)
-    viewport.FALLBACKS.append(_STAND_IN)
 
 
 def on_unregister() -> None:
     """Stop drawing, and release everything on the graphics card."""
-    if not SESSION.there:
-        return
     for timer in (_poll, redraw_views, _show_points):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
-    viewport.FALLBACKS.remove(_STAND_IN)
-    bpy.app.handlers.load_post.remove(_file_loaded)
-    bpy.app.handlers.depsgraph_update_post.remove(_changed)
-    for handle in _state.handles:
-        bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")
     _close_views()
-    _state.card, _state.handles, _state.failures = None, [], 0
+    _state.card, _state.failures = None, 0
     SESSION.there, SESSION.problem = False, ""

@@ -120,7 +120,8 @@ _READER = Reader(viewport_copies.SHARED)
 
 @persistent
 def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    _READER.notice(depsgraph, time.monotonic())
+    if SESSION.there:  # splats are drawn live
+        _READER.notice(depsgraph, time.monotonic())
     if _READER.waits and not bpy.app.timers.is_registered(_poll):
         bpy.app.timers.register(_poll, first_interval=REST)
 
@@ -136,19 +137,11 @@ def _poll() -> float | None:
     return INTERVAL if _READER.waits else None
 
 
-def on_register() -> None:
-    """Follow edits, if splats are drawn live."""
-    if SESSION.there:
-        bpy.app.handlers.depsgraph_update_post.append(_changed)
-        bpy.app.handlers.load_post.append(_file_loaded)
+HANDLERS = {"depsgraph_update_post": _changed, "load_post": _file_loaded}
 
 
 def on_unregister() -> None:
     """Stop following edits."""
-    if _changed not in bpy.app.handlers.depsgraph_update_post:
-        return
-    bpy.app.handlers.depsgraph_update_post.remove(_changed)
-    bpy.app.handlers.load_post.remove(_file_loaded)
     if bpy.app.timers.is_registered(_poll):
         bpy.app.timers.unregister(_poll)
     _READER.clear()

@@ -1,25 +1,14 @@
 """Notice in a 3D view: why the graphics card does not draw its splats."""
 
-from dataclasses import dataclass
-
 import bpy
 
 from ..interface import viewport_text
-from ..splats.live_display import SESSION
 from ..splats.objects import is_splats
 from . import draw_handler
 
 _MARGIN = 12.0
 """Pixels at a resolution scale of 1."""
 _COLOR = 1.0, 0.75, 0.2, 1.0
-
-
-@dataclass
-class _State:
-    handle: object = None
-
-
-_state = _State()
 
 
 def _lines(text: str, width: float, scale: float) -> list[str]:
@@ -50,14 +39,4 @@ def _draw() -> None:
         viewport_text.write(line, 2 * _MARGIN * scale, height, scale, _COLOR)
 
 
-def on_register() -> None:
-    """Draw in all 3D views, unless Blender runs in the background."""
-    if SESSION.there:
-        _state.handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_PIXEL")
-
-
-def on_unregister() -> None:
-    """Stop drawing."""
-    if _state.handle is not None:
-        bpy.types.SpaceView3D.draw_handler_remove(_state.handle, "WINDOW")
-        _state.handle = None
+DRAWING = ((_draw, "POST_PIXEL"),)

@@ -92,13 +92,4 @@ class BrushSettings(BrushProperties, bpy.types.PropertyGroup):
 
 
 CLASSES = (BrushSettings,)
-
-
-def on_register() -> None:
-    """Register the brush settings of the session."""
-    bpy.types.WindowManager.gscore_paint = PointerProperty(type=BrushSettings)
-
-
-def on_unregister() -> None:
-    """Remove the brush settings."""
-    del bpy.types.WindowManager.gscore_paint
+PROPERTIES = ((bpy.types.WindowManager, "gscore_paint", PointerProperty(type=BrushSettings)),)

@@ -210,16 +210,10 @@ CLASSES = (DepthItem, DepthTable, DepthTables, GSCORE_UL_depth)
 
 
 _FOLLOWER = poll_timer.Poller(fill)
-
-
-def on_register() -> None:
-    """Add the property of the tables, and the poller that fills them."""
-    bpy.types.WindowManager.gscore_depth = PointerProperty(type=DepthTables)
-    poll_timer.POLLERS.append(_FOLLOWER)
+PROPERTIES = ((bpy.types.WindowManager, "gscore_depth", PointerProperty(type=DepthTables)),)
+APPENDED = ((poll_timer.POLLERS, _FOLLOWER),)
 
 
 def on_unregister() -> None:
-    """Remove the poller and the tables."""
-    poll_timer.POLLERS.remove(_FOLLOWER)
+    """Forget the tables."""
     _filled.clear()
-    del bpy.types.WindowManager.gscore_depth

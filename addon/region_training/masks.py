@@ -251,13 +251,5 @@ def _compress(image: bpy.types.Image) -> None:
     _pack(image, rgba_png(levels_of(flat.reshape(height, width, image.channels)[::-1])))
 
 
-def on_register() -> None:
-    """Add handlers: trainings list unsaved masks, and .blend files keep them."""
-    start_training.UNSAVED.append(_unsaved_warnings)
-    bpy.app.handlers.save_pre.append(_save_begins)
-
-
-def on_unregister() -> None:
-    """Remove the handlers."""
-    bpy.app.handlers.save_pre.remove(_save_begins)
-    start_training.UNSAVED.remove(_unsaved_warnings)
+HANDLERS = {"save_pre": _save_begins}
+APPENDED = ((start_training.UNSAVED, _unsaved_warnings),)

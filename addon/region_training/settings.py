@@ -21,13 +21,4 @@ class SteerSettings(bpy.types.PropertyGroup):
 
 
 CLASSES = (SteerSettings,)
-
-
-def on_register() -> None:
-    """Add the settings to scenes."""
-    bpy.types.Scene.gscore_steer = bpy.props.PointerProperty(type=SteerSettings)
-
-
-def on_unregister() -> None:
-    """Remove the settings."""
-    del bpy.types.Scene.gscore_steer
+PROPERTIES = ((bpy.types.Scene, "gscore_steer", bpy.props.PointerProperty(type=SteerSettings)),)

@@ -288,13 +288,4 @@ def _drop(scene: bpy.types.Scene, key: str) -> None:
         bpy.data.scenes.remove(other)
 
 
-def on_register() -> None:
-    """Follow changes of scenes that were set up."""
-    bpy.app.handlers.depsgraph_update_post.append(_after_update)
-    bpy.app.handlers.render_init.append(_after_update)
-
-
-def on_unregister() -> None:
-    """Stop following."""
-    bpy.app.handlers.render_init.remove(_after_update)
-    bpy.app.handlers.depsgraph_update_post.remove(_after_update)
+HANDLERS = {"depsgraph_update_post": _after_update, "render_init": _after_update}

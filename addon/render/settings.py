@@ -37,13 +37,4 @@ class RenderSettings(bpy.types.PropertyGroup):
 
 
 CLASSES = (RenderSettings,)
-
-
-def on_register() -> None:
-    """Add the settings to scenes."""
-    bpy.types.Scene.gscore_render = bpy.props.PointerProperty(type=RenderSettings)
-
-
-def on_unregister() -> None:
-    """Remove them."""
-    del bpy.types.Scene.gscore_render
+PROPERTIES = ((bpy.types.Scene, "gscore_render", bpy.props.PointerProperty(type=RenderSettings)),)

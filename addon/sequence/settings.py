@@ -27,13 +27,10 @@ class TrainSequenceSettings(bpy.types.PropertyGroup):
 
 
 CLASSES = (TrainSequenceSettings,)
-
-
-def on_register() -> None:
-    """Add the settings to scenes."""
-    bpy.types.Scene.gscore_train_sequence = bpy.props.PointerProperty(type=TrainSequenceSettings)
-
-
-def on_unregister() -> None:
-    """Remove the settings."""
-    del bpy.types.Scene.gscore_train_sequence
+PROPERTIES = (
+    (
+        bpy.types.Scene,
+        "gscore_train_sequence",
+        bpy.props.PointerProperty(type=TrainSequenceSettings),
+    ),
+)

@@ -277,13 +277,7 @@ def _draw_export(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     self.layout.operator(ExportSplats.bl_idname, text=f"Gaussian Splats ({kinds})")
 
 
-def on_register() -> None:
-    """Add the entries of File > Import and Export."""
-    bpy.types.TOPBAR_MT_file_import.append(_draw_import)
-    bpy.types.TOPBAR_MT_file_export.append(_draw_export)
-
-
-def on_unregister() -> None:
-    """Remove the entries."""
-    bpy.types.TOPBAR_MT_file_export.remove(_draw_export)
-    bpy.types.TOPBAR_MT_file_import.remove(_draw_import)
+APPENDED = (
+    (bpy.types.TOPBAR_MT_file_import, _draw_import),
+    (bpy.types.TOPBAR_MT_file_export, _draw_export),
+)

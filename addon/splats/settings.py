@@ -237,13 +237,7 @@ def _renew(*_: object) -> None:
 CLASSES = (SplatSettings,)
 
 
-def on_register() -> None:
-    """Add the settings to objects."""
-    bpy.types.Object.gscore = bpy.props.PointerProperty(type=SplatSettings, override=_KEPT)
-    bpy.app.handlers.load_post.append(_renew)
-
-
-def on_unregister() -> None:
-    """Remove the settings."""
-    bpy.app.handlers.load_post.remove(_renew)
-    del bpy.types.Object.gscore
+PROPERTIES = (
+    (bpy.types.Object, "gscore", bpy.props.PointerProperty(type=SplatSettings, override=_KEPT)),
+)
+HANDLERS = {"load_post": _renew}

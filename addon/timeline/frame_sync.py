@@ -322,17 +322,14 @@ HANDLERS = {
 }
 
 
-def on_register() -> None:
-    """Start the sync with the timeline."""
-    settings.CHANGED.append(settings_changed)
-    objects.CATCH_UP.append(catch_up)
-    poll_timer.POLLERS.append(_FOLLOWER)
+APPENDED = (
+    (settings.CHANGED, settings_changed),
+    (objects.CATCH_UP, catch_up),
+    (poll_timer.POLLERS, _FOLLOWER),
+)
 
 
 def on_unregister() -> None:
-    """Stop the sync, and drop all frames."""
-    poll_timer.POLLERS.remove(_FOLLOWER)
-    objects.CATCH_UP.remove(catch_up)
-    settings.CHANGED.remove(settings_changed)
+    """Drop all frames."""
     _drop_coming()
     LIBRARY.close()

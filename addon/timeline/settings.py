@@ -101,13 +101,6 @@ def timing_of(ob: bpy.types.Object) -> Timing:
 
 
 CLASSES = (SequenceSettings,)
-
-
-def on_register() -> None:
-    """Add the settings to objects."""
-    bpy.types.Object.gscore_sequence = bpy.props.PointerProperty(type=SequenceSettings)
-
-
-def on_unregister() -> None:
-    """Remove the settings."""
-    del bpy.types.Object.gscore_sequence
+PROPERTIES = (
+    (bpy.types.Object, "gscore_sequence", bpy.props.PointerProperty(type=SequenceSettings)),
+)

@@ -33,11 +33,4 @@ def draw_trainer(layout: bpy.types.UILayout, prefs: Preferences) -> None:
         )
 
 
-def on_register() -> None:
-    """Add the section."""
-    SECTIONS.append(draw_trainer)
-
-
-def on_unregister() -> None:
-    """Remove the section."""
-    SECTIONS.remove(draw_trainer)
+APPENDED = ((SECTIONS, draw_trainer),)

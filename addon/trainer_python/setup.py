@@ -206,16 +206,9 @@ class Setup:
 CURRENT = Setup()
 """Setup of this Blender session."""
 _FOLLOWER = poll_timer.Poller(lambda: CURRENT.collect(preferences.get()), CURRENT.busy)
-
-
-def on_register() -> None:
-    """Start to collect results of checks."""
-    poll_timer.POLLERS.append(_FOLLOWER)
-    preferences.PYTHON_CHOSEN.append(CURRENT.chosen)
+APPENDED = ((poll_timer.POLLERS, _FOLLOWER), (preferences.PYTHON_CHOSEN, CURRENT.chosen))
 
 
 def on_unregister() -> None:
     """Cancel running tasks."""
-    poll_timer.POLLERS.remove(_FOLLOWER)
-    preferences.PYTHON_CHOSEN.remove(CURRENT.chosen)
     CURRENT.shut_down()

@@ -2,7 +2,8 @@
 
 import atexit
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -52,28 +53,14 @@ def follow(waits: Callable[[], bool]) -> None:
         time.sleep(_INTERVAL)
 
 
-class Following:
-    """Registration of a folder's pollers, and the end of its jobs when Blender quits."""
+def released_at_quit(
+    release_all: Callable[[], object],
+) -> tuple[Callable[[], object], Callable[[], object]]:
+    """`on_register` and `on_unregister` of a module whose jobs are released, to end on their own,
+    when Blender quits or the add-on is disabled."""
 
-    def __init__(
-        self, pollers: Sequence[poll_timer.Poller], release_all: Callable[[], object]
-    ) -> None:
-        """Store the pollers; `on_register` starts them.
+    def end() -> None:
+        atexit.unregister(release_all)
+        release_all()
 
-        Args:
-            pollers: Pollers, in order.
-            leave_all: Releases all jobs, which then end on their own.
-        """
-        self._pollers, self._leave_all = tuple(pollers), release_all
-
-    def on_register(self) -> None:
-        """Start the pollers."""
-        poll_timer.POLLERS.extend(self._pollers)
-        atexit.register(self._leave_all)
-
-    def on_unregister(self) -> None:
-        """Stop the pollers and release the jobs."""
-        for poller in self._pollers:
-            poll_timer.POLLERS.remove(poller)
-        atexit.unregister(self._leave_all)
-        self._leave_all()
+    return partial(atexit.register, release_all), end

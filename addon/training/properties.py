@@ -289,13 +289,4 @@ class SceneSettings(bpy.types.PropertyGroup):
 
 
 CLASSES = (SceneSettings,)
-
-
-def on_register() -> None:
-    """Add the settings to scenes."""
-    bpy.types.Scene.gscore = PointerProperty(type=SceneSettings)
-
-
-def on_unregister() -> None:
-    """Remove the settings."""
-    del bpy.types.Scene.gscore
+PROPERTIES = ((bpy.types.Scene, "gscore", PointerProperty(type=SceneSettings)),)

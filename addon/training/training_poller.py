@@ -2,7 +2,7 @@
 
 from ..process import poll_timer
 from . import display, lookups, registry
-from .launch import Following
+from .launch import released_at_quit
 
 
 def _collect() -> bool:
@@ -26,11 +26,8 @@ def _waits() -> bool:
     return any(display.waits(job) for job in registry.jobs())
 
 
-_FOLLOWING = Following(
-    [
-        poll_timer.Poller(_collect, _waits, display.is_importing),
-        poll_timer.Poller(lookups.collect, lookups.busy),
-    ],
-    registry.release_all,
+APPENDED = (
+    (poll_timer.POLLERS, poll_timer.Poller(_collect, _waits, display.is_importing)),
+    (poll_timer.POLLERS, poll_timer.Poller(lookups.collect, lookups.busy)),
 )
-on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister
+on_register, on_unregister = released_at_quit(registry.release_all)

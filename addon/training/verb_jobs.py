@@ -13,7 +13,7 @@ from ..process.incremental_tasks import Pieces, run_in_thread
 from ..splats import settings
 from ..splats.write_chunked import ChunkedWrite, filled
 from . import loader
-from .launch import Following, begin, follow, launch
+from .launch import begin, follow, launch, released_at_quit
 from .verb_job import Verb, VerbJob
 
 
@@ -130,14 +130,10 @@ def import_next(job: VerbJob) -> bool:
     return True
 
 
-_FOLLOWING = Following(
-    [
-        poll_timer.Poller(
-            _collect,
-            lambda: any(not job.ended or job.awaits_import for job in JOBS.jobs()),
-            lambda: any(job.import_task is not None for job in JOBS.jobs()),
-        )
-    ],
-    JOBS.release_all,
+_FOLLOWER = poll_timer.Poller(
+    _collect,
+    lambda: any(not job.ended or job.awaits_import for job in JOBS.jobs()),
+    lambda: any(job.import_task is not None for job in JOBS.jobs()),
 )
-on_register, on_unregister = _FOLLOWING.on_register, _FOLLOWING.on_unregister
+APPENDED = ((poll_timer.POLLERS, _FOLLOWER),)
+on_register, on_unregister = released_at_quit(JOBS.release_all)

@@ -62,9 +62,10 @@ def disabled(switch: Callable[[bool], None]) -> Iterator[Callable[[bool], None]]
 
 
 def test_every_module_registers() -> None:
-    """Oracle: MODULES, each with classes, handlers or hooks; it includes every module that has
+    """Oracle: MODULES, each with what `registration` reads; it includes every module that has
     any."""
-    marks = ("CLASSES", "HANDLERS", "on_register", "on_unregister")
+    lists = ("PROPERTIES", "HANDLERS", "APPENDED", "DRAWING")
+    marks = ("CLASSES", *lists, "on_register", "on_unregister")
     for name in addon.MODULES:
         module = importlib.import_module(f"addon.{name}")
         assert any(hasattr(module, mark) for mark in marks), name
@@ -75,7 +76,7 @@ def test_every_module_registers() -> None:
         defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
         assigned = (node.targets for node in tree.body if isinstance(node, ast.Assign))
         named = {one.id for names in assigned for one in names if isinstance(one, ast.Name)}
-        defined |= named & {"HANDLERS"}  # CLASSES may come from other files too
+        defined |= named & set(lists)  # CLASSES may come from other files too
         if defined & set(marks):
             assert name in addon.MODULES
 

@@ -11,7 +11,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from addon.cameras import camera_math as cm
-from addon.cameras import capture_transform, captures, sfm_points
+from addon.cameras import capture_transform, captures, importing, sfm_points
 from addon.cameras import objects as co
 from addon.cameras.objects import cameras_of
 from addon.cameras.render_camera import render_camera
@@ -31,7 +31,7 @@ def capture(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def made(scene, capture: Path) -> captures.ImportedCapture:
+def made(scene, capture: Path) -> importing.ImportedCapture:
     """That capture in Blender, aligned and scaled."""
     made = import_capture(bpy.context.scene, capture)
     capture_transform.set_extent(made.root, 3.0)

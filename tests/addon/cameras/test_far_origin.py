@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras import capture_transform, captures
+from addon.cameras import capture_transform, importing
 from addon.cameras.camera_path import NERFSTUDIO
 from addon.compat import matrix_to_numpy
 from addon.core import DataConfig, Splats, read_capture, read_colmap, write_colmap, write_splat_file
@@ -39,7 +39,9 @@ def far(tmp_path: Path) -> Path:
     return folder
 
 
-def splats_in(made: captures.ImportedCapture, make_splats, path: Path, about: np.ndarray) -> Splats:
+def splats_in(
+    made: importing.ImportedCapture, make_splats, path: Path, about: np.ndarray
+) -> Splats:
     """A splat file with a local origin, with splats around the capture's own."""
     splats = make_splats(50)
     shift = capture_transform.origin_of(made.root) - about
