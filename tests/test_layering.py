@@ -181,7 +181,7 @@ ROOMS = {
     "preferences": {"core", "interface", "paths"},
     "trainer_python": _SHARED,
     "nodes": _FLOOR,
-    "cameras": _SHARED,
+    "cameras": _SHARED | {"nodes"},
     "splats": _SHARED | {"cameras", "nodes", "trainer_python"},
     "training": _OBJECTS | {"trainer_python"},
     "sfm": _OBJECTS | {"trainer_python", "training"},

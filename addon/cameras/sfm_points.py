@@ -4,6 +4,8 @@ import bpy
 import numpy as np
 
 from .. import attributes, compat
+from ..nodes import materials
+from ..nodes.graph import Graph, Socket, inputs, new_group, result, socket
 
 COLOR = "gs_color"
 """Attribute of the colours, linear RGBA; Cycles draws point clouds with `color` black."""
@@ -124,82 +126,39 @@ def _node_group() -> bpy.types.NodeTree:
     group = bpy.data.node_groups.get(GROUP)
     if group is not None and group.bl_idname == "GeometryNodeTree":
         return group
-    group = bpy.data.node_groups.new(GROUP, "GeometryNodeTree")
+    graph, group = new_group(GROUP)
     group.is_modifier = True
-    interface = group.interface
-    interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
-    radius = interface.new_socket("Radius", in_out="INPUT", socket_type="NodeSocketFloat")
-    radius.default_value, radius.min_value, radius.subtype = 0.01, 0.0, "DISTANCE"
-    radius.description = "Radius of a point, in units of the capture's world"
-    interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    _fill(group)
+    about = "Radius of a point, in units of the capture's world"
+    more = {"min_value": 0.0, "subtype": "DISTANCE", "description": about}
+    socket(group, "Geometry", "Geometry")
+    socket(group, "Radius", "Float", 0.01, **more)
+    given = inputs(graph)
+    shown = _shown(graph, given["Geometry"], given["Radius"])
+    painted = graph.call("GeometryNodeSetMaterial", shown, None, _material())
+    result(graph, "Geometry", "Geometry", painted)
     return group
 
 
-def _fill(group: bpy.types.NodeTree) -> None:
-    """Vertices -> octahedra, or a point cloud for too many -> material."""
-    place = iter(range(-800, 2000, 200))
-
-    def node(kind: str) -> bpy.types.Node:
-        made = group.nodes.new(kind)
-        made.location.x = next(place)
-        return made
-
-    source, size, many = (
-        node(kind)
-        for kind in ("NodeGroupInput", "GeometryNodeAttributeDomainSize", "FunctionNodeCompare")
-    )
-    many.data_type, many.operation = "INT", "GREATER_THAN"
-    limit = next(s for s in many.inputs if s.enabled and s.name == "B")
-    limit.default_value = SOLID_MOST
-    shape = node("GeometryNodeMeshUVSphere")
-    shape.inputs["Segments"].default_value, shape.inputs["Rings"].default_value = 4, 2
-    spread, real = node("GeometryNodeInstanceOnPoints"), node("GeometryNodeRealizeInstances")
+def _shown(graph: Graph, geometry: Socket, radius: Socket) -> Socket:
+    """Vertices -> octahedra, or a point cloud for too many."""
+    count = graph.outputs("GeometryNodeAttributeDomainSize", geometry)["Point Count"]
+    comparison = {"data_type": "INT", "operation": "GREATER_THAN"}
+    many = graph.call("FunctionNodeCompare", count, SOLID_MOST, **comparison)
+    shape = {"Segments": 4, "Rings": 2, "Radius": radius}
+    ball = graph.call("GeometryNodeMeshUVSphere", named=shape)
+    balls = {"Points": geometry, "Instance": ball}
+    spread = graph.call("GeometryNodeInstanceOnPoints", named=balls)
     # One bare vertex is joined, because it has the active color attribute. More would be drawn as
     # black dots over the colors.
-    index, rest = node("GeometryNodeInputIndex"), node("GeometryNodeDeleteGeometry")
-    join = node("GeometryNodeJoinGeometry")
-    cloud, switch = node("GeometryNodeMeshToPoints"), node("GeometryNodeSwitch")
-    switch.input_type = "GEOMETRY"
-    paint, end = node("GeometryNodeSetMaterial"), node("NodeGroupOutput")
-    paint.inputs["Material"].default_value = _material()
-    link = group.links.new
-    geometry, radius = source.outputs["Geometry"], source.outputs["Radius"]
-    link(geometry, size.inputs["Geometry"])
-    link(size.outputs["Point Count"], next(s for s in many.inputs if s.enabled and s.name == "A"))
-    link(geometry, spread.inputs["Points"])
-    link(shape.outputs["Mesh"], spread.inputs["Instance"])
-    link(radius, shape.inputs["Radius"])
-    link(spread.outputs["Instances"], real.inputs["Geometry"])
-    link(real.outputs["Geometry"], join.inputs["Geometry"])
-    link(index.outputs["Index"], rest.inputs["Selection"])  # true for all but 0
-    link(geometry, rest.inputs["Geometry"])
-    link(rest.outputs["Geometry"], join.inputs["Geometry"])
-    link(geometry, cloud.inputs["Mesh"])
-    link(radius, cloud.inputs["Radius"])
-    link(many.outputs["Result"], switch.inputs["Switch"])
-    link(join.outputs["Geometry"], switch.inputs["False"])
-    link(cloud.outputs["Points"], switch.inputs["True"])
-    link(switch.outputs["Output"], paint.inputs["Geometry"])
-    link(paint.outputs["Geometry"], end.inputs["Geometry"])
+    index = graph.call("GeometryNodeInputIndex")  # true for all but 0
+    join = graph.node("GeometryNodeJoinGeometry")
+    graph.feed(join.inputs[0], graph.call("GeometryNodeRealizeInstances", spread))
+    graph.feed(join.inputs[0], graph.call("GeometryNodeDeleteGeometry", geometry, index))
+    points = {"Mesh": geometry, "Radius": radius}
+    cloud = graph.call("GeometryNodeMeshToPoints", named=points)
+    return graph.switch("GEOMETRY", many, join.outputs[0], cloud)
 
 
 def _material() -> bpy.types.Material:
     """Emission of the photographed colours, without lighting."""
-    material = bpy.data.materials.get(GROUP)
-    if material is not None:
-        return material
-    material = bpy.data.materials.new(GROUP)
-    if material.node_tree is None:  # before 5.0
-        material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    color = tree.nodes.new("ShaderNodeAttribute")
-    color.attribute_name = COLOR
-    color.location.x = -400
-    emission = tree.nodes.new("ShaderNodeEmission")
-    emission.location.x = -200
-    end = tree.nodes.new("ShaderNodeOutputMaterial")
-    tree.links.new(color.outputs["Color"], emission.inputs["Color"])
-    tree.links.new(emission.outputs["Emission"], end.inputs["Surface"])
-    return material
+    return bpy.data.materials.get(GROUP) or materials.plain(GROUP, "GEOMETRY")

@@ -66,9 +66,8 @@ def _build_measure(name: str) -> bpy.types.NodeTree:
 def _color(graph: Graph, from_camera: Socket) -> Socket:
     """The colour from the scene's camera, if `from_camera` and there is one; else the mean."""
     camera = graph.call("GeometryNodeInputActiveCamera")
-    place = graph.node("GeometryNodeObjectInfo", transform_space="RELATIVE")
-    graph.feed(place.inputs[0], camera)
-    viewed = use_group(graph, harmonics.group(), {"From": place.outputs["Location"]})
+    place = graph.outputs("GeometryNodeObjectInfo", camera, transform_space="RELATIVE")
+    viewed = use_group(graph, harmonics.group(), {"From": place["Location"]})
     by_view = graph.both(from_camera, exists(graph, camera))
     return graph.switch("RGBA", by_view, _base_color(graph), viewed)
 
@@ -77,10 +76,8 @@ def _base_color(graph: Graph) -> Socket:
     """The constant part of the SH colour: display-referred sRGB values, decoded to scene-linear."""
     middle = float(sh0_to_rgb(0.0))
     factor = float(sh0_to_rgb(1.0)) - middle
-    node = graph.node("FunctionNodeSeparateColor")
-    graph.feed(node.inputs[0], graph.attribute(BASE, "FLOAT_COLOR"))
     channels = []
-    for channel in list(node.outputs)[:3]:
+    for channel in graph.channels(graph.attribute(BASE, "FLOAT_COLOR"))[:3]:
         encoded = graph.math("MULTIPLY_ADD", channel, factor, middle)
         channels.append(harmonics.linear(graph, encoded))
     return graph.call("FunctionNodeCombineColor", *channels, 1.0)
@@ -127,11 +124,12 @@ def _spread(
     graph: Graph, given: dict[str, Socket], field: Socket, *, from_zero: bool = False
 ) -> Socket:
     """A field as 0 to 1 over mean +- 2 standard deviations of the visible splats."""
-    statistic = graph.node("GeometryNodeAttributeStatistic", data_type="FLOAT", domain="POINT")
-    sockets = [s for s in statistic.inputs if s.enabled]
-    for item, value in zip(sockets, [given["Geometry"], given["Visible"], field], strict=True):
-        graph.feed(item, value)
-    of = {s.name: s for s in statistic.outputs if s.enabled}
+    of = graph.outputs(
+        "GeometryNodeAttributeStatistic",
+        *(given["Geometry"], given["Visible"], field),
+        data_type="FLOAT",
+        domain="POINT",
+    )
     margin = graph.math("MULTIPLY", of["Standard Deviation"], _SPREAD)
     low = 0.0 if from_zero else graph.math("SUBTRACT", of["Mean"], margin)
     high = graph.math("ADD", of["Mean"], margin)

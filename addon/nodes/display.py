@@ -83,73 +83,58 @@ def _points(graph: Graph, given: dict[str, Socket], visible: Socket, from_camera
             "From Camera": from_camera,
         },
     )
-    node = graph.node("GeometryNodeStoreNamedAttribute", data_type="FLOAT_COLOR", domain="POINT")
-    colored = _store(graph, node, mesh, visible, materials.COLOR, color)
+    colored = _store(graph, "FLOAT_COLOR", mesh, visible, materials.COLOR, color)
     # Coefficients take most of the memory and are not needed below.
     slim = graph.node("GeometryNodeRemoveAttribute")
     compat.remove_by_wildcard(slim)
     graph.feed(slim.inputs["Geometry"], colored)
     graph.feed(slim.inputs["Name"], f"{SH}*")
-    points = graph.node("GeometryNodeMeshToPoints")
-    graph.feed(points.inputs["Mesh"], slim.outputs[0])
-    graph.feed(points.inputs["Selection"], visible)
-    graph.feed(points.inputs["Radius"], given["Point Radius"])
-    return points.outputs[0]
+    named = {"Mesh": slim.outputs[0], "Selection": visible, "Radius": given["Point Radius"]}
+    return graph.call("GeometryNodeMeshToPoints", named=named)
 
 
 def _native(graph: Graph, mesh: Socket, visible: Socket) -> Socket:
     """The visible splats as Blender's native splats, which use the same attribute names."""
-    points = graph.node("GeometryNodeMeshToPoints")
-    graph.feed(points.inputs["Mesh"], mesh)
-    graph.feed(points.inputs["Selection"], visible)
-    node = graph.node("GeometryNodePointsSetType")
-    graph.feed(node.inputs["Points"], points.outputs[0])
-    graph.feed(node.inputs["Type"], compat.splat_cloud_type())
-    return node.outputs[0]
+    points = graph.call("GeometryNodeMeshToPoints", named={"Mesh": mesh, "Selection": visible})
+    named = {"Points": points, "Type": compat.splat_cloud_type()}
+    return graph.call("GeometryNodePointsSetType", named=named)
 
 
 def _handle(graph: Graph, given: dict[str, Socket], visible: Socket) -> Socket:
     """A box of edges around most of the visible splats, for clicking, outlines and framing."""
     position = graph.call("GeometryNodeInputPosition")
-    kind = {"data_type": "FLOAT_VECTOR", "domain": "POINT"}
-    node = graph.node("GeometryNodeAttributeStatistic", **kind)
-    sockets = [s for s in node.inputs if s.enabled]
-    for item, value in zip(sockets, [given["Geometry"], visible, position], strict=True):
-        graph.feed(item, value)
-    of = {s.name: s for s in node.outputs if s.enabled}
-    cube = graph.node("GeometryNodeMeshCube")
-    graph.feed(cube.inputs["Size"], graph.vector("SCALE", of["Standard Deviation"], 2 * _BOX))
-    edges = graph.node("GeometryNodeDeleteGeometry", domain="FACE", mode="ONLY_FACE")
-    graph.feed(edges.inputs["Geometry"], cube.outputs["Mesh"])
-    moved = graph.node("GeometryNodeTransform")
-    graph.feed(moved.inputs["Geometry"], edges.outputs[0])
-    graph.feed(moved.inputs["Translation"], of["Mean"])
-    return moved.outputs[0]
+    of = graph.outputs(
+        "GeometryNodeAttributeStatistic",
+        *(given["Geometry"], visible, position),
+        data_type="FLOAT_VECTOR",
+        domain="POINT",
+    )
+    size = graph.vector("SCALE", of["Standard Deviation"], 2 * _BOX)
+    cube = graph.call("GeometryNodeMeshCube", named={"Size": size})
+    edges = graph.call("GeometryNodeDeleteGeometry", cube, domain="FACE", mode="ONLY_FACE")
+    named = {"Geometry": edges, "Translation": of["Mean"]}
+    return graph.call("GeometryNodeTransform", named=named)
 
 
 def _with_opacity(graph: Graph, points: Socket) -> Socket:
-    node = graph.node("GeometryNodeStoreNamedAttribute", data_type="FLOAT", domain="POINT")
-    return _store(graph, node, points, True, materials.OPACITY, filters.opacity(graph))
+    return _store(graph, "FLOAT", points, True, materials.OPACITY, filters.opacity(graph))
 
 
-def _store(graph: Graph, node: bpy.types.Node, *values: Socket | str | bool) -> Socket:
-    sockets = [s for s in node.inputs if s.enabled]
-    for item, value in zip(sockets, values, strict=True):
-        graph.feed(item, value)
-    return node.outputs[0]
+def _store(graph: Graph, data_type: str, *values: Socket | str | bool) -> Socket:
+    """Store an attribute: geometry, selection, name and value."""
+    kind = "GeometryNodeStoreNamedAttribute"
+    return graph.call(kind, *values, data_type=data_type, domain="POINT")
 
 
 def _instances(
     graph: Graph, points: Socket, size: Socket | float, material: bpy.types.Material
 ) -> Socket:
     """A ball on every point, scaled and rotated like the splat."""
-    ball = graph.node("GeometryNodeMeshIcoSphere")
-    graph.feed(ball.inputs["Subdivisions"], 2)
-    painted = graph.call("GeometryNodeSetMaterial", ball.outputs["Mesh"], None, material)
-    scale = graph.vector("SCALE", graph.attribute(SCALE, "FLOAT_VECTOR"), size)
-    node = graph.node("GeometryNodeInstanceOnPoints")
-    graph.feed(node.inputs["Points"], points)
-    graph.feed(node.inputs["Instance"], painted)
-    graph.feed(node.inputs["Rotation"], graph.attribute(ROTATION, "QUATERNION"))
-    graph.feed(node.inputs["Scale"], scale)
-    return node.outputs[0]
+    ball = graph.call("GeometryNodeMeshIcoSphere", named={"Subdivisions": 2})
+    named = {
+        "Points": points,
+        "Instance": graph.call("GeometryNodeSetMaterial", ball, None, material),
+        "Rotation": graph.attribute(ROTATION, "QUATERNION"),
+        "Scale": graph.vector("SCALE", graph.attribute(SCALE, "FLOAT_VECTOR"), size),
+    }
+    return graph.call("GeometryNodeInstanceOnPoints", named=named)

@@ -32,8 +32,7 @@ def largest(graph: Graph) -> Socket:
 
 def opacity(graph: Graph) -> Socket:
     """A splat's opacity in [0, 1]."""
-    color = graph.attribute(BASE, "FLOAT_COLOR")
-    return graph.call("FunctionNodeSeparateColor", color, out=3)
+    return graph.channels(graph.attribute(BASE, "FLOAT_COLOR"))[3]
 
 
 def _build(name: str) -> bpy.types.NodeTree:
@@ -57,33 +56,29 @@ def _build(name: str) -> bpy.types.NodeTree:
 
 def exists(graph: Graph, ob: Socket) -> Socket:
     """Whether the crop object still exists: a deleted one has scale 0."""
-    info = graph.node("GeometryNodeObjectInfo", transform_space="RELATIVE")
-    graph.feed(info.inputs[0], ob)
-    return graph.compare("GREATER_THAN", graph.vector("LENGTH", info.outputs["Scale"]), 0.0)
+    info = graph.outputs("GeometryNodeObjectInfo", ob, transform_space="RELATIVE")
+    return graph.compare("GREATER_THAN", graph.vector("LENGTH", info["Scale"]), 0.0)
 
 
 def _inside(graph: Graph, given: dict[str, Socket]) -> Socket:
     """Whether a splat's centre is inside the bounds of the crop object, or their ellipsoid."""
     to_self = graph.call("GeometryNodeObjectInfo", given["Crop Object"], transform_space="RELATIVE")
     # In the original space, the geometry is without the object's transform.
-    own = graph.node("GeometryNodeObjectInfo", transform_space="ORIGINAL")
-    graph.feed(own.inputs[0], given["Crop Object"])
-    bounds = graph.node("GeometryNodeBoundBox")
-    graph.feed(bounds.inputs[0], own.outputs["Geometry"])
-    low, high = bounds.outputs["Min"], bounds.outputs["Max"]
+    own = graph.outputs("GeometryNodeObjectInfo", given["Crop Object"], transform_space="ORIGINAL")
+    bounds = graph.outputs("GeometryNodeBoundBox", own["Geometry"])
+    low, high = bounds["Min"], bounds["Max"]
     middle = graph.vector("SCALE", graph.vector("ADD", low, high), 0.5)
     half = graph.vector("SCALE", graph.vector("SUBTRACT", high, low), 0.5)
     # An axis without extent counts one unit to each side.
     extended = graph.vector("CEIL", graph.vector("MINIMUM", half, (1.0, 1.0, 1.0)))
     half = graph.vector("ADD", half, graph.vector("SUBTRACT", (1.0, 1.0, 1.0), extended))
-    invert = graph.node("FunctionNodeInvertMatrix")
-    graph.feed(invert.inputs[0], to_self)
+    invert = graph.outputs("FunctionNodeInvertMatrix", to_self)
     position = graph.call("GeometryNodeInputPosition")
-    local = graph.call("FunctionNodeTransformPoint", position, invert.outputs[0])
+    local = graph.call("FunctionNodeTransformPoint", position, invert["Matrix"])
     local = graph.vector("DIVIDE", graph.vector("SUBTRACT", local, middle), half)
     x, y, z = graph.separate(graph.vector("ABSOLUTE", local))
     reach = graph.math("MAXIMUM", graph.math("MAXIMUM", x, y), z)
     radius = graph.vector("LENGTH", local)
     distance = graph.switch("FLOAT", given["Crop Sphere"], reach, radius)
     within = graph.compare("LESS_EQUAL", distance, 1.0)
-    return graph.both(within, invert.outputs["Invertible"])
+    return graph.both(within, invert["Invertible"])

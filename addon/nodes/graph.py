@@ -1,6 +1,7 @@
 """Node graph expressions: node trees built from functions of sockets."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import bpy
@@ -62,13 +63,36 @@ class Graph:
         elif value is not None:
             socket.default_value = value
 
-    def call(self, kind: str, *values: Value, out: int = 0, **settings: Any) -> Socket:
-        """Add a node, feed its enabled inputs in order and return an enabled output."""
+    def call(
+        self,
+        kind: str,
+        *values: Value,
+        named: Mapping[str, Value] = MappingProxyType({}),
+        out: int = 0,
+        **settings: Any,
+    ) -> Socket:
+        """Add a node, feed its enabled inputs in order and others by name, and return an enabled
+        output."""
+        return self._outputs(kind, values, named, settings)[out]
+
+    def outputs(self, kind: str, *values: Value, **settings: Any) -> dict[str, Socket]:
+        """As `call`; all enabled outputs by name."""
+        return {s.name: s for s in self._outputs(kind, values, {}, settings)}
+
+    def _outputs(
+        self,
+        kind: str,
+        values: Sequence[Value],
+        named: Mapping[str, Value],
+        settings: dict[str, Any],
+    ) -> list[Socket]:
         node = self.node(kind, **settings)
         inputs = [s for s in node.inputs if s.enabled and s.type != "CUSTOM"]
         for socket, value in zip(inputs, values, strict=False):
             self.feed(socket, value)
-        return [s for s in node.outputs if s.enabled][out]
+        for name, value in named.items():
+            self.feed(node.inputs[name], value)
+        return [s for s in node.outputs if s.enabled]
 
     def math(self, operation: str, *values: Value, clamp: bool = False) -> Socket:
         """Scalar arithmetic."""
@@ -107,9 +131,11 @@ class Graph:
 
     def separate(self, vector: Socket) -> list[Socket]:
         """x, y, z."""
-        node = self.node("ShaderNodeSeparateXYZ")
-        self.feed(node.inputs[0], vector)
-        return list(node.outputs)
+        return list(self.outputs("ShaderNodeSeparateXYZ", vector).values())
+
+    def channels(self, color: Socket) -> list[Socket]:
+        """Red, green, blue and alpha."""
+        return list(self.outputs("FunctionNodeSeparateColor", color).values())
 
     def arrange(self) -> None:
         """Place nodes in columns from the inputs to the output, to keep the tree readable."""

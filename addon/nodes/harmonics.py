@@ -68,9 +68,8 @@ def _build(name: str) -> bpy.types.NodeTree:
     direction = graph.vector("NORMALIZE", towards)
     middle = float(sh0_to_rgb(0.0))
     factor = float(sh0_to_rgb(1.0)) - middle
-    node = graph.node("FunctionNodeSeparateColor")
-    graph.feed(node.inputs[0], graph.attribute(BASE, "FLOAT_COLOR"))
-    base = graph.call("ShaderNodeCombineXYZ", *list(node.outputs)[:3])
+    channels = graph.channels(graph.attribute(BASE, "FLOAT_COLOR"))
+    base = graph.call("ShaderNodeCombineXYZ", *channels[:3])
     total = graph.vector("MULTIPLY_ADD", base, (factor,) * 3, (middle,) * 3)
     for degree in (1, 2, 3):
         total = graph.vector("ADD", total, use_group(graph, _band(degree), {"Towards": direction}))

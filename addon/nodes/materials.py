@@ -14,12 +14,12 @@ REACH = 3.0
 
 def points() -> bpy.types.Material:
     """Material of point clouds."""
-    return ensure(bpy.data.materials, "Splat Points", lambda n: _plain(n, "GEOMETRY"))
+    return ensure(bpy.data.materials, "Splat Points", lambda n: plain(n, "GEOMETRY"))
 
 
 def ellipsoids() -> bpy.types.Material:
     """Opaque material of instances."""
-    return ensure(bpy.data.materials, "Splat Ellipsoids", lambda n: _plain(n, "INSTANCER"))
+    return ensure(bpy.data.materials, "Splat Ellipsoids", lambda n: plain(n, "INSTANCER"))
 
 
 def soft() -> bpy.types.Material:
@@ -50,7 +50,8 @@ def _finish(graph: Graph, shader: Socket) -> None:
     graph.arrange()
 
 
-def _plain(name: str, kind: str) -> bpy.types.Material:
+def plain(name: str, kind: str) -> bpy.types.Material:
+    """A new material of the attribute's colour, for a geometry or its instancer."""
     graph, material = _new(name)
     _finish(graph, _emission(graph, kind))
     return material
@@ -78,9 +79,6 @@ def _soft(name: str) -> bpy.types.Material:
     opacity = _attribute(graph, OPACITY, "INSTANCER").outputs[2]
     front = graph.math("SUBTRACT", 1.0, geometry.outputs["Backfacing"])
     alpha = graph.math("MULTIPLY", graph.math("MULTIPLY", weight, opacity), front, clamp=True)
-    node = graph.node("ShaderNodeMixShader")
-    graph.feed(node.inputs[0], alpha)
-    graph.feed(node.inputs[1], graph.call("ShaderNodeBsdfTransparent"))
-    graph.feed(node.inputs[2], _emission(graph, "INSTANCER"))
-    _finish(graph, node.outputs[0])
+    parts = graph.call("ShaderNodeBsdfTransparent"), _emission(graph, "INSTANCER")
+    _finish(graph, graph.call("ShaderNodeMixShader", alpha, *parts))
     return material

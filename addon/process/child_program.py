@@ -4,6 +4,7 @@ Threads read the pipes and fill queues; the owner of the object drains them.
 """
 
 import contextlib
+import math
 import os
 import signal
 import subprocess
@@ -11,7 +12,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from queue import Empty, SimpleQueue
 from types import MappingProxyType
 from typing import BinaryIO
@@ -23,6 +24,8 @@ _MOST_WAITING = 100_000
 _STDERR_KEPT = 60
 _NICENESS = 5
 """Priority below Blender's, so that drawing precedes training on few cores."""
+_PERIOD = 0.05
+"""Seconds between two looks at a program that is waited for."""
 _ORPHANED_PIPE = 2.0
 """Seconds to wait after the end for a pipe that another process keeps open."""
 
@@ -117,6 +120,36 @@ class Process:
         # A child of it may keep the pipe open for longer.
         orphaned = time.monotonic() - self._ended_at > _ORPHANED_PIPE and self._lines.empty()
         return (self._output_ended and self._errors_ended) or orphaned
+
+    def output(
+        self,
+        check: Callable[[], object] = lambda: None,
+        report: Callable[[str], object] = lambda line: None,
+        timeout: float = math.inf,
+    ) -> list[str]:
+        """Wait for its end in a thread; all lines of the output.
+
+        Args:
+            check: Called all the time; may raise, which kills the program.
+            report: Called with each line.
+            timeout: Seconds after which the program is killed.
+
+        Raises:
+            TimeoutError: it did not end in time.
+        """
+        until, found = time.monotonic() + timeout, []
+        try:
+            while not self.ended:
+                check()
+                for line in self.lines(_PERIOD):
+                    found.append(line)
+                    report(line)
+                if time.monotonic() > until:
+                    raise TimeoutError
+                time.sleep(_PERIOD)
+        finally:
+            self.kill(wait=5.0)
+        return found
 
     def send(self, line: str) -> None:
         """Send a line to the program; never blocks, and does nothing after its end."""

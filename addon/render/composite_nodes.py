@@ -3,6 +3,7 @@
 import bpy
 
 from .. import compat
+from ..nodes.graph import Graph, Socket, Value, inputs
 from .color import NOTHING
 from .pass_renderer import HOLDOUT_PASSES
 
@@ -11,9 +12,6 @@ _FORM, _OF_NOW = "gs_form", 3
 """Custom property of the group: version of its formula; those before 2 have none."""
 _GROW = 2
 """Pixels by which the depth order grows into the holes of meshes: the radius of the smoothing."""
-_ROWS = 4
-"""Rows in which the nodes of the group are laid out."""
-Value = bpy.types.NodeSocket | float
 
 
 def group() -> bpy.types.NodeTree:
@@ -64,7 +62,7 @@ def group() -> bpy.types.NodeTree:
     tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
     for name in HOLDOUT_PASSES:  # last, so that links in older files stay valid
         tree.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
-    _fill(tree)
+    _fill(Graph(tree))
     return tree
 
 
@@ -73,90 +71,57 @@ def is_current(tree: bpy.types.NodeTree) -> bool:
     return tree.get(_FORM) == _OF_NOW
 
 
-def _fill(tree: bpy.types.NodeTree) -> None:
+def _fill(graph: Graph) -> None:
     """Add the nodes of the formula; variables are named as in it."""
-    given = _placed(tree.nodes.new("NodeGroupInput"), tree)
-    meshes, mesh_depth, splats, splat_depth, world = given.outputs[:5]
-    h, gone, held_depth, g, t = (given.outputs[name] for name in HOLDOUT_PASSES)
-    pictures = [_channels(tree, one) for one in (splats, meshes, world)]
+
+    def math(operation: str, *values: Value) -> Socket:
+        node = compat.new_math_node(graph.tree)
+        node.operation = operation
+        for socket, value in zip(node.inputs, values, strict=False):
+            graph.feed(socket, value)
+        return node.outputs[0]
+
+    def before(depth: Socket, other: Socket, cut: Socket) -> Socket:
+        """1 where a depth is less than another, smoothed along changes; holes without a depth take
+        the value of adjacent pixels."""
+        lacking = math("MULTIPLY", math("ADD", depth, other), cut)
+        known = math("LESS_THAN", lacking, NOTHING / 100)
+        nearer = math("MULTIPLY", math("LESS_THAN", depth, other), known)
+        grown = compat.new_dilate_node(graph.tree, _GROW)
+        graph.feed(grown.inputs[0], nearer)
+        nearer = math("MAXIMUM", nearer, math("SUBTRACT", grown.outputs[0], known))
+        return graph.call("CompositorNodeAntiAliasing", nearer)
+
+    given = inputs(graph)
+    meshes, mesh_depth, splats, splat_depth, world = list(given.values())[:5]
+    h, gone, held_depth, g, t = (given[name] for name in HOLDOUT_PASSES)
+    pictures = [
+        list(graph.outputs("CompositorNodeSeparateColor", one).values())
+        for one in (splats, meshes, world)
+    ]
     s, a = pictures[0][3], pictures[1][3]
-    p = _before(tree, splat_depth, mesh_depth, g)
-    q = _before(tree, held_depth, mesh_depth, g)
-    light = _math(tree, "SUBTRACT", 1.0, s)
-    light = _math(tree, "SUBTRACT", light, _math(tree, "MULTIPLY", light, gone))  # 1 - A
-    more = _math(tree, "MULTIPLY", _math(tree, "SUBTRACT", 1.0, t), gone)  # B - t
-    past = _math(tree, "SUBTRACT", 1.0, a)
-    covered = _math(tree, "MULTIPLY", a, _math(tree, "SUBTRACT", 1.0, p))
-    cut = _math(tree, "MULTIPLY_ADD", p, _math(tree, "SUBTRACT", more, h), h)
-    hidden = _math(tree, "MULTIPLY_ADD", q, cut, _math(tree, "MULTIPLY", p, t))
-    through = _math(tree, "SUBTRACT", _math(tree, "MULTIPLY", light, past), g)
+    p, q = before(splat_depth, mesh_depth, g), before(held_depth, mesh_depth, g)
+    light = math("SUBTRACT", 1.0, s)
+    light = math("SUBTRACT", light, math("MULTIPLY", light, gone))  # 1 - A
+    more = math("MULTIPLY", math("SUBTRACT", 1.0, t), gone)  # B - t
+    covered = math("MULTIPLY", a, math("SUBTRACT", 1.0, p))
+    cut = math("MULTIPLY_ADD", p, math("SUBTRACT", more, h), h)
+    hidden = math("MULTIPLY_ADD", q, cut, math("MULTIPLY", p, t))
+    through = math("SUBTRACT", math("MULTIPLY", light, math("SUBTRACT", 1.0, a)), g)
     shares = (
-        _math(tree, "SUBTRACT", 1.0, covered),
-        _math(tree, "SUBTRACT", 1.0, hidden),
-        _math(tree, "MAXIMUM", through, 0.0),
+        math("SUBTRACT", 1.0, covered),
+        math("SUBTRACT", 1.0, hidden),
+        math("MAXIMUM", through, 0.0),
     )
     totals: list[Value] = [0.0] * 4
     for picture, share in zip(pictures, shares, strict=True):
         totals = [
-            _math(tree, "MULTIPLY_ADD", one, share, total)
+            math("MULTIPLY_ADD", one, share, total)
             for one, total in zip(picture, totals, strict=True)
         ]
-    whole = _placed(tree.nodes.new("CompositorNodeCombineColor"), tree)
-    for total, socket in zip(totals, whole.inputs, strict=True):
-        _put(tree, total, socket)
-    result = _placed(tree.nodes.new("NodeGroupOutput"), tree)
-    tree.links.new(whole.outputs[0], result.inputs[0])
-
-
-def _placed(node: bpy.types.Node, tree: bpy.types.NodeTree) -> bpy.types.Node:
-    """Place a new node in the grid of columns, in order of creation."""
-    column, row = divmod(len(tree.nodes) - 1, _ROWS)
-    node.location = (220 * column, -200 * row)
-    return node
-
-
-def _channels(
-    tree: bpy.types.NodeTree, picture: bpy.types.NodeSocket
-) -> list[bpy.types.NodeSocket]:
-    """Red, green, blue and alpha."""
-    node = _placed(tree.nodes.new("CompositorNodeSeparateColor"), tree)
-    tree.links.new(picture, node.inputs[0])
-    return list(node.outputs)
-
-
-def _before(
-    tree: bpy.types.NodeTree,
-    depth: bpy.types.NodeSocket,
-    other: bpy.types.NodeSocket,
-    cut: bpy.types.NodeSocket,
-) -> bpy.types.NodeSocket:
-    """1 where a depth is less than another, smoothed along changes; holes without a depth take the
-    value of adjacent pixels."""
-    lacking = _math(tree, "MULTIPLY", _math(tree, "ADD", depth, other), cut)
-    known = _math(tree, "LESS_THAN", lacking, NOTHING / 100)
-    nearer = _math(tree, "MULTIPLY", _math(tree, "LESS_THAN", depth, other), known)
-    grown = _placed(compat.new_dilate_node(tree, _GROW), tree)
-    tree.links.new(nearer, grown.inputs[0])
-    nearer = _math(tree, "MAXIMUM", nearer, _math(tree, "SUBTRACT", grown.outputs[0], known))
-    smooth = _placed(tree.nodes.new("CompositorNodeAntiAliasing"), tree)
-    tree.links.new(nearer, smooth.inputs[0])
-    return smooth.outputs[0]
-
-
-def _math(tree: bpy.types.NodeTree, operation: str, *values: Value) -> bpy.types.NodeSocket:
-    """The output of a new math node."""
-    node = _placed(compat.new_math_node(tree), tree)
-    node.operation = operation
-    for value, socket in zip(values, node.inputs, strict=False):
-        _put(tree, value, socket)
-    return node.outputs[0]
-
-
-def _put(tree: bpy.types.NodeTree, value: Value, socket: bpy.types.NodeSocket) -> None:
-    if isinstance(value, bpy.types.NodeSocket):
-        tree.links.new(value, socket)
-    else:
-        socket.default_value = value
+    whole = graph.call("CompositorNodeCombineColor", *totals)
+    graph.feed(graph.node("NodeGroupOutput").inputs[0], whole)
+    graph.arrange()
 
 
 LAYER_NODE, COMBINE_NODE, WORLD_NODE = "GS Splats", "GS Combine by Depth", "GS World"

@@ -3,7 +3,6 @@
 import json
 import shutil
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,9 +23,6 @@ from ..core import (
 from ..process.child_program import Process
 from ..process.incremental_tasks import Check
 from ..trainer_python import setup
-
-_PERIOD = 0.05
-"""Polling interval of the other Python, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,14 +124,7 @@ def _convert(
             f"{python} cannot be run ({error.strerror or error}); press Check in the add-on's "
             "preferences."
         ) from error
-    output = []
-    try:
-        while not process.ended:
-            output += process.lines(_PERIOD)
-            time.sleep(_PERIOD)
-            check()
-    finally:
-        process.kill(wait=1.0)
+    output = process.output(check)
     if process.returncode:
         text = " ".join(process.stderr_tail)
         raise GsError(

@@ -8,9 +8,9 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 import bpy
-import numpy as np
 from bpy.app.handlers import persistent
 
 from ..core import GsError
@@ -18,10 +18,10 @@ from ..interface.blocks import with_uid
 from ..interface.option_labels import error_words
 from ..interface.views import redraw_views
 from ..process import poll_timer
-from ..process.background_task import BackgroundTask
+from ..process.incremental_tasks import Check, Pieces, TaskRunner, run_in_thread
 from ..splats import live_display, objects
-from ..splats.write_chunked import ChunkedWrite
-from ..training.loader import Loaded
+from ..splats.mesh_buffers import Points
+from ..splats.write_chunked import ChunkedWrite, filled
 from . import mesh, settings
 from .frame_at import Moment, moment_of
 from .library import LIBRARY, Frame
@@ -33,22 +33,13 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass
-class _Coming:
-    """A mesh being filled for an object."""
-
-    owner: int
-    """Session uid of the object."""
-    frame: Frame
-    task: BackgroundTask
-    """Task that computes its columns and their mark."""
-    filling: ChunkedWrite | None = None
-
-
-@dataclass
 class _State:
     """State of the session."""
 
-    coming: _Coming | None = None
+    coming: TaskRunner | None = None
+    """Running update of a mesh."""
+    owner: int = 0
+    """Session uid of its object."""
     refused: str = ""
     """`FrameFile.label` of the last frame that could not be written to a mesh."""
     logged: set[str] = field(default_factory=set)
@@ -87,15 +78,14 @@ def catch_up(ob: bpy.types.Object) -> None:
     note_edits([ob])
     if not plays(ob):
         return
-    coming = _state.coming
-    if coming is not None and coming.owner == ob.session_uid:
+    if _state.owner == ob.session_uid:
         _drop_coming()
     _bring_one(ob, bpy.context.scene)
 
 
 def _drop_coming() -> None:
-    if _state.coming is not None and _state.coming.filling is not None:
-        _state.coming.filling.drop()
+    if _state.coming is not None:
+        _state.coming.cancel()
     _state.coming = None
 
 
@@ -204,49 +194,46 @@ def _begin(ob: bpy.types.Object, moment: Moment) -> bool:
     """Start to fill an object's mesh, if its frame is in memory."""
     frame = moment.ready()
     if frame is not None:
-        _state.coming = _Coming(ob.session_uid, frame, BackgroundTask(lambda _: _prepared(frame)))
+        _state.owner = ob.session_uid
+        _state.coming = TaskRunner(_writing(ob.session_uid, frame))
     return frame is not None
 
 
-def _prepared(frame: Frame) -> tuple[tuple[tuple[str, str, np.ndarray], ...], str]:
+def _prepared(frame: Frame, check: Check) -> tuple[Points, str]:
     columns = tuple(frame.columns())
-    return columns, mesh.mark_of(columns)
+    return Points(count=len(frame.vertices), columns=columns), mesh.mark_of(columns)
 
 
 def _go_on() -> bool:
     """Continue to fill the current mesh; True if it is complete."""
-    coming = _state.coming
-    if coming.filling is None:
-        if coming.task.running:
-            return False
-        if coming.task.problem:
-            _state.coming, _state.refused = None, coming.frame.file.label
-            return False
-        coming.filling = ChunkedWrite(
-            Loaded(
-                path=coming.frame.file.path,
-                final=True,
-                count=len(coming.frame.vertices),
-                columns=coming.task.result[0],
-            )
-        )
-    made = coming.filling.step()
-    if made is None:
+    coming, _state.coming = _state.coming, None
+    if not coming.step():
+        _state.coming = coming
         return False
-    _state.coming = None
-    ob = with_uid(bpy.data.objects, coming.owner)
+    return coming.result
+
+
+def _writing(owner: int, frame: Frame) -> Pieces[bool]:
+    """Write a frame to a new mesh, and show it; False: it cannot be shown."""
+    try:
+        points, mark = yield from run_in_thread(partial(_prepared, frame), "")
+    except Exception:  # any error of the frame
+        _state.refused = frame.file.label
+        return False
+    [made] = yield from filled([ChunkedWrite(points)])
+    ob = with_uid(bpy.data.objects, owner)
     if ob is None or not plays(ob) or not _may_follow(ob):
         bpy.data.meshes.remove(made)
         return False
-    mesh.note(made, coming.frame.file, coming.task.result[1])
+    mesh.note(made, frame.file, mark)
     try:
         mesh.exchange(ob, made)
     except ValueError as error:
         bpy.data.meshes.remove(made)
-        _state.refused = coming.frame.file.label
+        _state.refused = frame.file.label
         _report(ob, error_words(error))
         return True
-    _state.problems.pop(ob.session_uid, None)
+    _state.problems.pop(owner, None)
     return True
 
 

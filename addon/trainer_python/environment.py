@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import sys
-import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,25 +63,16 @@ def check(python: Path, task: BackgroundTask, *, timeout: float = CHECK_TIMEOUT)
     """
     try:
         process = Process([str(python), "-m", "gscore", "doctor", "--json"])
+        output = process.output(task.check, timeout=timeout)
+    except TimeoutError:
+        return _bad(
+            python,
+            f"{python} did not answer within {timeout:.0f} s; try again, or choose another Python.",
+        )
     except OSError as error:
         return _bad(
             python, f"{python} cannot be run ({error.strerror or error}); choose another Python."
         )
-    try:
-        until, output = time.monotonic() + timeout, []
-        while not process.ended:
-            output += list(process.lines(0.1))
-            if time.monotonic() > until:
-                return _bad(
-                    python,
-                    f"{python} did not answer within {timeout:.0f} s; try again, or choose another "
-                    "Python.",
-                )
-            task.check()
-            time.sleep(0.05)
-        output += list(process.lines(0.1))
-    finally:
-        process.kill(wait=5.0)
     return _verdict(python, output, process.stderr_tail)
 
 

@@ -11,7 +11,6 @@ import platform
 import re
 import shutil
 import sys
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -239,21 +238,16 @@ def _run(
     variables: Mapping[str, str] = _NO_VARIABLES,
 ) -> None:
     """Run a program and report its lines; SetupError with its reason if it fails."""
+
+    def report(line: str) -> None:
+        if shown := _readable(line):
+            task.report(shown)
+
     try:
         process = Process([str(a) for a in arguments], variables=variables)
     except OSError as error:
         raise SetupError(f"{arguments[0]} cannot be run: {error.strerror or error}.") from error
-    printed: list[str] = []
-    try:
-        while not process.ended:
-            task.check()
-            for line in process.lines(0.05):
-                printed.append(line)
-                if shown := _readable(line):
-                    task.report(shown)
-            time.sleep(0.05)
-    finally:
-        process.kill(wait=5.0)
+    printed = process.output(task.check, report)
     if process.returncode:
         raise SetupError(_reason([*printed, *process.stderr_tail]))
 

@@ -4,7 +4,6 @@ Messages of gscore are translated to panel labels here, so callers show and rais
 """
 
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,16 +37,9 @@ def networks_here(python: str) -> frozenset[str]:
     problem = f"{python} cannot list depth networks; press Check in the add-on's preferences."
     try:
         process = Process([python, "-m", "gscore", "depth", "--list-models", "--json"])
+        output = process.output(timeout=_TIMEOUT)
     except OSError as error:
         raise ValueError(problem) from error
-    try:
-        until, output = time.monotonic() + _TIMEOUT, []
-        while not process.ended and time.monotonic() < until:
-            output += list(process.lines(0.1))
-            time.sleep(0.05)
-        output += list(process.lines(0.1))
-    finally:
-        process.kill(wait=5.0)
     for line in reversed(output):
         if (names := _names(line)) is not None:
             return names

@@ -8,8 +8,9 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras import capture_transform, importing
+from addon.cameras import capture_transform
 from addon.cameras.camera_path import NERFSTUDIO
+from addon.cameras.importing import ImportedCapture
 from addon.compat import matrix_to_numpy
 from addon.core import DataConfig, Splats, read_capture, read_colmap, write_colmap, write_splat_file
 from gscore.datasets.camera_path_json import read_camera_path
@@ -39,9 +40,7 @@ def far(tmp_path: Path) -> Path:
     return folder
 
 
-def splats_in(
-    made: importing.ImportedCapture, make_splats, path: Path, about: np.ndarray
-) -> Splats:
+def splats_in(made: ImportedCapture, make_splats, path: Path, about: np.ndarray) -> Splats:
     """A splat file with a local origin, with splats around the capture's own."""
     splats = make_splats(50)
     shift = capture_transform.origin_of(made.root) - about
