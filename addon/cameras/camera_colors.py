@@ -1,6 +1,6 @@
-"""Camera colors that show a result, and their restoration.
+"""Camera colors that show a result, their restoration, and their drawing in the viewport.
 
-The color is the camera object's own, drawn in the viewport by `overlay`. The user's color is kept
+The color is the camera object's own. The user's color is kept
 in a custom property.
 """
 

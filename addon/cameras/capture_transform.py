@@ -1,4 +1,6 @@
-"""Capture transform: up direction, ground and size in the matrix of the capture's empty."""
+"""Capture transform: up direction, ground and size in the matrix of the capture's empty; its
+footprint, and the sizes of its drawn cameras.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -81,6 +81,12 @@ def _decoded(image: bpy.types.Image, path: str) -> Decoded:
     width, height = image.size
     if not width * height or image.channels not in (1, 3, 4):
         raise ValueError(f"{path} is not a picture that Blender can decode.")
+    return Decoded(path, pixels_of(image), image.is_float)
+
+
+def pixels_of(image: bpy.types.Image) -> np.ndarray:
+    """[H, W, channels] float32 of an image, the bottom row first."""
+    width, height = image.size
     flat = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(flat)
-    return Decoded(path, flat.reshape(height, width, image.channels), image.is_float)
+    return flat.reshape(height, width, image.channels)

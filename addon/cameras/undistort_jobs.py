@@ -1,4 +1,6 @@
-"""Undistortion jobs in the background: the photos to undistort, and the update of their cameras."""
+"""Undistortion jobs in the background: the photos to undistort, the update of their cameras, and
+the missing copies for panels, checked in threads because each photo needs a disk access.
+"""
 
 import os
 import sys

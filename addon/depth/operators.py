@@ -93,10 +93,7 @@ class CancelDepth(Cancelling, bpy.types.Operator):
     bl_idname = "gscore.cancel_depth"
     bl_label = "Cancel"
     none = "No depth job is running."
-
-    def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
-        """The depth job of the scene."""
-        return predict_depth.job_of(scene)
+    job_of = staticmethod(predict_depth.job_of)
 
 
 class ShowDepthSheet(BaseOperator, bpy.types.Operator):

@@ -1,4 +1,6 @@
-"""Measure errors of a run from scripts and operators: start, and show the result."""
+"""Measure errors of a run from scripts and operators: start, and show the result on
+splats and cameras.
+"""
 
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Base operator: errors become reports and leave the scene unchanged."""
+"""Base operators: errors become reports and leave the scene unchanged; some ask to confirm."""
 
 import textwrap
 from collections.abc import Iterable

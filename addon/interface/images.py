@@ -1,4 +1,4 @@
-"""Images in image editors."""
+"""Images in image editors, and pictures as icons of panels."""
 
 from collections.abc import Callable
 

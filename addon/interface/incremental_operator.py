@@ -1,4 +1,6 @@
-"""Incremental operators: long work in short steps, or in one call for scripts."""
+"""Incremental operators: long work in short steps, or in one call for scripts, and their status
+text.
+"""
 
 import time
 from dataclasses import dataclass, field

@@ -1,4 +1,6 @@
-"""Graphics card resources: textures and shaders in its memory, and draws; for draw handlers."""
+"""Graphics card resources: textures and shaders in its memory, draws, and the last
+picture of a view; for draw handlers.
+"""
 
 import logging
 import time

@@ -1,4 +1,6 @@
-"""Depth buffer of a view: depths of Blender's own objects, which hide splats; for draw handlers."""
+"""Depth buffer of a view: depths of Blender's own objects, which hide splats, and its lines
+drawn over everything, detected in the picture; for draw handlers.
+"""
 
 import gpu
 import numpy as np

@@ -1,4 +1,6 @@
-"""Draw handler: draws splats over the 3D views of this Blender session."""
+"""Draw handler: draws splats over the 3D views of this Blender session, and where
+the engine's picture is not ready.
+"""
 
 import logging
 import time

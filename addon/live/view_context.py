@@ -1,4 +1,6 @@
-"""View context: shading of a 3D view, and objects other than splats in it; for draw handlers."""
+"""View context: shading of a 3D view, and background photos and objects other than
+splats in it; for draw handlers.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -76,7 +76,7 @@ class Graph:
         return self._outputs(kind, values, named, settings)[out]
 
     def outputs(self, kind: str, *values: Value, **settings: Any) -> dict[str, Socket]:
-        """As `call`; all enabled outputs by name."""
+        """Like `call`; all enabled outputs by name."""
         return {s.name: s for s in self._outputs(kind, values, {}, settings)}
 
     def _outputs(

@@ -1,4 +1,4 @@
-"""Brush effects on the splats under it; no bpy."""
+"""Brush: its strokes, and its effects on the splats under it; no bpy."""
 
 from dataclasses import dataclass
 

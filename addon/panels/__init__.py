@@ -6,7 +6,6 @@ from . import (
     depth,
     edit,
     error_maps,
-    paint,
     progress,
     region_training,
     render,
@@ -29,7 +28,6 @@ CLASSES = (
     *error_maps.CLASSES,
     *sequence.CLASSES,
     *edit.CLASSES,
-    *paint.CLASSES,
     *region_training.CLASSES,
     *render.CLASSES,
 )

@@ -1,12 +1,13 @@
-"""Edit panel: selections, clean-up, colours and parts of splats."""
-
-from typing import ClassVar
+"""Edit panels: selections, clean-up, colours and parts of splats; the brush."""
 
 import bpy
 
+from ..paint.brush import COLOR, OPACITY
+from ..paint.modal import RUNNING
+from ..paint.settings import BrushSettings
 from ..render.viewport_copies import EDITED_AT_ONCE
-from ..splats.objects import active_splats, is_splats
-from .widgets import TabPanel
+from ..splats.objects import active_splats
+from .widgets import SplatsPanel
 
 
 def _is_large(ob: bpy.types.Object) -> bool:
@@ -14,18 +15,12 @@ def _is_large(ob: bpy.types.Object) -> bool:
     return len(ob.data.vertices) > EDITED_AT_ONCE
 
 
-class EditPanel(TabPanel, bpy.types.Panel):
+class EditPanel(SplatsPanel, bpy.types.Panel):
     """Manual edits of splats; settings are in the Adjust Last Operation panel at the lower left"""
 
     bl_idname = "GSCORE_PT_edit"
     bl_label = "Edit Splats"
     bl_parent_id = "GSCORE_PT_result"
-    bl_options: ClassVar = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if a splat object or its crop object is active."""
-        return is_splats(active_splats(context))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -50,4 +45,38 @@ class EditPanel(TabPanel, bpy.types.Panel):
         row.operator("gscore.join_splats", text="Join")
 
 
-CLASSES = (EditPanel,)
+class PaintPanel(SplatsPanel, bpy.types.Panel):
+    """Brush settings, and the button that starts and ends painting"""
+
+    bl_idname = "GSCORE_PT_paint"
+    bl_label = "Paint"
+    bl_parent_id = "GSCORE_PT_edit"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, brush = self.layout, context.window_manager.gscore_paint
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        text = "Paint Splats" if RUNNING.session is None else "Stop Painting"
+        layout.operator("gscore.paint_splats", text=text, icon="BRUSH_DATA")
+        draw_brush(layout, brush)
+
+
+def draw_brush(layout: bpy.types.UILayout, brush: BrushSettings) -> None:
+    """Draw the effect of the brush and its settings."""
+    row = layout.row(align=True)
+    row.use_property_split = False  # else the labels are cut off
+    row.prop(brush, "does", expand=True)
+    if brush.does == COLOR:
+        layout.prop(brush, "color")
+    elif brush.does == OPACITY:
+        layout.prop(brush, "opacity")
+    layout.prop(brush, "radius")
+    if brush.does in {COLOR, OPACITY}:
+        layout.prop(brush, "strength")
+        layout.prop(brush, "hardness")
+    layout.prop(brush, "front_only")
+    layout.prop(brush, "only_selected")
+
+
+CLASSES = (EditPanel, PaintPanel)

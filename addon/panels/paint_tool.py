@@ -7,7 +7,7 @@ import bpy
 from ..paint.cursor import draw_circle
 from ..paint.modal import PaintSplats
 from ..paint.session import STEP
-from .paint import draw_brush
+from .edit import draw_brush
 
 _RADIUS = "window_manager.gscore_paint.radius"
 

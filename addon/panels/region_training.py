@@ -1,28 +1,20 @@
 """Region training panel: train a region of the splats again."""
 
-from typing import ClassVar
-
 import bpy
 
 from ..core import Started
 from ..region_training import train_region
-from ..splats.objects import active_splats, is_splats
+from ..splats.objects import active_splats
 from ..training.verb_job import VerbJob
-from .widgets import TabPanel, draw_verb, has_python, sentence
+from .widgets import SplatsPanel, draw_verb, has_python, sentence
 
 
-class RegionPanel(TabPanel, bpy.types.Panel):
+class RegionPanel(SplatsPanel, bpy.types.Panel):
     """Train the splats in the crop box again; all others are frozen"""
 
     bl_idname = "GSCORE_PT_region"
     bl_label = "Train a Region"
     bl_parent_id = "GSCORE_PT_result"
-    bl_options: ClassVar = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if a splat object or its crop object is active."""
-        return is_splats(active_splats(context))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

@@ -12,8 +12,8 @@ from ..interface.option_labels import error_words
 from ..live import draw_handler
 from ..splats import edit, lag, live_display, operators
 from ..splats.mend_operators import outdated
-from ..splats.objects import active_splats, in_question, is_native, is_splats
-from .widgets import TabPanel, job, limit, rows, sentence
+from ..splats.objects import active_splats, in_question, is_native
+from .widgets import SplatsPanel, TabPanel, job, limit, rows, sentence
 
 _HISTOGRAM_SCALE = 4.0
 """Height of a histogram, in buttons."""
@@ -134,18 +134,12 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
         layout.operator("gscore.apply_filters", icon="TRASH")
 
 
-class MorePanel(TabPanel, bpy.types.Panel):
+class MorePanel(SplatsPanel, bpy.types.Panel):
     """Less common actions"""
 
     bl_idname = "GSCORE_PT_result_more"
     bl_label = "More"
     bl_parent_id = "GSCORE_PT_result"
-    bl_options: ClassVar = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if a splat object is active."""
-        return is_splats(active_splats(context))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

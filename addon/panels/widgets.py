@@ -1,5 +1,7 @@
 """Shared widgets of the sidebar's panels."""
 
+from typing import ClassVar
+
 import bpy
 
 from .. import preferences
@@ -8,6 +10,7 @@ from ..capture.inspection import ShownFacts
 from ..interface.base_operator import letters, wrapped
 from ..interface.option_labels import error_words
 from ..interface.sidebar import TAB
+from ..splats.objects import active_splats, is_splats
 from ..trainer_python import setup
 from ..training import facts, start_training
 from ..training.training_job import Job
@@ -22,6 +25,17 @@ class TabPanel:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = TAB
+
+
+class SplatsPanel(TabPanel):
+    """Base of closed panels on the active splat object, or the one that the active object crops."""
+
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """True if there is one."""
+        return is_splats(active_splats(context))
 
 
 def sentence(

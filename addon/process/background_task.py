@@ -1,4 +1,6 @@
-"""Background task: a function that runs in a thread and reports its progress; no bpy."""
+"""Background tasks: a function that runs in a thread and reports its progress, and a thread for the
+latest of several requests; no bpy.
+"""
 
 import threading
 from collections import deque

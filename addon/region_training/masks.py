@@ -12,7 +12,7 @@ from bpy.app.handlers import persistent
 
 from .. import stored_paths
 from ..cameras.objects import cameras_of, root_of, stated
-from ..cameras.pictures import levels_of, read_picture
+from ..cameras.pictures import levels_of, pixels_of, read_picture
 from ..capture.folders import same_folder
 from ..core import (
     Folder,
@@ -106,10 +106,7 @@ def save(scene: bpy.types.Scene, image: bpy.types.Image) -> Path:
     place = mask_place(camera)
     assert place is not None
     file = _target(camera, place, photo_name(image))
-    width, height = image.size
-    flat = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(flat)
-    pixels = levels_of(flat.reshape(height, width, image.channels)[::-1])
+    pixels = levels_of(pixels_of(image)[::-1])
     levels = pixels[..., -1]
     atomic_write(file, gray_png(255 - levels if scene.gscore.invert_masks else levels))
     image[_FILE] = str(file)
@@ -246,9 +243,7 @@ def _compress(image: bpy.types.Image) -> None:
     width, height = image.size
     if image.packed_file.size < 4 * width * height:
         return
-    flat = np.empty(width * height * image.channels, np.float32)
-    image.pixels.foreach_get(flat)
-    _pack(image, rgba_png(levels_of(flat.reshape(height, width, image.channels)[::-1])))
+    _pack(image, rgba_png(levels_of(pixels_of(image)[::-1])))
 
 
 HANDLERS = {"save_pre": _save_begins}

@@ -36,10 +36,7 @@ class StopRegion(Cancelling, bpy.types.Operator):
     bl_idname = "gscore.stop_region"
     bl_label = "Stop"
     none = "No region is being trained."
-
-    def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
-        """The region training of the scene's capture."""
-        return train_region.job_of(scene)
+    job_of = staticmethod(train_region.job_of)
 
 
 CLASSES = (TrainRegion, StopRegion)

@@ -1,4 +1,4 @@
-"""Start files of a region training, written incrementally while Blender stays usable."""
+"""Region and start files of a region training, written incrementally while Blender stays usable."""
 
 from collections.abc import Callable
 from functools import partial

@@ -79,9 +79,9 @@ class HoldoutMeshes:
     def __init__(self) -> None:
         self._known: dict[int, Triangles] = {}
         self._grown: dict[int, list[instances.Part]] = {}
-        """In the space of their instancers."""
+        """Parts by object, in the space of their instancers."""
         self._walked: dict[instances.InstancerKey, list[instances.Part]] = {}
-        """In world space."""
+        """Generated parts by instancer, in world space."""
 
     def clear(self) -> None:
         """Drop all copies."""

@@ -1,4 +1,6 @@
-"""Instances of a depsgraph: objects and their transforms, including instanced collections."""
+"""Instances of a depsgraph: objects and their transforms, of instanced collections, and generated
+by geometry nodes, particles, or instancing on vertices and faces.
+"""
 
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -1,4 +1,6 @@
-"""Render operators: set up the engine and its colours, compare with photos, composite."""
+"""Render operators: set up the engine and its colours, compare with photos and the worst of them,
+composite.
+"""
 
 import math
 from dataclasses import dataclass
@@ -188,7 +190,7 @@ class Worst:
 
     camera: bpy.types.Object
     psnr: float
-    """dB, as measured after the training."""
+    """PSNR measured after the training, dB."""
     among: int
     """Number of measured photos with a camera in the scene."""
 

@@ -46,7 +46,7 @@ class Shot(NamedTuple):
     """Pictures of one view, or their means over several; all float32, the bottom row first."""
 
     passes: dict[str, np.ndarray]
-    """As from `Film.render`."""
+    """Rendered passes by name, as `Film.render` returns them."""
     covered: dict[Identity, np.ndarray]
     """Coverage of each pixel by each object, [H, W]; empty if not requested."""
     blocked: dict[str, np.ndarray]

@@ -1,4 +1,6 @@
-"""Transparent bounces: Cycles' limit of splats along a ray, whose default is too low."""
+"""Fixes of render settings: Cycles' limit of splats along a ray, whose default is too low, and
+sides of a video that its codec cannot encode.
+"""
 
 import bpy
 

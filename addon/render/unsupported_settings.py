@@ -1,4 +1,6 @@
-"""Unsupported settings: table of the Blender settings that the engine ignores."""
+"""Unsupported settings: table of the Blender settings that the engine ignores, and the effects that
+renders show and 3D views do not.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

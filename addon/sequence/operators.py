@@ -52,10 +52,7 @@ class StopSequence(Cancelling, bpy.types.Operator):
     bl_idname = "gscore.stop_sequence"
     bl_label = "Stop"
     none = "No sequence is being trained."
-
-    def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
-        """The training of the scene's sequence."""
-        return train_sequence.job_of(scene)
+    job_of = staticmethod(train_sequence.job_of)
 
 
 CLASSES = (TrainSequence, StopSequence)

@@ -19,11 +19,11 @@ from ..core import (
 from ..interface.option_labels import error_words
 from ..paths import absolute, output_folder
 from ..process import poll_timer
-from ..training import lookups, start_training
+from ..training import lookups, options, start_training
 from ..training.guides import unused_objects
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS
-from . import arguments, guide_meshes
+from . import guide_meshes
 
 _FINISHED = "finished"
 """Reason of a sequence that was completed."""
@@ -79,10 +79,10 @@ def train_sequence(
         )
     own, machine = scene.gscore_train_sequence, start_training.machine()
     if resume:
-        line = arguments.resumed_sequence(own, output=output, machine=machine)
+        line = options.resumed_sequence(own, output=output, machine=machine)
         guide_options, replace_guides = [], lambda: None
     else:
-        line = arguments.new_sequence(
+        line = options.new_sequence(
             scene.gscore, own, source=source, output=output, machine=machine, overwrite=overwrite
         )
         guide_options, replace_guides = guide_meshes.arguments(

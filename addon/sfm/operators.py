@@ -11,7 +11,6 @@ from ..interface.incremental_operator import IncrementalOperator
 from ..interface.sidebar import choose_tab, in_turn, open_sidebar
 from ..paths import relative
 from ..process.incremental_tasks import Pieces
-from ..training.verb_job import VerbJob
 from ..training.verb_operators import Cancelling, Waiting, ended
 from . import find_cameras
 
@@ -76,27 +75,21 @@ class CancelSearch(Cancelling, bpy.types.Operator):
     bl_idname = "gscore.cancel_search"
     bl_label = "Cancel"
     none = "No search for cameras is running."
-
-    def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
-        """The SfM job of the scene's photos."""
-        return find_cameras.job_of(scene)
+    job_of = staticmethod(find_cameras.job_of)
 
 
-CLASSES = [ChooseVideo, FindCameras, CancelSearch]
+class VideoHandler(bpy.types.FileHandler):
+    """Choose a video that is dropped on a 3D view"""
 
-if hasattr(bpy.types, "FileHandler"):
+    bl_idname = "GSCORE_FH_video"
+    bl_label = "Video for Splats"
+    bl_import_operator = "gscore.choose_video"
+    bl_file_extensions = ";".join(VIDEO_ENDINGS)
 
-    class VideoHandler(bpy.types.FileHandler):
-        """Choose a video that is dropped on a 3D view"""
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """True in 3D views."""
+        return context.area is not None and context.area.type == "VIEW_3D"
 
-        bl_idname = "GSCORE_FH_video"
-        bl_label = "Video for Splats"
-        bl_import_operator = "gscore.choose_video"
-        bl_file_extensions = ";".join(VIDEO_ENDINGS)
 
-        @classmethod
-        def poll_drop(cls, context: bpy.types.Context) -> bool:
-            """True in 3D views."""
-            return context.area is not None and context.area.type == "VIEW_3D"
-
-    CLASSES.append(VideoHandler)
+CLASSES = (ChooseVideo, FindCameras, CancelSearch, VideoHandler)

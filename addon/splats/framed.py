@@ -1,4 +1,6 @@
-"""Framing of an object's visible splats, in 3D views and by the scene camera."""
+"""Framing of an object's visible splats, in 3D views and by the scene camera, on the bulk of them
+as estimated from a sample.
+"""
 
 import bpy
 import numpy as np

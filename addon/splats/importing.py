@@ -20,7 +20,7 @@ from .splat_files import ImportRequest
 from .write_chunked import ChunkedWrite, filled
 
 Columns = Sequence[tuple[str, str, np.ndarray]]
-"""As `attributes.columns`."""
+"""Attributes as `attributes.columns` returns them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class _Read:
     count: int
     columns: tuple[tuple[str, str, np.ndarray], ...]
     size: float
-    """As `objects.typical_size`."""
+    """Typical size of a splat, from `objects.typical_size`."""
     antialiased: bool
     origin: np.ndarray | None
     comments: tuple[str, ...]

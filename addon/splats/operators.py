@@ -1,4 +1,6 @@
-"""Operators on splats: filters, crop, scale, display, conversion of native splats."""
+"""Operators on splats: filters, crop, scale, display, and native splats of Blender (5.3),
+converted to splat objects.
+"""
 
 from collections.abc import Iterable
 from functools import partial

@@ -1,4 +1,7 @@
-"""Point attributes as tables, splat or other: kept when points are deleted or joined; no bpy."""
+"""Point attributes as tables, splat or other: kept when points are deleted or joined; no bpy.
+
+String attributes are copied in short steps, because Blender accesses them point by point.
+"""
 
 from collections.abc import Mapping
 from itertools import takewhile

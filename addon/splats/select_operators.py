@@ -227,11 +227,11 @@ class SelectByOpacity(_Selecting, bpy.types.Operator):
         """Mask by inclusive limits."""
         low, high = np.float32(self.low), np.float32(self.high)
 
-        def between(columns: dict[str, np.ndarray]) -> np.ndarray:
+        def passes(columns: dict[str, np.ndarray]) -> np.ndarray:
             opacities = columns[attributes.BASE][:, 3]
             return (opacities >= low) & (opacities <= high)
 
-        return between
+        return passes
 
 
 class SelectBySize(_Selecting, bpy.types.Operator):
@@ -250,10 +250,9 @@ class SelectBySize(_Selecting, bpy.types.Operator):
         """Mask by inclusive limits."""
         low, high = self.low, self.high
 
-        def between(columns: dict[str, np.ndarray]) -> np.ndarray:
-            return between(columns[attributes.SCALE].max(axis=1, initial=0.0), low, high)
-
-        return between
+        return lambda columns: between(
+            columns[attributes.SCALE].max(axis=1, initial=0.0), low, high
+        )
 
 
 class SelectInCrop(_Selecting, bpy.types.Operator):
@@ -298,11 +297,11 @@ class SelectFlood(_Selecting, bpy.types.Operator):
         _need_seeds(before)
         gap, tolerance = self.gap, self.tolerance
 
-        def flooded(columns: dict[str, np.ndarray]) -> np.ndarray:
+        def connected(columns: dict[str, np.ndarray]) -> np.ndarray:
             means, base = columns[attributes.POSITION], columns[attributes.BASE]
             return flooded(means, base, before, gap, tolerance)
 
-        return flooded
+        return connected
 
 
 class SelectFloaters(_Selecting, bpy.types.Operator):

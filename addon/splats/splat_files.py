@@ -122,7 +122,7 @@ def read(wanted: ImportRequest, check: Check = lambda: None) -> SplatFile:
     """Read an import request, in any thread. `check` raises after cancellation.
 
     Raises:
-        GsError: the file is missing, corrupt or holds no splats.
+        GsError: the file is missing, corrupt or contains no splats.
         ValueError: there is no such level, or no splat in the box.
     """
     if not is_lod_file(wanted.path):

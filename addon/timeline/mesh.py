@@ -12,6 +12,7 @@ import numpy as np
 
 from .. import attributes
 from ..splats import copy_metadata, objects
+from ..splats.point_attributes import copy_values, empty_values
 from ..splats.write_chunked import check_replaceable, replace
 from .frames import FrameFile
 from .library import Frame
@@ -20,8 +21,7 @@ _HOLDS, _MARK = "gs_frame", "gs_frame_mark"
 """Custom properties of a mesh: label of its frame, and `mark_of` the unedited frame."""
 _COMPARED = (attributes.POSITION, attributes.BASE)
 """Attributes compared to detect edits; all of them would take five times as long."""
-_KEYS = {"FLOAT_VECTOR": ("vector", 3), "FLOAT_COLOR": ("color", 4), "FLOAT4": ("vector", 4)}
-"""Key for foreach_get and width in floats, by data type."""
+_COMPARED_TYPES = {"FLOAT_VECTOR", "FLOAT_COLOR", "FLOAT4"}
 
 
 def file_label(ob: bpy.types.Object) -> str:
@@ -102,9 +102,8 @@ def _mark_now(mesh: bpy.types.Mesh) -> str:
     columns = []
     for name in _COMPARED:
         found = mesh.attributes.get(name)
-        key, width = _KEYS.get(found.data_type, ("", 0)) if found is not None else ("", 0)
-        values = np.empty(len(found.data) * width if key else 0, np.float32)
-        if len(values):
-            found.data.foreach_get(key, values)
-            columns.append((name, found.data_type, values))
+        if found is not None and found.data_type in _COMPARED_TYPES and len(found.data):
+            values = empty_values(found.data_type, len(found.data))
+            copy_values(mesh, name, values)
+            columns.append((name, found.data_type, values.ravel()))
     return mark_of(columns)

@@ -1,4 +1,4 @@
-"""Lookups of folders for panels: read in threads and cached; no bpy.
+"""Lookups of folders and installed networks for panels: read in threads and cached; no bpy.
 
 Messages of gscore are translated to panel labels here, so callers show and raise them unchanged.
 """

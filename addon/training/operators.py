@@ -1,4 +1,6 @@
-"""Training operators: train, resume, pause, stop and discard a run, and remove its splats."""
+"""Training operators: train, resume, pause, stop and discard a run, import and show its
+result, choose guide meshes.
+"""
 
 from typing import ClassVar
 
@@ -8,7 +10,9 @@ from bpy.props import BoolProperty, EnumProperty, StringProperty
 from ..interface.base_operator import BaseOperator, ConfirmMixin, OnScene, Undoable, make_active
 from ..interface.images import show_image
 from ..process import poll_timer
-from . import facts, guides, registry, run_state, start_training
+from ..splats import framed, splat_files
+from ..splats.file_operators import ImportOperator
+from . import facts, guides, registry, results, run_state, start_training
 from .options import BY_WIDTH
 from .training_job import Job
 from .verb_operators import Waiting
@@ -121,10 +125,7 @@ class PauseTraining(_OnJob, bpy.types.Operator):
     bl_idname = "gscore.pause_training"
     bl_label = "Pause"
     allowed = (run_state.STARTING, run_state.RUNNING)
-
-    def send(self, job: Job) -> None:
-        """Send the command."""
-        job.pause()
+    send = staticmethod(Job.pause)
 
 
 class ContinueTraining(_OnJob, bpy.types.Operator):
@@ -133,10 +134,7 @@ class ContinueTraining(_OnJob, bpy.types.Operator):
     bl_idname = "gscore.continue_training"
     bl_label = "Continue"
     allowed = (run_state.PAUSED,)
-
-    def send(self, job: Job) -> None:
-        """Send the command."""
-        job.unpause()
+    send = staticmethod(Job.unpause)
 
 
 class StopTraining(_OnJob, bpy.types.Operator):
@@ -144,10 +142,7 @@ class StopTraining(_OnJob, bpy.types.Operator):
 
     bl_idname = "gscore.stop_training"
     bl_label = "Stop"
-
-    def send(self, job: Job) -> None:
-        """Send the command."""
-        job.stop()
+    send = staticmethod(Job.stop)
 
 
 class FollowTraining(OnScene, bpy.types.Operator):
@@ -184,9 +179,7 @@ class DiscardTraining(ConfirmMixin, _OnJob, bpy.types.Operator):
         what = "since its last checkpoint" if job.resumed else "with its files and splats"
         return [f"The training of {job.source} into {job.output} ends and is lost, {what}."]
 
-    def send(self, job: Job) -> None:
-        """End the training."""
-        start_training.discard(job)
+    send = staticmethod(start_training.discard)
 
 
 class UpdateSplats(_OnJob, bpy.types.Operator):
@@ -195,10 +188,7 @@ class UpdateSplats(_OnJob, bpy.types.Operator):
     bl_idname = "gscore.update_splats"
     bl_label = "Update Splats"
     allowed = (run_state.RUNNING, run_state.PAUSED)
-
-    def send(self, job: Job) -> None:
-        """Request a snapshot."""
-        job.snapshot()
+    send = staticmethod(Job.snapshot)
 
 
 class ShowTestView(BaseOperator, bpy.types.Operator):
@@ -289,6 +279,39 @@ class AddGuides(OnScene, bpy.types.Operator):
         return f"Added {len(obs)} objects to {collection.name}."
 
 
+class ImportResult(ImportOperator, bpy.types.Operator):
+    """Import the splats of the run in the output folder, aligned with the capture"""
+
+    bl_idname = "gscore.import_result"
+    bl_label = "Show Trained Splats"
+
+    def import_requests(self, context: bpy.types.Context) -> list[splat_files.ImportRequest]:
+        """The splats of the run."""
+        # Read now, because the panel may name another run during the import.
+        self._source, self._run = start_training.run_of(context.scene)
+        info = self._run.info
+        if info.splats is None:
+            raise ValueError(f"{info.path} contains no splats yet: continue its training.")
+        return [
+            splat_files.import_request(
+                info.splats, parent=results.capture_of(context.scene, self._source)
+            )
+        ]
+
+    def show(
+        self, context: bpy.types.Context, made: list[bpy.types.Object], warnings: list[str]
+    ) -> str:
+        """Make the object the result of the training."""
+        self.warn(warnings)
+        ob = results.adopt(context.scene, made[0], self._run, self._source)
+        if context.mode == "OBJECT" and ob.name in context.view_layer.objects:
+            make_active(context, ob)
+            context.view_layer.update()
+            framed.turn_views(context.scene, ob)
+            self.warn(framed.set_camera(context.scene, ob, may_add=False))
+        return f"{ob.name} has the {len(ob.data.vertices):,} splats of {self._run.info.path}."
+
+
 CLASSES = (
     Train,
     FitTraining,
@@ -303,4 +326,5 @@ CLASSES = (
     SelectResult,
     ShowReport,
     AddGuides,
+    ImportResult,
 )

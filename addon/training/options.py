@@ -1,10 +1,10 @@
-"""Training options: the add-on's settings as a command line of `gscore train`; no bpy."""
+"""Training options: the add-on's settings as command lines of `gscore train` and others; no bpy."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any
 
 from ..capture.inspection import DEPTHS
 from ..core import PRESETS, RunInfo, Switch
@@ -13,32 +13,8 @@ AS_PRESET, BY_WIDTH = "PRESET", "WIDTH"
 """Values of `resolution` other than the divisors 1, 2, 4 and 8."""
 
 
-class Settings(Protocol):
-    """Scene settings for the trainer, implemented by `properties.SceneSettings`."""
-
-    preset: str
-    iterations: int
-    max_splats: int
-    sh_degree: int
-    strategy: str
-    background: str
-    antialias: bool
-    sky: bool
-    finest: float
-    free_space: float
-    seed: int
-    time_budget: float
-    target_psnr: float
-    early_stop: bool
-    images: str
-    resolution: str
-    width: int
-    eval: bool
-    test_every: int
-    use_masks: bool
-    mask_mode: str
-    invert_masks: bool
-    depth_mode: str
+Settings = Any
+"""Scene settings for the trainer: `properties.SceneSettings`, or an object with its attributes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,3 +202,50 @@ def _machine(machine: Machine) -> list[str]:
     if machine.lpips is not None:
         arguments += ["--lpips", str(machine.lpips)]
     return [*arguments, "--preview-seconds", f"{machine.preview_seconds:g}", "--events", "jsonl"]
+
+
+OwnSettings = Any
+"""Options of a sequence in addition to those of a training."""
+
+
+def new_sequence(
+    settings: Settings,
+    own: OwnSettings,
+    *,
+    source: Path,
+    output: Path,
+    machine: Machine,
+    overwrite: bool = False,
+) -> list[str]:
+    """Arguments that start a sequence: those of a training of each frame, and its own.
+
+    Args:
+        settings: Settings of the scene.
+        own: Settings of the scene's sequence.
+        source: Folder of the sequence.
+        output: Folder for the results.
+        machine: Settings of the preferences.
+        overwrite: Replace another sequence in `output`.
+    """
+    arguments = new_run(
+        settings, source=source, output=output, machine=machine, overwrite=overwrite
+    )
+    more = ["--frames", own.frames.strip()] if own.frames.strip() else []
+    if own.next_iterations:
+        more += ["--next-iterations", str(own.next_iterations)]
+    if not own.warm_start:
+        more.append("--no-warm-start")
+    return ["sequence", *arguments[1:], *more]
+
+
+def resumed_sequence(own: OwnSettings, *, output: Path, machine: Machine) -> list[str]:
+    """Arguments that resume a sequence, with other frames if chosen.
+
+    Args:
+        own: Settings of the scene's sequence.
+        output: Folder of the results.
+        machine: Settings of the preferences.
+    """
+    arguments = resumed_run(source=None, output=output, machine=machine)
+    more = ["--frames", own.frames.strip()] if own.frames.strip() else []
+    return ["sequence", *arguments[1:], *more]

@@ -1,4 +1,6 @@
-"""Training properties of a scene: capture, training settings, and result."""
+"""Training properties of a scene: capture, training settings, and result; properties made
+from gscore's options.
+"""
 
 import re
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""Start of trainings from scripts and operators; resume, wait, follow and discard."""
+"""Start of trainings from scripts and operators; resume, wait, follow and discard; box of a limited
+training.
+"""
 
 import hashlib
 import time

@@ -12,6 +12,7 @@ from addon.cameras.export_colmap import exporting_colmap
 from addon.cameras.export_transforms import exporting_transforms
 from addon.cameras.export_views import Exported
 from addon.cameras.importing import ImportedCapture, importing
+from addon.compat import matrix_to_numpy
 from addon.core import Splats
 from addon.interface.incremental_removal import finish
 from addon.process.incremental_tasks import run_blocking
@@ -101,5 +102,5 @@ def export_transforms(
 
 def read_world(ob: bpy.types.Object) -> Splats:
     """The splats of an object in Blender's world."""
-    matrix = objects.compat.matrix_to_numpy(ob.matrix_world)
+    matrix = matrix_to_numpy(ob.matrix_world)
     return objects.moved(objects.read(ob), matrix, ob.name)

@@ -13,7 +13,7 @@ from addon.attributes import columns
 from addon.cameras import sfm_points
 from addon.core import Splats
 from addon.nodes import display, materials
-from addon.render import composite_group
+from addon.render import composite_nodes
 
 ADDON = Path(__file__).parents[2] / "addon"
 OWNERS = (bpy.types.Scene, bpy.types.Object, bpy.types.WindowManager)
@@ -36,7 +36,7 @@ def stored_names(splats: Splats) -> dict[str, list[str]]:
         if key.startswith("gscore")
     }
     trees = [one for build in display.builders() if hasattr(one := build(), "interface")]
-    trees += [sfm_points._node_group(), composite_group.group()]
+    trees += [sfm_points._node_group(), composite_nodes.group()]
     none = np.zeros((0, 3))
     attributes = [*columns(splats), *sfm_points.columns(none, none.astype(np.uint8), none[:, 0])]
     found = {

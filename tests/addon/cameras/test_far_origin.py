@@ -167,6 +167,6 @@ def test_reimport_keeps_the_origin_and_warns_of_another_capture(
     np.testing.assert_array_equal(capture_transform.origin_of(again.root), origin)
     other = tmp_path / "other"
     write_capture(other, np.random.default_rng(1), cameras=PINHOLES)
-    told = import_capture(scene, other).warnings
-    assert any("local origin" in one and made.root.name in one for one in told)
+    reported = import_capture(scene, other).warnings
+    assert any("local origin" in one and made.root.name in one for one in reported)
     assert capture_transform.ORIGIN not in import_capture(scene, other).root

@@ -386,8 +386,8 @@ def test_reimport_resets_deltas_and_keeps_animation(scene, folder: Path) -> None
     limit = listed[8].constraints.new("LIMIT_LOCATION")
     limit.use_min_x, limit.min_x = True, 99
     made = import_capture(scene, folder)
-    (told,) = made.warnings
-    assert "view_003, view_004, view_005 and 3 more." in told
+    (reported,) = made.warnings
+    assert "view_003, view_004, view_005 and 3 more." in reported
     scene.frame_set(2)
     bpy.context.view_layer.update()
     far = [np.abs(matrix_to_numpy(ob.matrix_world) - was).max()

@@ -13,7 +13,7 @@ from addon import attributes
 from addon.cameras.render_camera import render_camera
 from addon.paint import modal, paint_target, session
 from addon.paint.session import Answer, Session
-from addon.panels.paint import PaintPanel
+from addon.panels.edit import PaintPanel
 from addon.process.incremental_tasks import run_blocking
 from addon.splats import objects
 from tests.addon import splat_scenes as lab

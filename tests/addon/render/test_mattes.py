@@ -11,7 +11,7 @@ import pytest
 
 from addon import compat
 from addon.core import Splats
-from addon.render import cryptomatte, panels, pass_renderer
+from addon.render import panels, pass_renderer, passes
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import Layout
 from tests.addon.render import test_blur as blur
@@ -220,14 +220,14 @@ def test_the_index_pass_is_called_as_by_cycles(scene):
 
 def test_ids_are_those_of_the_specification():
     """Oracle: the test vectors of MurmurHash3_x86_32, and normal floats."""
-    assert cryptomatte.name_hash("") == 0
-    assert cryptomatte.name_hash("test") == 0xBA6BD213
-    assert cryptomatte.name_hash("Hello, world!") == 0xC0363E43
-    assert cryptomatte.name_hash("The quick brown fox jumps over the lazy dog") == 0x2E4FF723
+    assert passes.name_hash("") == 0
+    assert passes.name_hash("test") == 0xBA6BD213
+    assert passes.name_hash("Hello, world!") == 0xC0363E43
+    assert passes.name_hash("The quick brown fox jumps over the lazy dog") == 0x2E4FF723
     names = [str(i) for i in range(20000)]
-    ids = np.array([cryptomatte.id_of(name) for name in names])
+    ids = np.array([passes.id_of(name) for name in names])
     assert np.isfinite(ids).all() and (np.abs(ids) >= np.finfo(np.float32).tiny).all()
-    (bits,) = struct.unpack("<I", cryptomatte.id_of("test").tobytes())
+    (bits,) = struct.unpack("<I", passes.id_of("test").tobytes())
     assert bits == 0xBA6BD213  # its exponent is normal, so that nothing changes
 
 
@@ -246,11 +246,11 @@ def test_a_file_tells_its_names(scene, tmp_path):
     bpy.ops.render.render(write_still=True)
     content = (tmp_path / "all.exr").read_bytes()
     for layer in ("Front", "Back"):
-        key = f"cryptomatte/{cryptomatte.name_hash(f'{layer}.CryptoObject'):08x}"[:19]
+        key = f"cryptomatte/{passes.name_hash(f'{layer}.CryptoObject'):08x}"[:19]
         manifest = re.search(key.encode() + rb"/manifest\0string\0....(\{[^}]*\})", content, re.S)
         assert manifest is not None
         listed = json.loads(manifest.group(1).decode())
-        assert listed == {ob.name: f"{cryptomatte.name_hash(ob.name):08x}" for ob in made}
+        assert listed == {ob.name: f"{passes.name_hash(ob.name):08x}" for ob in made}
         assert f"{layer}.CryptoObject00".encode() in content
 
 

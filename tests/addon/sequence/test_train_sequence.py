@@ -21,8 +21,8 @@ from addon.core import (
 from addon.panels.capture import CapturePanel
 from addon.panels.train_sequence import TrainSequencePanel
 from addon.process import poll_timer
-from addon.sequence import arguments, train_sequence
-from addon.training import facts, lookups
+from addon.sequence import train_sequence
+from addon.training import facts, lookups, options
 from addon.training.options import Machine
 from gscore.io.sequences import write_sequence
 from tests.addon.captures import STUDIO
@@ -163,14 +163,14 @@ def test_arguments_are_those_of_a_training_and_its_own(scene) -> None:
     """Oracle: gscore's own table of options; only what differs from the defaults is given."""
     own = scene.gscore_train_sequence
     places = {"source": Path("/s"), "output": Path("/o"), "machine": Machine()}
-    line = arguments.new_sequence(scene.gscore, own, **places)
+    line = options.new_sequence(scene.gscore, own, **places)
     assert not {"--frames", "--next-iterations", "--no-warm-start"} & set(line)
     own.frames, own.next_iterations, own.warm_start = "1,2", 70, False
-    line = arguments.new_sequence(scene.gscore, own, overwrite=True, **places)
+    line = options.new_sequence(scene.gscore, own, overwrite=True, **places)
     assert line[:4] == ["sequence", "/s", "-o", "/o"] and "--overwrite" in line
     assert line[-5:] == ["--frames", "1,2", "--next-iterations", "70", "--no-warm-start"]
     assert {"frames", "next_iterations", "warm_start"} <= set(options_of(SequenceOptions))
-    again = arguments.resumed_sequence(own, output=Path("/o"), machine=Machine())
+    again = options.resumed_sequence(own, output=Path("/o"), machine=Machine())
     assert again[:4] == ["sequence", "-o", "/o", "--resume"] and again[-2:] == ["--frames", "1,2"]
 
 
