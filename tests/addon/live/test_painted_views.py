@@ -19,7 +19,7 @@ EYE = order.Eye(viewmats=(np.diag([1.0, -1, -1, 1]),), orthographic=False)
 
 
 @pytest.fixture
-def request(scene: bpy.types.Scene) -> Callable[[FrozenMesh], views.DrawRequest]:
+def draw_request(scene: bpy.types.Scene) -> Callable[[FrozenMesh], views.DrawRequest]:
     """A request for an object with one of its copies."""
     ob = lab.add(scene, lab.blob(800))
     bpy.context.view_layer.update()
@@ -42,11 +42,11 @@ def seen(answer: tuple[atlas.Atlas, np.ndarray]) -> np.ndarray:
     return table[np.argsort(table[:, 0])]
 
 
-def test_paint_and_selections_go_over_what_they_change(request, monkeypatch) -> None:
+def test_paint_and_selections_go_over_what_they_change(draw_request, monkeypatch) -> None:
     """Oracle: a new view, to the bit; nothing was sorted again."""
     arranger = views.Arranger(SplatCache())
-    frozen = request.frozen
-    first = seen(arranger(request(frozen)))
+    frozen = draw_request.frozen
+    first = seen(arranger(draw_request(frozen)))
     sorted_ = []
     arrange = order.arrange
     monkeypatch.setattr(order, "arrange", lambda *a: sorted_.append(1) or arrange(*a))
@@ -56,22 +56,22 @@ def test_paint_and_selections_go_over_what_they_change(request, monkeypatch) -> 
     marks[200:500] = SELECTED
     steps = [frozen.repainted(base), frozen.repainted(base).remarked(marks), frozen]
     for step in steps:
-        got = seen(arranger(request(step)))
+        got = seen(arranger(draw_request(step)))
         assert not sorted_
-        want = seen(views.Arranger(SplatCache())(request(step)))
+        want = seen(views.Arranger(SplatCache())(draw_request(step)))
         sorted_.clear()
         np.testing.assert_array_equal(got, want)
     np.testing.assert_array_equal(got, first)
 
 
-def test_new_view_or_hidden_splats_are_sorted_again(request, monkeypatch) -> None:
+def test_new_view_or_hidden_splats_are_sorted_again(draw_request, monkeypatch) -> None:
     """Oracle: a new view, and the number of sorts."""
-    arranger, frozen, calls = views.Arranger(SplatCache()), request.frozen, []
+    arranger, frozen, calls = views.Arranger(SplatCache()), draw_request.frozen, []
     arrange = order.arrange
     monkeypatch.setattr(order, "arrange", lambda *a: calls.append(1) or arrange(*a))
-    arranger(request(frozen))
+    arranger(draw_request(frozen))
     hidden = np.where(np.arange(800) < 50, HIDDEN, 0).astype(np.uint8)
-    asked = request(frozen.remarked(hidden))
+    asked = draw_request(frozen.remarked(hidden))
     # In Edit Mode, where hidden splats are not drawn.
     asked = replace(asked, placed=(replace(asked.placed[0], edited=True),))
     assert len(arranger(asked)[1]) == 750 and len(calls) == 2
