@@ -92,8 +92,9 @@ class DataConfig:
     )
     resolution: float = option(
         -1,
-        "Photo size: divisor 1, 2, 4 or 8, or width in pixels; -1: full size up to a limit. The "
-        "limit is the width of the preset or run, else 1600.",
+        "Photo size: divisor 1, 2, 4 or 8, or width in pixels; `auto`: full size up to a limit. "
+        "The limit is the width of the preset or run, else 1600.",
+        auto=-1,
         group="capture",
         range=None,  # `datasets.resolution` checks it
         metavar="N",
@@ -143,8 +144,8 @@ class DataConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """Training options. Where 0 selects a value automatically, `trainer.schedule.plan.Plan`
-    contains the result.
+    """Training options. Where `auto`, None or a number that stands for it selects a value, the
+    field has that number, and `trainer.schedule.plan.Plan` contains the selected value.
 
     Lengths are in units of the camera extent: 1.1 times the largest distance of a camera from
     their mean.
@@ -257,8 +258,9 @@ class TrainConfig:
     )
     sh_every: int = option(
         0,
-        "Steps between two SH degrees; 0: 1000, or fewer so that all are active by half of the "
-        "run.",
+        "Steps between two SH degrees; `auto`: 1000, or fewer so that all are active by half of "
+        "the run.",
+        auto=0,
         group="colour",
         range=Range(),
         unit="steps",
@@ -275,7 +277,8 @@ class TrainConfig:
     )
     threads: int = option(
         0,
-        "CPU threads; 0: one per core that this process may use.",
+        "CPU threads; `auto`: one per core that this process may use.",
+        auto=0,
         group="run",
         range=Range(high=_MOST_THREADS),
         metavar="N",
@@ -333,8 +336,9 @@ class TrainConfig:
     shN_every: int = option(
         0,
         "Steps between two updates of the view-dependent colour; gradients accumulate, and its "
-        "learning rate rises by the root of this. 0: 8, fewer in runs under 1,000 steps; 1: "
-        "each step.",
+        "learning rate rises by the root of this. `auto`: 8, fewer in runs under 1,000 steps; "
+        "1: each step.",
+        auto=0,
         group="learning rates",
         range=Range(high=_RAREST),
         unit="steps",
@@ -342,7 +346,8 @@ class TrainConfig:
     )
     opacities_lr: float = option(
         0.0,
-        "Learning rate of logit opacities; 0: 0.025, with mcmc 0.05.",
+        "Learning rate of logit opacities; `auto`: 0.025, with mcmc 0.05.",
+        auto=0,
         group="learning rates",
     )
     scales_lr: float = option(
@@ -358,7 +363,8 @@ class TrainConfig:
     lr_boost: float = option(
         0.0,
         "Factor of the learning rates: its root for positions and opacities, its square for the"
-        " final rate of positions. 0: 1 from 30,000 steps, up to 4 in shorter runs.",
+        " final rate of positions. `auto`: 1 from 30,000 steps, up to 4 in shorter runs.",
+        auto=0,
         group="learning rates",
     )
     lr_final: float = option(
@@ -394,14 +400,17 @@ class TrainConfig:
     )
     init_opacity: float = option(
         0.0,
-        "Opacity of the initial splats; 0: 0.1, with mcmc 0.5.",
+        "Opacity of the initial splats; `auto`: 0.1, with mcmc 0.5.",
+        auto=0,
         group="start",
         range=Range(high=0.99),
         when="points",
     )
     init_scale: float = option(
         0.0,
-        "Size of the initial splats in mean distances to their neighbours; 0: 1, with mcmc 0.1.",
+        "Size of the initial splats in mean distances to their neighbours; `auto`: 1, with mcmc "
+        "0.1.",
+        auto=0,
         group="start",
         when="points",
     )
@@ -423,7 +432,8 @@ class TrainConfig:
     )
     stereo_points: int = option(
         0,
-        "Limit of the points that `stereo` adds; 0: 10,000 plus a fifth of `max_splats`.",
+        "Limit of the points that `stereo` adds; `auto`: 10,000 plus a fifth of `max_splats`.",
+        auto=0,
         group="start",
         range=Range(high=_MOST),
         unit="points",
@@ -438,15 +448,17 @@ class TrainConfig:
     )
     depth_weight: float = option(
         -1.0,
-        "Initial weight of the depth loss, unit in docs/depth-method.md; -1: 1, or 6 / the "
+        "Initial weight of the depth loss, unit in docs/depth-method.md; `auto`: 1, or 6 / the "
         "number of training views that show a median point, where more than 6 do.",
+        auto=-1,
         group="depth",
         range=Range(high=LARGEST, also=-1),
         when="depth",
     )
     depth_weight_final: float = option(
         -1.0,
-        "Final weight of the depth loss, exponential in between; -1: the initial weight.",
+        "Final weight of the depth loss, exponential in between; `auto`: the initial weight.",
+        auto=-1,
         group="depth",
         range=Range(high=LARGEST, also=-1),
         when="depth",
@@ -468,8 +480,9 @@ class TrainConfig:
     )
     depth_points: int = option(
         -1,
-        "Limit of the initial points from aligned depth maps in gaps of the SfM points; -1: "
+        "Limit of the initial points from aligned depth maps in gaps of the SfM points; `auto`: "
         "10,000 plus a fifth of `max_splats` if depth is used; 0: none.",
+        auto=-1,
         group="depth",
         range=Range(low=-1),
         unit="points",
@@ -566,8 +579,9 @@ class TrainConfig:
     )
     coarse_factor: float = option(
         0.0,
-        "Initial downscaling of the photos, decreasing until `coarse_until`. 0: up to 8, leaving "
-        "at least 75 pixels, or 1 with `start_splats`; 1: full size from the first step.",
+        "Initial downscaling of the photos, decreasing until `coarse_until`. `auto`: up to 8, "
+        "leaving at least 75 pixels, or 1 with `start_splats`; 1: full size from the first step.",
+        auto=0,
         group="photos",
         range=Range(low=1, high=LARGEST, also=0),
         when="small_photos",
@@ -596,30 +610,34 @@ class TrainConfig:
     )
     refine_start: int = option(
         0,
-        "First step that may add or remove splats; 0: 500, earlier in short runs.",
+        "First step that may add or remove splats; `auto`: 500, earlier in short runs.",
+        auto=0,
         group="refinement",
         range=Range(),
         unit="steps",
     )
     refine_stop: int = option(
         0,
-        "Last step that may add or remove splats; 0: half of the run; 4/5 or shortly after "
+        "Last step that may add or remove splats; `auto`: half of the run; 4/5 or shortly after "
         "full-size photos with `grow_with_photos`; 5/6 with mcmc.",
+        auto=0,
         group="refinement",
         range=Range(),
         unit="steps",
     )
     refine_every: int = option(
         0,
-        "Steps between two refinements; 0: 100, fewer in short runs.",
+        "Steps between two refinements; `auto`: 100, fewer in short runs.",
+        auto=0,
         group="refinement",
         range=Range(),
         unit="steps",
     )
     reset_every: int = option(
         0,
-        "`default`: steps between two opacity resets, up to `refine_stop` (0: half of the run)."
-        " 0: 3,000, none in runs under 6,000 steps or with `sky`; -1: never.",
+        "`default`: steps between two opacity resets, up to `refine_stop` (`auto`: half of the "
+        "run). `auto`: 3,000, none in runs under 6,000 steps or with `sky`; -1: never.",
+        auto=0,
         group="refinement",
         range=Range(low=-1),
         unit="steps",
@@ -628,8 +646,9 @@ class TrainConfig:
     grow_grad: float = option(
         0.0,
         "`default`: mean screen-space gradient (normalised coordinates) above which a splat is "
-        "doubled. 0: 2e-4, down to 1e-4 in short runs; 5e-5 for `composite` masks with dropout "
-        "or from 10,000 steps.",
+        "doubled. `auto`: 2e-4, down to 1e-4 in short runs; 5e-5 for `composite` masks with "
+        "dropout or from 10,000 steps.",
+        auto=0,
         group="refinement",
         when="default",
     )
@@ -689,8 +708,9 @@ class TrainConfig:
     )
     mcmc_growth: float = option(
         0.0,
-        "`mcmc`: splats added per refinement, as a share of the current number; 0: 0.05, more "
+        "`mcmc`: splats added per refinement, as a share of the current number; `auto`: 0.05, more "
         "in runs that would not reach `max_splats`.",
+        auto=0,
         group="mcmc",
         when="mcmc",
     )
@@ -745,7 +765,8 @@ class TrainConfig:
     cache_mb: int = option(
         0,
         "Memory for decoded photos in megabytes; photos beyond it are decoded again at each "
-        "use. 0: all, or what fits. The result is the same.",
+        "use. `auto`: all, or what fits. The result is the same.",
+        auto=0,
         group="results",
         range=Range(),
         unit="MB",

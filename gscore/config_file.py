@@ -13,6 +13,7 @@ from ._version import __version__
 from .config import DataConfig, TrainConfig
 from .errors import ConfigError
 from .json_text import parse_json
+from .options import options_of
 from .quoting import brief, quoted
 
 ConfigT = TypeVar("ConfigT", DataConfig, TrainConfig)
@@ -60,7 +61,9 @@ def from_dict(
             guess = difflib.get_close_matches(name, hints, n=1)
             hint = f" Did you mean {quoted(guess[0])}?" if guess else ""
             raise ConfigError(f"{where}: there is no option {quoted(name)}.{hint}")
-        values[name] = _from_json(value, hints[name], f"{where}: {name}")
+        one = options_of(cls).get(name)
+        auto = one is not None and one.is_auto(value)
+        values[name] = value if auto else _from_json(value, hints[name], f"{where}: {name}")
     try:
         return cast("Any", cls)(**values)
     except ConfigError as error:

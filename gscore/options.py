@@ -1,7 +1,7 @@
 """Option declarations: metadata of config fields, used by help, checks and panels."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cache
 from types import MappingProxyType
@@ -66,6 +66,8 @@ class Option:
     """Heading in the option list."""
     range: Range | None = None
     unit: str = ""
+    auto: float | None = None
+    """Number that stands for a value selected automatically; also read as `auto` or None."""
     choices: tuple[str, ...] = ()
     """Allowed values; empty: any of this kind."""
     metavar: str = ""
@@ -89,12 +91,22 @@ class Option:
         """Description of the allowed values; empty: any of this kind."""
         if self.choices:
             return ", ".join(self.choices)
-        return "on, off" if self.kind is bool else str(self.range or "")
+        if self.kind is bool:
+            return "on, off"
+        if self.auto is None or self.range is None:
+            return str(self.range or "")
+        numbers = replace(self.range, also=None) if self.range.also == self.auto else self.range
+        return f"auto, or {numbers}"
 
     @property
     def default_words(self) -> str:
         """Default as command-line text; empty: none."""
-        return value_words(self.default)
+        automatic = self.auto is not None and self.default == self.auto
+        return "auto" if automatic else value_words(self.default)
+
+    def is_auto(self, value: Any) -> bool:
+        """Whether a value is None or `auto`, and the option has a number for them."""
+        return self.auto is not None and (value is None or value == "auto")
 
 
 def option(default: T, text: str, **facts: Any) -> T:
@@ -125,6 +137,9 @@ def check_options(config: Any) -> None:
     """Raise ConfigError for the first invalid value of a config."""
     for name, declared in options_of(type(config)).items():
         value = getattr(config, name)
+        if declared.is_auto(value):
+            value = declared.kind(declared.auto)
+            object.__setattr__(config, name, value)
         members = value if declared.several else (value,)
         if any(not _is_allowed(declared, member) for member in members):
             each = f"each of {name}" if declared.several else name

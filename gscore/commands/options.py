@@ -134,6 +134,7 @@ def facts(one: Option) -> dict[str, Any]:
         "high": None if limits is None else limits.high,
         "range": one.values,
         "unit": one.unit,
+        "auto": one.auto,
         "choices": [str(choice) for choice in one.choices],
         "text": one.text,
         "idle": reason_of(one),

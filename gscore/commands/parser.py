@@ -33,13 +33,13 @@ def sentence(text: str) -> str:
 
 def add_threads_option(parser: argparse.ArgumentParser) -> None:
     """Declare `--threads`, for verbs without training options."""
-    help_text = "CPU threads; 0: all cores (0)"
+    help_text = "CPU threads; auto: all cores (auto)"
     parser.add_argument("--threads", type=_threads, default=0, metavar="N", help=help_text)
 
 
 def _threads(text: str) -> int:
     try:
-        return checked_threads(int(text))
+        return 0 if text == "auto" else checked_threads(int(text))
     except ValueError as error:  # ConfigError is one
         words = str(error) if isinstance(error, ConfigError) else f"{text!r} is not a whole number"
         raise argparse.ArgumentTypeError(words) from None

@@ -288,7 +288,7 @@ def test_every_option_of_a_training_is_explained(capsys: pytest.CaptureFixture[s
     }
     assert all(texts.values())
     assert texts["antialias"] == "draw splats smaller than a pixel fainter (off)"
-    assert texts["threads"] == "CPU threads; 0: one per core that this process may use (0)"
+    assert texts["threads"] == "CPU threads; auto: one per core that this process may use (auto)"
     assert "preview 1,500, draft 4,000, normal 7,000, high 15,000" in texts["iterations"]
 
 

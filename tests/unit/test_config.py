@@ -10,9 +10,11 @@ import pytest
 
 from gscore.choices import Stereo
 from gscore.commands.args.data_options import add_data_options, with_data_options
+from gscore.commands.args.run_options import declare, passed_options
 from gscore.config import Background, DataConfig, Strategy, TrainConfig, checked_threads
 from gscore.config_file import REMOVED, config_json, differences, from_dict, load_config, to_dict
 from gscore.errors import ConfigError
+from gscore.options import flag_of
 from gscore.presets import PRESETS
 from gscore.video import ExtractRequest
 
@@ -80,9 +82,9 @@ def test_missing_options_keep_their_defaults() -> None:
         ({"means_lr": float("nan")}, "x: means_lr must be 0 to 1e+09, got nan."),
         ({"means_lr": float("inf")}, "x: means_lr must be 0 to 1e+09, got inf."),
         ({"means_lr": 10**400}, "x: means_lr must be 0 to 1e+09, got inf."),
-        ({"lr_boost": 1e308}, "x: lr_boost must be 0 to 1e+09, got 1e+308."),
-        ({"depth_weight": float("inf")}, "x: depth_weight must be 0 to 1e+09, or -1"),
-        ({"threads": 1025}, "x: threads must be 0 to 1024, got 1025."),
+        ({"lr_boost": 1e308}, "x: lr_boost must be auto, or 0 to 1e+09, got 1e+308."),
+        ({"depth_weight": float("inf")}, "x: depth_weight must be auto, or 0 to 1e+09"),
+        ({"threads": 1025}, "x: threads must be auto, or 0 to 1024, got 1025."),
         ({"seed": 2**63}, "x: seed must be 0 to 9223372036854775807, got"),
         ({"strategy": "magic"}, "x: strategy must be one of default, mcmc, got 'magic'."),
         ({"test_iterations": 5}, "x: test_iterations must be a list of numbers, got 5."),
@@ -90,11 +92,11 @@ def test_missing_options_keep_their_defaults() -> None:
         ({"test_iterations": [0]}, "x: each of test_iterations must be at least 1, got (0,)."),
         ({"sh_degree": 4}, "x: sh_degree must be 0 to 3, got 4."),
         ({"lpips": 3}, "x: lpips must be a path, got 3."),
-        ({"init_opacity": 1.0}, "x: init_opacity must be 0 to 0.99, got 1.0."),
-        ({"coarse_factor": 0.5}, "x: coarse_factor must be 1 to 1e+09, or 0, got 0.5."),
+        ({"init_opacity": 1.0}, "x: init_opacity must be auto, or 0 to 0.99, got 1.0."),
+        ({"coarse_factor": 0.5}, "x: coarse_factor must be auto, or 1 to 1e+09, got 0.5."),
         ({"lr_final": 0}, "x: lr_final must be more than 0, at most 1, got 0.0."),
         ({"drop_rate": 1}, "x: drop_rate must be 0 to less than 1, got 1.0."),
-        ({"depth_points": -2}, "x: depth_points must be at least -1, got -2."),
+        ({"depth_points": -2}, "x: depth_points must be auto, or at least -1, got -2."),
         ([1], "x: expected an object with options, got list."),
     ],
 )
@@ -104,6 +106,20 @@ def test_bad_options_are_named(values: Any, message: str) -> None:
         from_dict(TrainConfig, values, where="x")
     assert str(error.value).startswith(message)
     assert len(str(error.value)) < 400
+
+
+@pytest.mark.parametrize("name", ["refine_start", "depth_weight", "threads", "cache_mb"])
+def test_auto_is_the_number_of_before(name: str) -> None:
+    """Oracle: the default, whose number files and checkpoints keep; a bool is no `auto`."""
+    for value in ("auto", None, getattr(TrainConfig(), name)):
+        assert from_dict(TrainConfig, {name: value}, where="x") == TrainConfig()
+        assert TrainConfig(**{name: value}) == TrainConfig()
+    parser = argparse.ArgumentParser()
+    declare(parser, TrainConfig)
+    given = passed_options(TrainConfig, parser.parse_args([flag_of(name), "auto"]))
+    assert given == {name: getattr(TrainConfig(), name)}
+    with pytest.raises(ConfigError):
+        from_dict(TrainConfig, {name: False}, where="x")
 
 
 @pytest.mark.parametrize("name", REMOVED)

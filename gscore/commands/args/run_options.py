@@ -1,7 +1,7 @@
 """Run options on the command line, declared by config.py: flags, help, values."""
 
 import argparse
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -46,12 +46,20 @@ def argument_facts(one: Option) -> dict[str, Any]:
         return {"action": argparse.BooleanOptionalAction}
     facts: dict[str, Any] = {"nargs": "+"} if one.several else {}
     if one.kind in (int, float, Path):
-        facts["type"] = one.kind
+        facts["type"] = one.kind if one.auto is None else _number_or_auto(one)
     if one.choices:
         facts["choices"] = one.choices
     if one.metavar or not one.choices:
         facts["metavar"] = one.metavar or ("N" if one.kind is int else "X")
     return facts
+
+
+def _number_or_auto(one: Option) -> Callable[[str], Any]:
+    def read(text: str) -> Any:
+        return one.auto if one.is_auto(text) else one.kind(text)
+
+    read.__name__ = one.kind.__name__  # for the error message
+    return read
 
 
 def passed_options(cls: type[Any], args: argparse.Namespace) -> dict[str, Any]:
