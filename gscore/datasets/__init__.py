@@ -5,5 +5,3 @@ from .dataset import Dataset
 from .folder import Folder
 from .load import load_dataset
 from .read import read_capture
-
-__all__ = ["Capture", "Dataset", "Folder", "View", "load_dataset", "read_capture"]

@@ -2,5 +2,3 @@
 
 from .fit import Fit
 from .priors import DepthPrior, Priors, load_priors
-
-__all__ = ["DepthPrior", "Fit", "Priors", "load_priors"]

@@ -4,19 +4,3 @@ from ..importance import importance_of, most_important
 from .clusters import cluster_sizes, reached_from
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix
 from .measures import at_least_opaque, contributions, isolation_of, of_size, similarity_matrix
-
-__all__ = [
-    "at_least_opaque",
-    "box_matrix",
-    "cluster_sizes",
-    "contributions",
-    "importance_of",
-    "in_frustum",
-    "in_unit_shape",
-    "isolation_of",
-    "most_important",
-    "of_size",
-    "reached_from",
-    "similarity_matrix",
-    "sphere_matrix",
-]

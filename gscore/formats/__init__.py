@@ -15,21 +15,3 @@ from .registry import (
     write_splat_file,
 )
 from .splat_file import Decoded, SplatFile, WrittenFile
-
-__all__ = [
-    "FORMATS",
-    "SPLAT_ENDINGS",
-    "Decoded",
-    "SplatFile",
-    "WrittenFile",
-    "file_origin",
-    "files_of",
-    "format_to_write",
-    "is_antialiased",
-    "is_splat_file",
-    "read_decoded",
-    "read_splat_file",
-    "read_splat_parts",
-    "read_splats",
-    "write_splat_file",
-]

@@ -2,5 +2,3 @@
 
 from .capture_facts import CaptureFacts, Problem
 from .inspect_capture import find_capture, inspect
-
-__all__ = ["CaptureFacts", "Problem", "find_capture", "inspect"]

@@ -6,24 +6,3 @@ from .lpips import Lpips, find_lpips, lpips_warnings
 from .lpips_net import LpipsNet
 from .machine import peak_memory_bytes
 from .summary import Course, Metrics, headline, write_metrics
-
-__all__ = [
-    "Course",
-    "Evaluation",
-    "Lpips",
-    "LpipsNet",
-    "Metrics",
-    "d_ssim",
-    "evaluate",
-    "find_lpips",
-    "headline",
-    "image_metrics",
-    "lpips_warnings",
-    "ms_ssim",
-    "peak_memory_bytes",
-    "psnr",
-    "psnr_cc",
-    "psnr_u8",
-    "ssim",
-    "write_metrics",
-]

@@ -3,17 +3,3 @@
 from ._native import available_isas, default_threads, isa, library_path, set_isa
 from .header import NO_EXACT_CULL, NO_OPACITY_EXTENT, NO_ROW_RANGE, NO_ZERO_TILE, TILE
 from .request import CancelFlag
-
-__all__ = [
-    "NO_EXACT_CULL",
-    "NO_OPACITY_EXTENT",
-    "NO_ROW_RANGE",
-    "NO_ZERO_TILE",
-    "TILE",
-    "CancelFlag",
-    "available_isas",
-    "default_threads",
-    "isa",
-    "library_path",
-    "set_isa",
-]

@@ -5,12 +5,3 @@ from .histograms import splat_histograms
 from .page import Report, write_report
 from .pictures import PictureCollector
 from .results import write_results
-
-__all__ = [
-    "PictureCollector",
-    "Report",
-    "cameras_section",
-    "splat_histograms",
-    "write_report",
-    "write_results",
-]

@@ -2,5 +2,3 @@
 
 from .camera_search import SearchResult, find_cameras
 from .search_request import SearchRequest
-
-__all__ = ["SearchRequest", "SearchResult", "find_cameras"]

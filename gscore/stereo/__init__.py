@@ -2,5 +2,3 @@
 
 from .cloud import dense_points
 from .maps import StereoMaps, stereo_maps
-
-__all__ = ["StereoMaps", "dense_points", "stereo_maps"]

@@ -5,5 +5,3 @@ tolerances; `gscore stress` and the tests run the same cases. docs/accuracy-test
 """
 
 from .run import Outcome, run_cases, select
-
-__all__ = ["Outcome", "run_cases", "select"]

@@ -19,23 +19,4 @@ from . import (
 )
 from .case import CASES
 
-__all__ = [
-    "CASES",
-    "antialias",
-    "cameras",
-    "chain",
-    "depth",
-    "exponential",
-    "files",
-    "harmonics",
-    "optimizer",
-    "order",
-    "pictures",
-    "poison",
-    "sizes",
-    "ssim",
-    "threads",
-    "training",
-]
-
 CASES.sort(key=lambda c: c.name)

@@ -2,5 +2,3 @@
 
 from .extract import Frames, extract_frames
 from .request import VIDEO_ENDINGS, ExtractRequest, is_video
-
-__all__ = ["VIDEO_ENDINGS", "ExtractRequest", "Frames", "extract_frames", "is_video"]

@@ -1,5 +1,3 @@
 """Cameras exported by other photogrammetry programs next to the photos."""
 
 from .read import ProgramFile, find_program, read_program
-
-__all__ = ["ProgramFile", "find_program", "read_program"]

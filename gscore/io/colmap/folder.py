@@ -29,17 +29,6 @@ from .model import (
     keep_longest_tracks,
 )
 
-__all__ = [
-    "ColmapCamera",
-    "ColmapImage",
-    "ColmapModel",
-    "ColmapPoints",
-    "find_model",
-    "has_model",
-    "read_model",
-    "write_model",
-]
-
 _OTHER_PICTURES = (".heic", ".heif", ".avif", ".gif", *RAW_ENDINGS)
 """Endings of photos in unsupported formats."""
 _POINT_CLOUDS = ("points3D.ply", "points3d.ply", "init.ply")

@@ -16,15 +16,6 @@ from .compressed import decompress, is_compressed
 from .dialects import DC, POSITION, QUAT, SCALE, parameters_of, rest_by_coefficient
 from .elements import HEADER_END, HEADER_LIMIT, header_bytes, read_elements
 
-__all__ = [
-    "MIP_COMMENT",
-    "is_antialiased_ply",
-    "read_ply",
-    "read_ply_parts",
-    "write_splat_parts",
-    "write_splats",
-]
-
 MIP_COMMENT = "SplatRenderMode: mip"
 """Header comment of models trained with the anti-aliasing compensation."""
 _ORIGIN = "gscore origin "

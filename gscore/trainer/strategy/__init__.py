@@ -6,8 +6,6 @@ from .base import Change, Policy, Within, all_within
 from .default import DefaultStrategy
 from .mcmc import MCMCStrategy
 
-__all__ = ["Change", "Policy", "all_within", "make_strategy"]
-
 
 def make_strategy(
     config: TrainConfig, plan: Plan, *, extent: float, may_grow: Within = all_within
