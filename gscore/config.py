@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from .choices import Background, Doubling, Skip, Stereo, Strategy, Switch
@@ -21,6 +22,21 @@ _RAREST = 1000
 _MASK_MODES = ("auto", "composite", "ignore", "none")
 _DEPTH_ALIGNMENTS = ("auto", "official", "robust", "none")
 
+_capture_option = partial(option, group="capture")
+_depth_option = partial(option, group="depth")
+_run_option = partial(option, group="run")
+_colour_option = partial(option, group="colour")
+_loss_option = partial(option, group="loss")
+_rate_option = partial(option, group="learning rates")
+_start_option = partial(option, group="start")
+_guide_option = partial(option, group="guides")
+_pose_option = partial(option, group="poses")
+_photo_option = partial(option, group="photos")
+_refinement_option = partial(option, group="refinement")
+_mcmc_option = partial(option, group="mcmc")
+_result_option = partial(option, group="results")
+"""`option` for the headings of the option list."""
+
 
 def checked_threads(threads: int) -> int:
     """`threads` if valid (0: all cores), else ConfigError."""
@@ -37,65 +53,58 @@ class DataConfig:
 
     source: Path
     """Folder with the COLMAP model or transforms.json."""
-    images: str = option(
+    images: str = _capture_option(
         "images",
         "Folder of the photos inside the capture. Not used by transforms.json, which names them.",
-        group="capture",
         metavar="DIR",
         short="i",
         basic=True,
     )
-    masks: str = option(
+    masks: str = _capture_option(
         "",
         "Mask folder inside the capture. Empty: `masks/` if it exists, else the alpha of the "
         "photos.",
-        group="capture",
         metavar="DIR",
         basic=True,
         when="masks",
     )
-    mask_mode: str = option(
+    mask_mode: str = _capture_option(
         "auto",
         "Meaning of masks. `ignore`: black pixels do not count; `composite`: opacity of the "
         "subject, over the background; `none`: not read; `auto`: `composite` for transparent "
         "photos and cut-out subjects, else `ignore`.",
-        group="capture",
         choices=_MASK_MODES,
         basic=True,
     )
-    invert_masks: bool = option(
+    invert_masks: bool = _capture_option(
         False,
         "Mask files are white where pixels do not count, instead of black. `auto` is then "
         "`ignore`. The alpha of photos is never inverted.",
-        group="capture",
         basic=True,
         when="masks",
     )
-    depths: str = option(
+    depths: str = _depth_option(
         "",
         "Folder of depth maps inside the capture, as gscore depth writes them. Inverse depth; "
         "empty: no depth.",
-        group="depth",
         metavar="DIR",
         short="d",
         basic=True,
         when="depth_on",
     )
-    depth_align: str = option(
+    depth_align: str = _depth_option(
         "auto",
         "Alignment of depth maps with the capture. `official`: by depth_params.json, required; "
         "`robust`: RANSAC against the SfM points; `none`: already aligned; `auto`: "
         "depth_params.json if it agrees with the points, else `robust`.",
-        group="depth",
         choices=_DEPTH_ALIGNMENTS,
         when="depth",
     )
-    resolution: float = option(
+    resolution: float = _capture_option(
         -1,
         "Photo size: divisor 1, 2, 4 or 8, or width in pixels; `auto`: full size up to a limit. "
         "The limit is the width of the preset or run, else 1600.",
         auto=-1,
-        group="capture",
         range=None,  # `datasets.resolution` checks it
         metavar="N",
         short="r",
@@ -104,11 +113,10 @@ class DataConfig:
     max_width: int = 1600
     """Width limit of photos with `resolution` -1, pixels. Set by presets, not by a command-line
     option."""
-    eval: bool = option(
+    eval: bool = _capture_option(
         False,
         "Hold out test views and measure on them. Default: every 8th view, unless `hold_out` or"
         " the capture selects others.",
-        group="capture",
         basic=True,
     )
     test_every: int = 8
@@ -122,17 +130,15 @@ class DataConfig:
     """The last n views by sorted name are test views; 0: use `test_every`."""
     test_first: int = 0
     """The first n views by sorted name are test views; 0: use `test_every`."""
-    frame: int | None = option(
+    frame: int | None = _capture_option(
         None,
         "Frame number to read from a multi-view video; default: the first.",
-        group="capture",
         metavar="N",
         basic=True,
     )
-    rig: Path | None = option(
+    rig: Path | None = _capture_option(
         None,
         "Capture of the same fixed cameras whose poses and world are used.",
-        group="capture",
         metavar="DIR",
         basic=True,
     )
@@ -151,673 +157,553 @@ class TrainConfig:
     their mean.
     """
 
-    iterations: int = option(
+    iterations: int = _run_option(
         10_000,
         "Training steps, each on one photo. Not used with `time_budget`. With `ensemble`, each "
         "model takes a photo per step.",
-        group="run",
         range=Range(low=1, high=_MOST),
         unit="steps",
         metavar="N",
         basic=True,
         free=True,
     )
-    time_budget: float = option(
+    time_budget: float = _run_option(
         0.0,
         "Training time that replaces `iterations`; 0: off. Excludes reading, measuring and "
         "writing. Schedules adapt to the time, so the run is not reproducible bit for bit.",
-        group="run",
         unit="s",
         metavar="SECONDS",
         basic=True,
         free=True,
     )
-    target_psnr: float = option(
+    target_psnr: float = _run_option(
         0.0,
         "Stop when the mean PSNR of the held-out photos (else of the training photos) reaches "
         "this; 0: off.",
-        group="run",
         unit="dB",
         metavar="DB",
         basic=True,
         free=True,
     )
-    early_stop: bool = option(
+    early_stop: bool = _run_option(
         False,
         "Stop when the PSNR of the held-out photos (else of the training photos) no longer "
         "rises. Waits for full-size photos; a short phase then completes the decay of the "
         "learning rates.",
-        group="run",
         basic=True,
         free=True,
     )
-    steps_a_photo: int = option(
+    steps_a_photo: int = _run_option(
         0,
         "Limit of steps per training photo, against overfitting; at least 1,500 in all; doubled "
         "for `composite` masks without dropout. 0: no limit. Off with `time_budget`, an explicit "
         "`--iterations` or `gscore sequence`; in Python set 0.",
-        group="run",
         range=Range(high=_MOST),
         unit="steps",
         metavar="N",
         free=True,
     )
-    splats_a_photo: int = option(
+    splats_a_photo: int = _run_option(
         0,
         "Limit of splats per training photo and model of the `ensemble`, against overfitting; "
         "at least 300,000 in all. 0: no limit. Off with `composite` masks, an explicit "
         "`--max-splats` or `gscore sequence`; in Python set 0.",
-        group="run",
         range=Range(high=_MOST),
         unit="splats",
         metavar="N",
         free=True,
     )
-    max_splats: int = option(
+    max_splats: int = _run_option(
         400_000,
         "Limit of the number of splats. Memory and time grow with it.",
-        group="run",
         range=Range(low=1, high=_MOST),
         unit="splats",
         metavar="N",
         basic=True,
     )
-    ensemble: int = option(
+    ensemble: int = _run_option(
         1,
         "Number of models trained on the same capture, merged into one; `max_splats` is divided"
         " among them. Reduces artefacts between the photos, but also fine detail; two take 1.4 "
         "times as long. A sequence continues with one.",
-        group="run",
         range=Range(low=1, high=8),
         unit="models",
         when="one_model",
     )
-    ensemble_below: float = option(
+    ensemble_below: float = _run_option(
         0.0,
         "Train several models only if `stereo` matches less than this share of the pixels; with "
         "`composite` masks and `drop_rate`, if it matches at least 3/4 of the unmasked ones. "
         "0, or an explicit `--ensemble`: always.",
-        group="run",
         range=Range(high=1),
         when="ensemble",
     )
-    strategy: Strategy = option(
+    strategy: Strategy = _run_option(
         Strategy.DEFAULT,
         "Densification: how splats are added and removed. `mcmc` relocates dead splats: good in "
         "long runs, much worse than `default` in a few hundred steps.",
-        group="run",
         basic=True,
     )
-    sh_degree: int = option(
+    sh_degree: int = _run_option(
         3,
         "Degree of view-dependent colour, 0 to 3; 0: no view dependence.",
-        group="run",
         range=Range(high=3),
         metavar="N",
         basic=True,
     )
-    sh_every: int = option(
+    sh_every: int = _colour_option(
         0,
         "Steps between two SH degrees; `auto`: 1000, or fewer so that all are active by half of "
         "the run.",
         auto=0,
-        group="colour",
         range=Range(),
         unit="steps",
         when="bands",
     )
-    seed: int = option(
+    seed: int = _run_option(
         0,
         "Random seed; the same seed gives the same bits. For the same capture and options, with "
         "any number of threads.",
-        group="run",
         range=Range(high=_LARGEST_SEED),
         metavar="N",
         basic=True,
     )
-    threads: int = option(
+    threads: int = _run_option(
         0,
         "CPU threads; `auto`: one per core that this process may use.",
         auto=0,
-        group="run",
         range=Range(high=_MOST_THREADS),
         metavar="N",
         basic=True,
         free=True,
     )
-    background: Background = option(
+    background: Background = _run_option(
         Background.AUTO,
         "Background colour. `auto`: random at each step for photos with opacity, else black.",
-        group="run",
         basic=True,
     )
-    antialias: bool = option(
+    antialias: bool = _run_option(
         False,
         "Draw splats smaller than a pixel fainter. Opacity compensation of the screen-space "
         "dilation (Mip-Splatting, Yu et al. 2024).",
-        group="run",
         basic=True,
     )
-    near: float = option(
+    near: float = _run_option(
         0.01,
         "Near plane: closer splats are not drawn; world units, as in `gscore.render`.",
-        group="run",
         unit="world units",
     )
-    ssim_weight: float = option(
-        0.2,
-        "Loss = (1 - w) L1 + w (1 - SSIM).",
-        group="loss",
-        range=Range(high=1),
+    ssim_weight: float = _loss_option(0.2, "Loss = (1 - w) L1 + w (1 - SSIM).", range=Range(high=1))
+    means_lr: float = _rate_option(
+        1.6e-4, "Learning rate of positions at the first step, in extents.", unit="extents"
     )
-    means_lr: float = option(
-        1.6e-4,
-        "Learning rate of positions at the first step, in extents.",
-        group="learning rates",
-        unit="extents",
-    )
-    means_lr_final: float = option(
+    means_lr_final: float = _rate_option(
         1.6e-6,
         "Learning rate of positions at the last step, in extents; exponential in between.",
-        group="learning rates",
         unit="extents",
     )
-    sh0_lr: float = option(
-        2.5e-3,
-        "Learning rate of the constant colour.",
-        group="learning rates",
+    sh0_lr: float = _rate_option(2.5e-3, "Learning rate of the constant colour.")
+    shN_lr: float = _rate_option(
+        1.25e-4, "Learning rate of the view-dependent colour.", when="bands"
     )
-    shN_lr: float = option(
-        1.25e-4,
-        "Learning rate of the view-dependent colour.",
-        group="learning rates",
-        when="bands",
-    )
-    shN_every: int = option(
+    shN_every: int = _rate_option(
         0,
         "Steps between two updates of the view-dependent colour; gradients accumulate, and its "
         "learning rate rises by the root of this. `auto`: 8, fewer in runs under 1,000 steps; "
         "1: each step.",
         auto=0,
-        group="learning rates",
         range=Range(high=_RAREST),
         unit="steps",
         when="bands",
     )
-    opacities_lr: float = option(
-        0.0,
-        "Learning rate of logit opacities; `auto`: 0.025, with mcmc 0.05.",
-        auto=0,
-        group="learning rates",
+    opacities_lr: float = _rate_option(
+        0.0, "Learning rate of logit opacities; `auto`: 0.025, with mcmc 0.05.", auto=0
     )
-    scales_lr: float = option(
-        5e-3,
-        "Learning rate of log scales.",
-        group="learning rates",
-    )
-    quats_lr: float = option(
-        1e-3,
-        "Learning rate of quaternions.",
-        group="learning rates",
-    )
-    lr_boost: float = option(
+    scales_lr: float = _rate_option(5e-3, "Learning rate of log scales.")
+    quats_lr: float = _rate_option(1e-3, "Learning rate of quaternions.")
+    lr_boost: float = _rate_option(
         0.0,
         "Factor of the learning rates: its root for positions and opacities, its square for the"
         " final rate of positions. `auto`: 1 from 30,000 steps, up to 4 in shorter runs.",
         auto=0,
-        group="learning rates",
     )
-    lr_final: float = option(
+    lr_final: float = _rate_option(
         0.2,
         "Final factor of the learning rates except positions: exponential decay over the last "
         "tenth of the run. 1: no decay.",
-        group="learning rates",
         range=Range(high=1, above=True),
     )
-    start_splats: Path | None = option(
+    start_splats: Path | None = _start_option(
         None,
         "Initial splats, a PLY in the capture's world, instead of SfM points.",
-        group="start",
         metavar="FILE.ply",
         basic=True,
         free=True,
     )
-    start_opacity: float = option(
+    start_opacity: float = _start_option(
         1.0,
         "Factor of the opacities of `start_splats`; the training restores those that photos need.",
-        group="start",
         range=Range(high=1, above=True),
         when="start_splats",
     )
-    region: Path | None = option(
+    region: Path | None = _start_option(
         None,
         "Train only inside the box of this file (docs/steer.md). Splats of `start_splats` "
         "outside are frozen, unchanged bit by bit; without `start_splats` only pixels of the "
         "box count. Photos that do not show the box are left out.",
-        group="start",
         metavar="FILE.json",
         free=True,
     )
-    init_opacity: float = option(
+    init_opacity: float = _start_option(
         0.0,
         "Opacity of the initial splats; `auto`: 0.1, with mcmc 0.5.",
         auto=0,
-        group="start",
         range=Range(high=0.99),
         when="points",
     )
-    init_scale: float = option(
+    init_scale: float = _start_option(
         0.0,
         "Size of the initial splats in mean distances to their neighbours; `auto`: 1, with mcmc "
         "0.1.",
         auto=0,
-        group="start",
         when="points",
     )
-    sky: bool = option(
+    sky: bool = _start_option(
         False,
         "Add a distant sphere of splats in the colours of the background, for outdoor scenes. "
         "Fills background that no photo shows; hides the scene from outside. Opacity resets "
         "then need an explicit `reset_every`.",
-        group="start",
         when="points",
     )
-    stereo: Stereo = option(
+    stereo: Stereo = _start_option(
         Stereo.MISSING,
         "Add initial points by multi-view stereo of the training photos; takes seconds. `auto`:"
         " unless SfM points reach half of `max_splats`; `missing`: only for captures without "
         "points, which otherwise start from random ones.",
-        group="start",
         when="points",
     )
-    stereo_points: int = option(
+    stereo_points: int = _start_option(
         0,
         "Limit of the points that `stereo` adds; `auto`: 10,000 plus a fifth of `max_splats`.",
         auto=0,
-        group="start",
         range=Range(high=_MOST),
         unit="points",
         when="stereo",
     )
-    depth_mode: Switch = option(
+    depth_mode: Switch = _depth_option(
         Switch.AUTO,
         "Depth loss from the depth maps in `depths`; `auto`: for few photos.",
-        group="depth",
         basic=True,
         when="depth_maps",
     )
-    depth_weight: float = option(
+    depth_weight: float = _depth_option(
         -1.0,
         "Initial weight of the depth loss, unit in docs/depth-method.md; `auto`: 1, or 6 / the "
         "number of training views that show a median point, where more than 6 do.",
         auto=-1,
-        group="depth",
         range=Range(high=LARGEST, also=-1),
         when="depth",
     )
-    depth_weight_final: float = option(
+    depth_weight_final: float = _depth_option(
         -1.0,
         "Final weight of the depth loss, exponential in between; `auto`: the initial weight.",
         auto=-1,
-        group="depth",
         range=Range(high=LARGEST, also=-1),
         when="depth",
     )
-    depth_warmup: float = option(
+    depth_warmup: float = _depth_option(
         0.02,
         "Share of the run over which the depth loss rises from 0 to its full weight.",
-        group="depth",
         range=Range(high=1),
         unit="share of the run",
         when="depth",
     )
-    depth_pearson: float = option(
+    depth_pearson: float = _depth_option(
         0.5,
         "Weight of 1 - Pearson correlation for views with an unaligned map, as a share of "
         "`depth_weight`; 0: no depth loss for them.",
-        group="depth",
         when="depth",
     )
-    depth_points: int = option(
+    depth_points: int = _depth_option(
         -1,
         "Limit of the initial points from aligned depth maps in gaps of the SfM points; `auto`: "
         "10,000 plus a fifth of `max_splats` if depth is used; 0: none.",
         auto=-1,
-        group="depth",
         range=Range(low=-1),
         unit="points",
         when="depth",
     )
-    guide_surface: Path | None = option(
+    guide_surface: Path | None = _guide_option(
         None,
         "Surface mesh that splats should lie on (wall, floor, scan), PLY or OBJ in the "
         "capture's world. Inactive where SfM points are in front of it; docs/steer.md. `gscore "
         "sequence` replaces {frame:06d} by the frame number.",
-        group="guides",
         metavar="FILE",
         free=True,
     )
-    guide_free: Path | None = option(
+    guide_free: Path | None = _guide_option(
         None,
         "Free-space mesh, PLY or OBJ in the capture's world: remove splats between it and a "
         "training camera at every `refine_every`-th and the last step, unless more than a fifth. "
         "`gscore sequence` replaces {frame:06d} by the frame number.",
-        group="guides",
         metavar="FILE",
         free=True,
     )
-    guide_weight: float = option(
+    guide_weight: float = _guide_option(
         1.0,
         "Weight of the `guide_surface` loss, in the unit of the depth loss.",
-        group="guides",
         when="guide_surface",
     )
-    exposure: Switch = option(
+    exposure: Switch = _colour_option(
         Switch.AUTO,
         "Exposure compensation: optimise brightness and white balance of each photo; `auto`: if"
         " photos differ. Held-out views get that of neighbours, new views the mean.",
-        group="colour",
         basic=True,
     )
-    exposure_lr: float = option(
-        0.01,
-        "Initial learning rate of the exposure gains (logarithmic).",
-        group="learning rates",
-        when="exposure",
+    exposure_lr: float = _rate_option(
+        0.01, "Initial learning rate of the exposure gains (logarithmic).", when="exposure"
     )
-    exposure_lr_final: float = option(
-        1e-3,
-        "Final learning rate of the exposure gains; exponential decay.",
-        group="learning rates",
-        when="exposure",
+    exposure_lr_final: float = _rate_option(
+        1e-3, "Final learning rate of the exposure gains; exponential decay.", when="exposure"
     )
-    refine_poses: Switch = option(
+    refine_poses: Switch = _pose_option(
         Switch.AUTO,
         "Pose refinement: optimise the training camera poses; `auto`: if the points of the "
         "capture contradict them. Held-out cameras stay.",
-        group="poses",
     )
-    pose_lr: float = option(
-        1e-3,
-        "Initial learning rate of poses, in radians and shares of the extent.",
-        group="poses",
-        when="poses",
+    pose_lr: float = _pose_option(
+        1e-3, "Initial learning rate of poses, in radians and shares of the extent.", when="poses"
     )
-    pose_lr_final: float = option(
-        1e-5,
-        "Final learning rate of poses; exponential decay.",
-        group="poses",
-        when="poses",
+    pose_lr_final: float = _pose_option(
+        1e-5, "Final learning rate of poses; exponential decay.", when="poses"
     )
-    drop_rate: float = option(
+    drop_rate: float = _loss_option(
         0.0,
         "Dropout: share of splats left out of a step at random, rising from 0 to this at the "
         "last step (DropGaussian, Park et al. 2025). Against overfitting to few views; 0: off.",
-        group="loss",
         range=Range(high=1, below=True),
     )
-    drop_below: float = option(
+    drop_below: float = _loss_option(
         0.0,
         "Use dropout only if `stereo` matches less than this share of the unmasked pixels, as it"
         " costs fine detail elsewhere; with `composite` masks, if it matches at least half. "
         "0, or an explicit `--drop-rate`: always.",
-        group="loss",
         range=Range(high=1),
         when="dropping",
     )
-    opaque_weight: float = option(
+    opaque_weight: float = _loss_option(
         0.0,
         "Weight of the mean transmittance at counted pixels, unless masks are `composite`. "
         "Prevents holes in dark areas that appear over a brighter background; 0: off.",
-        group="loss",
     )
-    alpha_weight: float = option(
+    alpha_weight: float = _loss_option(
         0.0,
         "Weight of the mean absolute difference between rendered opacity and mask, for "
         "`composite` masks; 0: off.",
-        group="loss",
     )
-    coarse_factor: float = option(
+    coarse_factor: float = _photo_option(
         0.0,
         "Initial downscaling of the photos, decreasing until `coarse_until`. `auto`: up to 8, "
         "leaving at least 75 pixels, or 1 with `start_splats`; 1: full size from the first step.",
         auto=0,
-        group="photos",
         range=Range(low=1, high=LARGEST, also=0),
         when="small_photos",
     )
-    coarse_until: float = option(
+    coarse_until: float = _photo_option(
         0.9,
         "Share of the run after which photos have their full size.",
-        group="photos",
         range=Range(high=1),
         unit="share of the run",
         when="small_photos",
     )
-    grow_with_photos: bool = option(
+    grow_with_photos: bool = _refinement_option(
         True,
         "`default`: raise the splat limit with the photo size, from the initial number to "
         "`max_splats`, so that small photos add no excess splats. Applies to runs of at least "
         "1,000 steps that start below about 0.4 of the size; no gain for `mcmc`.",
-        group="refinement",
         when="default",
     )
-    without: tuple[Skip, ...] = option(
-        (),
-        "Disable optimisations (skips) by name, to verify or measure them.",
-        group="run",
-        metavar="SKIP",
+    without: tuple[Skip, ...] = _run_option(
+        (), "Disable optimisations (skips) by name, to verify or measure them.", metavar="SKIP"
     )
-    refine_start: int = option(
+    refine_start: int = _refinement_option(
         0,
         "First step that may add or remove splats; `auto`: 500, earlier in short runs.",
         auto=0,
-        group="refinement",
         range=Range(),
         unit="steps",
     )
-    refine_stop: int = option(
+    refine_stop: int = _refinement_option(
         0,
         "Last step that may add or remove splats; `auto`: half of the run; 4/5 or shortly after "
         "full-size photos with `grow_with_photos`; 5/6 with mcmc.",
         auto=0,
-        group="refinement",
         range=Range(),
         unit="steps",
     )
-    refine_every: int = option(
+    refine_every: int = _refinement_option(
         0,
         "Steps between two refinements; `auto`: 100, fewer in short runs.",
         auto=0,
-        group="refinement",
         range=Range(),
         unit="steps",
     )
-    reset_every: int = option(
+    reset_every: int = _refinement_option(
         0,
         "`default`: steps between two opacity resets, up to `refine_stop` (`auto`: half of the "
         "run). `auto`: 3,000, none in runs under 6,000 steps or with `sky`; -1: never.",
         auto=0,
-        group="refinement",
         range=Range(low=-1),
         unit="steps",
         when="default",
     )
-    grow_grad: float = option(
+    grow_grad: float = _refinement_option(
         0.0,
         "`default`: mean screen-space gradient (normalised coordinates) above which a splat is "
         "doubled. `auto`: 2e-4, down to 1e-4 in short runs; 5e-5 for `composite` masks with "
         "dropout or from 10,000 steps.",
         auto=0,
-        group="refinement",
         when="default",
     )
-    doubling: Doubling = option(
+    doubling: Doubling = _refinement_option(
         Doubling.LONG_AXIS,
         "`default`: operation that doubles a splat. `long-axis`: split into halves along the "
         "longest axis; `clone-split`: clone small ones, replace large ones by two samples (3DGS"
         " paper).",
-        group="refinement",
         when="default",
     )
-    prune_opacity: float = option(
+    prune_opacity: float = _refinement_option(
         0.005,
         "Opacity below which splats are removed, with mcmc relocated.",
-        group="refinement",
         range=Range(high=0.99),
     )
-    prune_scale: float = option(
+    prune_scale: float = _refinement_option(
         0.1,
         "`default`: size above which splats are removed after the first opacity reset; in extents.",
-        group="refinement",
         unit="extents",
         when="default",
     )
-    finest: float = option(
+    finest: float = _refinement_option(
         0.0,
         "3D filter: minimum scale of a splat (standard deviation) in pixels of its nearest "
         "training photo; 0: off. Applied at every `refine_every`-th and the last step, baked "
         "into the PLY. Mip-Splatting (Yu et al. 2024) uses 0.45.",
-        group="refinement",
         unit="px",
         range=Range(high=10),
     )
-    prune_share: float = option(
+    prune_share: float = _refinement_option(
         0.0,
         "Share of the splats with the least contribution to the training photos, removed at "
         "`refine_stop`. 0: none.",
-        group="refinement",
         range=Range(high=1, below=True),
     )
-    free_space: float = option(
+    free_space: float = _refinement_option(
         0.4,
         "Remove splats closer to a training camera than this share of its distance to the 10th "
         "nearest SfM point, at every `refine_every`-th and the last step. 0, fewer than 500 "
         "points, or over a fifth of the splats: no removal.",
-        group="refinement",
         range=Range(high=1, below=True),
     )
-    hidden_share: float = option(
+    hidden_share: float = _refinement_option(
         0.05,
         "`ignore` masks: remove splats with less than this share of their weight in unmasked "
         "pixels, after 1/3 and 2/3 of the training, because no photo determines their colour and "
         "they occlude other views. 0: off.",
-        group="refinement",
         range=Range(high=1, below=True),
         when="hiding_masks",
     )
-    mcmc_growth: float = option(
+    mcmc_growth: float = _mcmc_option(
         0.0,
         "`mcmc`: splats added per refinement, as a share of the current number; `auto`: 0.05, more "
         "in runs that would not reach `max_splats`.",
         auto=0,
-        group="mcmc",
         when="mcmc",
     )
-    mcmc_noise: float = option(
-        5e5,
-        "`mcmc`: noise on positions, in units of their learning rate.",
-        group="mcmc",
-        when="mcmc",
+    mcmc_noise: float = _mcmc_option(
+        5e5, "`mcmc`: noise on positions, in units of their learning rate.", when="mcmc"
     )
-    opacity_reg: float = option(
-        0.01,
-        "`mcmc`: weight of the mean opacity in the loss.",
-        group="mcmc",
-        when="mcmc",
+    opacity_reg: float = _mcmc_option(
+        0.01, "`mcmc`: weight of the mean opacity in the loss.", when="mcmc"
     )
-    scale_reg: float = option(
-        0.01,
-        "`mcmc`: weight of the mean scale in the loss.",
-        group="mcmc",
-        when="mcmc",
+    scale_reg: float = _mcmc_option(
+        0.01, "`mcmc`: weight of the mean scale in the loss.", when="mcmc"
     )
-    test_iterations: tuple[int, ...] = option(
+    test_iterations: tuple[int, ...] = _result_option(
         (),
         "Steps at which the test views are measured; always also at the end.",
-        group="results",
         range=Range(low=1),
         unit="steps",
         metavar="STEP",
         when="steps",
         free=True,
     )
-    save_iterations: tuple[int, ...] = option(
+    save_iterations: tuple[int, ...] = _result_option(
         (),
         "Steps at which splats are written to `point_cloud/iteration_N/`; always also at the end.",
-        group="results",
         range=Range(low=1),
         unit="steps",
         metavar="STEP",
         when="steps",
         free=True,
     )
-    checkpoint_iterations: tuple[int, ...] = option(
+    checkpoint_iterations: tuple[int, ...] = _result_option(
         (),
         "Steps at which a permanent checkpoint is written.",
-        group="results",
         range=Range(low=1),
         unit="steps",
         metavar="STEP",
         when="steps",
         free=True,
     )
-    cache_mb: int = option(
+    cache_mb: int = _result_option(
         0,
         "Memory for decoded photos in megabytes; photos beyond it are decoded again at each "
         "use. `auto`: all, or what fits. The result is the same.",
         auto=0,
-        group="results",
         range=Range(),
         unit="MB",
         metavar="MB",
         free=True,
     )
-    checkpoint_seconds: float = option(
+    checkpoint_seconds: float = _result_option(
         300.0,
         "Training time between two checkpoints; 0: only at the end. The last two are kept, and "
         "up to two more for the watchdog.",
-        group="results",
         unit="s",
         metavar="SECONDS",
         free=True,
     )
-    preview_seconds: float = option(
+    preview_seconds: float = _result_option(
         0.0,
         "Training time between two pictures of one view in OUT/previews; 0: none.",
-        group="results",
         unit="s",
         metavar="SECONDS",
         free=True,
     )
-    snapshot_every: int = option(
+    snapshot_every: int = _result_option(
         0,
         "Steps between two PLYs in OUT/snapshots, the last two are kept; 0: only on request.",
-        group="results",
         range=Range(),
         unit="steps",
         free=True,
     )
-    lpips: Path | None = option(
+    lpips: Path | None = _result_option(
         None,
         "LPIPS network (perceptual metric): an ONNX file, or alex, vgg or squeeze of the "
         "package lpips. Default: not measured.",
-        group="results",
         metavar="NETWORK",
         basic=True,
         free=True,
     )
-    watchdog: bool = option(
+    watchdog: bool = _result_option(
         True,
         "On divergence, return to the last good checkpoint with lower learning rates, a few "
         "times. Without periodic checkpoints (`checkpoint_seconds` 0): stop with an error.",
-        group="results",
         free=True,
     )
-    detect_anomaly: bool = option(
+    detect_anomaly: bool = _result_option(
         False,
         "Stop with an error at the first non-finite number, with its origin; slow.",
-        group="results",
         free=True,
     )
 

@@ -20,6 +20,14 @@ class Event:
 
     kind: ClassVar[str] = ""
 
+    def __init_subclass__(cls, *, kind: str) -> None:
+        cls.kind = kind
+        KINDS[kind] = cls
+
+
+KINDS: dict[str, type[Event]] = {}
+"""All events by their kinds."""
+
 
 Show = Callable[[Event], None]
 """Receives each event."""
@@ -57,10 +65,9 @@ class Decision:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Started(Event):
+class Started(Event, kind="started"):
     """Training is about to take its first step (also after a resume, then `step` > 0)."""
 
-    kind: ClassVar[str] = "started"
     source: str
     output: str
     iterations: int
@@ -89,10 +96,9 @@ class Started(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Estimated(Event):
+class Estimated(Event, kind="estimate"):
     """Expected time and memory of a training, before photos are read; not on resume."""
 
-    kind: ClassVar[str] = "estimate"
     seconds: float
     """Training time without reading, measuring and writing, s."""
     peak_bytes: int
@@ -110,10 +116,9 @@ class Estimated(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Progress(Event):
+class Progress(Event, kind="progress"):
     """Progress of a training; at most a few per second."""
 
-    kind: ClassVar[str] = "progress"
     step: int
     iterations: int
     loss: float
@@ -129,30 +134,27 @@ class Progress(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Preview(Event):
+class Preview(Event, kind="preview"):
     """A picture of one test view was written."""
 
-    kind: ClassVar[str] = "preview"
     step: int
     view: str
     path: str
 
 
 @dataclass(frozen=True, kw_only=True)
-class Snapshot(Event):
+class Snapshot(Event, kind="snapshot"):
     """The current splats were written as a PLY."""
 
-    kind: ClassVar[str] = "snapshot"
     step: int
     path: str
     splats: int
 
 
 @dataclass(frozen=True, kw_only=True)
-class Eval(Event):
+class Eval(Event, kind="eval"):
     """Mean metrics over the held-out views."""
 
-    kind: ClassVar[str] = "eval"
     step: int
     split: str
     metrics: dict[str, Any]
@@ -161,28 +163,25 @@ class Eval(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Warn(Event):
+class Warn(Event, kind="warning"):
     """Something the user should know; training goes on."""
 
-    kind: ClassVar[str] = "warning"
     message: str
     code: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Saved(Event):
+class Saved(Event, kind="saved"):
     """A checkpoint or a result file was written completely."""
 
-    kind: ClassVar[str] = "saved"
     step: int
     path: str
 
 
 @dataclass(frozen=True, kw_only=True)
-class Done(Event):
+class Done(Event, kind="done"):
     """Training ended; `reason` is one of `ENDED`, or why it was stopped."""
 
-    kind: ClassVar[str] = "done"
     step: int
     reason: str
     splats: int
@@ -192,10 +191,9 @@ class Done(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Failed(Event):
+class Failed(Event, kind="error"):
     """The command ended with an error; earlier files are untouched."""
 
-    kind: ClassVar[str] = "error"
     message: str
     type: str = "GsError"
     """Class of the error; `Cancelled`: stopped before a result."""
@@ -206,10 +204,9 @@ class Failed(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DepthProgress(Event):
+class DepthProgress(Event, kind="depth_progress"):
     """Progress of the depth maps of a capture."""
 
-    kind: ClassVar[str] = "depth_progress"
     done: int
     """Completed views."""
     total: int
@@ -222,10 +219,9 @@ class DepthProgress(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DepthDone(Event):
+class DepthDone(Event, kind="depth"):
     """Depth maps were aligned, after prediction if a network was given."""
 
-    kind: ClassVar[str] = "depth"
     views: int
     accepted: int
     predicted: int
@@ -244,10 +240,9 @@ class DepthDone(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvalProgress(Event):
+class EvalProgress(Event, kind="eval_progress"):
     """Progress of an evaluation."""
 
-    kind: ClassVar[str] = "eval_progress"
     done: int
     """Completed views."""
     total: int
@@ -258,10 +253,9 @@ class EvalProgress(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvalDone(Event):
+class EvalDone(Event, kind="evaluated"):
     """A model was measured, and the results were written."""
 
-    kind: ClassVar[str] = "evaluated"
     split: str
     path: str
     """Folder of metrics.json and report.html."""
@@ -274,11 +268,10 @@ class EvalDone(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SfmEstimated(Event):
+class SfmEstimated(Event, kind="sfm_estimate"):
     """Expected time of structure from motion, after the photos are read and before each further
     attempt."""
 
-    kind: ClassVar[str] = "sfm_estimate"
     photos: int
     seconds: float
     """Time of the whole attempt on an otherwise idle machine, s, by the speed of earlier
@@ -286,10 +279,9 @@ class SfmEstimated(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SfmProgress(Event):
+class SfmProgress(Event, kind="sfm_progress"):
     """Progress of structure from motion."""
 
-    kind: ClassVar[str] = "sfm_progress"
     phase: str
     """reading photos, entering photos, finding features, comparing photos, placing cameras,
     adjusting cameras or writing the capture; a further attempt repeats the middle ones."""
@@ -306,10 +298,9 @@ class SfmProgress(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SfmDone(Event):
+class SfmDone(Event, kind="sfm"):
     """Cameras of photos were found and written."""
 
-    kind: ClassVar[str] = "sfm"
     photos: int
     registered: int
     """Photos that have a camera."""
@@ -324,10 +315,9 @@ class SfmDone(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FramesProgress(Event):
+class FramesProgress(Event, kind="frames_progress"):
     """Progress of the extraction of frames."""
 
-    kind: ClassVar[str] = "frames_progress"
     phase: str
     """looking at frames or writing frames."""
     done: int
@@ -339,10 +329,9 @@ class FramesProgress(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FramesDone(Event):
+class FramesDone(Event, kind="frames"):
     """Frames of a video were chosen and written."""
 
-    kind: ClassVar[str] = "frames"
     frames: int
     total: int
     """Frames of the video."""
@@ -354,10 +343,9 @@ class FramesDone(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameStarted(Event):
+class FrameStarted(Event, kind="frame"):
     """A sequence begins a frame, whose own events follow until `done`."""
 
-    kind: ClassVar[str] = "frame"
     frame: int
     """Number of the frame."""
     place: int
@@ -374,10 +362,9 @@ class FrameStarted(Event):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SequenceDone(Event):
+class SequenceDone(Event, kind="sequence"):
     """A sequence ended; `reason` is finished, or why it was stopped."""
 
-    kind: ClassVar[str] = "sequence"
     reason: str
     frames: int
     """Number of completed frames."""
@@ -385,34 +372,6 @@ class SequenceDone(Event):
     """The list of frames, sequence.json."""
     train_seconds: float
     metrics: dict[str, Any] = field(default_factory=dict)
-
-
-KINDS: dict[str, type[Event]] = {
-    cls.kind: cls
-    for cls in (
-        Estimated,
-        Started,
-        Progress,
-        Preview,
-        Snapshot,
-        Eval,
-        Warn,
-        Saved,
-        Done,
-        Failed,
-        DepthProgress,
-        DepthDone,
-        EvalProgress,
-        EvalDone,
-        SfmEstimated,
-        SfmProgress,
-        SfmDone,
-        FramesProgress,
-        FramesDone,
-        FrameStarted,
-        SequenceDone,
-    )
-}
 
 
 def strict_json(value: Any) -> str:
