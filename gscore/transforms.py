@@ -207,8 +207,8 @@ def transform_splats(splats: Splats, matrix: np.ndarray) -> Splats:
             times an orthogonal matrix.
 
     Returns:
-        Raw parameters; computed in float64. Quaternions keep their length; places that float32
-        does not hold are infinite.
+        Raw parameters; computed in float64. Quaternions keep their length; positions beyond
+        float32 are infinite.
 
     Raises:
         ShapeError: the matrix stretches or shears, which SH coefficients cannot represent; or it

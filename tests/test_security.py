@@ -316,7 +316,7 @@ def test_networks_read_no_files_outside_their_folder(tmp_path: Path) -> None:
         if place == "inside.bin":
             Lpips(folder / "a.onnx")
             continue
-        with pytest.raises(FormatError, match=r"a\.onnx is no ONNX graph"):
+        with pytest.raises(FormatError, match=r"a\.onnx is not an ONNX graph"):
             Lpips(folder / "a.onnx")
 
 

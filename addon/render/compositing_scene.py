@@ -39,5 +39,5 @@ def is_rendered(ob: bpy.types.Object, found: bpy.types.LayerCollection) -> bool:
     """Whether a layer collection, or one inside it, shows an original object in renders."""
     if found.collection.hide_render:
         return False
-    holds = not found.exclude and found.collection.objects.get(ob.name) == ob
-    return holds or any(is_rendered(ob, child) for child in found.children)
+    listed = not found.exclude and found.collection.objects.get(ob.name) == ob
+    return listed or any(is_rendered(ob, child) for child in found.children)

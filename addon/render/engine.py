@@ -107,8 +107,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             return
         live = next((one for one in FALLBACKS if one.draws_live(context)), None)
         meshes = holdout_meshes.SHARED.of(depsgraph)
-        holds = bool(meshes) or any(one.holdout for one in placed)
-        stays = live is not None and not holds and live.stays(context)
+        has_holdouts = bool(meshes) or any(one.holdout for one in placed)
+        stays = live is not None and not has_holdouts and live.stays(context)
         over = not stays and any(one.covers_photos(context) for one in FALLBACKS)
         request = self._request(context, depsgraph, placed, meshes, over=over)
         status = ""

@@ -57,7 +57,7 @@ def read_transforms(config: DataConfig, *, photos_required: bool = True) -> Capt
 
     Raises:
         DatasetError: photos are missing.
-        FormatError: the file is no JSON, a key is missing or unusable, a camera model is unknown.
+        FormatError: the file is not JSON, a key is missing or unusable, a camera model is unknown.
     """
     path = find_transforms(config.source)
     if path is None:

@@ -147,9 +147,9 @@ class _Meta:
         try:
             content = parse_json(raw)
         except (ValueError, UnicodeDecodeError) as error:
-            raise _damaged(path, f"its {META} is no JSON ({error})") from error
+            raise _damaged(path, f"its {META} is not JSON ({error})") from error
         if not isinstance(content, dict):
-            raise _damaged(path, f"its {META} is no JSON object")
+            raise _damaged(path, f"its {META} is not a JSON object")
         self._content = content
         version = content.get("version")
         if version != 2 or isinstance(version, bool):

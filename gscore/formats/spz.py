@@ -78,7 +78,7 @@ def decode_spz(path: Path, raw: bytes | memoryview) -> Decoded:
     """Decode the bytes of an SPZ file; `path` is for messages.
 
     Raises:
-        FormatError: they are no SPZ, of an unknown version, or damaged.
+        FormatError: they are not SPZ, of an unknown version, or damaged.
         BackendError: version 4 without the package zstandard.
     """
     if bytes(raw[:2]) == b"\x1f\x8b":

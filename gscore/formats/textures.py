@@ -95,7 +95,7 @@ def _stated_size(what: str, raw: bytes) -> tuple[int, int]:
             return _webp_size(raw)
     except struct.error:
         pass
-    raise FormatError(f"{what} is no WebP and no PNG, or is cut short. Copy or export it again.")
+    raise FormatError(f"{what} is neither WebP nor PNG, or is cut short. Copy or export it again.")
 
 
 def _webp_size(raw: bytes) -> tuple[int, int]:

@@ -25,8 +25,8 @@ class CaptureFacts:
     kind: str = ""
     """`COLMAP`, `transforms.json`, `video`, or a `ProgramFile.program`; empty: no capture."""
     bare: str = ""
-    """`photos` or `a video` without cameras, for SfM; empty: there are cameras, or it is no
-    source."""
+    """`photos` or `a video` without cameras, for SfM; empty: there are cameras, or no
+    photos."""
     model: Path | None = None
     """Folder of the COLMAP model, or the file of the cameras; None for videos."""
     photos: int = 0

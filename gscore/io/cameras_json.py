@@ -54,7 +54,7 @@ def read_cameras_json(path: str | Path) -> Cameras:
 
     Raises:
         DatasetError: the file is missing.
-        FormatError: it is no JSON, or an entry lacks a key or has numbers of the wrong shape.
+        FormatError: it is not JSON, or an entry lacks a key or has numbers of the wrong shape.
     """
     path = Path(path)
     try:

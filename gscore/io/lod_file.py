@@ -138,7 +138,7 @@ def open_lod_file(path: str | Path) -> LodFile:
 
     Raises:
         DatasetError: the file is missing or cannot be read.
-        FormatError: it is no LOD file, truncated or damaged.
+        FormatError: it is not an LOD file, truncated or damaged.
     """
     path = Path(path)
     try:

@@ -20,7 +20,7 @@ def read_xml(path: Path) -> Element:
 
     Raises:
         DatasetError: the file is missing.
-        FormatError: it is no XML, or has a document type.
+        FormatError: it is not XML, or has a document type.
     """
     raw = read_bytes(path)
     wide = raw.startswith((BOM_UTF16_LE, BOM_UTF16_BE))

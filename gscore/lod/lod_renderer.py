@@ -30,7 +30,7 @@ class LodModel:
 
         Raises:
             DatasetError: it is missing or cannot be read.
-            FormatError: it is no LOD file, truncated or damaged.
+            FormatError: it is not an LOD file, truncated or damaged.
         """
         self._file = open_lod_file(path)
         self._room = max(int(level.counts.max()) for level in self.index.levels)

@@ -37,7 +37,7 @@ def read_lod(
 
     Raises:
         DatasetError: the file is missing or cannot be read.
-        FormatError: it is no LOD file, truncated or damaged.
+        FormatError: it is not an LOD file, truncated or damaged.
         ConfigError: there is no such level.
     """
     with open_lod_file(path) as file:

@@ -46,7 +46,9 @@ class Lpips:
                 str(path), options, providers=["CPUExecutionProvider"]
             )
         except Exception as error:  # onnxruntime has no common base for its errors
-            raise FormatError(f"{path} is no ONNX graph onnxruntime can load: {error}") from error
+            raise FormatError(
+                f"{path} is not an ONNX graph that onnxruntime can load: {error}"
+            ) from error
         inputs = [i.name for i in self._session.get_inputs()]
         if len(inputs) != 2:
             raise FormatError(f"{path} must take two pictures, got the inputs {inputs}.")

@@ -90,7 +90,7 @@ def test_a_file_the_user_named_must_work(tmp_path):
         find_lpips(tmp_path / "missing.onnx")
     broken = tmp_path / "lpips_broken.onnx"
     broken.write_bytes(b"this is no graph")
-    with pytest.raises(FormatError, match=r"lpips_broken\.onnx is no ONNX graph"):
+    with pytest.raises(FormatError, match=r"lpips_broken\.onnx is not an ONNX graph"):
         find_lpips(broken)
 
 

@@ -27,7 +27,7 @@ def read_neus2(
 
     Raises:
         DatasetError: photos are missing.
-        FormatError: the file is no JSON, or a key is missing or unusable.
+        FormatError: the file is not JSON, or a key is missing or unusable.
     """
     root = path.parent.parent if path.parent.name in ("train", "test") else path.parent
     files = [root / place / path.name for place in ("", "train", "test")]
@@ -56,7 +56,7 @@ def read_ngp(
 
     Raises:
         DatasetError: a file or photos are missing.
-        FormatError: a file is no JSON, a key is missing or unusable, a camera model is unknown.
+        FormatError: a file is not JSON, a key is missing or unusable, a camera model is unknown.
     """
     views: dict[str, View] = {}
     test: set[str] = set()

@@ -39,7 +39,7 @@ def read_elements(path: Path) -> dict[str, np.ndarray]:
 
     Raises:
         DatasetError: the file is missing or cannot be opened.
-        FormatError: it is no PLY file, or truncated or corrupt.
+        FormatError: it is not a PLY file, or truncated or corrupt.
     """
     header, end = _check_header(path)
     try:
@@ -131,7 +131,7 @@ class _PlainHeader(io.BufferedReader):
 
 
 def _check_header(path: Path) -> tuple[bytes, int]:
-    """Refuse files that are no PLY, and row counts too large for the file, before allocating.
+    """Refuse files that are not PLY, and row counts too large for the file, before allocating.
 
     Returns:
         The header without a byte order mark, and the offset of its end in the file.
