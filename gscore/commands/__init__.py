@@ -27,6 +27,7 @@ from .terminal.display import JsonLines
 from .terminal.interrupt import Interrupt, interrupts
 from .terminal.status import show_while, wrapped
 from .terminal.streams import safe_streams
+from .terminal.torchrun_launch import is_worker
 
 VERBS = {
     "frames": "choose sharp frames of a video for a folder of photos",
@@ -116,7 +117,8 @@ def dashed(arguments: Sequence[str]) -> list[str]:
 
 
 def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -> int:
-    sends_events = any(word.partition("=")[0] == "--events" for word in arguments)
+    has_events = any(word.partition("=")[0] == "--events" for word in arguments)
+    sends_events = has_events and not is_worker()
     try:
         _check_working_folder()
         wants_help = any(word in ("-h", "--help", "--quiet", "--events") for word in arguments)

@@ -178,6 +178,19 @@ def test_every_error_is_an_event(
     assert capsys.readouterr().out == ""
 
 
+def test_only_rank_0_sends_the_event_of_an_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the contract that rank 0 alone writes to stdout; all ranks report on stderr."""
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    line = ["train", "x", "-o", "y", "--iterations", "many", "--events", "jsonl"]
+    for rank, count in (("0", 1), ("1", 0)):
+        monkeypatch.setenv("RANK", rank)
+        assert commands.main(line) == 2
+        told = capsys.readouterr()
+        assert (told.out.count('"event": "error"'), told.err.count("invalid int")) == (count, 1)
+
+
 def test_a_missing_package_is_named_in_the_event(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
