@@ -53,7 +53,7 @@ FORMATS = {
     "INT16_2D": ("value", 2),
     "INT32_2D": ("value", 2),
 }
-"""The same for all attributes that survive deleting and joining points."""
+"""Key and width like `_KINDS`, of all attributes that survive deleting and joining points."""
 _BLOCK = 1 << 12
 """Splats rearranged per block."""
 SELECTION = ".select_vert"

@@ -273,7 +273,7 @@ def stated_masks(source: Path) -> dict[str, Path]:
 
 @lru_cache(maxsize=4)
 def _stated_masks(source: Path, stamps: tuple[int, ...]) -> dict[str, Path]:
-    """The same, cached, because reading a capture takes 0.2 ms a photo.
+    """`stated_masks`, cached, because reading a capture takes 0.2 ms a photo.
 
     Args:
         source: The capture.

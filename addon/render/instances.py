@@ -40,7 +40,7 @@ def instances_with_paths(
     depsgraph: bpy.types.Depsgraph,
     wanted: Callable[[bpy.types.Object], bool],
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray, Path]]:
-    """The same, each with its path."""
+    """Objects and matrices like `instances`, each with its path."""
     # Not through depsgraph.object_instances, which yields every ellipsoid of a display.
     return _instances(ob, depsgraph, wanted, matrix_to_numpy(ob.matrix_world), ())
 
