@@ -65,19 +65,16 @@ def _all(request: TrainRequest, lead: Lead, team: "ProcessGroup | None") -> int:
 
 
 def _all_in_turn(request: TrainRequest, team: "ProcessGroup", through: Callable[..., str]) -> None:
-    from ..trainer.distributed.consistency import check_ready
+    from ..trainer.distributed.consistency import all_ready
     from ..trainer.distributed.work_queue import WorkQueue
 
     shared = WorkQueue(team=team, output=request.output, agent=agent())
-    resume, blocks, failure = request.resume, [], None
-    try:
+    resume = request.resume
+    with all_ready(team):
         blocks = _found(request)
         if team.is_rank0:
             resume = resume or shared.has_started
             _check_room(request, blocks, resume=resume)
-    except GsError as error:
-        failure = error
-    check_ready(team, failure)
     shared.work(
         len(blocks),
         lambda turns, resume: through((blocks[turn] for turn in turns), resume=resume),

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from ..control import Control
-from ..errors import ConfigError, GsError
+from ..errors import ConfigError
 from ..events import Show, Warn
 from ..io.output_paths import check_output_path
 from ..io.sequences import SEQUENCE_FILE
@@ -88,22 +88,16 @@ def _train(
     control: Control,
     team: "ProcessGroup | None",
 ) -> "SequenceResult":
-    from ..trainer.distributed.consistency import check_ready
+    from ..trainer.distributed.consistency import all_ready
     from ..trainer.sequence import read_options, train_sequence
 
-    failure, frame = None, request.data.get("frame")
-    try:
+    frame = request.data.get("frame")
+    with all_ready(team):
         _check(request, show, team)
         stored = read_options(request.output) if request.resume else None
         options = replace(stored or SequenceOptions(), **given)
         # Without `frame`, which would also be an option of each frame.
         data, config = request.without("frame").configs_with_messages(show)
-    except GsError as error:
-        if not team:
-            raise
-        failure = error
-    if team:
-        check_ready(team, failure)
     with viewer_clients_of(request.live, data.source, show) as viewers:
         return train_sequence(
             config,

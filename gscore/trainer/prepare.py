@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
 import torch
 
 from ..config import LIFTED_BY, DataConfig, TrainConfig
@@ -16,7 +15,6 @@ from ..datasets.dataset import Dataset
 from ..depth.maps import MapFolder
 from ..errors import BackendError, ConfigError
 from ..events import TOPICS, Decision, Event
-from ..formats import Decoded
 from ..io.block_record import read_block
 from ..splats import Splats
 from .analysis.analysis import Analysis
@@ -28,6 +26,7 @@ from .depth.stereo import StereoStart, stereo_start
 from .distributed.consistency import crc_of
 from .distributed.process_group import ProcessGroup
 from .guide.setup import GuideSetup, prepare_guide
+from .model.start_state import StartState
 from .model.training_frame import TrainingFrame
 from .region.region_box import RegionBox
 from .region.region_photos import RegionPhotos
@@ -103,12 +102,9 @@ class Prepared:
 def prepare(
     config: TrainConfig,
     data: DataConfig,
+    start: StartState,
     *,
-    taken: int,
-    stereo: bool,
-    frame: Callable[[Dataset], TrainingFrame | None],
-    start: Decoded | None,
-    origin: np.ndarray | None,
+    check: Callable[[Dataset], None] = lambda photos: None,
     emit: Callable[[Event], None],
     control: Control,
     team: ProcessGroup | None = None,
@@ -118,12 +114,8 @@ def prepare(
     Args:
         config: Training options.
         data: Capture options.
-        taken: Steps that a resumed run has already taken.
-        stereo: Whether to compute start points by stereo.
-        frame: Returns the training frame for these photos, or None to fit a new one.
-        start: Start splats, COLMAP world.
-        origin: Local origin of the resumed run, as `load_dataset` takes it; None: that of `start`
-            if it has one, so that consecutive models share their origin.
+        start: What the run starts from.
+        check: Called with the capture before its photos are read; may raise.
         emit: Receives progress events.
         control: Cancels the preparation.
         team: Process group of a distributed training; None: one process.
@@ -132,7 +124,7 @@ def prepare(
         GsError: the capture or the maps cannot be used, or memory is too small.
         Cancelled: `control` requested a stop.
     """
-    photos, region, splats = _read(config, data, start, origin, control, team)
+    photos, region, splats = _read(config, data, start, control, team)
     requested, given = config, photos.scene.points.given
     limited = partial(
         cap_by_photos,
@@ -140,10 +132,11 @@ def prepare(
         photos=len(photos.train),
         points=given,
         mask_mode=photos.mask_mode,
-        taken=taken,
+        taken=start.taken,
     )
     config, caps = limited()
-    resumed = frame(photos)
+    check(photos)
+    resumed = start.training_frame
     if data.depths:
         MapFolder(photos.source / data.depths)  # raises for a missing folder
     photo_cache, facts = load_photos(
@@ -163,7 +156,7 @@ def prepare(
         guide = prepare_guide(config, photos, facts.tracks, on_progress=progress("guide meshes"))
         points = photos.scene.points if depth.points is None else depth.points
         added = StereoStart()
-        if stereo:
+        if start.stereo:
             added = stereo_start(config, photos, points, on_view=progress("depth of photos"))
             config, caps = limited(known=added.known, compared=True)
         analysis = Analysis(
@@ -177,7 +170,7 @@ def prepare(
             guide=guide,
             region=region,
             # Start splats already cover the surroundings of a cell; merging blocks drops those.
-            block=read_block(photos.source) if start is not None and region is None else None,
+            block=read_block(photos.source) if splats is not None and region is None else None,
             photo_cache=photo_cache,
         )
         exposure, pose_check = decide_exposure(config, analysis), check_poses(config, analysis)
@@ -199,8 +192,7 @@ def prepare(
 def _read(
     config: TrainConfig,
     data: DataConfig,
-    start: Decoded | None,
-    origin: np.ndarray | None,
+    start: StartState,
     control: Control,
     team: ProcessGroup | None,
 ) -> tuple[Dataset, RegionBox | None, Splats | None]:
@@ -210,14 +202,13 @@ def _read(
         raise ConfigError(
             "A region can only be trained by one process: start gscore train without torchrun."
         )
-    origin = start.origin if origin is None and start is not None else origin
-    photos = load_dataset(data, origin=origin, cancelled=lambda: control.stopping)
-    about = photos.scene.cameras.origin
-    splats = None if start is None else start.of_capture(about).about(about).splats
+    photos = load_dataset(data, origin=start.origin, cancelled=lambda: control.stopping)
+    about, given = photos.scene.cameras.origin, start.splats
+    splats = None if given is None else given.of_capture(about).about(about).splats
     if region is not None:
         region = region.about(about)
         near = TrainingFrame.of(photos.scene, near=config.near).world_near
-        photos = RegionPhotos(photos, region, near=near, narrow=start is None)
+        photos = RegionPhotos(photos, region, near=near, narrow=splats is None)
     return photos, region, splats
 
 

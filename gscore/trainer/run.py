@@ -13,14 +13,14 @@ from ..io.runs import AGENT
 from ..live.viewer_clients import ViewerClients
 from ..metrics import find_lpips, lpips_warnings
 from .distributed import rank_commands
-from .distributed.consistency import check_equal, check_ready
+from .distributed.consistency import all_ready, check_equal
 from .distributed.process_group import ProcessGroup, RankLostError
 from .files.run_folder import RunFolder, open_folder
 from .files.run_result import TrainResult
 from .host.isolated_state import isolated_torch_state
 from .host.malloc import mmap_large_blocks
 from .preflight import check_training
-from .prepare import Prepared, prepare, readable_memory_errors
+from .prepare import prepare, readable_memory_errors
 from .run_start import RunStart
 from .session import Session
 
@@ -75,9 +75,20 @@ def train(
             return beginning.ended
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
         if team:
-            order = rank_commands.begin(beginning.facts(), to_dict(beginning.config), to_dict(data))
+            order = rank_commands.begin(beginning.state, to_dict(beginning.config), to_dict(data))
             team.broadcast(order)
-        found = _prepared(beginning, data, emit, control, team)
+        with all_ready(team):
+            found = prepare(
+                beginning.config,
+                data,
+                beginning.state,
+                check=beginning.check,
+                emit=emit,
+                control=control,
+                team=team,
+            )
+        if team:
+            check_equal(team, found.facts())
         with readable_memory_errors():
             session = Session(
                 found,
@@ -110,40 +121,6 @@ def train(
                     team.note_end()
                 end(result)
                 return result
-
-
-def _prepared(
-    beginning: RunStart,
-    data: DataConfig,
-    emit: Callable[[Event], None],
-    control: Control,
-    team: ProcessGroup | None,
-) -> Prepared:
-    """Prepare the trainer, and check on all ranks that theirs are equal."""
-    found, failure = None, None
-    try:
-        found = prepare(
-            beginning.config,
-            data,
-            taken=beginning.taken,
-            stereo=beginning.wants_stereo,
-            frame=beginning.frame,
-            start=beginning.splats,
-            origin=beginning.origin,
-            emit=emit,
-            control=control,
-            team=team,
-        )
-    except Exception as error:
-        if team is None:
-            raise
-        failure = error
-    if team:
-        check_ready(team, failure)
-    assert found is not None
-    if team:
-        check_equal(team, found.facts())
-    return found
 
 
 @contextmanager

@@ -1,22 +1,21 @@
 """Run start: from points, start splats, a checkpoint, or a run that is already complete."""
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from ..config import DataConfig, TrainConfig, limited_as, unlimited
 from ..config_file import differences, load_config
 from ..errors import ConfigError, FormatError, GsError
-from ..formats import Decoded, read_decoded
+from ..formats import read_decoded
 from ..option_marks import mark_option
 from .files import checkpoint
 from .files.checkpoint import Checkpoint
 from .files.run_folder import RunFolder
 from .files.run_result import TrainResult, finished_run
 from .model.checkpoint_schema import as_int_dict
-from .model.training_frame import TrainingFrame, checkpoint_origin
+from .model.start_state import StartState
+from .model.training_frame import TrainingFrame
 from .photos.view_sampler import Photos
 from .session import Session
 from .trainer import Trainer
@@ -67,59 +66,18 @@ class RunStart:
         """The options before caps by the number of photos."""
         self.ended = self._end()
         """Result of a run that is already complete; None: steps are left."""
-        self.splats: Decoded | None = None
-        """Start splats, COLMAP world, until `resume`."""
-        if config.start_splats is not None and self.ended is None:
-            self.splats = read_decoded(config.start_splats)
+        self.state = self._state()
+        """State of the checkpoint, and start splats until `resume`."""
 
-    @property
-    def resumes(self) -> bool:
-        """True if the run resumes from a checkpoint."""
-        return self._checkpoint is not None
-
-    @property
-    def taken(self) -> int:
-        """Steps of the checkpoint; 0 without one."""
-        return 0 if self._checkpoint is None else self._checkpoint.steps
-
-    @property
-    def origin(self) -> np.ndarray | None:
-        """Local origin of the checkpoint, zeros if it has none; None: no checkpoint."""
-        found = self._checkpoint
-        if found is None:
-            return None
-        with checkpoint.checkpoint_errors(found.path):
-            return checkpoint_origin(found.trainer["frame"])
-
-    @property
-    def wants_stereo(self) -> bool:
-        """Whether to compute stereo points; a resumed run does so only if it started with them."""
-        found = self._checkpoint
-        return found is None or bool(found.session.get("stereo"))
-
-    def facts(self) -> dict[str, Any]:
-        """Values that worker ranks need for the same start, as JSON values."""
-        found = self._checkpoint
-        return {
-            "taken": self.taken,
-            "stereo": self.wants_stereo,
-            "frame": None if found is None else found.trainer.get("frame"),
-        }
-
-    def frame(self, photos: Photos) -> TrainingFrame | None:
-        """The training frame of the checkpoint; None: no checkpoint.
+    def check(self, photos: Photos) -> None:
+        """Check the capture against the checkpoint, if any.
 
         Raises:
-            ConfigError: the checkpoint has other photos, or other options that must not change.
-            FormatError: it has no valid frame.
+            ConfigError: it has other photos, or other options that must not change.
         """
-        found = self._checkpoint
-        if found is None:
-            return None
-        changed = self._other_capture_options() if self._resumes else []
-        checkpoint.check_compatible(found, self._config, photos, changed=changed)
-        with checkpoint.checkpoint_errors(found.path):
-            return TrainingFrame.from_dict(found.trainer["frame"])
+        if self._checkpoint is not None:
+            changed = self._other_capture_options() if self._resumes else []
+            checkpoint.check_compatible(self._checkpoint, self._config, photos, changed=changed)
 
     def resume(self, trainer: Trainer, session: Session) -> None:
         """Restore trainer and session from the checkpoint, and release the data that was read.
@@ -129,7 +87,7 @@ class RunStart:
             FormatError: it has invalid values.
             GsError: a damaged checkpoint cannot be renamed.
         """
-        self.splats = None  # as large as the parameters
+        self.state = replace(self.state, splats=None)  # as large as the parameters
         found = self._checkpoint
         if found is None:
             return
@@ -146,6 +104,19 @@ class RunStart:
             session.warn(text, "no_effect")
         for path in self._damaged:
             session.warn(_rename_damaged(path, found.steps), "damaged_checkpoint")
+
+    def _state(self) -> StartState:
+        splats, found = None, self._checkpoint
+        if self._config.start_splats is not None and self.ended is None:
+            splats = read_decoded(self._config.start_splats)
+        if found is None:
+            return StartState(splats=splats)
+        with checkpoint.checkpoint_errors(found.path):
+            frame = found.trainer["frame"]
+            TrainingFrame.from_dict(frame)
+            # A resumed run computes stereo points only if it started with them.
+            stereo = bool(found.session.get("stereo"))
+            return StartState(taken=found.steps, stereo=stereo, frame=frame, splats=splats)
 
     def _last(self) -> Checkpoint | None:
         """The last intact checkpoint of the folder; later, damaged ones are recorded."""

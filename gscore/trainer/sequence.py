@@ -18,7 +18,7 @@ from ..io.sequences import FRAME_FOLDER, SEQUENCE_FILE, read_sequence
 from ..live.viewer_clients import ViewerClients
 from ..sequence_options import SequenceOptions
 from ..text_format import count_words
-from .distributed.consistency import check_ready
+from .distributed.consistency import all_ready
 from .distributed.process_group import ProcessGroup
 from .distributed.work_queue import WorkQueue
 from .files.run_folder import RunFolder
@@ -297,19 +297,14 @@ def _train_distributed(
     agent: str,
 ) -> SequenceResult:
     """Train runs of frames in turn with the other ranks until none is left."""
-    sequence, idle, failure = None, "", None
     shared = WorkQueue(team=team, output=output, agent=agent)
-    try:
+    with all_ready(team):
         sequence = opened(team.is_rank0)
         idle = check_shareable(sequence.runs, team.size)
         if team.is_rank0:
             begun = shared.has_started
             resume, overwrite = resume or begun, overwrite and not begun
             _open(output, resume=resume, overwrite=overwrite, ours=begun)
-    except Exception as error:
-        failure = error
-    check_ready(team, failure)
-    assert sequence is not None
     if idle:
         sequence.warn(idle)
     runs, through = sequence.runs, sequence.through

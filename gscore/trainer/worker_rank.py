@@ -1,5 +1,6 @@
 """Worker ranks: all but rank 0 run rank 0's commands, and write and report nothing."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +9,11 @@ from ..config_file import from_dict
 from ..control import Control
 from ..formats import read_decoded
 from .distributed import rank_commands
-from .distributed.consistency import check_equal, check_ready
+from .distributed.consistency import all_ready, check_equal
 from .distributed.process_group import ProcessGroup
 from .host.isolated_state import isolated_torch_state
 from .host.malloc import mmap_large_blocks
-from .model.training_frame import TrainingFrame, checkpoint_origin
+from .model.start_state import StartState
 from .prepare import Prepared, prepare, readable_memory_errors
 from .trainer import Trainer
 
@@ -37,31 +38,20 @@ def run_worker(team: ProcessGroup, source: Path | None) -> bool:
     if order["do"] == rank_commands.END:
         return not order["failed"]
     with isolated_torch_state(), readable_memory_errors():
-        found, failure = None, None
-        try:
+        with all_ready(team):
             found = _prepared(order, team, source)
-        except Exception as error:
-            failure = error
-        check_ready(team, failure)
-        assert found is not None
         check_equal(team, found.facts())
         return _run_commands(team, found.trainer)
 
 
 def _prepared(order: dict[str, Any], team: ProcessGroup, source: Path | None) -> Prepared:
     data = from_dict(DataConfig, order["data"], where=_WHERE)
-    if source is not None:
-        data = from_dict(DataConfig, order["data"] | {"source": str(source)}, where=_WHERE)
-    config, facts = from_dict(TrainConfig, order["config"], where=_WHERE), order["facts"]
-    frame = None if facts["frame"] is None else TrainingFrame.from_dict(facts["frame"])
+    config = from_dict(TrainConfig, order["config"], where=_WHERE)
+    splats = None if config.start_splats is None else read_decoded(config.start_splats)
     return prepare(
         config,
-        data,
-        taken=facts["taken"],
-        stereo=facts["stereo"],
-        frame=lambda photos: frame,
-        start=None if config.start_splats is None else read_decoded(config.start_splats),
-        origin=None if facts["frame"] is None else checkpoint_origin(facts["frame"]),
+        data if source is None else replace(data, source=source),
+        StartState(**order["facts"], splats=splats),
         emit=lambda event: None,
         control=Control(),
         team=team,

@@ -2,7 +2,8 @@
 
 import json
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -45,17 +46,23 @@ def check_equal(team: ProcessGroup, mine: Mapping[str, Any]) -> None:
                 )
 
 
-def check_ready(team: ProcessGroup, error: Exception | None) -> None:
-    """Check that all ranks are ready for the first step.
-
-    Args:
-        team: Process group; all ranks must call this.
-        error: Failure of this rank; None: ready.
+@contextmanager
+def all_ready(team: ProcessGroup | None) -> Iterator[None]:
+    """Context that all ranks enter, and that fails on all of them if it fails on one.
 
     Raises:
         DatasetError: another rank failed; names the first one.
-        Exception: `error`.
+        Exception: the error of this rank.
     """
+    error = None
+    try:
+        yield
+    except Exception as failure:
+        if team is None:
+            raise
+        error = failure
+    if team is None:
+        return
     all_facts = _all_facts(
         team, {"error": "" if error is None else str(error) or type(error).__name__}
     )

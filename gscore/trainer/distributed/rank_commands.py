@@ -2,12 +2,15 @@
 
 from typing import Any
 
+from ..model.start_state import StartState
+
 BEGIN, STEP, RESTORE, END = "begin", "step", "restore", "end"
 COLLECT = "collect"
 
 
-def begin(facts: dict[str, Any], config: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
-    """Read the photos and create a trainer with these options, for a run with these facts."""
+def begin(start: StartState, config: dict[str, Any], data: dict[str, Any]) -> dict[str, Any]:
+    """Read the photos and the start splats of these options, and create a trainer."""
+    facts = {"taken": start.taken, "stereo": start.stereo, "frame": start.frame}
     return {"do": BEGIN, "facts": facts, "config": config, "data": data}
 
 

@@ -12,7 +12,7 @@ from ...events import FINISHED
 from ...io.files import atomic_write
 from ...io.runs import AGENT
 from ...quoting import brief
-from .consistency import check_ready
+from .consistency import all_ready
 from .process_group import ProcessGroup, restarted
 
 _PATIENCE = 10.0
@@ -75,7 +75,9 @@ class WorkQueue:
                 close()
             except GsError as error:
                 failure = failure or error
-            check_ready(team, failure)
+            with all_ready(team):
+                if failure is not None:
+                    raise failure
             if team.is_rank0 and all(each == FINISHED for each in reasons):
                 team.note_end()
             keep.ended = True
@@ -88,13 +90,10 @@ class WorkQueue:
     @contextmanager
     def _kept(self) -> Iterator["_Keep"]:
         """Keep the torchrun identifier in the folder until the work has ended or left no files."""
-        keep, failure = _Keep(), None
-        try:
+        keep = _Keep()
+        with all_ready(self.team):
             if self.team.is_rank0:
                 atomic_write(self.output / AGENT, self.agent.encode())
-        except GsError as error:
-            failure = error
-        check_ready(self.team, failure)
         try:
             yield keep
         finally:
@@ -106,14 +105,14 @@ class WorkQueue:
 
     def _check_folder(self) -> None:
         """Raise ConfigError naming a rank that cannot read the folder of rank 0."""
-        agents, failure = self.team.texts(self.agent), None
-        if not self._appears(agents[0]):
-            failure = ConfigError(
-                f"{brief(self.output)} is not the folder in which rank 0 writes. All ranks need "
-                "one shared folder for the results, such as a network folder. Without one, run "
-                "the parts one by one with `--frame` or `--block`."
-            )
-        check_ready(self.team, failure)
+        agents = self.team.texts(self.agent)
+        with all_ready(self.team):
+            if not self._appears(agents[0]):
+                raise ConfigError(
+                    f"{brief(self.output)} is not the folder in which rank 0 writes. All ranks "
+                    "need one shared folder for the results, such as a network folder. Without "
+                    "one, run the parts one by one with `--frame` or `--block`."
+                )
 
     def _appears(self, agent: str) -> bool:
         end = time.monotonic() + _PATIENCE
