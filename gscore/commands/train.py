@@ -122,24 +122,25 @@ def run(args: argparse.Namespace) -> int:
 
 def _run(request: TrainRequest, team: "ProcessGroup | None") -> int:
     shown = request.shown
-    result, code = run_job(
+    done, code = run_job(
         shown,
         lambda show, control: _train(request, show, control, team),
         stopped=lambda: _stopped(request.output),
     )
-    if result is None:
+    if done is None:
         return code
+    result, config = done
     if shown.json:
         numbers = result.headline | {"reason": result.reason, "output": str(request.output)}
         print_json(numbers)
     elif not shown.is_silent:
-        print(wrapped(_summary(result, request.configs()[1]), sys.stdout))
+        print(wrapped(_summary(result, config), sys.stdout))
     return code
 
 
 def _train(
     request: TrainRequest, show: Show, control: Control, team: "ProcessGroup | None"
-) -> "TrainResult":
+) -> tuple["TrainResult", TrainConfig]:
     data, config = request.configs_with_messages(show)
     from ..trainer.files.option_files import check_option_files
     from ..trainer.files.run_folder import check_writable
@@ -167,7 +168,7 @@ def _train(
         threads=config.threads,
     )
     with viewer_clients_of(request.live, data.source, show, after_the_end=True) as viewers:
-        return train(
+        result = train(
             config,
             data,
             output,
@@ -180,6 +181,7 @@ def _train(
             team=team,
             agent=agent(),
         )
+    return result, config
 
 
 def _stopped(output: Path) -> str:

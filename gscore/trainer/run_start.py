@@ -91,9 +91,7 @@ class RunStart:
         found = self._checkpoint
         if found is None:
             return
-        checkpoint.check_same_depth(found, trainer)
-        checkpoint.check_same_region(found, trainer)
-        checkpoint.check_same_guide(found, trainer)
+        checkpoint.check_same_inputs(found, trainer)
         with checkpoint.checkpoint_errors(found.path):
             trainer.restore(found.trainer, found.tensors)
             session.restore(found.session)

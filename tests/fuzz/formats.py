@@ -396,7 +396,7 @@ def _read_checkpoint(root: Path) -> None:
     with checkpoint.checkpoint_errors(found.path):
         frame = TrainingFrame.from_dict(found.trainer["frame"])
     trainer = Trainer(_TRAIN, Analysis(photos=_PHOTOS, frame=frame))
-    checkpoint.check_same_depth(found, trainer)
+    checkpoint.check_same_inputs(found, trainer)
     session = _session(trainer, root)
     with checkpoint.checkpoint_errors(found.path):
         trainer.restore(found.trainer, found.tensors)

@@ -14,18 +14,6 @@ _Idle = Callable[[Mapping[str, Any], DataConfig, TrainConfig], bool]
 _Rule = tuple[str, _Idle]
 
 
-def _no_depth(_: Mapping[str, Any], data: DataConfig, config: TrainConfig) -> bool:
-    return not data.depths or config.depth_mode is Switch.OFF
-
-
-def _no_bands(_: Mapping[str, Any], data: DataConfig, config: TrainConfig) -> bool:
-    return config.sh_degree == 0
-
-
-def _large_photos(_: Mapping[str, Any], data: DataConfig, config: TrainConfig) -> bool:
-    return Skip.SMALL_PHOTOS in config.without
-
-
 def _beyond(name: str) -> _Idle:
     """Predicate: all steps of an option come after the last step of the run."""
 
@@ -44,13 +32,19 @@ def _differs(name: str, value: Any) -> _Idle:
 _WHEN: dict[str, _Rule] = {
     "mcmc": ("only with `--strategy mcmc`", lambda a, d, c: c.strategy is not Strategy.MCMC),
     "default": ("not with `--strategy mcmc`", lambda a, d, c: c.strategy is Strategy.MCMC),
-    "depth": ("only with `--depths`, not with `--depth-mode off`", _no_depth),
+    "depth": (
+        "only with `--depths`, not with `--depth-mode off`",
+        lambda a, d, c: not d.depths or c.depth_mode is Switch.OFF,
+    ),
     "depth_maps": ("only with `--depths`", lambda a, d, c: not d.depths),
     "depth_on": ("not with `--depth-mode off`", lambda a, d, c: c.depth_mode is Switch.OFF),
     "poses": ("not with `--refine-poses off`", lambda a, d, c: c.refine_poses is Switch.OFF),
     "exposure": ("not with `--exposure off`", lambda a, d, c: c.exposure is Switch.OFF),
-    "bands": ("not with `--sh-degree 0`", _no_bands),
-    "small_photos": ("not with `--without small-photos`", _large_photos),
+    "bands": ("not with `--sh-degree 0`", lambda a, d, c: c.sh_degree == 0),
+    "small_photos": (
+        "not with `--without small-photos`",
+        lambda a, d, c: Skip.SMALL_PHOTOS in c.without,
+    ),
     "points": ("not with `--start-splats`", lambda a, d, c: c.start_splats is not None),
     "stereo": (
         "not with `--stereo off` or `--start-splats`",

@@ -80,10 +80,7 @@ def save(path: Path, trainer: Trainer, session: dict[str, Any]) -> None:
         "torch": torch.__version__,
         "isa": native_library.isa(),
         "config": to_dict(trainer.config),
-        "capture": fingerprint(trainer.photos)
-        | depth_fingerprint(trainer)
-        | region_fingerprint(trainer)
-        | guide_fingerprint(trainer),
+        "capture": fingerprint(trainer.photos) | inputs_fingerprint(trainer),
         "trainer": trainer.state(),
         "session": session,
     }
@@ -212,60 +209,41 @@ def isa_warning(checkpoint: Checkpoint) -> str | None:
     )
 
 
-def check_same_depth(checkpoint: Checkpoint, trainer: Trainer) -> None:
-    """Raise ConfigError unless `trainer` uses the depth maps of the checkpoint in its loss."""
-    was, now = checkpoint.capture.get(_DEPTHS), depth_fingerprint(trainer).get(_DEPTHS)
-    if was == now:
+def check_same_inputs(checkpoint: Checkpoint, trainer: Trainer) -> None:
+    """Raise ConfigError unless `trainer` uses the depth maps, the region with its frozen splats,
+    and the guide meshes of the checkpoint."""
+    capture, now = checkpoint.capture, inputs_fingerprint(trainer)
+    key = next((key for key in (_DEPTHS, _REGION, _GUIDE) if capture.get(key) != now.get(key)), "")
+    if not key:
         return
-    if now is None:
-        how = "with depth maps in the loss, this one has none"
-    elif was is None:
-        how = "without depth maps in the loss, this one has some"
-    else:
+    if key == _DEPTHS:
         how = "with other depth maps or another alignment of them"
+        if key not in now:
+            how = "with depth maps in the loss, this one has none"
+        elif capture.get(key) is None:
+            how = "without depth maps in the loss, this one has some"
+        reason = f"it was trained {how}. Use the same `--depths` and depth options"
+    elif key == _REGION:
+        given = [path for path in (trainer.config.region, trainer.config.start_splats) if path]
+        files = " and ".join(map(str, given)) or "its region"
+        reason = f"its region or its frozen splats differ. Restore {files}"
+    else:
+        reason = "its guide meshes differ. Restore those of `--guide-surface` and `--guide-free`"
     raise ConfigError(
-        f"{checkpoint.path} belongs to another run: it was trained {how}. Use the same `--depths` "
-        "and depth options, or start a new run in another folder."
+        f"{checkpoint.path} belongs to another run: {reason}, or start a new run in another folder."
     )
 
 
-def check_same_region(checkpoint: Checkpoint, trainer: Trainer) -> None:
-    """Raise ConfigError unless `trainer` has the region and frozen splats of the checkpoint."""
-    now = region_fingerprint(trainer).get(_REGION)
-    if checkpoint.capture.get(_REGION) != now:
-        given = [path for path in (trainer.config.region, trainer.config.start_splats) if path]
-        raise ConfigError(
-            f"{checkpoint.path} belongs to another run: its region or its frozen splats differ. "
-            f"Restore {' and '.join(map(str, given)) or 'its region'}, or start a new run in "
-            "another folder."
-        )
-
-
-def check_same_guide(checkpoint: Checkpoint, trainer: Trainer) -> None:
-    """Raise ConfigError unless `trainer` has the guide meshes of the checkpoint."""
-    if checkpoint.capture.get(_GUIDE) != guide_fingerprint(trainer).get(_GUIDE):
-        raise ConfigError(
-            f"{checkpoint.path} belongs to another run: its guide meshes differ. Restore those of "
-            "`--guide-surface` and `--guide-free`, or start a new run in another folder."
-        )
-
-
-def guide_fingerprint(trainer: Trainer) -> dict[str, str]:
-    """Short hash of the guide meshes; empty without any."""
-    return {_GUIDE: trainer.guide_digest} if trainer.guide_digest else {}
-
-
-def region_fingerprint(trainer: Trainer) -> dict[str, str]:
-    """Short hash of the region and its frozen splats; empty without a region."""
-    if trainer.region is None:
-        return {}
-    around = "" if trainer.frozen is None else trainer.frozen.content_hash()
-    return {_REGION: trainer.region.content_hash() + around}
-
-
-def depth_fingerprint(trainer: Trainer) -> dict[str, str]:
-    """Short hash of the depth maps in the loss; empty without any."""
-    return {} if trainer.depth is None else {_DEPTHS: trainer.depth.targets.content_hash()}
+def inputs_fingerprint(trainer: Trainer) -> dict[str, str]:
+    """Short hashes of the depth maps in the loss, the region with its frozen splats, and the guide
+    meshes; without those that are not used."""
+    found = {}
+    if trainer.depth is not None:
+        found[_DEPTHS] = trainer.depth.targets.content_hash()
+    if trainer.region is not None:
+        around = "" if trainer.frozen is None else trainer.frozen.content_hash()
+        found[_REGION] = trainer.region.content_hash() + around
+    return found | ({_GUIDE: trainer.guide_digest} if trainer.guide_digest else {})
 
 
 def fingerprint(photos: Photos) -> dict[str, Any]:

@@ -180,7 +180,7 @@ def test_resume_with_everything_on_is_bit_equal(
         found = checkpoint.load(tmp_path / f"{stop}.safetensors")
         checkpoint.check_compatible(found, config, masked)
         resumed = Trainer(config, Analysis(photos=masked, depth=targets))
-        checkpoint.check_same_depth(found, resumed)
+        checkpoint.check_same_inputs(found, resumed)
         resumed.restore(found.trainer, found.tensors)
         run(resumed, 60 - stop)
         assert bits(resumed) == bits(whole), f"resumed at step {stop}"
@@ -197,12 +197,12 @@ def test_other_depths_cannot_go_on(
     checkpoint.check_compatible(found, CONFIG, photos)
     other = DepthTargets(true_priors(photos, known_splats), train=photos.train, views=8)
     with pytest.raises(ConfigError, match="other depth maps"):
-        checkpoint.check_same_depth(found, Trainer(CONFIG, Analysis(photos=photos, depth=other)))
+        checkpoint.check_same_inputs(found, Trainer(CONFIG, Analysis(photos=photos, depth=other)))
     with pytest.raises(ConfigError, match="with depth maps"):
-        checkpoint.check_same_depth(found, Trainer(CONFIG, Analysis(photos=photos)))
+        checkpoint.check_same_inputs(found, Trainer(CONFIG, Analysis(photos=photos)))
     checkpoint.save(path, run(Trainer(CONFIG, Analysis(photos=photos)), 2), {})
     with pytest.raises(ConfigError, match="without depth maps"):
-        checkpoint.check_same_depth(
+        checkpoint.check_same_inputs(
             checkpoint.load(path), Trainer(CONFIG, Analysis(photos=photos, depth=targets))
         )
 

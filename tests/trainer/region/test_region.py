@@ -113,7 +113,7 @@ def test_a_region_goes_on_bit_by_bit(
             checkpoint.save(tmp_path / f"{step}", whole, {})
     for stop in (11, 34):
         found, resumed = checkpoint.load(tmp_path / f"{stop}"), made()
-        checkpoint.check_same_region(found, resumed)
+        checkpoint.check_same_inputs(found, resumed)
         resumed.restore(found.trainer, found.tensors)
         while resumed.steps < 60:
             resumed.step()
@@ -125,7 +125,7 @@ def test_a_region_goes_on_bit_by_bit(
         ),
     )
     with pytest.raises(ConfigError, match="its region or its frozen"):
-        checkpoint.check_same_region(found, moved)
+        checkpoint.check_same_inputs(found, moved)
 
 
 def test_a_run_of_a_region_resumes_from_its_folder(
