@@ -75,6 +75,8 @@ class BackgroundTask:
             self.problem, self.error = str(error) or type(error).__name__, error
 
 
+_IDLE = 10.0
+"""Seconds without requests after which a worker's thread ends."""
 RequestT = TypeVar("RequestT")
 AnswerT = TypeVar("AnswerT")
 
@@ -113,6 +115,12 @@ class Latest(Generic[RequestT, AnswerT]):
                 self._thread = threads.start(self._run, self._name, cancel=self.close)
             self._changed.notify()
 
+    def take(self) -> AnswerT | None:
+        """The answer since the last call, which is then released."""
+        with self._changed:
+            answer, self.answer = self.answer, None
+        return None if answer is None else answer[1]
+
     def close(self) -> None:
         """End the thread after its current request."""
         with self._changed:
@@ -123,13 +131,17 @@ class Latest(Generic[RequestT, AnswerT]):
         while True:
             with self._changed:
                 self.busy = self._request is not None
-                while self._request is None and not self._closed:
-                    self._changed.wait()
-                if self._closed:
+                self._changed.wait_for(lambda: self._request is not None or self._closed, _IDLE)
+                if self._request is None:
+                    self._thread = None
                     return
                 request, self._request = self._request, None
-            try:
-                self.answer, self.problem = (request, self._work(request)), ""
-            except (ValueError, MemoryError) as error:
-                self.answer, self.problem = None, str(error) or "Out of memory."
-            self.fresh = True
+            self._answer(request)
+
+    def _answer(self, request: RequestT) -> None:
+        try:
+            answer, problem = (request, self._work(request)), ""
+        except (ValueError, MemoryError) as error:
+            answer, problem = None, str(error) or "Out of memory."
+        with self._changed:
+            self.answer, self.problem, self.fresh = answer, problem, True

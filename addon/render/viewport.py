@@ -1,6 +1,5 @@
 """Viewport rendering: Rendered shading from pictures that a thread draws, shown when complete."""
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,7 +18,7 @@ from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Cancelled, GsError
 from ..interface.option_labels import error_words
 from ..interface.views import redraw_views
-from ..process import threads
+from ..process.background_task import Latest
 from . import picture
 from .holdout_meshes import HoldoutMesh, same_meshes
 from .model import Model, SplatCache
@@ -102,10 +101,9 @@ class ViewPainter:
 
     def __init__(self, cache: SplatCache) -> None:
         self._cache = cache
-        self._changed = threading.Condition()
+        self._worker: Latest[Request, None] = Latest(self._answer, "gscore-viewport")
         self._request: Request | None = None
         self._cancel = CancelFlag()
-        self._thread: threading.Thread | None = None
         self._factor = 1
         self.pixels: np.ndarray | None = None
         """The last finished picture, [H, W, 4], bottom row first."""
@@ -115,9 +113,12 @@ class ViewPainter:
         """Why there is no picture; empty: no problem."""
         self.fresh = False
         """Whether a picture was finished since this was last set to False."""
-        self.busy = False
-        """Whether a picture is being drawn."""
         self._finished: Request | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a picture is being drawn."""
+        return self._worker.busy
 
     def shows(self, request: Request) -> bool:
         """Whether `pixels` are the requested picture in full size."""
@@ -129,41 +130,27 @@ class ViewPainter:
         An earlier picture in full size is cancelled if it takes long. Its small picture is
         finished, because requests of a moving view come faster than pictures are drawn.
         """
-        with self._changed:
-            if request.same(self._request):
-                return
-            self._request, self.busy = request, True
-            if self._thread is None:
-                self._thread = threads.start(self._run, "gscore-viewport", cancel=self.close)
-            self._changed.notify()
+        if not request.same(self._request):
+            self._request = request
+            self._worker.submit(request)
 
     def close(self) -> None:
         """End the thread."""
-        with self._changed:
-            self._request, self._closed = None, True
-            self._cancel.set()
-            self._changed.notify()
+        self._request = None
+        self._cancel.set()
+        self._worker.close()
 
-    _closed = False
-
-    def _run(self) -> None:
-        done: Request | None = None
-        while True:
-            with self._changed:
-                self.busy = self._request is not None and self._request is not done
-                while self._request is done and not self._closed:
-                    self._changed.wait()
-                if self._closed:
-                    return
-                request, self._cancel = self._request, CancelFlag()
-            try:
-                self._paint(request)
-                done = request
-            except Cancelled:
-                self._factor = max(2, self._factor)
-            except (GsError, ValueError, MemoryError) as error:
-                self.problem = error_words(error) or "Out of memory."
-                self.pixels, done, self.fresh = None, request, True
+    def _answer(self, request: Request) -> None:
+        self._cancel = CancelFlag()  # a stopped picture has set the last one
+        if self._request is None:
+            return  # closed
+        try:
+            self._paint(request)
+        except Cancelled:
+            self._factor = max(2, self._factor)
+        except (GsError, ValueError, MemoryError) as error:
+            self.problem = error_words(error) or "Out of memory."
+            self.pixels, self.fresh = None, True
 
     def _paint(self, request: Request) -> None:
         """Draw at a small, quick size, then at full size."""

@@ -125,12 +125,12 @@ def _update_splats(job: Job, place: Place) -> bool:
     result = job.state.result
     if job.awaits_import and not job.result_requested and result is not None:
         job.result_requested = True
-        job.loader.request(result, final=True)
+        job.load(result, final=True)
     ob = place.holder.result
     if ob is not None and ob.mode != "OBJECT":
         return False  # wait while the user edits the object
     if job.filling is None:
-        loaded = job.take_loaded()
+        loaded = job.loader.take()
         if loaded is None:
             return False
         if loaded.problem:

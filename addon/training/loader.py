@@ -1,7 +1,5 @@
-"""Loader of splat files: reads and prepares them for Blender in a thread; no bpy."""
+"""Loading of splat files: reads and prepares them for Blender; no bpy."""
 
-import threading
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +10,6 @@ from .. import attributes
 from ..cameras import alignment
 from ..core import POSES_FILE, GsError, Splats, read_cameras, read_moves, read_splat_file
 from ..interface.option_labels import error_words
-from ..process import threads
 from .existing_run import content
 
 _GROUND_POINTS = 20_000
@@ -43,56 +40,15 @@ class Loaded:
     """Pose refinement of the run's cameras by image name, degrees and world units; of a result."""
 
 
-class Loader:
-    """Reads one file after the other; of pending snapshots only the latest is read."""
-
-    def __init__(self) -> None:
-        self._waiting: deque[tuple[Path, int, bool]] = deque(maxlen=1)
-        self._ready: deque[Loaded] = deque(maxlen=1)
-        self._lock = threading.Lock()
-        self._busy = False
-
-    @property
-    def busy(self) -> bool:
-        """True while a file is being read or is queued."""
-        with self._lock:
-            return self._busy
-
-    def request(self, path: Path, *, most: int = 0, final: bool = False) -> None:
-        """Read a splat file soon.
-
-        Args:
-            path: The PLY.
-            most: Maximum number of splats, sampled evenly and without view-dependent colour, for a
-                preview during training; 0: everything.
-            final: Returned in `Loaded.final`.
-        """
-        with self._lock:
-            self._waiting.append((path, most, final))
-            if self._busy:
-                return
-            self._busy = True
-        threads.start(self._work, "gscore-loader")
-
-    def take(self) -> Loaded | None:
-        """The latest file loaded since the last call."""
-        with self._lock:
-            return self._ready.popleft() if self._ready else None
-
-    def _work(self) -> None:
-        while True:
-            with self._lock:
-                if not self._waiting:
-                    self._busy = False
-                    return
-                path, most, final = self._waiting.popleft()
-            loaded = load(path, most=most, final=final)
-            with self._lock:
-                self._ready.append(loaded)
-
-
 def load(path: Path, *, most: int = 0, final: bool = False) -> Loaded:
-    """Read a splat file now; arguments as `Loader.request`."""
+    """Read a splat file.
+
+    Args:
+        path: The PLY.
+        most: Maximum number of splats, sampled evenly and without view-dependent colour, for a
+            preview during training; 0: everything.
+        final: Returned in `Loaded.final`.
+    """
     try:
         file = read_splat_file(path)
         splats = file.splats

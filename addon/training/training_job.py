@@ -4,14 +4,16 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..core import Snapshot, clear_run
 from ..process import threads
+from ..process.background_task import Latest
 from ..process.child_program import Process
 from . import run_state
-from .loader import Loaded, Loader
+from .loader import Loaded, load
 
 STOP_GRACE = 120.0
 """Seconds without output after which a stopping trainer is killed."""
@@ -62,7 +64,8 @@ class Job:
         """Seconds between two requested snapshots; 0: none."""
         self.live_most = 0
         """Maximum number of splats of a snapshot; 0: all."""
-        self.loader = Loader()
+        self.loader: Latest[Callable[[], Loaded], Loaded]
+        self.loader = Latest(lambda read: read(), "gscore-loader")
         self.awaits_import = False
         """True while the result is not shown yet."""
         self.result_requested = False
@@ -124,7 +127,7 @@ class Job:
             self.state.apply(event)
             if isinstance(event, Snapshot):
                 self._snapshot_pending = False
-                self.loader.request(Path(event.path), most=self.live_most)
+                self.load(Path(event.path), most=self.live_most)
         if self._process.ended and not self._clearing():
             self._end()
             return True
@@ -133,9 +136,9 @@ class Job:
         self._request_live()
         return changed
 
-    def take_loaded(self) -> Loaded | None:
-        """The snapshot or result loaded since the last call."""
-        return self.loader.take()
+    def load(self, path: Path, *, most: int = 0, final: bool = False) -> None:
+        """Read a splat file soon, instead of a waiting one; arguments as `loader.load`."""
+        self.loader.submit(partial(load, path, most=most, final=final))
 
     def pause(self) -> None:
         """Pause the trainer; it keeps its memory and uses no core."""
