@@ -16,7 +16,7 @@ from ..process.incremental_tasks import BUDGET, Check, Pieces, run_in_thread
 from . import objects as co
 from .capture_transform import origin_of
 from .export_transforms import transforms_text
-from .export_views import ExportView, Tracked, collect, in_file_coordinates
+from .export_views import ExportView, Tracked, in_file_coordinates
 
 CAMERAS, TRANSFORMS, NERFSTUDIO = "CAMERAS", "TRANSFORMS", "NERFSTUDIO"
 """File formats: cameras.json, transforms.json, nerfstudio's camera_path.json."""
@@ -91,7 +91,7 @@ def _some_frames(tracked: Tracked, numbers: Sequence[int]) -> list[ExportView]:
             scene.frame_set(number)
             # Not the context's, because the window may show another scene by now.
             graph = scene.view_layers[0].depsgraph
-            (view,) = collect(tracked.cameras, scene, tracked.root, graph, photos=False)
+            view = tracked.view(0, graph, photos=False)
             views.append(replace(view, name=f"frame_{number:06d}.png", photo=None))
             if time.perf_counter() > until:
                 break

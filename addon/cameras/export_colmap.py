@@ -3,12 +3,10 @@
 Unmoved cameras keep their observations; those of moved cameras would be wrong.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import bpy
 import numpy as np
 
 from ..core import (
@@ -24,26 +22,17 @@ from ..core import (
 from ..interface.option_labels import error_words
 from ..process.incremental_tasks import Check, Pieces, run_in_thread
 from .export_sources import ExportInputs, points_to_export, reading_inputs
-from .export_views import Exported, ExportView, Graph, all_or_none, kept_lenses
+from .export_views import Exported, ExportView, Tracked, all_or_none, kept_lenses
 
 
 def exporting_colmap(
-    path: str | Path,
-    cameras: Sequence[bpy.types.Object],
-    scene: bpy.types.Scene,
-    *,
-    root: bpy.types.Object | None,
-    depsgraph: Graph,
-    binary: bool = True,
+    path: str | Path, tracked: Tracked, *, binary: bool = True
 ) -> Pieces[Exported]:
     """Write cameras and points into `path`/sparse/0; photos are not copied.
 
     Args:
         path: Folder of the new capture.
-        cameras: Cameras of photos, or other perspective cameras.
-        scene: Defines resolution and pixel aspect of cameras without a photo.
-        root: A capture's empty: its world is written, with its points; None: Blender's world.
-        depsgraph: Source of the animated poses.
+        tracked: The cameras.
         binary: `.bin` rather than `.txt` files.
 
     Raises:
@@ -52,7 +41,7 @@ def exporting_colmap(
             file.
     """
     folder = Path(path) / "sparse" / "0"
-    inputs = yield from reading_inputs(cameras, scene, root, depsgraph)
+    inputs = yield from reading_inputs(tracked)
     write = partial(_write, folder, inputs, binary)
     return (yield from run_in_thread(write, f"Writing {folder}"))
 

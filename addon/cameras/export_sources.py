@@ -1,7 +1,6 @@
 """Export sources: the captures behind an export, with the points of their files and of Blender."""
 
 import contextlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +24,7 @@ from ..process.incremental_tasks import Pieces, run_in_thread
 from . import objects as co
 from . import sfm_points
 from .capture_transform import origin_of
-from .export_views import ExportView, Graph, collecting
+from .export_views import ExportView, Tracked, collecting
 
 UNKNOWN_ERROR = -1.0
 """Reprojection error of a point without a COLMAP model, pixels."""
@@ -96,16 +95,12 @@ class ExportInputs:
     """[3] local origin of views and points; None: there is none."""
 
 
-def reading_inputs(
-    cameras: Sequence[bpy.types.Object],
-    scene: bpy.types.Scene,
-    root: bpy.types.Object | None,
-    depsgraph: Graph,
-) -> Pieces[ExportInputs]:
-    """Read the inputs; arguments and errors as `collecting` and `reading_points`."""
+def reading_inputs(tracked: Tracked) -> Pieces[ExportInputs]:
+    """Read the inputs; errors as `collecting` and `reading_points`."""
+    root = tracked.root
     source, captures, origin = source_of(root), known_captures(), origin_of(root)
     uid = None if root is None else root.session_uid
-    views = yield from collecting(cameras, scene, root, depsgraph)
+    views = yield from collecting(tracked)
     capture_points = yield from reading_points(uid)
     return ExportInputs(
         views=views, capture_points=capture_points, source=source, captures=captures, origin=origin

@@ -7,14 +7,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import bpy
 import numpy as np
 
 from ..core import ColmapPoints, atomic_write, offset_between
 from ..process.incremental_tasks import Check, Pieces, run_in_thread
 from . import camera_math as cm
 from .export_sources import ExportInputs, points_to_export, reading_inputs
-from .export_views import Exported, ExportView, Graph, all_or_none, in_file_coordinates, kept_lenses
+from .export_views import (
+    Exported,
+    ExportView,
+    Tracked,
+    all_or_none,
+    in_file_coordinates,
+    kept_lenses,
+)
 
 POINTS = "sparse_pc.ply"
 """nerfstudio's file name of the points."""
@@ -24,29 +30,19 @@ _UNUSED = frozenset({"k4", "k5", "k6"})
 """Parameters of FULL_OPENCV without an agreed meaning in transforms.json."""
 
 
-def exporting_transforms(
-    path: str | Path,
-    cameras: Sequence[bpy.types.Object],
-    scene: bpy.types.Scene,
-    *,
-    root: bpy.types.Object | None,
-    depsgraph: Graph,
-) -> Pieces[Exported]:
+def exporting_transforms(path: str | Path, tracked: Tracked) -> Pieces[Exported]:
     """Write a transforms.json of nerfstudio: camera to world, OpenGL axes; photos are not copied.
 
     Args:
         path: The file to write.
-        cameras: As for `exporting_colmap`, like the following.
-        scene: Defines resolution and pixel aspect of cameras without a photo.
-        root: A capture's empty; None: Blender's world.
-        depsgraph: Source of the animated poses.
+        tracked: The cameras.
 
     Raises:
         GsError: a file cannot be written.
         ValueError: a camera cannot be written, or the file belongs to a capture of the open file.
     """
     path = Path(path)
-    inputs = yield from reading_inputs(cameras, scene, root, depsgraph)
+    inputs = yield from reading_inputs(tracked)
     write = partial(_write, path, inputs)
     return (yield from run_in_thread(write, f"Writing {path}"))
 

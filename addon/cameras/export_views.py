@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core import ColmapCamera, file_errors, moved_viewmats, offset_between
 from ..interface.blocks import first_few
-from ..process.incremental_tasks import BUDGET, Check, Pieces, run_blocking
+from ..process.incremental_tasks import BUDGET, Check, Pieces
 from . import camera_math as cm
 from . import objects as co
 from .undistorted_photos import lens_of
@@ -55,69 +55,34 @@ class Exported:
     """Warnings for the user."""
 
 
-Graph = Callable[[], bpy.types.Depsgraph | None]
-"""Source of the current animated poses."""
-
-
-def collect(
-    cameras: Sequence[bpy.types.Object],
-    scene: bpy.types.Scene,
-    root: bpy.types.Object | None,
-    depsgraph: bpy.types.Depsgraph | None = None,
-    *,
-    photos: bool = True,
-) -> list[ExportView]:
-    """`collecting` in one call."""
-    return run_blocking(collecting(cameras, scene, root, lambda: depsgraph, photos=photos))
-
-
-def collecting(
-    cameras: Sequence[bpy.types.Object],
-    scene: bpy.types.Scene,
-    root: bpy.types.Object | None,
-    depsgraph: Graph,
-    *,
-    photos: bool = True,
-) -> Pieces[list[ExportView]]:
+def collecting(tracked: "Tracked") -> Pieces[list[ExportView]]:
     """The cameras to write, with unique names.
-
-    Args:
-        cameras: As for `export_colmap`, like the following.
-        scene: Defines resolution and pixel aspect of cameras without a photo.
-        root: A capture's empty; None: Blender's world.
-        depsgraph: Source of the animated poses.
-        photos: Write the lens of the original photos; else the pinhole camera of the undistorted
-            photo.
 
     Raises:
         ValueError: there are none, one is orthographic, panoramic or sheared, or the scene was
             changed meanwhile.
     """
-    if not cameras:
+    count = len(tracked.cameras)
+    if not count:
         raise ValueError("There are no cameras to export. Select some, or import a capture.")
-    tracked = Tracked(cameras, scene, root)
-    frame = scene.frame_current_final
+    frame = tracked.scene.frame_current_final
     views: list[ExportView] = []
     taken: set[str] = set()
-    graph, until = depsgraph(), time.perf_counter() + BUDGET
-    for done in range(len(cameras)):
+    graph, until = tracked.depsgraph(), time.perf_counter() + BUDGET
+    for done in range(count):
         if time.perf_counter() > until:
-            yield f"Reading cameras: {done} of {len(cameras)}"
+            yield f"Reading cameras: {done} of {count}"
             tracked.refresh()
             if tracked.scene.frame_current_final != frame:
                 raise ValueError(
                     "The frame was changed while cameras were exported: export them again."
                 )
-            graph, until = depsgraph(), time.perf_counter() + BUDGET
-        ob = tracked.cameras[done]
-        if co.is_camera(ob):
-            view = _photo_view(ob, tracked.root, graph, photos=photos)
-        else:
-            view = _plain_view(ob, tracked.scene, tracked.root, graph)
-        name, count = view.name, 1
+            graph, until = tracked.depsgraph(), time.perf_counter() + BUDGET
+        view = tracked.view(done, graph)
+        name, number = view.name, 1
         while name in taken:
             path = PurePosixPath(view.name)
-            name, count = str(path.with_name(f"{path.stem}_{count}{path.suffix}")), count + 1
+            name, number = str(path.with_name(f"{path.stem}_{number}{path.suffix}")), number + 1
         taken.add(name)
         views.append(replace(view, name=name))
     return views
@@ -130,16 +95,25 @@ def in_file_coordinates(views: Sequence[ExportView], origin: np.ndarray | None) 
 
 
 class Tracked:
-    """Cameras, scene and capture, looked up again after each step: undo replaces objects."""
+    """Cameras to export, looked up again after each step: undo replaces objects."""
 
     def __init__(
         self,
         cameras: Sequence[bpy.types.Object],
         scene: bpy.types.Scene,
         root: bpy.types.Object | None,
+        depsgraph: Callable[[], bpy.types.Depsgraph | None] = lambda: None,
     ) -> None:
-        """Store the session uids."""
+        """Store the session uids.
+
+        Args:
+            cameras: Cameras of photos, or other perspective cameras.
+            scene: Defines resolution and pixel aspect of cameras without a photo.
+            root: A capture's empty: its world is written, with its points; None: Blender's world.
+            depsgraph: Source of the current animated poses.
+        """
         self.cameras, self.scene, self.root = list(cameras), scene, root
+        self.depsgraph = depsgraph
         self._uids = [ob.session_uid for ob in cameras]
         self._others = scene.session_uid, None if root is None else root.session_uid
 
@@ -154,6 +128,25 @@ class Tracked:
             raise ValueError(f"{gone} removed while cameras were exported: export them again.")
         self.scene, self.root = scenes[scene], None if root is None else obs[root]
         self.cameras = [obs[uid] for uid in self._uids]
+
+    def view(
+        self, number: int, depsgraph: bpy.types.Depsgraph | None, *, photos: bool = True
+    ) -> ExportView:
+        """A camera to write.
+
+        Args:
+            number: Index in `cameras`.
+            depsgraph: Source of the animated poses.
+            photos: Write the lens of the original photos; else the pinhole camera of the
+                undistorted photo.
+
+        Raises:
+            ValueError: it is orthographic, panoramic or sheared.
+        """
+        ob = self.cameras[number]
+        if co.is_camera(ob):
+            return _photo_view(ob, self.root, depsgraph, photos=photos)
+        return _plain_view(ob, self.scene, self.root, depsgraph)
 
 
 @contextmanager

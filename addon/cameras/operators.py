@@ -13,6 +13,7 @@ from ..process.incremental_tasks import Pieces
 from . import captures
 from .export_colmap import exporting_colmap
 from .export_transforms import exporting_transforms
+from .export_views import Tracked
 from .importing import importing
 from .lookup import find_camera, find_root
 from .objects import cameras_of
@@ -211,16 +212,13 @@ class ExportCameras(IncrementalOperator, OnCapture, bpy.types.Operator):
         folder = absolute(self.directory, "Folder")
         needs_root = self.world == "CAPTURE" or self.which == "CAPTURE"
         root = find_root(context, self.capture) if needs_root else None
-        objects, scene = _chosen(context, self.which, root), context.scene
-        shared: dict[str, Any] = {
-            "root": root if self.world == "CAPTURE" else None,
-            "depsgraph": context.evaluated_depsgraph_get,
-        }
+        obs = _chosen(context, self.which, root)
+        world = root if self.world == "CAPTURE" else None
+        tracked = Tracked(obs, context.scene, world, context.evaluated_depsgraph_get)
         if self.kind == "TRANSFORMS":
-            work = exporting_transforms(folder / "transforms.json", objects, scene, **shared)
+            work = exporting_transforms(folder / "transforms.json", tracked)
         else:
-            binary = self.kind == "COLMAP"
-            work = exporting_colmap(folder, objects, scene, binary=binary, **shared)
+            work = exporting_colmap(folder, tracked, binary=self.kind == "COLMAP")
         done = yield from work
         self.warn(done.warnings)
         moved = f", {done.moved} of them as moved in Blender" if done.moved else ""

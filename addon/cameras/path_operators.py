@@ -1,12 +1,12 @@
 """Camera path operators: export of the scene camera's animation, import of a path."""
 
-from collections.abc import Iterable
 from typing import ClassVar
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
+from ..interface.base_operator import OnScene
 from ..interface.incremental_operator import IncrementalOperator
 from ..paths import absolute
 from ..process.incremental_tasks import Pieces
@@ -70,7 +70,7 @@ class ExportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, Expor
         return f"{path}: {count} frames of {name}"
 
 
-class ImportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, ImportHelper):
+class ImportCameraPath(IncrementalOperator, OnCapture, OnScene, bpy.types.Operator, ImportHelper):
     """Create an animated camera from a file with one camera per frame: a cameras.json, the
     camera_path.json of nerfstudio's viewer, or a transforms.json"""
 
@@ -107,10 +107,6 @@ class ImportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, Impor
         if not self.properties.is_property_set("world") and not roots_of(context.scene):
             self.world = "BLENDER"
         return ImportHelper.invoke(self, context, event)
-
-    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """The scene."""
-        return (context.scene,)
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Read the file in a thread, then create the camera."""

@@ -10,7 +10,7 @@ from addon.cameras.camera_path import CAMERAS, exporting_path
 from addon.cameras.camera_path_import import ImportedPath, importing_path
 from addon.cameras.export_colmap import exporting_colmap
 from addon.cameras.export_transforms import exporting_transforms
-from addon.cameras.export_views import Exported
+from addon.cameras.export_views import Exported, Tracked
 from addon.cameras.importing import ImportedCapture, importing
 from addon.compat import matrix_to_numpy
 from addon.core import Splats
@@ -82,9 +82,9 @@ def export_colmap(
     depsgraph: bpy.types.Depsgraph | None = None,
     binary: bool = True,
 ) -> Exported:
-    """Export a COLMAP model; arguments as `exporting_colmap`."""
-    shared = {"root": root, "depsgraph": lambda: depsgraph}
-    return run_blocking(exporting_colmap(path, cameras, scene, binary=binary, **shared))
+    """Export a COLMAP model; arguments as `exporting_colmap` and `Tracked`."""
+    tracked = Tracked(cameras, scene, root, lambda: depsgraph)
+    return run_blocking(exporting_colmap(path, tracked, binary=binary))
 
 
 def export_transforms(
@@ -95,9 +95,9 @@ def export_transforms(
     root: bpy.types.Object | None = None,
     depsgraph: bpy.types.Depsgraph | None = None,
 ) -> Exported:
-    """Export a transforms.json; arguments as `exporting_transforms`."""
-    shared = {"root": root, "depsgraph": lambda: depsgraph}
-    return run_blocking(exporting_transforms(path, cameras, scene, **shared))
+    """Export a transforms.json; arguments as `exporting_transforms` and `Tracked`."""
+    tracked = Tracked(cameras, scene, root, lambda: depsgraph)
+    return run_blocking(exporting_transforms(path, tracked))
 
 
 def read_world(ob: bpy.types.Object) -> Splats:
