@@ -7,7 +7,7 @@ from typing import ClassVar
 import bpy
 from bpy.props import StringProperty
 
-from ..interface.base_operator import BaseOperator, ConfirmMixin, Undoable, wrapped
+from ..interface.base_operator import BaseOperator, Condition, ConfirmMixin, Undoable, wrapped
 from ..interface.lookup import Lookup
 from ..preferences import SECTIONS, Preferences
 from ..process import poll_timer
@@ -55,14 +55,7 @@ class StopUndistorting(BaseOperator, bpy.types.Operator):
     bl_idname = "gscore.stop_straightening"
     bl_label = "Stop Undistorting"
     bl_options: ClassVar = {"REGISTER"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True while photos are being undistorted."""
-        if undistort_jobs.QUEUE.busy:
-            return True
-        cls.poll_message_set("No photos are being undistorted")
-        return False
+    needs = Condition(lambda context: undistort_jobs.QUEUE.busy, "No photos are being undistorted")
 
     def act(self, context: bpy.types.Context) -> str:
         """Clear the queue."""
@@ -77,14 +70,10 @@ class RemoveUndistortedPhotos(ConfirmMixin, BaseOperator, bpy.types.Operator):
     bl_label = "Remove Undistorted Photos"
     bl_options: ClassVar = {"REGISTER"}
     confirm = "Remove"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True unless photos are being undistorted."""
-        if not undistort_jobs.QUEUE.busy:
-            return True
-        cls.poll_message_set("Photos are being undistorted; stop that first")
-        return False
+    needs = Condition(
+        lambda context: not undistort_jobs.QUEUE.busy,
+        "Photos are being undistorted; stop that first",
+    )
 
     def question(self, context: bpy.types.Context) -> Iterable[str]:
         """Number, size and folder of the copies."""

@@ -6,9 +6,8 @@ from bpy.props import BoolProperty
 from ..cameras.camera_colors import hide
 from ..cameras.objects import root_of
 from ..capture.figures import measured
-from ..interface.base_operator import BaseOperator, Undoable
-from ..splats.objects import active_splats, is_splats
-from ..stored_paths import RUN
+from ..interface.base_operator import BaseOperator, Condition, Undoable
+from ..splats.objects import active_splats, has_trained, is_splats
 from ..training.verb_job import VerbJob
 from ..training.verb_operators import Cancelling, Starting
 from . import measure_errors
@@ -17,13 +16,7 @@ from . import measure_errors
 class _OfRun(BaseOperator):
     """Base of the operators on the run of the active splat object."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether splats of a training are active."""
-        if is_splats(ob := active_splats(context)) and RUN in ob:
-            return True
-        cls.poll_message_set("Select splats that come from a training")
-        return False
+    needs = Condition(has_trained, "Select splats that come from a training")
 
 
 class MeasureErrors(_OfRun, Starting, bpy.types.Operator):

@@ -1,8 +1,8 @@
 """Base operators: errors become reports and leave the scene unchanged; some ask to confirm."""
 
 import textwrap
-from collections.abc import Iterable
-from typing import ClassVar
+from collections.abc import Callable, Iterable
+from typing import ClassVar, NamedTuple
 
 import bpy
 
@@ -11,8 +11,27 @@ from . import editable_check
 from .option_labels import error_words
 
 
+class Condition(NamedTuple):
+    """When an operator can run."""
+
+    holds: Callable[[bpy.types.Context], bool]
+    message: str = ""
+    """Why the button is greyed out."""
+
+
 class BaseOperator:
     """Mixed in before bpy.types.Operator; an operator's class has the name of its button."""
+
+    needs = Condition(lambda context: True)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """True if `needs` holds; else Blender shows its message on the button."""
+        if cls.needs.holds(context):
+            return True
+        if cls.needs.message:
+            cls.poll_message_set(cls.needs.message)
+        return False
 
     def act(self, context: bpy.types.Context) -> str:
         """Run the operator; the text of its report, or an empty string.
@@ -102,8 +121,9 @@ def wrapped(
         column.label(text=line, icon="BLANK1" if number and icon != "NONE" else icon)
 
 
-def letters(context: bpy.types.Context) -> int:
+def letters() -> int:
     """Characters per line in the drawn region."""
+    context = bpy.context
     width = context.region.width if context.region else 260
     # A letter is about 6.2 px wide at a scale of 1; margins and the icon take 60 px.
     scale = context.preferences.system.ui_scale or 1.0  # 0 without a window

@@ -27,7 +27,7 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
                 layout.label(text="Choose a capture first", icon="INFO")
                 return
             draw_import(layout, context)
-            sentence(layout, context, "Optional: training works without an import.")
+            sentence(layout, "Optional: training works without an import.")
             return
         cameras, points = cameras_of(empty), points_of(empty)
         count = f"{len(points.data.vertices):,}" if points else "none"
@@ -48,10 +48,10 @@ class CamerasPanel(TabPanel, bpy.types.Panel):
         opacity = row.row(align=True)
         opacity.enabled = photos.shown
         opacity.prop(photos, "opacity")
-        draw_undistortion(layout, context, empty, cameras)
+        draw_undistortion(layout, empty, cameras)
         draw_mask(layout, context, camera if camera in cameras else None)
         if camera is not None and camera not in cameras:
-            sentence(layout, context, "The scene camera does not belong to the capture.")
+            sentence(layout, "The scene camera does not belong to the capture.")
 
 
 def draw_import(
@@ -73,7 +73,6 @@ def draw_import(
 
 def draw_undistortion(
     layout: bpy.types.UILayout,
-    context: bpy.types.Context,
     empty: bpy.types.Object,
     cameras: list[bpy.types.Object],
 ) -> None:
@@ -87,7 +86,7 @@ def draw_undistortion(
         return
     lack = undistort_jobs.MISSING_COPIES.of(empty, cameras)
     for problem in undistort_jobs.problems_of(lack)[:1]:
-        sentence(layout, context, problem, icon="ERROR")
+        sentence(layout, problem, icon="ERROR")
     if lack.copies:
         button = layout.operator("gscore.straighten_photos", icon="IMAGE_DATA")
         button.capture = empty.name

@@ -45,23 +45,23 @@ class CapturePanel(TabPanel, bpy.types.Panel):
         row.operator("gscore.choose_video", text="", icon="FILE_MOVIE")
         if not settings.capture_path.strip():
             text = "Choose a folder of photos or a video, or drop a video on the 3D view."
-            sentence(layout, context, text, icon="INFO")
+            sentence(layout, text, icon="INFO")
             return
         found, problem = facts.capture(context.scene)
         frames = sequence.frames_of(context.scene)[0]
         if frames and (problem or (found is not None and not found.can_train)):
             text = f"{len(frames):,} captures, one per frame: train them in Sequence of Captures."
-            sentence(layout, context, text, icon="INFO")
+            sentence(layout, text, icon="INFO")
             return
         if problem:
-            sentence(layout, context, problem, icon="ERROR")
+            sentence(layout, problem, icon="ERROR")
         elif found is None:
             layout.label(text="Reading the folder...", icon="TIME")
         else:
             rows(layout, [(k, v) for k, v in found.lines() if k != found.kind])
             for item in found.problems:
                 icon = "ERROR" if item.is_error else "INFO"
-                sentence(layout, context, item.text, icon=icon)
+                sentence(layout, item.text, icon=icon)
             if found.can_train:
                 layout.label(text=f"Ready to train ({found.kind})", icon="CHECKMARK")
             if found.bare:
@@ -78,8 +78,8 @@ def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, found: S
         return
     what = "A video" if found.photos == 0 else "Photos"
     text = f"{what} without cameras. Find Cameras creates a capture in the same parent folder."
-    sentence(layout, context, text, icon="INFO")
-    if not has_python(layout, context):
+    sentence(layout, text, icon="INFO")
+    if not has_python(layout):
         return
     big = layout.column()
     big.scale_y = 1.4

@@ -35,7 +35,7 @@ class DepthPanel(TabPanel, bpy.types.Panel):
             layout.prop(context.scene.gscore, "depth_mode")
         else:
             text = "Depth maps help captures with few photos. A network predicts them."
-            sentence(layout, context, text, icon="INFO")
+            sentence(layout, text, icon="INFO")
         draw_work(layout, context, facts)
         draw_report(layout, context)
 
@@ -44,14 +44,14 @@ def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: Sho
     """Draw the progress of a prediction, or the buttons that start one."""
     job = predict_depth.job_of(context.scene)
     if job is not None:
-        draw_verb(layout, context, job, bar_text(job), "gscore.cancel_depth", icon="X")
+        draw_verb(layout, job, bar_text(job), "gscore.cancel_depth", icon="X")
         if job.busy:
             return
-    if not has_python(layout, context):
+    if not has_python(layout):
         return
     column = layout.column(align=True)
     column.prop(preferences.get(), "depth_network", text="Network")
-    if draw_network(column, context):
+    if draw_network(column):
         draw_predict(column, facts)
     if facts.depths:
         row = layout.row(align=True)
@@ -59,7 +59,7 @@ def draw_work(layout: bpy.types.UILayout, context: bpy.types.Context, facts: Sho
         row.operator("gscore.show_depth_sheet", icon="IMAGE_DATA")
 
 
-def draw_network(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool:
+def draw_network(layout: bpy.types.UILayout) -> bool:
     """Draw the chosen network: its file, or its size, licence and installation."""
     network = networks.chosen()
     if network is None:
@@ -68,15 +68,15 @@ def draw_network(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool
     try:
         here = networks.is_installed(network)
     except ValueError as error:
-        sentence(layout, context, error_words(error), icon="ERROR")
+        sentence(layout, error_words(error), icon="ERROR")
         return False
     if here is None:
         layout.label(text="Searching...", icon="TIME")
     elif not here and not networks.may_go_online():
         text = f"Not on this computer ({networks.terms(network)}). {networks.OFFLINE}"
-        sentence(layout, context, text, icon="ERROR")
+        sentence(layout, text, icon="ERROR")
     elif not here:
-        sentence(layout, context, f"To download: {networks.terms(network)}", icon="INFO")
+        sentence(layout, f"To download: {networks.terms(network)}", icon="INFO")
         button = layout.operator("gscore.predict_depth", text="Download and Predict", icon="IMPORT")
         button.download = True
     return bool(here)
@@ -98,7 +98,7 @@ def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     scene = context.scene
     problem = predict_depth.run_report(scene)[1]
     if problem:
-        sentence(layout, context, problem, icon="ERROR")
+        sentence(layout, problem, icon="ERROR")
     known = predict_depth.reports(scene)
     if len(known) > 1:
         layout.row(align=True).prop(scene.gscore, "depth_shown", expand=True)
@@ -106,11 +106,11 @@ def draw_report(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     if report is None:
         return
     if report.why:
-        sentence(layout, context, report.why, icon="INFO")
+        sentence(layout, report.why, icon="INFO")
     draw_counts(layout, report)
     empty = root(context)
     if empty is None:
-        sentence(layout, context, "Import the cameras to color them by their maps.")
+        sentence(layout, "Import the cameras to color them by their maps.")
     else:
         shown = colors.shown(empty)
         button = layout.operator(

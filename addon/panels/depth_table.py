@@ -146,10 +146,10 @@ def draw_table(layout: bpy.types.UILayout, context: bpy.types.Context, report: D
     if 0 <= table.active < len(table.views):
         chosen = report.by_view.get(table.views[table.active].name)
         if chosen is not None:
-            draw_view(layout.box(), context, chosen)
+            draw_view(layout.box(), chosen)
 
 
-def draw_view(layout: bpy.types.UILayout, context: bpy.types.Context, row: DepthRow) -> None:
+def draw_view(layout: bpy.types.UILayout, row: DepthRow) -> None:
     """Draw the numbers of one view."""
     head = layout.row(align=True)
     head.label(text=row.view, icon=ICONS[row.verdict])
@@ -157,7 +157,7 @@ def draw_view(layout: bpy.types.UILayout, context: bpy.types.Context, row: Depth
     button.camera = row.view
     rows(layout, row.lines())
     if row.reason:
-        sentence(layout, context, f"{row.reason[0].upper()}{row.reason[1:]}.")
+        sentence(layout, f"{row.reason[0].upper()}{row.reason[1:]}.")
 
 
 def table_of(context: bpy.types.Context) -> DepthTable | None:

@@ -40,17 +40,17 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
         job = measure_errors.job_of(ob)
         if job is not None:
             text = job.progress.view if job.progress is not None else ""
-            draw_verb(layout, context, job, text or "Starting", "gscore.stop_errors")
+            draw_verb(layout, job, text or "Starting", "gscore.stop_errors")
             if job.busy:
                 return
             if job.done is not None:
-                sentence(layout, context, _COLORS.format(job.done.error_bright))
-        if has_python(layout, context):
+                sentence(layout, _COLORS.format(job.done.error_bright))
+        if has_python(layout):
             layout.operator("gscore.measure_errors", icon="VIEWZOOM")
         figures, problem = lookups.figures.get(measure_errors.run_of(ob))
         poll_timer.ensure()  # collects the lookup
         if problem:
-            sentence(layout, context, problem, icon="ERROR")
+            sentence(layout, problem, icon="ERROR")
         draw_switches(layout, ob, figures)
         if figures is not None:
             draw_worst(layout, ob, figures)

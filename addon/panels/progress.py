@@ -36,7 +36,7 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
         layout, current = self.layout, job(context)
         search = search_work.job_of(context.scene)
         if search is not None and (current is None or not search.ended):
-            draw_search(layout, context, search)
+            draw_search(layout, search)
             return
         if current is None:
             return
@@ -44,11 +44,11 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
         draw_numbers(layout, current)
         if state.sentence:
             icon = "ERROR" if state.status == run_state.FAILED else "CHECKMARK"
-            sentence(layout, context, state.sentence, icon=icon)
+            sentence(layout, state.sentence, icon=icon)
         if current.silence:
-            sentence(layout, context, current.silence, icon="QUESTION")
+            sentence(layout, current.silence, icon="QUESTION")
         for text in state.warnings[-_WARNINGS_SHOWN:]:
-            sentence(layout, context, text, icon="ERROR")
+            sentence(layout, text, icon="ERROR")
         if len(state.warnings) > _WARNINGS_SHOWN:
             layout.label(text=f"{len(state.warnings) - _WARNINGS_SHOWN} earlier warnings")
         draw_buttons(layout, context, current)
@@ -72,12 +72,12 @@ class DecisionsPanel(TabPanel, bpy.types.Panel):
         """Draw the panel."""
         for one in job(context).state.decisions:
             text = f"{one.label}: {one.text}" if one.label else one.text
-            sentence(self.layout, context, text, icon="DOT")
+            sentence(self.layout, text, icon="DOT")
 
 
-def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, search: VerbJob) -> None:
+def draw_search(layout: bpy.types.UILayout, search: VerbJob) -> None:
     """Draw an SfM job: its bar with *Cancel*, and its end."""
-    draw_verb(layout, context, search, search_text(search), "gscore.cancel_search", icon="X")
+    draw_verb(layout, search, search_text(search), "gscore.cancel_search", icon="X")
     if not search.ended:
         rows(layout, search_numbers(search))
 

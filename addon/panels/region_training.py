@@ -21,21 +21,20 @@ class RegionPanel(SplatsPanel, bpy.types.Panel):
         layout, ob = self.layout, active_splats(context)
         job = train_region.job_of(context.scene)
         if job is not None:
-            draw_verb(layout, context, job, bar_text(job), "gscore.stop_region")
+            draw_verb(layout, job, bar_text(job), "gscore.stop_region")
             started = job.last(Started)
             if not job.ended and started is not None and (region := started.decision("region")):
-                sentence(layout, context, region)
+                sentence(layout, region)
             if not job.ended:
                 return
         if not context.scene.gscore.capture_path.strip():
-            text = "Choose the capture of these splats under Capture."
-            sentence(layout, context, text, icon="INFO")
+            sentence(layout, "Choose the capture of these splats under Capture.", icon="INFO")
             return
         if ob.gscore.crop_object is None:
-            sentence(layout, context, "Put a crop box around the region to train.", icon="INFO")
+            sentence(layout, "Put a crop box around the region to train.", icon="INFO")
             layout.operator("gscore.add_crop_box", icon="CUBE")
             return
-        if not has_python(layout, context):
+        if not has_python(layout):
             return
         layout.prop(context.scene.gscore_steer, "region_steps")
         layout.operator("gscore.train_region", icon="PLAY")

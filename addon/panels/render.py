@@ -29,19 +29,19 @@ class RenderPanel(TabPanel, bpy.types.Panel):
             draw_render(layout, context)
         else:
             text = "The render engine Gaussian Splats draws splats exactly as trained."
-            sentence(layout, context, text, icon="INFO")
+            sentence(layout, text, icon="INFO")
             layout.operator("gscore.use_engine", icon="SCENE")
         if setting_fixes.ends_early(scene):
             most = scene.cycles.transparent_max_bounces
             text = f"Cycles ends rays after {most} splats, so soft splats render too dark."
-            sentence(layout, context, text, icon="ERROR")
+            sentence(layout, text, icon="ERROR")
             layout.operator("gscore.see_through_splats", icon="LIGHT")
         row = layout.row(align=True)
         row.enabled = scene.camera is not None
         row.operator("render.render", text="Picture", icon="RENDER_STILL").use_viewport = True
         row.operator("render.render", text="Animation", icon="RENDER_ANIMATION").animation = True
         if problem := setting_fixes.problem(scene):
-            sentence(layout, context, problem, icon="ERROR")
+            sentence(layout, problem, icon="ERROR")
             layout.operator("gscore.make_size_even")
         if scene.camera is None:
             layout.label(text="The scene has no camera", icon="ERROR")
@@ -60,12 +60,12 @@ def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     there = combine_node(scene) is not None
     if there and scene.render.engine == NAME:
         text = "Compositing with meshes is off, because this engine draws the splats itself. The "
-        sentence(layout, context, f"{text}button restores it with the former engine.", icon="INFO")
+        sentence(layout, f"{text}button restores it with the former engine.", icon="INFO")
     elif is_older(scene):
         text = "Compositing was set up by an earlier version: press the button again to update it."
-        sentence(layout, context, text, icon="INFO")
+        sentence(layout, text, icon="INFO")
     elif names := missing_holdouts(scene, scene.get(SPLAT_SCENE)):
-        sentence(layout, context, NOT_TAKEN_OVER.format(names), icon="INFO")
+        sentence(layout, NOT_TAKEN_OVER.format(names), icon="INFO")
     row = layout.row(align=True)
     row.operator("gscore.set_up_compositing", icon="NODE_COMPOSITING")
     if there:

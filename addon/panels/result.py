@@ -33,7 +33,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
             draw_native(layout, context)
             return
         if ob is None:
-            sentence(layout, context, "No splats yet: train some, or import a PLY.", icon="INFO")
+            sentence(layout, "No splats yet: train some, or import a PLY.", icon="INFO")
             layout.operator("gscore.import_splats", icon="IMPORT")
             layout.operator("gscore.import_sequence", icon="RENDER_ANIMATION")
             return
@@ -45,7 +45,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         draw_outdated(layout, context)
         if not operators.is_even(ob):
             text = "The object's scale differs between axes or is zero; splats cannot be stretched."
-            sentence(layout, context, text, icon="ERROR")
+            sentence(layout, text, icon="ERROR")
             layout.operator("gscore.make_scale_even")
         settings = ob.gscore
         layout.prop(settings, "display")
@@ -78,7 +78,7 @@ def draw_native(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     layout.label(text=ob.name, icon="OUTLINER_OB_POINTCLOUD")
     rows(layout, [("Splats", f"{len(ob.data.points):,}")])
     text = "Blender's own splats. Gaussian Splats renders them; filters and tools need a copy."
-    sentence(layout, context, text, icon="INFO")
+    sentence(layout, text, icon="INFO")
     layout.operator("gscore.take_native_splats", icon="IMPORT")
     layout.operator("gscore.export_splats", text="Export", icon="EXPORT")
 
@@ -88,7 +88,7 @@ def draw_outdated(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     problems = {ob.name: lag.problem(ob.data) for ob in outdated(context)}
     for text in dict.fromkeys(problems.values()):
         names = ", ".join(name for name, own in problems.items() if own == text)
-        sentence(layout, context, text.format(names), icon="ERROR")
+        sentence(layout, text.format(names), icon="ERROR")
     if problems:
         kept = set(problems.values()) == {lag.JOINED}
         text = "Keep as It Is" if kept else "Update Shapes and Colors"
@@ -122,7 +122,7 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
             row.prop(settings, "crop_invert", toggle=True)
             if not settings.crop_object.users_scene:  # a setting keeps a deleted object
                 text = "The crop object was deleted, but still crops; press Reset to end that."
-                sentence(layout, context, text, icon="INFO")
+                sentence(layout, text, icon="INFO")
         layout.prop(settings, "apply_filters_to_render")
         if ob != active_splats(context):
             return
@@ -168,7 +168,7 @@ def draw_handles(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     switch = context.window_manager
     layout.prop(switch, "gscore_histograms", icon="ARROW_LEFTRIGHT")
     if switch.gscore_histograms and (text := gizmos.problem(context, _main_region(context))):
-        sentence(layout, context, text, icon="INFO")
+        sentence(layout, text, icon="INFO")
 
 
 def _main_region(context: bpy.types.Context) -> bpy.types.Region:
@@ -178,9 +178,9 @@ def _main_region(context: bpy.types.Context) -> bpy.types.Region:
 def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Draw the reason why splats are not drawn live, or their number."""
     if problem := draw_handler.problem_of(_main_region(context)):
-        sentence(layout, context, problem, icon="ERROR")
+        sentence(layout, problem, icon="ERROR")
     elif not live_display.SESSION.works:
-        sentence(layout, context, "Splats are drawn live only in a window.", icon="INFO")
+        sentence(layout, "Splats are drawn live only in a window.", icon="INFO")
 
 
 def draw_viewpoint(
@@ -195,7 +195,7 @@ def draw_viewpoint(
     text = "All views show the colors as seen from the scene camera."
     if context.scene.camera is None:
         text = "Without a scene camera the colors do not depend on the view."
-    sentence(layout, context, text, icon="INFO")
+    sentence(layout, text, icon="INFO")
 
 
 def draw_counts(
@@ -205,14 +205,14 @@ def draw_counts(
     try:
         counts = edit.stats(ob, context.evaluated_depsgraph_get())
     except ValueError as error:
-        sentence(layout, context, error_words(error), icon="ERROR")
+        sentence(layout, error_words(error), icon="ERROR")
         return
     visible = "not known" if counts.visible is None else f"{counts.visible:,}"
     pairs = [("Splats", f"{counts.total:,}"), ("Shown", visible)]
     rows(layout, [*pairs, ("Color degree", str(counts.sh_degree))])
     if counts.total and counts.visible == 0:
         text = "Filters hide all splats; press Reset under Filters to show them."
-        sentence(layout, context, text, icon="ERROR")
+        sentence(layout, text, icon="ERROR")
 
 
 CLASSES = (ResultPanel, FiltersPanel, MorePanel)

@@ -32,7 +32,7 @@ class SequencePanel(TabPanel, bpy.types.Panel):
         settings = ob.gscore_sequence
         if settings.edited:
             text = "These splats were edited, so playback has stopped to keep them."
-            sentence(layout, context, text, icon="INFO")
+            sentence(layout, text, icon="INFO")
             layout.operator("gscore.play_again", icon="PLAY")
         draw_frames(layout, context, ob)
         layout.prop(settings, "folder", text="")
@@ -54,7 +54,7 @@ def draw_frames(
     series, problem = series_of(ob)
     if series is None:
         text = problem or "Searching for frames..."
-        sentence(layout, context, text, icon="ERROR" if problem else "TIME")
+        sentence(layout, text, icon="ERROR" if problem else "TIME")
         return
     count, size = LIBRARY.loaded
     pairs = [
@@ -64,14 +64,14 @@ def draw_frames(
     ]
     rows(layout, pairs)
     if series.gaps:
-        sentence(layout, context, series.gap_words(), icon="ERROR")
+        sentence(layout, series.gap_words(), icon="ERROR")
     moment = moment_of(ob, context.scene.frame_current_final)
     damaged = LIBRARY.frame(moment.files[0])[1] if moment is not None and moment.files else ""
     if text := damaged or frame_sync.problem_of(ob):
-        sentence(layout, context, text, icon="ERROR")
+        sentence(layout, text, icon="ERROR")
     elif ob.library is not None or not ob.data.is_editable:
         text = "Linked: EEVEE and Cycles show the frame that was saved in its file."
-        sentence(layout, context, text, icon="INFO")
+        sentence(layout, text, icon="INFO")
 
 
 def _range(series: Series) -> str:

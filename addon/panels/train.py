@@ -43,12 +43,12 @@ class TrainPanel(TabPanel, bpy.types.Panel):
         """Draw the panel."""
         layout, settings = self.layout, context.scene.gscore
         layout.row(align=True).prop(settings, "preset", expand=True)
-        sentence(layout, context, preset_sentence(settings))
+        sentence(layout, preset_sentence(settings))
         draw_forecast(layout, context)
         known = found(context)
         if settings.use_masks and known is not None and (known.masks or known.alphas):
             text = "Masks are used: masked parts are not trained. See Use Masks under Options."
-            sentence(layout, context, text, icon="INFO")
+            sentence(layout, text, icon="INFO")
         column = layout.column(align=True)
         steps = column.row(align=True)
         steps.active = settings.time_budget == 0
@@ -114,7 +114,7 @@ class GuidesPanel(TabPanel, bpy.types.Panel):
         used = any(getattr(settings, name) is not None for name in guides.ROLES.values())
         if used and panel_root(context.scene) is None and not sequence.frames_of(context.scene)[0]:
             text = "Import the cameras first, to place these meshes relative to the photos."
-            sentence(layout, context, text, icon="ERROR")
+            sentence(layout, text, icon="ERROR")
 
 
 def preset_sentence(settings: bpy.types.PropertyGroup) -> str:
@@ -131,7 +131,7 @@ def draw_forecast(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     scene = context.scene
     known, problem = facts.forecast_of(scene)
     if problem:
-        sentence(layout, context, problem, icon="ERROR")
+        sentence(layout, problem, icon="ERROR")
         return
     capture = scene.gscore.capture_path
     if known is not None:
@@ -142,9 +142,9 @@ def draw_forecast(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
         return
     text = forecast.warning(current)
     if not text:
-        sentence(layout, context, forecast.words(current), icon="TIME")
+        sentence(layout, forecast.words(current), icon="TIME")
         return
-    sentence(layout, context, text, icon="ERROR")
+    sentence(layout, text, icon="ERROR")
     row = layout.row(align=True)
     for which, value in (("SPLATS", current.fitting_splats), ("WIDTH", current.fitting_width)):
         if value:
@@ -160,9 +160,9 @@ def draw_output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     try:
         folder = output_folder(context.scene, preferences.get().output_folder)
     except ValueError as error:
-        sentence(layout, context, error_words(error), icon="ERROR")
+        sentence(layout, error_words(error), icon="ERROR")
         return
-    sentence(layout, context, f"Results go to {folder}", icon="FILE_FOLDER")
+    sentence(layout, f"Results go to {folder}", icon="FILE_FOLDER")
 
 
 def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -174,26 +174,26 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     before, problem = facts.run(context.scene)
     if before is not None and not before.foreign:
         draw_missing(layout, context, before)
-    if not has_python(layout, context):
+    if not has_python(layout):
         return
     if problem:
-        sentence(layout, context, problem, icon="ERROR")
+        sentence(layout, problem, icon="ERROR")
     if conflict := start_training.box_problem(context.scene.gscore):
-        sentence(layout, context, conflict, icon="ERROR")
+        sentence(layout, conflict, icon="ERROR")
     big = layout.column()
     big.scale_y = 1.4
     if before is None:
         captured = found(context)
         if captured is not None and captured.bare:
-            sentence(layout, context, "Find the cameras first, under Capture.", icon="INFO")
+            sentence(layout, "Find the cameras first, under Capture.", icon="INFO")
         big.enabled = captured is not None and captured.can_train
         big.operator("gscore.train", icon="PLAY")
         return
     if before.foreign:
-        sentence(layout, context, before.foreign_words, icon="ERROR")
+        sentence(layout, before.foreign_words, icon="ERROR")
         return
     info = before.info
-    sentence(layout, context, run_sentence(info), icon="INFO")
+    sentence(layout, run_sentence(info), icon="INFO")
     row = big.row(align=True)
     if can_go_on(context.scene.gscore, info):
         row.operator("gscore.resume_training", icon="PLAY")
@@ -208,8 +208,7 @@ def draw_missing(
     ob = context.scene.gscore.result
     shown = ob is not None and results.is_of_run(ob, before.info.path)
     if shown and results.is_outdated(ob, before):
-        text = f"{ob.name} has earlier splats of this run."
-        sentence(layout, context, text, icon="INFO")
+        sentence(layout, f"{ob.name} has earlier splats of this run.", icon="INFO")
     elif shown or before.info.splats is None:
         return
     layout.operator("gscore.import_result", icon="IMPORT")

@@ -25,11 +25,11 @@ class TrainSequencePanel(TabPanel, bpy.types.Panel):
         """Draw the panel."""
         layout, scene = self.layout, context.scene
         if not scene.gscore.capture_path.strip():
-            sentence(layout, context, "Choose the folder of the frames under Capture.", icon="INFO")
+            sentence(layout, "Choose the folder of the frames under Capture.", icon="INFO")
             return
         frames, problem = train_sequence.frames_of(scene)
         if problem:
-            sentence(layout, context, problem, icon="INFO")
+            sentence(layout, problem, icon="INFO")
             return
         if frames is None:
             layout.label(text="Searching for frames...", icon="TIME")
@@ -50,18 +50,18 @@ def draw_guides(
     scene = context.scene
     own, within = scene.gscore_train_sequence, scene.gscore.train_within
     if within is not None:
-        sentence(layout, context, train_sequence.ONLY_WITHIN.format(within.name), icon="INFO")
+        sentence(layout, train_sequence.ONLY_WITHIN.format(within.name), icon="INFO")
     if not any(guides.chosen(scene)):
         return
     layout.prop(own, "guide_start")
     try:
         first = choose_frames(frames, own.frames.strip() or ":")[0]
     except GsError as error:
-        sentence(layout, context, error_words(error), icon="ERROR")
+        sentence(layout, error_words(error), icon="ERROR")
         return
     if root_from(scene, first.data.source) is None:
         text = f"Guide meshes need the cameras of frame {first.number}: import them."
-        sentence(layout, context, text, icon="ERROR")
+        sentence(layout, text, icon="ERROR")
         row = layout.operator("gscore.import_cameras", text=f"Import Frame {first.number}")
         row.directory, row.images = str(first.data.source), first.data.images
 
@@ -72,22 +72,22 @@ def draw_state(
     """Draw the bar of a training, or the buttons that start one, and the trained frames."""
     job = train_sequence.job_of(context.scene)
     if job is not None:
-        draw_verb(layout, context, job, bar_text(job), "gscore.stop_sequence")
+        draw_verb(layout, job, bar_text(job), "gscore.stop_sequence")
         if not job.ended:
             return
     output = train_sequence.output_of(context.scene)
     there, problem = train_sequence.trained_in(output)
     if problem:
-        sentence(layout, context, problem, icon="ERROR")
+        sentence(layout, problem, icon="ERROR")
     if there is not None and there.frames:
         count, total = len(there.frames), there.mean.get("frames_total") or len(there.frames)
-        sentence(layout, context, f"{count:,} of {total:,} frames are trained.", icon="INFO")
+        sentence(layout, f"{count:,} of {total:,} frames are trained.", icon="INFO")
         bring = layout.operator("gscore.import_sequence", icon="IMPORT")
         bring.directory = str(output)
         empty = root_from(context.scene, frames[0].data.source) or root(context)
         bring.capture = empty.name if empty is not None else ""
-    sentence(layout, context, f"Results go to {output}", icon="FILE_FOLDER")
-    if not has_python(layout, context):
+    sentence(layout, f"Results go to {output}", icon="FILE_FOLDER")
+    if not has_python(layout):
         return
     big = layout.row(align=True)
     big.scale_y = 1.4

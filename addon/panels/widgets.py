@@ -38,18 +38,15 @@ class SplatsPanel(TabPanel):
         return is_splats(active_splats(context))
 
 
-def sentence(
-    layout: bpy.types.UILayout, context: bpy.types.Context, text: str, *, icon: str = "NONE"
-) -> None:
-    """Draw a sentence, wrapped to the sidebar's width.
+def sentence(layout: bpy.types.UILayout, text: str, *, icon: str = "NONE") -> None:
+    """Draw a sentence, wrapped to the width of the drawn region.
 
     Args:
         layout: Parent of the lines.
-        context: Its region is the sidebar.
         text: The sentence.
         icon: Icon of the first line.
     """
-    wrapped(layout, text, icon=icon, width=letters(context))
+    wrapped(layout, text, icon=icon, width=letters())
 
 
 def rows(layout: bpy.types.UILayout, pairs: list[tuple[str, str]]) -> None:
@@ -82,13 +79,13 @@ def job(context: bpy.types.Context) -> Job | None:
     return start_training.job_of(context.scene)
 
 
-def has_python(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool:
+def has_python(layout: bpy.types.UILayout) -> bool:
     """True if the preferences have a Python that trains; else draw the problem and a button to the
     preferences."""
     try:
         setup.trainer_python(preferences.get())
     except ValueError as error:
-        sentence(layout, context, error_words(error), icon="ERROR")
+        sentence(layout, error_words(error), icon="ERROR")
         operator = layout.operator("preferences.addon_show", text="Preferences", icon="PREFERENCES")
         operator.module = preferences.ROOT
         return False
@@ -97,7 +94,6 @@ def has_python(layout: bpy.types.UILayout, context: bpy.types.Context) -> bool:
 
 def draw_verb(
     layout: bpy.types.UILayout,
-    context: bpy.types.Context,
     job: VerbJob,
     text: str,
     stop: str,
@@ -108,7 +104,6 @@ def draw_verb(
 
     Args:
         layout: Parent.
-        context: As `sentence`.
         job: The job.
         text: Text of the bar.
         stop: Operator that cancels it.
@@ -122,6 +117,6 @@ def draw_verb(
         layout.label(text="Importing the result...", icon="TIME")
     if job.sentence:
         end = "ERROR" if job.status == FAILED else "CHECKMARK"
-        sentence(layout, context, job.sentence, icon=end)
+        sentence(layout, job.sentence, icon=end)
     for warning in job.warnings[-_WARNINGS_SHOWN:]:
-        sentence(layout, context, warning, icon="ERROR")
+        sentence(layout, warning, icon="ERROR")

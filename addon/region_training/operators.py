@@ -2,7 +2,8 @@
 
 import bpy
 
-from ..splats.objects import active_splats, is_splats
+from ..interface.base_operator import Condition
+from ..splats.objects import active_splats, has_splats
 from ..training import start_training
 from ..training.verb_job import VerbJob
 from ..training.verb_operators import Cancelling, Starting
@@ -15,14 +16,7 @@ class TrainRegion(Starting, bpy.types.Operator):
 
     bl_idname = "gscore.train_region"
     bl_label = "Train Region"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether a splat object or its crop object is active."""
-        if is_splats(active_splats(context)):
-            return True
-        cls.poll_message_set("Select splats, or their crop box")
-        return False
+    needs = Condition(has_splats, "Select splats, or their crop box")
 
     def start(self, context: bpy.types.Context) -> VerbJob:
         """Start."""

@@ -11,13 +11,12 @@ import bpy
 from .. import stored_paths
 from ..cameras.objects import cameras_of, is_camera, root_of
 from ..capture.figures import figures
-from ..interface.base_operator import OnScene, make_active
+from ..interface.base_operator import Condition, OnScene, make_active
 from ..interface.images import show_soon
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Pieces
 from ..splats.error_maps import splats_in_view
-from ..splats.objects import active_splats, is_splats
-from ..stored_paths import RUN
+from ..splats.objects import active_splats, has_trained
 from . import compare as comparing
 from . import compositor
 from .engine import ENGINE_BEFORE, NAME
@@ -103,14 +102,7 @@ class CompareWorstPhoto(IncrementalOperator, bpy.types.Operator):
 
     bl_idname = "gscore.compare_worst_photo"
     bl_label = "Compare Worst Photo"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether splats of a training are active."""
-        if is_splats(ob := active_splats(context)) and RUN in ob:
-            return True
-        cls.poll_message_set("Select splats that were trained with this add-on")
-        return False
+    needs = Condition(has_trained, "Select splats that were trained with this add-on")
 
     def pieces(self, context: bpy.types.Context) -> Pieces[str]:
         """Find the camera, compare from it, and make it the active object."""

@@ -23,7 +23,7 @@ _UNUSED = ("freestyle", "gpencil", "grease", "simplify")
 
 def draw_render(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Draw settings, warnings and their fixes; for the properties editor and the sidebar."""
-    scene, layer, width = context.scene, context.view_layer, letters(context)
+    scene, layer, width = context.scene, context.view_layer, letters()
     column = layout.column()
     column.use_property_split, column.use_property_decorate = True, False
     column.prop(scene.render, "film_transparent", text="Transparent")
@@ -51,34 +51,34 @@ def draw_render(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         wrapped(layout, text, icon="INFO", width=width)
 
 
-class RENDER_PT_gscore(bpy.types.Panel):  # noqa: N801 Blender's rule
-    """Film and colours."""
+class _EnginePanel:
+    """Mixed in before bpy.types.Panel: a panel of the properties editor for this engine."""
 
-    bl_label = "Gaussian Splats"
-    bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "render"
+    bl_space_type, bl_region_type = "PROPERTIES", "WINDOW"
     COMPAT_ENGINES: ClassVar[set[str]] = {NAME}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether this engine is active."""
         return context.engine in cls.COMPAT_ENGINES
+
+
+class RENDER_PT_gscore(_EnginePanel, bpy.types.Panel):  # noqa: N801 Blender's rule
+    """Film and colours."""
+
+    bl_label = "Gaussian Splats"
+    bl_context = "render"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         draw_render(self.layout, context)
 
 
-class VIEWLAYER_PT_gscore_passes(bpy.types.Panel):  # noqa: N801 Blender's rule
+class VIEWLAYER_PT_gscore_passes(_EnginePanel, bpy.types.Panel):  # noqa: N801 Blender's rule
     """Passes of the engine."""
 
     bl_label = "Passes"
-    bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "view_layer"
-    COMPAT_ENGINES: ClassVar[set[str]] = {NAME}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether this engine is active."""
-        return context.engine in cls.COMPAT_ENGINES
+    bl_context = "view_layer"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -97,36 +97,34 @@ class VIEWLAYER_PT_gscore_passes(bpy.types.Panel):  # noqa: N801 Blender's rule
         wrapped(layout, "Splats have no materials, so there are no material passes.", icon="INFO")
 
 
-class DATA_PT_gscore_panorama(bpy.types.Panel):  # noqa: N801 Blender's rule
+class DATA_PT_gscore_panorama(_EnginePanel, bpy.types.Panel):  # noqa: N801 Blender's rule
     """Settings of panoramic cameras, which Blender's own panel shows for Cycles only."""
 
     bl_label = "Panorama"
-    bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "data"
-    COMPAT_ENGINES: ClassVar[set[str]] = {NAME}
+    bl_context = "data"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether this engine and a panoramic camera are active."""
         camera = context.camera
-        return context.engine in cls.COMPAT_ENGINES and camera is not None and camera.type == "PANO"
+        return super().poll(context) and camera is not None and camera.type == "PANO"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         draw_panorama(self.layout, context.camera)
 
 
-class OBJECT_PT_gscore_motion_blur(bpy.types.Panel):  # noqa: N801 Blender's rule
+class OBJECT_PT_gscore_motion_blur(_EnginePanel, bpy.types.Panel):  # noqa: N801 Blender's rule
     """Switches of an object's motion blur, which Blender's own panel shows for Cycles only."""
 
     bl_label = "Motion Blur"
-    bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "object"
-    COMPAT_ENGINES: ClassVar[set[str]] = {NAME}
+    bl_context = "object"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Whether this engine renders the active object or renders through it."""
         ob = context.object
-        if ob is None or context.engine not in cls.COMPAT_ENGINES:
+        if ob is None or not super().poll(context):
             return False
         counts = ob.type == "CAMERA" or is_splats(ob) or is_native(ob) or may_hide(ob)
         return counts and hasattr(ob, "cycles")

@@ -6,7 +6,7 @@ import bpy
 
 from .. import compat
 from ..cameras.objects import frame_of
-from ..interface.base_operator import OnScene
+from ..interface.base_operator import Condition, OnScene
 from ..splats.objects import is_splats
 
 ENOUGH = 256
@@ -33,11 +33,7 @@ class RaiseTransparentBounces(OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.see_through_splats"
     bl_label = "Raise Transparent Bounces"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether Cycles renders with too few bounces."""
-        return ends_early(context.scene)
+    needs = Condition(lambda context: ends_early(context.scene))
 
     def act(self, context: bpy.types.Context) -> str:
         """Raise the limit."""
@@ -65,11 +61,7 @@ class MakeSizeEven(OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.make_size_even"
     bl_label = "Make Size Even"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether the codec refuses the size."""
-        return bool(problem(context.scene))
+    needs = Condition(lambda context: bool(problem(context.scene)))
 
     def act(self, context: bpy.types.Context) -> str:
         """Raise the resolution, with its percentage kept."""

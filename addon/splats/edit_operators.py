@@ -213,17 +213,22 @@ class JoinSplats(Editing, bpy.types.Operator):
         return f"{ob.name} has {len(ob.data.vertices):,} splats."
 
 
-class ApplyFilters(Editing, bpy.types.Operator):
+class _EditingObject(Editing):
+    """Base of edits, in Object Mode, that also change the object's settings or transform."""
+
+    leaves_edit_mode = False
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The points, and the object."""
+        ob = objects.active_splats(context)
+        return ob.data, ob
+
+
+class ApplyFilters(_EditingObject, bpy.types.Operator):
     """Delete the splats that the display filters hide, then reset the filters"""
 
     bl_idname = "gscore.apply_filters"
     bl_label = "Delete Hidden Splats"
-    leaves_edit_mode = False
-
-    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """The points, and the object's filters."""
-        ob = objects.active_splats(context)
-        return ob.data, ob
 
     def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """Delete."""
@@ -231,17 +236,11 @@ class ApplyFilters(Editing, bpy.types.Operator):
         return f"Deleted {count:,} splats, {len(guard.found().data.vertices):,} left."
 
 
-class ApplySplatTransform(Editing, bpy.types.Operator):
+class ApplySplatTransform(_EditingObject, bpy.types.Operator):
     """Apply location, rotation and even scale to the splats, with their orientations and colors"""
 
     bl_idname = "gscore.apply_splat_transform"
     bl_label = "Apply Splat Transform"
-    leaves_edit_mode = False
-
-    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """The points, and the object's transform."""
-        ob = objects.active_splats(context)
-        return ob.data, ob
 
     def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
         """Apply."""

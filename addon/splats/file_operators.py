@@ -16,7 +16,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ..cameras.lookup import root_of_run
 from ..cameras.objects import root_of
 from ..core import LOD_ENDING, SPLAT_ENDINGS
-from ..interface.base_operator import OnScene, make_active
+from ..interface.base_operator import Condition, OnScene, make_active
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Pieces
 from . import exporting, framed, splat_files
@@ -179,6 +179,10 @@ class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
     bl_idname = "gscore.export_splats"
     bl_label = "Export Splats"
     bl_options: ClassVar = {"REGISTER", "PRESET"}
+    needs = Condition(  # collection exporters need no selection
+        lambda context: any(can_export(ob) for ob in context.scene.objects),
+        "There are no splats: import a splat PLY or train some",
+    )
 
     filter_glob: StringProperty(default=_GLOB, options={"HIDDEN"})
     ending: EnumProperty(name="Format", description="File format and extension", items=_ENDINGS)
@@ -208,14 +212,6 @@ class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
         changed = named != self.filepath
         self.filepath = named
         return changed
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if any object has splats; collection exporters need no selection."""
-        if any(can_export(ob) for ob in context.scene.objects):
-            return True
-        cls.poll_message_set("There are no splats: import a splat PLY or train some")
-        return False
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Open the file browser, unless there is nothing to export."""

@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 
 from .. import attributes
+from ..interface.base_operator import Condition
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Check, Pieces, run_in_thread
 from . import lag, objects, point_attributes
@@ -31,14 +32,10 @@ class MendSplats(IncrementalOperator, bpy.types.Operator):
 
     bl_idname = "gscore.mend_splats"
     bl_label = "Update Shapes and Colors"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if the active or a selected splat object has a problem."""
-        if outdated(context):
-            return True
-        cls.poll_message_set("Shapes and colors of the selected splats match their positions")
-        return False
+    needs = Condition(
+        lambda context: bool(outdated(context)),
+        "Shapes and colors of the selected splats match their positions",
+    )
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """Their points."""

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import bpy
 import numpy as np
 
-from .. import attributes
+from .. import attributes, stored_paths
 from ..cameras.objects import points_of
 from ..core import Splats, transform_splats
 from ..interface import editable_check
@@ -158,6 +158,16 @@ def active_splats(context: bpy.types.Context) -> bpy.types.Object | None:
         return active
     obs = (ob for ob in context.scene.objects if is_splats(ob))
     return next((ob for ob in obs if ob.gscore.crop_object == active), None)
+
+
+def has_splats(context: bpy.types.Context) -> bool:
+    """True if splats, or their crop object, are active."""
+    return is_splats(active_splats(context))
+
+
+def has_trained(context: bpy.types.Context) -> bool:
+    """True if splats of a training are active."""
+    return has_splats(context) and stored_paths.RUN in active_splats(context)
 
 
 def in_question(context: bpy.types.Context) -> bpy.types.Object | None:

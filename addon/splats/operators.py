@@ -12,13 +12,13 @@ from mathutils import Vector
 from .. import attributes, compat
 from ..core import transform_splats
 from ..interface import editable_check
-from ..interface.base_operator import Undoable, make_active
+from ..interface.base_operator import Condition, Undoable, make_active
 from ..interface.blocks import with_uid
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Check, Pieces, run_in_thread
 from . import edit, objects, settings
 from .mesh_buffers import Points
-from .objects import active_splats, is_native, is_splats
+from .objects import active_splats, has_splats, is_native
 from .read_chunked import read_chunked
 from .write_chunked import ChunkedWrite, filled
 
@@ -27,17 +27,11 @@ class OnSplats(Undoable):
     """Base of operators on the active splat object, or on the one that the active object crops; by
     default they change its settings."""
 
+    needs = Condition(has_splats, "Select a splat object: import a splat PLY or train one")
+
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The object."""
         return (active_splats(context),)
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if the active object is a splat object."""
-        if is_splats(active_splats(context)):
-            return True
-        cls.poll_message_set("Select a splat object: import a splat PLY or train one")
-        return False
 
 
 class ResetFilters(OnSplats, bpy.types.Operator):
@@ -107,14 +101,10 @@ class TakeNativeSplats(IncrementalOperator, bpy.types.Operator):
 
     bl_idname = "gscore.take_native_splats"
     bl_label = "Make Splat Object"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if the active object is a cloud of native splats."""
-        if is_native(context.object):
-            return True
-        cls.poll_message_set("Select Gaussian splats that Blender imported (5.3 or later)")
-        return False
+    needs = Condition(
+        lambda context: is_native(context.object),
+        "Select Gaussian splats that Blender imported (5.3 or later)",
+    )
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The scene, and the cloud, which gets hidden."""

@@ -10,12 +10,12 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from ..cameras.lookup import find_root
 from ..cameras.objects import root_of
 from ..core import SPLAT_ENDINGS
-from ..interface.base_operator import OnScene, Undoable, make_active
+from ..interface.base_operator import Condition, OnScene, Undoable, make_active
 from ..interface.incremental_operator import IncrementalOperator
 from ..process import poll_timer
 from ..process.incremental_tasks import Pieces
 from ..splats.file_operators import AXIS_ITEMS
-from ..splats.objects import active_splats, hide_points, is_splats
+from ..splats.objects import active_splats, has_splats, hide_points
 from . import frame_sync, importing
 from .frame_at import folder_of, moment_of
 from .frames import Series, name_of_file
@@ -26,14 +26,10 @@ from .settings import is_sequence
 class OnSequence(Undoable):
     """Base of operators on the active splat object with a sequence."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if the active object has a sequence."""
-        ob = active_splats(context)
-        if is_splats(ob) and is_sequence(ob):
-            return True
-        cls.poll_message_set("Select a splat object that plays a sequence")
-        return False
+    needs = Condition(
+        lambda context: has_splats(context) and is_sequence(active_splats(context)),
+        "Select a splat object that plays a sequence",
+    )
 
 
 class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):

@@ -6,7 +6,7 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from .. import preferences
-from ..interface.base_operator import BaseOperator, ConfirmMixin
+from ..interface.base_operator import BaseOperator, Condition, ConfirmMixin
 from ..process import poll_timer
 from .setup import CURRENT, contents
 
@@ -76,11 +76,7 @@ class CancelSetup(BaseOperator, bpy.types.Operator):
 
     bl_idname = "gscore.cancel_setup"
     bl_label = "Cancel"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Whether a check or installation is running."""
-        return CURRENT.busy()
+    needs = Condition(lambda context: CURRENT.busy())
 
     def act(self, context: bpy.types.Context) -> str:
         """Cancel it."""

@@ -7,7 +7,14 @@ from typing import ClassVar
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..interface.base_operator import BaseOperator, ConfirmMixin, OnScene, Undoable, make_active
+from ..interface.base_operator import (
+    BaseOperator,
+    Condition,
+    ConfirmMixin,
+    OnScene,
+    Undoable,
+    make_active,
+)
 from ..interface.images import show_image
 from ..process import poll_timer
 from ..splats import framed, splat_files
@@ -196,11 +203,7 @@ class ShowTestView(BaseOperator, bpy.types.Operator):
 
     bl_idname = "gscore.show_test_view"
     bl_label = "Show Test View"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if there is a picture."""
-        return context.scene.gscore.preview is not None
+    needs = Condition(lambda context: context.scene.gscore.preview is not None)
 
     def act(self, context: bpy.types.Context) -> str:
         """Show the picture."""
@@ -252,6 +255,7 @@ class AddGuides(OnScene, bpy.types.Operator):
 
     bl_idname = "gscore.add_guides"
     bl_label = "Add Selected"
+    needs = Condition(lambda context: bool(context.selected_objects), "Select the meshes first")
 
     role: EnumProperty(
         name="Role",
@@ -261,14 +265,6 @@ class AddGuides(OnScene, bpy.types.Operator):
             ("free", "Free-Space Mesh", "Splats between the cameras and these meshes are removed"),
         ),
     )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if something is selected."""
-        if context.selected_objects:
-            return True
-        cls.poll_message_set("Select the meshes first")
-        return False
 
     def act(self, context: bpy.types.Context) -> str:
         """Link the objects."""
