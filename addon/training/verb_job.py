@@ -211,7 +211,8 @@ class VerbJob:
         """Run the next step of the import; True if it ended.
 
         Args:
-            in_words: Wraps the import, to turn errors of Blender and memory into messages.
+            with_readable_errors: Wraps the import, to turn errors of Blender and memory into
+                messages.
         """
         if self.import_task is None:
             self.import_task = TaskRunner(with_readable_errors(self._arrive(self)))
