@@ -96,8 +96,8 @@ TRAINER = {
     "strategy": {"host", "photos", "model", "schedule"},
     "views": {"photos", "region", "model"},
     "step": {"depth", "guide", "host", "photos", "distributed", "model", "schedule", "strategy"}
-    | {"views"},
-    "analysis": {"depth", "estimate", "guide", "model", "photos", "region", "views"},
+    | {"analysis", "region", "views"},
+    "analysis": {"depth", "estimate", "guide", "model", "photos", "region", "schedule", "views"},
     "trainer": {"depth", "guide", "host", "photos", "distributed", "region", "model", "schedule"}
     | {"analysis", "step", "strategy", "views"},
     "team_trainer": {"analysis", "distributed", "model", "schedule", "step", "trainer"},

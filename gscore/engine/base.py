@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from ..choices import Skip
 from ..raster.request import Frustum
 
 Columns = Mapping[str, np.ndarray]
@@ -21,6 +22,10 @@ Color = tuple[float, float, float]
 """RGB."""
 DROPOUT_STREAM, NOISE_STREAM, STREAMS = 0, 1, 2
 """Streams of random numbers of a model, and their number, see `StepRequest.seed`."""
+ENGINE_SKIPS = frozenset(
+    {Skip.EXACT_CULL, Skip.OPACITY_EXTENT, Skip.ROW_RANGE, Skip.ZERO_TILE},
+)
+"""Optimisations inside an engine; the trainer disables the others."""
 ABSURD_MSE = 1e4
 """Mean squared error that only runaway splats cause: colours of 100 where photos have 0 to 1."""
 
@@ -266,8 +271,8 @@ class StepRequest:
     """True: splats that the view does not show take an Adam step too."""
     extent: float
     """Camera extent, training units, for `clamp_runaways` after an absurd loss."""
-    disable: int = 0
-    """Bits of `raster.header.NO_*`, for tests and benchmarks."""
+    disable: frozenset[Skip] = frozenset()
+    """Those of `ENGINE_SKIPS` that are disabled, for tests and benchmarks."""
     check_finite: str = ""
     """Name of the view: raise an error at the first number that is not finite; empty: skip it."""
     compare: bool = False
@@ -277,6 +282,8 @@ class StepRequest:
 class StepNumbers(NamedTuple):
     """Result of a step."""
 
+    step: int
+    """`StepRequest.step`."""
     loss: float
     mse: float
     """Mean squared error of the unmasked pixels, before the step."""
@@ -295,6 +302,44 @@ class StepNumbers(NamedTuple):
     """Counts and milliseconds of the rasterizer (gs_stats)."""
     costs: tuple[float, ...] = ()
     """Rendering cost of each photo of the step, any unit; empty: one photo."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CostModel:
+    """Seconds of a step on the machine for which `Engine.pace` is 1."""
+
+    step: float
+    """Per step and model."""
+    pixel: float
+    """Per drawn pixel."""
+    splat: float
+    """Per splat of a model."""
+    number: float
+    """Per number of a splat."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EngineInfo:
+    """Identity and capabilities of an engine; the trainer refuses by name what it lacks."""
+
+    name: str
+    """Name of the engine, for messages."""
+    numerics: str
+    """Identity of its arithmetic: equal for two engines that give the same bits; the instruction
+    set of the CPU engine."""
+    threads: int = 0
+    """CPU threads of its kernels; 0: none."""
+    terms: frozenset[TermKind] = frozenset(TermKind)
+    """Loss terms that it computes."""
+    picture_terms: bool = True
+    """It hands inverse depth and opacity to `StepRequest.picture_term`."""
+    frozen: bool = True
+    """It draws frozen splats."""
+    skips: frozenset[Skip] = frozenset()
+    """Those of `ENGINE_SKIPS` that it can disable."""
+    finds_anomalies: bool = False
+    """It knows `StepRequest.check_finite`."""
+    cost: CostModel
 
 
 class Pending(Protocol):
@@ -333,6 +378,16 @@ class Engine(Protocol[Model]):
 
     in_flight: int
     """Steps that may be requested before the result of the first is read."""
+
+    @property
+    def info(self) -> EngineInfo:
+        """Identity and capabilities."""
+        ...
+
+    def pace(self) -> float:
+        """Measure the time of a step relative to `EngineInfo.cost` under the current load, within a
+        tenth of a second."""
+        ...
 
     def model(
         self, columns: Columns, *, counters: Sequence[str] = (), frozen: Columns | None = None
@@ -400,4 +455,8 @@ class Engine(Protocol[Model]):
 
     def release(self) -> None:
         """Free the memory of steps, which the next one allocates again."""
+        ...
+
+    def close(self) -> None:
+        """Free the device; nothing is called afterwards. Calls after the first do nothing."""
         ...

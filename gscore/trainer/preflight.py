@@ -49,7 +49,7 @@ def _splat_warnings(trainer: Trainer) -> Iterator[str]:
             f"{config.start_splats} was trained {'without' if config.antialias else 'with'} "
             "antialiasing, unlike this run; small splats change their opacity at first."
         )
-    count = trainer.trained_count
+    count = trainer.models.trained_count
     if config.region and config.start_splats and not trainer.steps and count < _FEW_IN_REGION:
         yield (
             f"Only {count_words(count, 'splat')} of {config.start_splats} are in the region "

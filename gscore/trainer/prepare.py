@@ -77,7 +77,9 @@ class Prepared:
     def decisions(self, earlier: Sequence[Decision] = ()) -> list[Decision]:
         """Decisions in the order of `TOPICS`; `earlier`: those of the resumed run."""
         rules = (self.stereo, self.depth, self.guide, self.exposure, self.pose_check)
-        found = [*self.trainer.decisions, self.caps, _MASKS.get(self.mask_mode)]
+        models = self.trainer.models
+        counts = {"trained": models.trained_count, "frozen": models.frozen_count}
+        found = [*self.trainer.rules.decisions(**counts), self.caps, _MASKS.get(self.mask_mode)]
         found += [rule.decision for rule in rules]
         by_topic = {one.topic: one for one in earlier if one.topic in _KEPT}
         by_topic |= {one.topic: one for one in found if one is not None}
@@ -92,8 +94,8 @@ class Prepared:
                 {"train": torch.tensor(list(photos.train), dtype=torch.int64, device="cpu")}
             ),
             "the plan": repr(trainer.plan),
-            "the dropout rate": trainer.drop_rate,
-            "the number of models": len(trainer.members),
+            "the dropout rate": trainer.rules.drop_rate,
+            "the number of models": len(trainer.models.members),
             "the guide meshes": trainer.guide_digest,
             "the initial splats": crc_of(trainer.tensors()),
         }

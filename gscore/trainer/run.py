@@ -1,7 +1,7 @@
 """Run: `train` prepares and checks a training, then runs its session."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from ..config import DataConfig, Stereo, TrainConfig
@@ -89,7 +89,7 @@ def train(
             )
         if team:
             check_equal(team, found.facts())
-        with readable_memory_errors():
+        with readable_memory_errors(), closing(found.trainer.engine):
             session = Session(
                 found,
                 folder,

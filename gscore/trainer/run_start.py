@@ -96,7 +96,7 @@ class RunStart:
             trainer.restore(found.trainer, found.tensors)
             session.restore(found.session)
         found.tensors.clear()  # the model replaces them as it grows
-        if other_isa := checkpoint.isa_warning(found):
+        if other_isa := checkpoint.isa_warning(found, trainer):
             session.warn(other_isa, "isa")
         for text in found.warnings:
             session.warn(text, "no_effect")

@@ -18,12 +18,10 @@ from ..live.viewer_clients import ViewerClients
 from ..live.viewer_protocol import FrameRequest
 from ..metrics import Evaluation, Lpips, LpipsNet
 from ..quoting import quoted
-from ..raster import native_library
 from ..report import PictureCollector
 from ..text_format import count_words
 from .depth.report import DepthReport, measure_depth
 from .distributed.straggler_monitor import StragglerMonitor
-from .estimate.forecast import current_pace
 from .evaluation import Evaluator
 from .files import checkpoint
 from .files.run_folder import RunFolder
@@ -82,10 +80,14 @@ class Session:
         self._results = RunOutputs(trainer, folder, data)
         self._viewers = viewers or ViewerClients()
         self._earlier: list[Decision] = []
-        pace = current_pace(self._config.threads)
+        pace = trainer.engine.pace()
         budget = self._config.time_budget or math.inf
         self._meter = ProgressMeter(
-            trainer.plan, splats=trainer.splat_count, pace=pace, budget=budget
+            trainer.plan,
+            splats=trainer.splat_count,
+            pace=pace,
+            budget=budget,
+            cost=trainer.engine.info.cost,
         )
         self._steering = StoppingController(trainer, self._meter, self._evaluator)
         self._watchdog = Watchdog(trainer.plan)
@@ -93,6 +95,9 @@ class Session:
         self._warnings: list[str] = []
         self._last_checkpoint = 0.0
         self._last_preview = 0.0
+        self._unrecorded = 0.0
+        """Seconds of steps whose results were not read."""
+        self._has_diverged = False
         self._waits = StragglerMonitor(trainer.team.hosts) if trainer.team else None
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -134,22 +139,9 @@ class Session:
                 )
                 self._run_control_commands()
                 continue
-            began, before = time.perf_counter(), trainer.steps
             with self._checkpoint_on_error():
-                result = trainer.step()
-            self._meter.update(
-                step=trainer.steps,
-                loss=result.loss,
-                mse=result.mse,
-                splats=trainer.splat_count,
-                seconds=time.perf_counter() - began,
-                photos=max(trainer.steps - before, 1),
-                photo_factor=trainer.photo_factor,
-            )
-            if self._meter.due():
-                self._emit(self._meter.progress())
-            self._warn_of_step(result)
-            if self._diverged(result):
+                self._observe(trainer.advance)
+            if self._has_diverged:
                 self._rescue()
                 continue
             with self._checkpoint_on_error():
@@ -160,6 +152,28 @@ class Session:
             self._serve_viewers(idle=True)
             time.sleep(_PAUSE)
         return result
+
+    def _observe(self, read: Callable[[], list[StepResult]]) -> None:
+        """Record the results that `read` returns, in their order; its time is theirs."""
+        began = time.perf_counter()
+        results = read()
+        self._unrecorded += time.perf_counter() - began
+        share = self._unrecorded / max(len(results), 1)
+        for i, result in enumerate(results):
+            self._unrecorded = 0.0
+            self._meter.update(
+                step=result.step,
+                loss=result.loss,
+                mse=result.mse,
+                splats=self._trainer.splat_count,
+                seconds=share,
+                photos=result.photos,
+                photo_factor=self._trainer.view_batcher.factor,
+            )
+            if self._meter.due():
+                self._emit(self._meter.progress())
+            self._warn_of_step(result, results[i + 1 :])
+            self._has_diverged |= self._diverged(result)
 
     def _serve_viewers(self, *, idle: bool = False) -> None:
         """Render the frame requests of the viewer clients."""
@@ -215,9 +229,9 @@ class Session:
                 splats=self._trainer.splat_count,
                 width=int(cameras.widths.max()),
                 height=int(cameras.heights.max()),
-                isa=native_library.isa(),
+                isa=self._trainer.engine.info.numerics,
                 threads=self._results.threads,
-                models=len(self._trainer.members),
+                models=len(self._trainer.models.members),
                 left_s=self._meter.progress().eta_s,
                 mask_mode=self._prepared.mask_mode,
                 decisions=self._decisions() + ([viewer] if viewer else []),
@@ -225,9 +239,11 @@ class Session:
             )
         )
 
-    def _warn_of_step(self, result: StepResult) -> None:
-        """Emit warnings about a step: losses, gradients, slow ranks, free space, runaways."""
-        step, count = self._trainer.steps, self._trainer.bad_rows
+    def _warn_of_step(self, result: StepResult, later: list[StepResult]) -> None:
+        """Emit warnings about a step: losses, gradients, slow ranks, free space, runaways; `later`:
+        results that were read with it."""
+        step = result.step
+        count = self._trainer.counts.bad_rows - sum(one.bad_rows for one in later)
         if result.skipped:
             self.warn(f"Step {step}: the loss was not usable; the step was skipped.", "non_finite")
         if any(count - result.bad_rows < limit <= count for limit in _WARN_BAD_ROWS):
@@ -243,7 +259,7 @@ class Session:
             self.warn(_CROWDED, "crowded")
         if self._trainer.pruner.guided.crowded and _FILLED not in self._warnings:
             self.warn(_FILLED, "crowded")
-        lost = self._trainer.lost_rows
+        lost = self._trainer.counts.lost_rows - sum(one.lost_rows for one in later)
         if any(lost - result.lost_rows < limit <= lost for limit in _WARN_LOST_ROWS):
             self.warn(
                 f"Step {step}: splats with runaway values were reset, {lost} so far.",
@@ -269,11 +285,11 @@ class Session:
     def _diverged(self, result: StepResult) -> bool:
         self._watchdog.plan = self._trainer.plan
         diverged = self._watchdog.observe(
-            self._trainer.steps,
+            result.step,
             result.mse,
             skipped=result.skipped,
-            lost=result.lost_rows / max(self._trainer.trained_count, 1),
-            cleared=result.cleared_rows / max(self._trainer.trained_count, 1),
+            lost=result.lost_rows / max(self._trainer.models.trained_count, 1),
+            cleared=result.cleared_rows / max(self._trainer.models.trained_count, 1),
         )
         return self._config.watchdog and diverged
 
@@ -281,6 +297,7 @@ class Session:
         """Restore a good checkpoint and continue at lower rates; GsError if there is none."""
         trainer, step = self._trainer, self._trainer.steps
         back = self._watchdog.rescue(step)
+        self._has_diverged = False
         trainer.release()
         found = checkpoint.load(self._folder.checkpoint(back))
         trainer.restore(found.trainer, found.tensors)
@@ -330,7 +347,7 @@ class Session:
             self._checkpoint(keep=_CHECKPOINTS_KEPT)
 
     def _preview(self) -> None:
-        self._trainer.free_memory()
+        self._trainer.engine.release()
         view = self._evaluator.indices[0]
         path = self._results.write_preview(self._evaluator.picture(view))
         name = self._trainer.photos.scene.cameras.names[view]
@@ -344,6 +361,7 @@ class Session:
         self._emit(Saved(step=self._trainer.steps, path=str(path)))
 
     def _write_checkpoint(self) -> Path:
+        self._observe(self._trainer.read_all)
         path = self._folder.checkpoint(self._trainer.steps)
         self._last_checkpoint = self._meter.train_seconds
         state = {
@@ -361,8 +379,9 @@ class Session:
         return path
 
     def _evaluate(self, collector: PictureCollector | None) -> Evaluation | None:
+        self._observe(self._trainer.read_all)
         self._emit(self._meter.progress(phase="measuring"))
-        self._trainer.free_memory()
+        self._trainer.engine.release()
         found = self._evaluator.measure(collector, interrupted=lambda: self._control.stopping)
         if found is None:
             return None
@@ -382,6 +401,9 @@ class Session:
         )
 
     def _finish(self) -> TrainResult:
+        self._observe(self._trainer.read_all)
+        if self._has_diverged:
+            self._rescue()
         trainer, reason = self._trainer, self._steering.reason
         if trainer.team:
             trainer.collect()
@@ -390,7 +412,7 @@ class Session:
         finished, reason = bool(reason), reason or self._control.stop_reason
         self._run_control_commands()  # a snapshot requested just before the stop
         cleared = trainer.pruner.around.count
-        if cleared > _MANY_CLEARED * trainer.trained_count:
+        if cleared > _MANY_CLEARED * trainer.models.trained_count:
             self.warn(
                 f"{count_words(cleared, 'splat was', 'splats were')} removed, closer to a camera "
                 f"than {self._config.free_space:g} of its distance from the nearest points. If "

@@ -13,9 +13,11 @@ from .distributed.data_parallel import DataParallelEngine
 from .distributed.process_group import ProcessGroup, RankLostError
 from .model.ensemble_member import EnsembleMember
 from .schedule.batch_size import batch_size
+from .step.step_edits import SANITIZE_EVERY
+from .step.step_queue import RequestedStep
 from .step.step_result import StepResult
 from .step.training_views import TrainingView
-from .trainer import SANITIZE_EVERY, Trainer
+from .trainer import Trainer
 
 
 class TeamTrainer(Trainer):
@@ -29,14 +31,15 @@ class TeamTrainer(Trainer):
     def __init__(self, config: TrainConfig, analysis: Analysis, team: ProcessGroup) -> None:
         """Start as `Trainer`; each rank has a trainer."""
         self.team = team
-        super().__init__(config, analysis)
+        self._engine = DataParallelEngine(team, threads=config.threads)
+        super().__init__(config, analysis, self._engine)
 
-    def step(self) -> StepResult:
-        """Take a step with all ranks; errors are those of `Trainer.step`, and RankLostError if
+    def advance(self) -> list[StepResult]:
+        """Take a step with all ranks; errors are those of `Trainer.advance`, and RankLostError if
         another process is gone."""
         self.team.broadcast(rank_commands.take_step(self.plan.iterations, self.rate_factor))
         with self.team.stepping():
-            return self._step(self._photos_at_once())
+            return self._advance(self._photos_at_once())
 
     def _draw_views(self, step: int, count: int) -> list[TrainingView]:
         try:
@@ -47,29 +50,25 @@ class TeamTrainer(Trainer):
             self._collect_now()
             raise
 
-    def _step_of(
+    def _requested(
         self, member: EnsembleMember, training_view: TrainingView, step: int
-    ) -> StepResult:
+    ) -> RequestedStep:
         try:
-            return super()._step_of(member, training_view, step)
+            return super()._requested(member, training_view, step)
         except OtherRankError:
-            self._view_batcher.put_back(len(training_view.indices))
+            self.view_batcher.put_back(len(training_view.indices))
             self._collect_now()
             raise
 
     def collect(self) -> None:
         """Collect on rank 0 the state that only other ranks have; called on rank 0."""
-        if not self._engine.collected(self._all_models()):
+        if not self._engine.collected(self.models.models):
             self.team.broadcast(rank_commands.collect())
             self._collect_now()
 
     def _collect_now(self) -> None:
         """Like `collect`, without a broadcast, because all ranks end with the same error."""
-        self._engine.collect(self._all_models())
-
-    def _make_engine(self) -> DataParallelEngine:
-        self._engine = DataParallelEngine(self.team, threads=self.config.threads)
-        return self._engine
+        self._engine.collect(self.models.models)
 
     def _send_restored(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         if self.team.is_rank0:

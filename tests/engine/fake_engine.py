@@ -1,15 +1,18 @@
 """Fake engine: answers as an engine does, by rules that take no time, for tests of the trainer."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from enum import StrEnum, auto
 
 import numpy as np
 
 from gscore.engine.base import (
+    ENGINE_SKIPS,
     Color,
     Columns,
     Contribution,
+    CostModel,
     DrawnPicture,
+    EngineInfo,
     RowEdit,
     StepNumbers,
     StepPhoto,
@@ -26,7 +29,13 @@ PENDING_SIZE = 256
 class FakeModel:
     """Parameters, moments and counters in numpy; the moments count the steps of each row."""
 
-    def __init__(self, columns: Columns, counters: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        columns: Columns,
+        counters: Sequence[str] = (),
+        engine: "FakeEngine | None" = None,
+    ) -> None:
+        self.engine = engine or FakeEngine()
         self.params = {name: np.array(columns[name]) for name in PARAMETERS}
         self.first = {name: np.zeros_like(p) for name, p in self.params.items()}
         self.second = {name: np.zeros_like(p) for name, p in self.params.items()}
@@ -100,6 +109,9 @@ class FakeModel:
         self.second.clear()
 
     def save(self) -> Columns:
+        last = max((request.step for request in self.engine.requests), default=0)
+        self.engine.lost |= self.engine.faults.get(last) is Fault.LOST_WHEN_SAVED
+        self.engine.check_present()
         out = {f"param/{name}": p for name, p in self.params.items()}
         out |= {f"m1/{name}": m for name, m in self.first.items()}
         out |= {f"m2/{name}": m for name, m in self.second.items()}
@@ -107,31 +119,82 @@ class FakeModel:
         return out | {counter_key(name): counter for name, counter in self.rows.items()}
 
 
-class Answer(NamedTuple):
-    """A step that is done."""
+class Fault(StrEnum):
+    """What goes wrong in a step of a fake engine."""
 
-    numbers: StepNumbers
+    RAISES = auto()
+    """The step cannot be requested."""
+    LOST = auto()
+    """The device is lost: the result raises, and everything after it."""
+    LOST_WHEN_SAVED = auto()
+    """The device is lost when the model is saved after this step."""
+    NAN = auto()
+    """The loss and the slopes are NaN, but the step is not said to be skipped."""
+    OTHER_STEP = auto()
+    """The result is that of the step before."""
+    INTERRUPTED = auto()
+    """No result comes until the user presses Ctrl-C."""
+
+
+class Answer:
+    """A step: computed when it is requested, known when its result is read, once."""
+
+    def __init__(self, engine: "FakeEngine", numbers: StepNumbers) -> None:
+        self.engine = engine
+        self.numbers = numbers
 
     def result(self) -> StepNumbers:
-        return self.numbers
+        engine, step = self.engine, self.numbers.step
+        engine.unread.remove(step)
+        fault = engine.faults.get(step)
+        if fault is Fault.INTERRUPTED:
+            raise KeyboardInterrupt
+        engine.lost |= fault is Fault.LOST
+        engine.check_present()
+        if fault is Fault.NAN:
+            slopes = np.full_like(self.numbers.slopes, np.nan)
+            return self.numbers._replace(loss=np.nan, mse=np.nan, slopes=slopes)
+        return self.numbers._replace(step=step - (fault is Fault.OTHER_STEP))
 
 
 class FakeEngine:
     """A step adds its rate to all parameters; pictures have the mean colour of the splats."""
 
-    in_flight = 0
-
-    def __init__(self) -> None:
+    def __init__(self, in_flight: int = 0, faults: Mapping[int, Fault] | None = None) -> None:
+        """`faults`: by step."""
+        self.in_flight = in_flight
+        self.faults = dict(faults or {})
+        self.info = EngineInfo(
+            name="fake",
+            numerics="fake",
+            threads=1,
+            skips=ENGINE_SKIPS,
+            finds_anomalies=True,
+            cost=CostModel(step=1e-6, pixel=0, splat=0, number=0),
+        )
         self.photos: dict[int, StepPhoto] = {}
         self.requests: list[StepRequest] = []
+        self.unread: list[int] = []
+        """Steps whose results were not read."""
+        self.most_unread = 0
+        """Most of them when a step was requested."""
+        self.lost = False
+        self.closed = False
+
+    def check_present(self) -> None:
+        """Raise an error if the device is lost."""
+        if self.lost:
+            raise RuntimeError("VK_ERROR_DEVICE_LOST")
 
     def model(
         self, columns: Columns, *, counters: Sequence[str] = (), frozen: Columns | None = None
     ) -> FakeModel:
-        return FakeModel(columns, counters)
+        return FakeModel(columns, counters, self)
 
     def load(self, saved: Columns, adam_steps: Mapping[str, int], like: FakeModel) -> FakeModel:
-        model = FakeModel({name: saved[f"param/{name}"] for name in PARAMETERS})
+        self.check_present()
+        columns = {name: saved[f"param/{name}"] for name in PARAMETERS}
+        model = FakeModel(columns, engine=self)
         model.first = {name: saved[f"m1/{name}"] for name in PARAMETERS}
         model.second = {name: saved[f"m2/{name}"] for name in PARAMETERS}
         model.rows = counters_of(saved)
@@ -142,18 +205,38 @@ class FakeEngine:
         self.photos[key] = photo
 
     def step(self, model: FakeModel, request: StepRequest) -> Answer:
+        self.check_present()
+        assert len({*self.unread, request.step}) <= 1 + self.in_flight, "too many steps in flight"
+        if self.faults.get(request.step) is Fault.RAISES:
+            raise RuntimeError("out of device memory")
         photo = self.photos.pop(request.photo)
         self.requests.append(request)
+        self.unread.append(request.step)
+        self.most_unread = max(self.most_unread, len(set(self.unread)))
+        mse = float(np.mean((photo.image / 255.0 - self._color([model])) ** 2))
         for name, rate in request.rates.items():
             model.params[name] += np.float32(1e-3 * rate)
             model.first[name] += 1
             model.adam_steps[name] += 1
         model.params["means"] += np.float32(request.noise * 1e-9)
+        if request.gain is not None:  # so that a late gain shows in the splats
+            model.params["sh0"] += np.float32(1e-3 * request.gain[0])
         for name in request.observe:
             model.rows[name] += 1
-        mse = float(np.mean((photo.image / 255.0 - self._color([model])) ** 2))
+        slopes = np.full((1, 19), np.sin(request.step + request.photo))
         return Answer(
-            StepNumbers(mse, mse, np.zeros((1, 19)), 0, 0, False, {"draw": 0.0}, {"entries": 1})
+            self,
+            StepNumbers(
+                step=request.step,
+                loss=mse,
+                mse=mse,
+                slopes=slopes,
+                bad_rows=0,
+                lost_rows=0,
+                skipped=False,
+                seconds={"draw": 0.0},
+                raster={"entries": 1},
+            ),
         )
 
     def draw(
@@ -193,6 +276,12 @@ class FakeEngine:
 
     def release(self) -> None:
         pass
+
+    def pace(self) -> float:
+        return 1.0
+
+    def close(self) -> None:
+        self.closed = True
 
     def _color(self, models: Sequence[FakeModel]) -> np.ndarray:
         return np.mean([0.5 + 0.28 * m.params["sh0"].mean(axis=(0, 1)) for m in models], axis=0)

@@ -1,6 +1,7 @@
 """What a trainer relies on, for every engine; oracle: numpy indexing, and the model before."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,25 @@ from gscore.trainer.trainer import Trainer
 from tests.engine.fake_engine import FakeEngine
 from tests.trainer.short_run import CONFIG
 
-ENGINES: list[Callable[[], Any]] = [CpuEngine, FakeEngine]
+Make = Callable[[], Any]
+ENGINES: dict[str, Make] = {
+    "cpu": CpuEngine,
+    "fake": FakeEngine,
+    "fake in flight": partial(FakeEngine, 2),
+}
 COUNTERS = ("grad2d", "views")
 
 
 @pytest.fixture(params=ENGINES)
-def engine(request: pytest.FixtureRequest) -> Any:
+def make_engine(request: pytest.FixtureRequest) -> Make:
+    """Makes one of the engines."""
+    return ENGINES[request.param]
+
+
+@pytest.fixture
+def engine(make_engine: Make) -> Any:
     """Each engine."""
-    return request.param()
+    return make_engine()
 
 
 def columns_of(splats: Splats) -> dict[str, np.ndarray]:
@@ -157,12 +169,12 @@ def test_rows_that_are_not_finite_are_reset(model: Any) -> None:
 
 
 def test_a_saved_model_goes_on_with_the_same_bits(
-    engine: Any, model: Any, photos: ToyPhotos, known_splats: Splats
+    engine: Any, make_engine: Make, model: Any, photos: ToyPhotos, known_splats: Splats
 ) -> None:
     """Oracle: the model that was not saved, after three more steps."""
     stepped(engine, model, photos, 3)
     saved = {name: array.copy() for name, array in model.save().items()}
-    other = type(engine)()
+    other = make_engine()
     loaded = other.load(saved, model.adam_steps, other.model(columns_of(known_splats)))
     for one, trained in ((engine, model), (other, loaded)):
         stepped(one, trained, photos, 3)
@@ -199,11 +211,45 @@ def test_parts_are_the_rows(model: Any) -> None:
         np.testing.assert_array_equal(part[name], model.column(name)[3:7])
 
 
-def test_a_training_runs(engine: Any, photos: ToyPhotos) -> None:
+def test_results_may_be_read_later(
+    make_engine: Make, photos: ToyPhotos, known_splats: Splats
+) -> None:
+    """Oracle: the results, their numbers and the model of steps that are read at once."""
+    runs = []
+    for keeps in (False, True):
+        engine = make_engine()
+        model = engine.model(columns_of(known_splats), counters=COUNTERS)
+        pending, results = [], []
+        for step in range(1, 7):
+            index = step % len(photos.train)
+            engine.put(index, StepPhoto(image=photos.image(index)))
+            pending.append(engine.step(model, request_of(photos, index, step)))
+            while len(pending) > keeps * engine.in_flight:
+                results.append(pending.pop(0).result())
+        results += [one.result() for one in pending]
+        assert [found.step for found in results] == [1, 2, 3, 4, 5, 6]
+        runs.append(([(found.loss, found.mse) for found in results], all_of(model)))
+    assert runs[0][0] == runs[1][0]
+    for name, column in runs[0][1].items():
+        np.testing.assert_array_equal(runs[1][1][name], column, err_msg=name)
+
+
+def test_an_engine_says_what_it_is(engine: Any) -> None:
+    """Oracle: names, positive costs and pace; closing twice is no error."""
+    info = engine.info
+    assert info.name and info.numerics
+    assert {TermKind.L1, TermKind.SSIM} <= info.terms
+    assert info.cost.step > 0 and engine.pace() > 0
+    assert engine.in_flight >= 0
+    engine.close()
+    engine.close()
+
+
+def test_a_training_runs(make_engine: Make, photos: ToyPhotos) -> None:
     """Oracle: growth in a run with refinements, the number of steps, finite splats; the same again
     from a second engine."""
     runs = []
-    for one in (engine, type(engine)()):
+    for one in (make_engine(), make_engine()):
         trainer = Trainer(CONFIG, Analysis(photos=photos), engine=one)
         first = trainer.splat_count
         changes = [trainer.step().change for _ in range(CONFIG.iterations)]

@@ -18,7 +18,7 @@ from gscore.presets import PRESETS
 from gscore.raster.api import render
 from gscore.raster.loss import LossValues
 from gscore.splats import PARAMETERS, Splats
-from gscore.trainer import trainer as trainer_module
+from gscore.trainer.analysis import photo_rules
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.model.ensemble_member import count_members
@@ -51,7 +51,7 @@ def test_each_model_is_as_if_it_were_trained_alone(
     epoch; to the bit."""
     both = trained(TWO, photos)
     batch_neighbours = ViewSampler.batch_neighbours
-    for place, member in enumerate(both.members):
+    for place, member in enumerate(both.models.members):
         monkeypatch.setattr(
             ViewSampler,
             "batch_neighbours",
@@ -59,9 +59,9 @@ def test_each_model_is_as_if_it_were_trained_alone(
         )
         alone = trained(ONE, photos)
         mine = {key.removeprefix(f"{place}/"): t for key, t in member.tensors().items()}
-        assert bits(mine) == bits(alone.members[0].tensors())
+        assert bits(mine) == bits(alone.models.members[0].tensors())
         assert len(member.model) > 100
-    first, second = (member.model.params["means"] for member in both.members)
+    first, second = (member.model.params["means"] for member in both.models.members)
     assert first.shape != second.shape or not torch.equal(first, second)
 
 
@@ -109,13 +109,13 @@ def test_rendered_ensemble_equals_the_written_splats(
     photos: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the renderer on the merged splats; the same splats in parts and as a whole."""
-    monkeypatch.setattr("gscore.trainer.trainer._ROWS_A_PART", 70)
+    monkeypatch.setattr("gscore.trainer.step.model_set._ROWS_A_PART", 70)
     trainer = trained(RANDOM, photos, 30)
-    whole, parts = trainer.splats(), list(trainer.parts())
+    whole, parts = trainer.splats(), list(trainer.models.parts())
     for name in PARAMETERS:
         joined = np.concatenate([getattr(part, name) for part in parts])
         assert np.array_equal(joined, getattr(whole, name)), name
-    assert len(whole) == trainer.splat_count == sum(len(m.model) for m in trainer.members)
+    assert len(whole) == trainer.splat_count == sum(len(m.model) for m in trainer.models.members)
     cameras = photos.scene.cameras
     picture = trainer.renderer.picture(0, background=(0.0, 0.0, 0.0))
     size = int(cameras.widths[0]), int(cameras.heights[0])
@@ -138,7 +138,8 @@ def test_it_shows_the_mean_of_its_models(make_photos: Callable[..., Any]) -> Non
         return render(splats, cameras.Ks[1], cameras.viewmats[1], *size).rgb
 
     alone = [
-        trainer._in_world(member.model.part(0, len(member.model))) for member in trainer.members
+        trainer.models.in_world(member.model.part(0, len(member.model)))
+        for member in trainer.models.members
     ]
     pictures = [drawn(splats) for splats in alone]
     mean, shown = (pictures[0] + pictures[1]) / 2, drawn(trainer.splats())
@@ -169,19 +170,19 @@ def test_a_run_keeps_the_models_that_photos_decided_on(
     """Oracle: bit equality with the uninterrupted run, though the rule now finds another number."""
     config = replace(TWO, ensemble_below=0.35)
     monkeypatch.setattr(
-        trainer_module, "model_count", lambda *_, **__: (models, Decision("ensemble", "then"))
+        photo_rules, "model_count", lambda *_, **__: (models, Decision("ensemble", "then"))
     )
     begun = trained(config, photos, 20)
     state, tensors = begun.state(), {name: t.clone() for name, t in begun.tensors().items()}
     for _ in range(15):
         begun.step()
-    monkeypatch.setattr(trainer_module, "model_count", lambda *_, **__: (3 - models, None))
+    monkeypatch.setattr(photo_rules, "model_count", lambda *_, **__: (3 - models, None))
     after = Trainer(config, Analysis(photos=photos))
     after.restore(state, tensors)
     for _ in range(15):
         after.step()
     assert bits(after.tensors()) == bits(begun.tensors())
-    assert (after.plan.models, after.decisions) == (models, [])
+    assert (after.plan.models, after.rules.by_photos) == (models, ())
 
 
 def test_a_state_of_other_models_is_refused(photos: Any) -> None:
@@ -197,7 +198,7 @@ def test_a_state_of_other_models_is_refused(photos: Any) -> None:
         two.restore(two.state(), broken)
     other = dict(two.tensors())
     for kind in ("param", "m1", "m2", "gathered"):
-        other[f"1/{kind}/shN"] = torch.zeros(len(two.members[1].model), 3, 3)
+        other[f"1/{kind}/shN"] = torch.zeros(len(two.models.members[1].model), 3, 3)
     with pytest.raises(ValueError, match="different SH degrees"):
         two.restore(two.state(), other)
     assert bits(two.tensors()) == before
@@ -208,7 +209,7 @@ def test_where_one_loss_is_not_finite_the_other_model_takes_its_step(
 ) -> None:
     """Oracle: the bits of a run with finite losses, and those before the step."""
     well, ill = Trainer(TWO, Analysis(photos=photos)), Trainer(TWO, Analysis(photos=photos))
-    before = bits(ill.members[1].tensors())
+    before = bits(ill.models.members[1].tensors())
     found = step_loss.image_loss_gradient
     bad = iter((False, True))
 
@@ -219,8 +220,8 @@ def test_where_one_loss_is_not_finite_the_other_model_takes_its_step(
     well.step()
     monkeypatch.setattr(step_loss, "image_loss_gradient", once)
     assert ill.step().skipped
-    assert bits(ill.members[0].tensors()) == bits(well.members[0].tensors())
-    assert bits(ill.members[1].tensors()) == before
+    assert bits(ill.models.members[0].tensors()) == bits(well.models.members[0].tensors())
+    assert bits(ill.models.members[1].tensors()) == before
 
 
 @pytest.mark.parametrize(

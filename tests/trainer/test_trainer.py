@@ -117,7 +117,7 @@ def test_model_in_parts_equals_the_whole_model(
     photos: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: `splats` before the end; the steps of a training that did not read them."""
-    monkeypatch.setattr("gscore.trainer.trainer._ROWS_A_PART", 40)
+    monkeypatch.setattr("gscore.trainer.step.model_set._ROWS_A_PART", 40)
     ours, theirs = (
         Trainer(CONFIG, Analysis(photos=photos)),
         Trainer(CONFIG, Analysis(photos=photos)),
@@ -126,12 +126,12 @@ def test_model_in_parts_equals_the_whole_model(
         for trainer in (ours, theirs):
             trainer.step()
         if step % 10 == 5:
-            parts, whole = list(ours.parts()), ours.splats()
+            parts, whole = list(ours.models.parts()), ours.splats()
             assert len(parts) > 1
             for name in PARAMETERS:
                 joined = np.concatenate([getattr(part, name) for part in parts])
                 assert np.array_equal(joined, getattr(whole, name)), name
-            ours.free_memory()
+            ours.engine.release()
     last, picture = theirs.splats(), theirs.renderer.picture(0, background=(0, 0, 0))
     ended = ours.finish()
     for name in PARAMETERS:
@@ -248,7 +248,7 @@ def test_bad_gradients_are_left_out_and_counted(
     monkeypatch.setattr(TrainingRasterizer, "gradients", poisoned)
     before = {name: p.clone() for name, p in trainer.model.params.items()}
     result = trainer.step()
-    assert (result.bad_rows, trainer.bad_rows, result.skipped) == (1, 1, False)
+    assert (result.bad_rows, trainer.counts.bad_rows, result.skipped) == (1, 1, False)
     for name in ("means", "quats", "scales", "opacities", "sh0"):
         after = trainer.model.params[name]
         assert torch.equal(after[4], before[name][4]), name

@@ -7,7 +7,7 @@ Fits, to the speeds in the history of finished trainings,
     seconds = step + a_pixel * pixels + splats * (a_splat + a_number * numbers)
 
 with non-negative coefficients and relative errors, and prints the resulting forecast of each
-training. Also times the picture by which `gscore.trainer.estimate.forecast` compares machines. Run
+training. Also times the picture by which `gscore.engine.cpu.pace` compares machines. Run
 everything on one idle machine.
 """
 
@@ -21,8 +21,8 @@ from scipy.optimize import nnls
 
 from gscore.config import TrainConfig
 from gscore.config_file import from_dict
+from gscore.engine.cpu import pace
 from gscore.splats import SH_REST_BY_DEGREE
-from gscore.trainer.estimate import forecast
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.schedule.plan import Plan
 
@@ -72,12 +72,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folders", nargs="+", type=Path, help="folders of finished trainings")
     runs = [Run.read(folder) for folder in parser.parse_args().folders]
-    print(f"_REFERENCE_MS = {forecast.machine_pace() * forecast._REFERENCE_MS:.2f}")
+    print(f"_REFERENCE_MS = {pace.machine_pace() * pace._REFERENCE_MS:.2f}")
     seconds, pixels, count, numbers = np.array([row for run in runs for row in run.rows()]).T
     columns = np.stack([np.ones_like(pixels), pixels, count, count * numbers], axis=1)
     weights, _ = nnls(columns / seconds[:, None], np.ones_like(seconds))
-    for name, value in zip(("STEP", "PIXEL", "SPLAT", "NUMBER"), weights, strict=True):
-        print(f"_SECONDS_A_{name} = {value:.3g}")
+    for name, value in zip(("step", "pixel", "splat", "number"), weights, strict=True):
+        print(f"COST.{name} = {value:.3g}")
     ratio = columns @ weights / seconds
     low, middle, high = np.percentile(ratio, [5, 50, 95])
     print(f"predicted / measured: median {middle:.2f}, 5 to 95 %: {low:.2f} to {high:.2f}")

@@ -9,7 +9,15 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from ...raster.header import OUT_INVERSE_DEPTH
+from ...choices import Skip
+from ...raster import native_library
+from ...raster.header import (
+    NO_EXACT_CULL,
+    NO_OPACITY_EXTENT,
+    NO_ROW_RANGE,
+    NO_ZERO_TILE,
+    OUT_INVERSE_DEPTH,
+)
 from ...raster.memory import ones, zeros
 from ...raster.random_numbers import normal_rows, uniform_rows
 from ...raster.request import Frustum, Settings
@@ -26,6 +34,15 @@ from .frozen_rasterizer import FrozenRasterizer
 from .loss import LossAndGradients, StepLoss
 from .mcmc import add_noise, add_regularisers
 from .model import CpuModel, Moments, accumulated_of
+from .pace import COST, current_pace
+
+_SKIPS = {
+    Skip.EXACT_CULL: NO_EXACT_CULL,
+    Skip.OPACITY_EXTENT: NO_OPACITY_EXTENT,
+    Skip.ROW_RANGE: NO_ROW_RANGE,
+    Skip.ZERO_TILE: NO_ZERO_TILE,
+}
+"""Bits of the rasterizer that disable them."""
 
 
 class FinishedStep(NamedTuple):
@@ -65,6 +82,22 @@ class CpuEngine:
         """Gradients of the splats in `pose_gradient`, which are not used; kept between steps."""
         self._merged: tuple[list[Mapping[str, torch.Tensor]], dict[str, torch.Tensor]] | None = None
         """Parameters of the models that were merged last, and of their merged model."""
+
+    @property
+    def info(self) -> base.EngineInfo:
+        """Identity and capabilities."""
+        return base.EngineInfo(
+            name="cpu",
+            numerics=native_library.isa(),
+            threads=self._threads or native_library.default_threads(),
+            skips=base.ENGINE_SKIPS,
+            finds_anomalies=True,
+            cost=COST,
+        )
+
+    def pace(self) -> float:
+        """Measure the pace, see `Engine.pace`."""
+        return current_pace(self._threads)
 
     def model(
         self, columns: Columns, *, counters: Sequence[str] = (), frozen: Columns | None = None
@@ -115,7 +148,15 @@ class CpuEngine:
         loss = drawn.loss
         lost_rows, skipped = self._checked(model, request, drawn, [(loss.value, loss.mse)])
         numbers = StepNumbers(
-            loss.value, loss.mse, np.zeros((1, 19)), 0, lost_rows, skipped, drawn.timer.seconds, {}
+            step=request.step,
+            loss=loss.value,
+            mse=loss.mse,
+            slopes=np.zeros((1, 19)),
+            bad_rows=0,
+            lost_rows=lost_rows,
+            skipped=skipped,
+            seconds=drawn.timer.seconds,
+            raster={},
         )
         if skipped:
             return FinishedStep(numbers)
@@ -148,7 +189,7 @@ class CpuEngine:
                 request.antialias,
                 sh_degree=request.sh_degree,
                 inverse_depth=request.picture_term is not None,
-                disable=request.disable,
+                disable=sum(_SKIPS[skip] for skip in request.disable),
                 tiles=photo.tiles,
             ),
         )
@@ -293,6 +334,11 @@ class CpuEngine:
         """Free the memory of steps."""
         self._rasterizer.release()
         self._merged, self._scratch = None, {}
+
+    def close(self) -> None:
+        """Free all memory but that of models."""
+        self.release()
+        self._photos.clear()
 
     def _splats(self, models: Sequence[CpuModel]) -> Mapping[str, torch.Tensor]:
         """Raw parameters of the models as one, kept while they do not change."""

@@ -73,6 +73,7 @@ class DataParallelEngine(CpuEngine):
         losses = list(zip(found.values, found.errors, strict=True))
         lost_rows, skipped = self._checked(model, request, drawn, losses)
         numbers = StepNumbers(
+            step=request.step,
             loss=sum(found.values) / count,
             mse=sum(found.errors) / count,
             slopes=np.zeros((count, 19)),

@@ -5,15 +5,11 @@ import os
 from functools import cached_property
 from itertools import accumulate
 
+from ...engine.base import CostModel
+from ...engine.cpu.pace import COST
 from ...splats import SH_REST_BY_DEGREE
 from ..schedule.plan import Plan
 
-_SECONDS_A_STEP = 6.3e-4
-_SECONDS_A_PIXEL = 7.1e-8
-_SECONDS_A_SPLAT = 7.7e-8
-_SECONDS_A_NUMBER = 5.7e-10
-"""Seconds per step, pixel, splat and number of a splat, on two cores of a Xeon with AVX-512
-(`tools/measure/step_time.py`)."""
 _SECONDS_A_POINT = 2e-6
 """Seconds per SfM point to read it and to look for its neighbours."""
 _SECONDS_A_PHOTO_PIXEL = 1.5e-8
@@ -43,19 +39,21 @@ def reading_seconds(points: int, pixels: int, threads: int) -> float:
 class Cost:
     """Predicted seconds and number of splats of a run that follows a plan."""
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, model: CostModel = COST) -> None:
+        """`model`: seconds of a step of the engine that follows the plan."""
         self.plan = plan
+        self.model = model
 
     def seconds_at(self, step: int, splats: float) -> float:
         """Seconds of `step` on the reference machine, with `splats` in all models together.
 
         Other machines differ by a factor that is about the same for all steps.
         """
-        plan = self.plan
+        plan, model = self.plan, self.model
         numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[plan.sh_degree_at(step)])
-        a_splat = _SECONDS_A_SPLAT + _SECONDS_A_NUMBER * numbers
+        a_splat = model.splat + model.number * numbers
         drawn = plan.pixels / plan.factor_at(step) ** 2
-        a_model = _SECONDS_A_STEP + _SECONDS_A_PIXEL * drawn
+        a_model = model.step + model.pixel * drawn
         return plan.models * a_model + a_splat * splats
 
     def seconds_after(self, step: int, splats: int) -> float:

@@ -25,7 +25,6 @@ from ...json_text import parse_json
 from ...option_marks import mark_option
 from ...options import options_of
 from ...quoting import brief
-from ...raster import native_library
 from ..model.checkpoint_schema import as_int
 from ..photos.view_sampler import Photos
 from ..trainer import Trainer
@@ -78,7 +77,7 @@ def save(path: Path, trainer: Trainer, session: dict[str, Any]) -> None:
         "format": FORMAT,
         "gscore": __version__,
         "torch": torch.__version__,
-        "isa": native_library.isa(),
+        "isa": trainer.engine.info.numerics,
         "config": to_dict(trainer.config),
         "capture": fingerprint(trainer.photos) | inputs_fingerprint(trainer),
         "trainer": trainer.state(),
@@ -197,9 +196,9 @@ def check_compatible(
         )
 
 
-def isa_warning(checkpoint: Checkpoint) -> str | None:
+def isa_warning(checkpoint: Checkpoint, trainer: Trainer) -> str | None:
     """Return a warning if the run continues with another instruction set than before."""
-    was, now = checkpoint.isa, native_library.isa()
+    was, now = checkpoint.isa, trainer.engine.info.numerics
     if was is None or was == now:
         return None
     return (
@@ -241,7 +240,7 @@ def inputs_fingerprint(trainer: Trainer) -> dict[str, str]:
     if trainer.depth is not None:
         found[_DEPTHS] = trainer.depth.targets.content_hash()
     if trainer.region is not None:
-        around = "" if trainer.frozen is None else trainer.frozen.content_hash()
+        around = "" if trainer.models.frozen is None else trainer.models.frozen.content_hash()
         found[_REGION] = trainer.region.content_hash() + around
     return found | ({_GUIDE: trainer.guide_digest} if trainer.guide_digest else {})
 

@@ -19,7 +19,6 @@ from ...io.ply.splats import MIP_COMMENT, origin_comment, write_splat_parts
 from ...io.poses_json import POSES_FILE, write_poses
 from ...io.runs import snapshots_in
 from ...metrics import Course, Evaluation, Metrics
-from ...raster import native_library
 from ...report import PictureCollector, cameras_section, splat_histograms, write_results
 from ..depth.report import DepthReport
 from ..distributed.process_group import ProcessGroup
@@ -43,8 +42,8 @@ class RunOutputs:
 
     @property
     def threads(self) -> int:
-        """Number of threads of the rasterizer."""
-        return self._trainer.config.threads or native_library.default_threads()
+        """Number of threads of the engine."""
+        return self._trainer.engine.info.threads
 
     def write_inputs(self) -> None:
         """Write the options and cameras, before the first step."""
@@ -78,7 +77,7 @@ class RunOutputs:
         comments += (near_comment(near),) if near < trainer.config.near else ()
         write_splat_parts(
             path,
-            trainer.parts(),
+            trainer.models.parts(),
             count=trainer.splat_count,
             sh_degree=trainer.model.sh_degree,
             comments=comments,
@@ -155,7 +154,7 @@ class RunOutputs:
             splats=trainer.splat_count,
             sh_degree=trainer.model.sh_degree,
             storage_bytes=folder.point_cloud.stat().st_size,
-            isa=native_library.isa(),
+            isa=trainer.engine.info.numerics,
             threads=self.threads,
             course=course,
         )
@@ -170,7 +169,7 @@ class RunOutputs:
             warnings=warnings,
             depth=None if depth is None else depth.section,
             cameras=cameras_section(self._data.source, photos.scene),
-            histograms=splat_histograms(trainer.parts()),
+            histograms=splat_histograms(trainer.models.parts()),
         )
 
     def write_photo_parameters(self, exposure: dict[str, Any] | None, poses: str) -> dict[str, Any]:

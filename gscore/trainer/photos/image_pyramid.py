@@ -11,7 +11,7 @@ from ...engine.base import StepPhoto
 from ...io.images.read_image import resize
 from ...raster.request import Frustum
 from ...scene import Cameras
-from .raster_skips import tiles_of_mask
+from .masked_tiles import tiles_of_mask
 from .view_sampler import Photos, training_camera
 
 AHEAD = 3

@@ -1,1 +1,1 @@
-"""Parts of a training step without state of the trainer: views, loss, result."""
+"""Parts of a training step: start, models, views, requests, steps in flight, edits, results."""

@@ -8,6 +8,7 @@ import torch
 from ...config import TrainConfig
 from ...engine.base import PictureTerm, TermGradients, TermKind
 from ..depth.loss import DepthLoss
+from ..depth.targets import DepthTargets
 from ..guide.loss import GuideLoss
 
 
@@ -19,11 +20,19 @@ class LossTerms:
         config: TrainConfig,
         *,
         mask_mode: str,
-        depth: DepthLoss | None,
-        guide: GuideLoss | None,
+        depth: DepthTargets | None,
+        surface: DepthTargets | None,
+        scale: float,
     ) -> None:
-        """`depth` and `guide`: losses of inverse depth by depth maps and guide meshes; None: not
-        used."""
+        """Create the terms.
+
+        Args:
+            config: The options.
+            mask_mode: Use of the masks, as `Dataset.mask_mode`.
+            depth: Targets of depth maps; None: none.
+            surface: Targets of a guide mesh; None: none.
+            scale: Training units per world unit.
+        """
         ssim, composite = config.ssim_weight, mask_mode == "composite"
         weights = {
             TermKind.L1: 1 - ssim,
@@ -33,15 +42,23 @@ class LossTerms:
         }
         self.terms = tuple(weights.items())
         """Kinds and weights."""
-        self._depth = depth
-        self._guide = guide
+        self.depth = None if depth is None else DepthLoss(config, depth, scale=scale)
+        """The depth loss; None: no depth supervision."""
+        self._guide = None
+        if surface is not None:
+            self._guide = GuideLoss(surface, weight=config.guide_weight, scale=scale)
+
+    @property
+    def needs_pictures(self) -> bool:
+        """True if any view has a loss of inverse depth."""
+        return self.depth is not None or self._guide is not None
 
     def picture_term(self, index: int, step: int) -> PictureTerm | None:
         """Return the inverse-depth losses of view `index` at `step`, summed; None: there are
         none."""
         terms: list[tuple[float, DepthLoss | GuideLoss]] = []
-        if self._depth:
-            terms.append((self._depth.weight(index, step), self._depth))
+        if self.depth:
+            terms.append((self.depth.weight(index, step), self.depth))
         if self._guide:
             terms.append((self._guide.weight(index), self._guide))
         terms = [(weight, loss) for weight, loss in terms if weight > 0]

@@ -3,12 +3,17 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from ...engine.base import StepNumbers
 from ..strategy import Change
 
 
 class StepResult(NamedTuple):
     """Measurements and changes of a step."""
 
+    step: int
+    """Number of the step, from 1."""
+    photos: int
+    """Number of photos in its batch."""
     loss: float
     mse: float
     """Mean squared error of the view's unmasked pixels, before the step."""
@@ -24,6 +29,20 @@ class StepResult(NamedTuple):
     """Number of splats that were removed in front of a guide mesh."""
 
 
+def result_of(numbers: StepNumbers, photos: int) -> StepResult:
+    """Return the result of a step of one model on a batch of `photos`, before its edits."""
+    return StepResult(
+        step=numbers.step,
+        photos=photos,
+        loss=numbers.loss,
+        mse=numbers.mse,
+        change=Change(),
+        bad_rows=numbers.bad_rows,
+        skipped=numbers.skipped,
+        lost_rows=numbers.lost_rows,
+    )
+
+
 def combine_results(results: Sequence[StepResult]) -> StepResult:
     """Combine the results of all models: means of the losses, sums of the changes."""
     count = len(results)
@@ -31,6 +50,8 @@ def combine_results(results: Sequence[StepResult]) -> StepResult:
         return results[0]
     changes = [result.change for result in results]
     return StepResult(
+        step=results[0].step,
+        photos=results[0].photos,
         loss=sum(result.loss for result in results) / count,
         mse=sum(result.mse for result in results) / count,
         change=Change(

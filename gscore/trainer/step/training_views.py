@@ -33,6 +33,8 @@ class TrainingView(NamedTuple):
     background: tuple[float, float, float]
     gain: torch.Tensor | None
     """[3] float32: gain of its photo; None: no gains."""
+    factor: float
+    """Divisor of the photos' sides."""
 
     @property
     def view(self) -> Frustum:
@@ -60,6 +62,8 @@ class ViewBatcher:
         self._photo_parameters = photo_parameters
         self._generator = generator
         self._team = team
+        self.mask_mode = mask_mode
+        """Use of the masks, as `Dataset.mask_mode`."""
         self._background = config.background
         if self._background is Background.AUTO:
             composite = mask_mode == "composite"
@@ -97,9 +101,15 @@ class ViewBatcher:
                 sized=sized,
                 background=[self._step_background() for _ in range(photos)][place],
                 gain=self._photo_parameters.gain_of(indices[place]),
+                factor=self.factor,
             )
             for indices, sized in zip(batches, found, strict=True)
         ]
+
+    @property
+    def indices(self) -> list[int]:
+        """All training views."""
+        return self._sampler.indices
 
     def put_back(self, count: int) -> None:
         """Return the last views to the sampler."""

@@ -17,7 +17,9 @@ class StoppingController:
         self._trainer = trainer
         self._meter = meter
         budget = trainer.config.time_budget
-        self._pace = StepBudget(budget, trainer.plan_of) if budget else None
+        self._pace = (
+            StepBudget(budget, trainer.plan_of, trainer.engine.info.cost) if budget else None
+        )
         if budget and trainer.plan.iterations < FIRST_STEPS:
             trainer.replan(FIRST_STEPS)  # until the pace is measured
         self._goals = StoppingCriteria(trainer.config, trainer, evaluator)

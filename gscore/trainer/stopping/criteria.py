@@ -52,7 +52,7 @@ class StoppingCriteria:
     def measure(self) -> float:
         """Measure the mean PSNR over the views, dB, unmasked pixels only."""
         trainer, values = self._trainer, []
-        trainer.free_memory()
+        trainer.engine.release()
         photos, background = trainer.photos, trainer.renderer.background
         for view in self._views:
             photo, mask = photos.image(view), photos.mask(view)

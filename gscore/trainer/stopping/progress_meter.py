@@ -5,6 +5,8 @@ import time
 from collections import deque
 from typing import Any
 
+from ...engine.base import CostModel
+from ...engine.cpu.pace import COST
 from ...events import Progress
 from ..estimate.cost import Cost
 from ..model.checkpoint_schema import as_float, as_int, as_records
@@ -27,7 +29,13 @@ class ProgressMeter:
     """Measures a run step by step; only time spent in steps counts."""
 
     def __init__(
-        self, plan: Plan, *, splats: int, pace: float = 1.0, budget: float = math.inf
+        self,
+        plan: Plan,
+        *,
+        splats: int,
+        pace: float = 1.0,
+        budget: float = math.inf,
+        cost: CostModel = COST,
     ) -> None:
         """Create a meter.
 
@@ -36,8 +44,9 @@ class ProgressMeter:
             splats: Number of splats before the first step.
             pace: Initially expected seconds per planned second.
             budget: Seconds after which the run ends.
+            cost: Seconds of a step of the engine.
         """
-        self._cost = Cost(plan)
+        self._cost = Cost(plan, cost)
         self.train_seconds = 0.0
         """Seconds spent in steps, without evaluation, files and pauses."""
         self.history: list[dict[str, Any]] = []
@@ -62,7 +71,7 @@ class ProgressMeter:
     @plan.setter
     def plan(self, plan: Plan) -> None:
         if plan is not self._cost.plan:
-            self._cost = Cost(plan)
+            self._cost = Cost(plan, self._cost.model)
 
     def update(
         self,

@@ -3,6 +3,8 @@
 import math
 from collections.abc import Callable
 
+from ...engine.base import CostModel
+from ...engine.cpu.pace import COST
 from ..estimate.cost import Cost
 from ..schedule.plan import Plan
 
@@ -21,10 +23,14 @@ class StepBudget:
     schedules.
     """
 
-    def __init__(self, budget: float, plan_of: Callable[[int], Plan]) -> None:
-        """`budget`: seconds; `plan_of`: returns the plan of a run with a number of steps."""
+    def __init__(
+        self, budget: float, plan_of: Callable[[int], Plan], cost: CostModel = COST
+    ) -> None:
+        """`budget`: seconds; `plan_of`: returns the plan of a run with a number of steps; `cost`:
+        seconds of a step of the engine."""
         self._budget = budget
         self._plan_of = plan_of
+        self._cost = cost
         self._last = -math.inf
 
     def due(self, step: int, elapsed: float) -> bool:
@@ -59,4 +65,4 @@ class StepBudget:
         return max(fits, 1)
 
     def _seconds(self, iterations: int, step: int, splats: int) -> float:
-        return Cost(self._plan_of(iterations)).seconds_after(step, splats)
+        return Cost(self._plan_of(iterations), self._cost).seconds_after(step, splats)

@@ -2,7 +2,7 @@
 
 from ...config import Strategy, TrainConfig
 from ..schedule.plan import Plan
-from .base import Change, Policy, Within, all_within
+from .base import Change, Policy, Within, all_within, in_cell
 from .default import DefaultStrategy
 from .mcmc import MCMCStrategy
 

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 
 from ...engine.base import RowEdit
+from ...io.block_record import BlockRecord
+from ..model.training_frame import TrainingFrame
 
 Read = Callable[[str], np.ndarray]
 """Returns a column of the model by name, `EngineModel.column`."""
@@ -52,6 +54,15 @@ Within = Callable[[np.ndarray], np.ndarray]
 def all_within(means: np.ndarray) -> np.ndarray:
     """Return [N] bool, all true: no limit."""
     return np.ones(len(means), bool)
+
+
+def in_cell(block: BlockRecord | None, frame: TrainingFrame) -> Within:
+    """Return the test whether splats may be added next to means: in the cell of a block; None:
+    everywhere."""
+    if block is None:
+        return all_within
+    world = frame.similarity.points_from_training
+    return lambda means: block.contains(world(means), frame.origin)
 
 
 class Policy(Protocol):

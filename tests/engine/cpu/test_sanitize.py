@@ -148,7 +148,7 @@ def test_an_exploded_colour_costs_one_step_not_the_run(photos: Any, value: float
     trainer.model.params["opacities"].data[7] = 4.0
     results = [trainer.step() for _ in range(16)]
     assert [r.skipped for r in results] == [True] + [False] * 15
-    assert trainer.lost_rows == results[0].lost_rows == 1
+    assert trainer.counts.lost_rows == results[0].lost_rows == 1
     assert float(trainer.model.params["opacities"].detach()[7]) < -19
 
 
@@ -159,7 +159,7 @@ def test_healthy_training_is_not_touched(photos: Any, monkeypatch: pytest.Monkey
         trainer = Trainer(CONFIG, Analysis(photos=photos))
         for _ in range(120):
             trainer.step()
-        assert trainer.lost_rows == 0
+        assert trainer.counts.lost_rows == 0
         return {key: t.clone() for key, t in trainer.tensors().items()}
 
     held = trained()

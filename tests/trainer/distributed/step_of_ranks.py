@@ -33,8 +33,8 @@ def trained_on(trainer: Trainer) -> dict[str, torch.Tensor]:
 def alone(index: int) -> dict[str, torch.Tensor]:
     """Like `learnt_from`, of one photo, at the step that both ranks take together."""
     trainer = Trainer(CONFIG, Analysis(photos=toy_photos()))
-    trainer.steps = 1
-    trainer._widen_to(trainer.members[0], 1)
+    trainer.counts.steps = 1
+    trainer.models.widen_sh(1)
     trainer.sampler.order, trainer.sampler.position = [index], 0
     return trained_on(trainer)
 
@@ -45,7 +45,7 @@ def main() -> int:
     torch.set_num_threads(1)
     with ProcessGroup() as team:
         trainer = TeamTrainer(CONFIG, Analysis(photos=toy_photos()), team=team)
-        trainer._widen_to(trainer.members[0], 1)
+        trainer.models.widen_sh(1)
         if not team.is_rank0:
             team.receive()
         together = trained_on(trainer)

@@ -13,18 +13,17 @@ from PIL import Image
 from gscore.commands.terminal.display import estimate_text
 from gscore.config import DataConfig, Stereo, TrainConfig
 from gscore.datasets.load import load_dataset
+from gscore.engine.cpu import pace as cpu_pace
+from gscore.engine.cpu.pace import current_pace, machine_pace
 from gscore.errors import GsError
 from gscore.events import Estimated
 from gscore.inspection import inspect
 from gscore.presets import PRESETS
-from gscore.trainer.estimate import forecast
 from gscore.trainer.estimate.cost import Cost, reading_seconds
 from gscore.trainer.estimate.forecast import (
     Estimate,
     check_fits,
-    current_pace,
     estimate,
-    machine_pace,
 )
 from gscore.trainer.estimate.memory import cache_bytes
 from gscore.trainer.schedule.plan import Plan
@@ -215,13 +214,13 @@ def test_pace_includes_the_current_load(
     """Oracle: the mean and the minimum of made-up times, without two warm-up steps."""
     times = iter([90.0, 50.0, 2.0, 6.0, 4.0, 2.0, 6.0, 4.0, 2.0, 6.0] * 2)
     clock = [0.0]
-    monkeypatch.setattr(forecast, "_REFERENCE_MS", 2000.0)
-    monkeypatch.setattr(forecast.time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(cpu_pace, "_REFERENCE_MS", 2000.0)
+    monkeypatch.setattr(cpu_pace.time, "perf_counter", lambda: clock[0])
 
     def draw(*_: object, **__: object) -> None:
         clock[0] += next(times)
 
-    monkeypatch.setattr(forecast, "render", draw)
+    monkeypatch.setattr(cpu_pace, "render", draw)
     assert current_pace(1) == pytest.approx(2.0)
     machine_pace.cache_clear()
     assert machine_pace(1) == pytest.approx(1.0)

@@ -63,7 +63,7 @@ def goals_of(photos: Any, course: Callable[[int], float], config: TrainConfig) -
     trainer = Trainer(config, Analysis(photos=photos))
     goals = StoppingCriteria(config, trainer, Evaluator(trainer, lpips=None, lpips_reason=""))
     for step in range(1, config.iterations + 1):
-        trainer.steps = step
+        trainer.counts.steps = step
         if goals.due():
             goals._measured.append((step, course(step)))
             if goals.converged():
