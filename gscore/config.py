@@ -71,8 +71,8 @@ class DataConfig:
     mask_mode: str = _capture_option(
         "auto",
         "Meaning of masks. `ignore`: black pixels do not count; `composite`: opacity of the "
-        "subject, over the background; `none`: not read; `auto`: `composite` for transparent "
-        "photos and cut-out subjects, else `ignore`.",
+        "subject; `none`: not read; `auto`: `composite` for transparent photos and cut-out "
+        "subjects, else `ignore`.",
         choices=_MASK_MODES,
         basic=True,
     )
@@ -94,9 +94,9 @@ class DataConfig:
     )
     depth_align: str = _depth_option(
         "auto",
-        "Alignment of depth maps with the capture. `official`: by depth_params.json, required; "
-        "`robust`: RANSAC against the SfM points; `none`: already aligned; `auto`: "
-        "depth_params.json if it agrees with the points, else `robust`.",
+        "Alignment of depth maps. `official`: from depth_params.json; `robust`: RANSAC against "
+        "the SfM points; `none`: already aligned; `auto`: depth_params.json if it agrees with "
+        "the points, else `robust`.",
         choices=_DEPTH_ALIGNMENTS,
         when="depth",
     )
@@ -195,9 +195,9 @@ class TrainConfig:
     )
     steps_a_photo: int = _run_option(
         0,
-        "Limit of steps per training photo, against overfitting; at least 1,500 in all; doubled "
-        "for `composite` masks without dropout. 0: no limit. Off with `time_budget`, an explicit "
-        "`--iterations` or `gscore sequence`; in Python set 0.",
+        "Limit of steps per training photo, against overfitting; at least 1,500 in all. 0: no "
+        "limit. Off with `time_budget`, an explicit `--iterations` or `gscore sequence`; in "
+        "Python set 0.",
         range=Range(high=_MOST),
         unit="steps",
         metavar="N",
@@ -205,9 +205,9 @@ class TrainConfig:
     )
     splats_a_photo: int = _run_option(
         0,
-        "Limit of splats per training photo and model of the `ensemble`, against overfitting; "
-        "at least 300,000 in all. 0: no limit. Off with `composite` masks, an explicit "
-        "`--max-splats` or `gscore sequence`; in Python set 0.",
+        "Limit of splats per training photo and model; at least 300,000 in all. 0: no limit. Off "
+        "with `composite` masks, an explicit `--max-splats` or `gscore sequence`; in Python set "
+        "0.",
         range=Range(high=_MOST),
         unit="splats",
         metavar="N",
@@ -223,18 +223,17 @@ class TrainConfig:
     )
     ensemble: int = _run_option(
         1,
-        "Number of models trained on the same capture, merged into one; `max_splats` is divided"
-        " among them. Reduces artefacts between the photos, but also fine detail; two take 1.4 "
-        "times as long. A sequence continues with one.",
+        "Number of models that are trained and merged into one; `max_splats` is divided among "
+        "them. Reduces artefacts between the photos, but also fine detail; two take 1.4 times as "
+        "long.",
         range=Range(low=1, high=8),
         unit="models",
         when="one_model",
     )
     ensemble_below: float = _run_option(
         0.0,
-        "Train several models only if `stereo` matches less than this share of the pixels; with "
-        "`composite` masks and `drop_rate`, if it matches at least 3/4 of the unmasked ones. "
-        "0, or an explicit `--ensemble`: always.",
+        "Train several models only if `stereo` matches less than this share of the pixels; "
+        "masked subjects: docs/budgets.md. 0, or an explicit `--ensemble`: always.",
         range=Range(high=1),
         when="ensemble",
     )
@@ -348,9 +347,9 @@ class TrainConfig:
     )
     region: Path | None = _start_option(
         None,
-        "Train only inside the box of this file (docs/steer.md). Splats of `start_splats` "
-        "outside are frozen, unchanged bit by bit; without `start_splats` only pixels of the "
-        "box count. Photos that do not show the box are left out.",
+        "Train only inside the box of this file. Splats of `start_splats` outside are frozen; "
+        "without `start_splats` only pixels and photos that show the box count. See "
+        "docs/steer.md.",
         metavar="FILE.json",
         free=True,
     )
@@ -370,16 +369,15 @@ class TrainConfig:
     )
     sky: bool = _start_option(
         False,
-        "Add a distant sphere of splats in the colours of the background, for outdoor scenes. "
-        "Fills background that no photo shows; hides the scene from outside. Opacity resets "
-        "then need an explicit `reset_every`.",
+        "Add a distant sphere of splats for outdoor scenes, in background colours. It hides the "
+        "scene from outside, and opacity resets then need an explicit `reset_every`.",
         when="points",
     )
     stereo: Stereo = _start_option(
         Stereo.MISSING,
-        "Add initial points by multi-view stereo of the training photos; takes seconds. `auto`:"
-        " unless SfM points reach half of `max_splats`; `missing`: only for captures without "
-        "points, which otherwise start from random ones.",
+        "Add initial points by multi-view stereo. `auto`: unless SfM points reach half of "
+        "`max_splats`; `missing`: only for captures without points, which otherwise start from "
+        "random ones.",
         when="points",
     )
     stereo_points: int = _start_option(
@@ -435,17 +433,15 @@ class TrainConfig:
     )
     guide_surface: Path | None = _guide_option(
         None,
-        "Surface mesh that splats should lie on (wall, floor, scan), PLY or OBJ in the "
-        "capture's world. Inactive where SfM points are in front of it; docs/steer.md. `gscore "
-        "sequence` replaces {frame:06d} by the frame number.",
+        "Surface mesh that splats should lie on, PLY or OBJ in the capture's world. Inactive "
+        "where SfM points are in front of it. See docs/steer.md.",
         metavar="FILE",
         free=True,
     )
     guide_free: Path | None = _guide_option(
         None,
-        "Free-space mesh, PLY or OBJ in the capture's world: remove splats between it and a "
-        "training camera at every `refine_every`-th and the last step, unless more than a fifth. "
-        "`gscore sequence` replaces {frame:06d} by the frame number.",
+        "Free-space mesh, PLY or OBJ in the capture's world: splats between it and a training "
+        "camera are removed at every `refine_every`-th and the last step. See docs/steer.md.",
         metavar="FILE",
         free=True,
     )
@@ -485,9 +481,8 @@ class TrainConfig:
     )
     drop_below: float = _loss_option(
         0.0,
-        "Use dropout only if `stereo` matches less than this share of the unmasked pixels, as it"
-        " costs fine detail elsewhere; with `composite` masks, if it matches at least half. "
-        "0, or an explicit `--drop-rate`: always.",
+        "Use dropout only if `stereo` matches less than this share of the unmasked pixels; "
+        "masked subjects: docs/budgets.md. 0, or an explicit `--drop-rate`: always.",
         range=Range(high=1),
         when="dropping",
     )
@@ -518,9 +513,8 @@ class TrainConfig:
     )
     grow_with_photos: bool = _refinement_option(
         True,
-        "`default`: raise the splat limit with the photo size, from the initial number to "
-        "`max_splats`, so that small photos add no excess splats. Applies to runs of at least "
-        "1,000 steps that start below about 0.4 of the size; no gain for `mcmc`.",
+        "`default`: raise the splat limit to `max_splats` with the photo size. Applies to runs "
+        "of at least 1,000 steps with photos that start below about 0.4 of the size.",
         when="default",
     )
     without: tuple[Skip, ...] = _run_option(
@@ -585,9 +579,8 @@ class TrainConfig:
     )
     finest: float = _refinement_option(
         0.0,
-        "3D filter: minimum scale of a splat (standard deviation) in pixels of its nearest "
-        "training photo; 0: off. Applied at every `refine_every`-th and the last step, baked "
-        "into the PLY. Mip-Splatting (Yu et al. 2024) uses 0.45.",
+        "3D filter (Mip-Splatting): minimum scale of a splat in pixels of its nearest training "
+        "photo, at every `refine_every`-th and the last step; the paper uses 0.45. 0: off.",
         unit="px",
         range=Range(high=10),
     )
@@ -599,16 +592,15 @@ class TrainConfig:
     )
     free_space: float = _refinement_option(
         0.4,
-        "Remove splats closer to a training camera than this share of its distance to the 10th "
-        "nearest SfM point, at every `refine_every`-th and the last step. 0, fewer than 500 "
-        "points, or over a fifth of the splats: no removal.",
+        "Remove splats closer to a camera than this share of its distance to the 10th nearest "
+        "SfM point, at every `refine_every`-th and the last step. 0, or fewer than 500 points: "
+        "no removal.",
         range=Range(high=1, below=True),
     )
     hidden_share: float = _refinement_option(
         0.05,
         "`ignore` masks: remove splats with less than this share of their weight in unmasked "
-        "pixels, after 1/3 and 2/3 of the training, because no photo determines their colour and "
-        "they occlude other views. 0: off.",
+        "pixels, after 1/3 and 2/3 of the training. 0: off.",
         range=Range(high=1, below=True),
         when="hiding_masks",
     )

@@ -13,7 +13,7 @@ class LiveOptions:
         0,
         "Port for 3DGS viewers to watch the training; their default is 6009; 0: off. See "
         "docs/view.md.",
-        group="watching",
+        group="viewer",
         range=Range(high=65535),
         metavar="PORT",
         basic=True,
@@ -23,7 +23,7 @@ class LiveOptions:
         "127.0.0.1",
         "Address that viewers connect to. The default accepts this computer only; 0.0.0.0 accepts "
         "every computer that reaches this one.",
-        group="watching",
+        group="viewer",
         metavar="ADDRESS",
         when="port",
     )

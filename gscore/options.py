@@ -77,7 +77,7 @@ class Option:
     basic: bool = False
     """Shown by `--help`; the others are listed by `gscore options`."""
     when: str = ""
-    """Condition of its effect, a key of `commands.no_effect`; empty: always."""
+    """Condition of its effect, a key in `commands.args.unused_options`; empty: always."""
     free: bool = False
     """True if the value may change when a run is resumed."""
 

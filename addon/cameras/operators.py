@@ -196,7 +196,7 @@ class ExportCameras(IncrementalOperator, OnCapture, bpy.types.Operator):
     world: EnumProperty(
         name="World",
         items=(
-            ("CAPTURE", "Capture", "World of the capture's own files, without the alignment"),
+            ("CAPTURE", "Capture", "Coordinates of the capture's files, without the alignment"),
             ("BLENDER", "Blender", "Blender's world: z up, as aligned and scaled; without points"),
         ),
         description="Axes, origin and scale of the exported cameras",

@@ -49,7 +49,7 @@ class ExportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, Expor
     world: EnumProperty(
         name="World",
         items=(
-            ("CAPTURE", "Capture", "World of the capture's own files and of its splat files"),
+            ("CAPTURE", "Capture", "Coordinates of the capture's files and of its splat files"),
             _BLENDER,
         ),
         description="Axes, origin and scale of the exported cameras",
@@ -82,7 +82,7 @@ class ImportCameraPath(IncrementalOperator, OnCapture, OnScene, bpy.types.Operat
     world: EnumProperty(
         name="World",
         items=(
-            ("CAPTURE", "Capture", "World of the capture's own files"),
+            ("CAPTURE", "Capture", "Coordinates of the capture's files"),
             _BLENDER,
         ),
         description="Axes, origin and scale of the file",

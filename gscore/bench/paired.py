@@ -1,4 +1,4 @@
-"""Paired statistics over many views: robust mean differences confidence intervals, default rule."""
+"""Paired statistics over many views: robust mean differences, confidence intervals, verdict."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Command line: `gscore VERB ...`.
+"""Command line: `gscore COMMAND ...`.
 
 A verb is a module here with `add_arguments(parser)` and `run(args) -> int` (the exit code). Only
 the module of the given verb is imported, so that a missing optional package of one verb does not
@@ -99,8 +99,8 @@ def _main(arguments: list[str], interrupt: Interrupt) -> int:
         return _main([*rest[:1], "--help"], interrupt)
     if verb not in VERBS:
         guess = nearest(verb, [*VERBS, "help"])
-        hint = f"did you mean `gscore {guess}`?" if guess else f"verbs: {', '.join(VERBS)}."
-        return _complain("gscore", f"there is no verb {quoted(verb)}; {hint}")
+        hint = f"did you mean `gscore {guess}`?" if guess else f"commands: {', '.join(VERBS)}."
+        return _complain("gscore", f"there is no command {quoted(verb)}; {hint}")
     if not _is_here(verb):
         hint = "the Blender extension leaves it out; pip install gscore adds it."
         return _complain("gscore", f"`gscore {verb}` is not part of this installation; {hint}")
@@ -206,9 +206,9 @@ def _is_here(verb: str) -> bool:
 
 
 def _usage() -> str:
-    lines = ["usage: gscore VERB ...", "", "3D Gaussian Splatting on any CPU.", ""]
+    lines = ["usage: gscore COMMAND ...", "", "3D Gaussian Splatting on any CPU.", ""]
     lines += [f"  {verb:8} {text}" for verb, text in VERBS.items() if _is_here(verb)]
-    return "\n".join([*lines, "", "`gscore help VERB` lists the options of a verb."])
+    return "\n".join([*lines, "", "`gscore help COMMAND` lists the options of a command."])
 
 
 def _complain(prog: str, message: str) -> int:

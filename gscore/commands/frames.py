@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="N",
-        help="maximum number of frames; default: one per motion of 5 %% of the picture, 30 to 300",
+        help="maximum number of frames; default: one per 5 %% of image motion, 30 to 300",
     )
     parser.add_argument(
         "--format",

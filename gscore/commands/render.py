@@ -91,7 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="number of pictures along the path (8 s; spline: longer with many cameras)",
     )
     group.add_argument(
-        "--fps", type=float, help=f"pictures per second (as in the path's file, else {FPS:g})"
+        "--fps", type=float, help=f"frames per second (as in the path's file, else {FPS:g})"
     )
     group.add_argument(
         "-r",

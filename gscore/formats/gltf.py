@@ -143,7 +143,7 @@ class Gltf:
     def _chunks(self, raw: memoryview) -> tuple[memoryview, memoryview | None]:
         """JSON and binary chunk of a .glb."""
         if len(raw) < _HEADER.size + _CHUNK.size:
-            raise self.damaged("it ends within its header")
+            raise self.damaged("its header is truncated")
         _, version, length = _HEADER.unpack_from(raw)
         if version != 2:
             raise FormatError(f"{self.path} is a .glb of version {version}; 2 is read. {_ADVICE}")

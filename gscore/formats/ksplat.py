@@ -86,7 +86,7 @@ def _is_ksplat(path: Path, sample: FileSample) -> bool:
 def _read(path: Path) -> Decoded:
     raw = read_bytes(path)
     if len(raw) < _HEADER_BYTES:
-        raise _damaged(path, f"it ends within its header of {_HEADER_BYTES} bytes")
+        raise _damaged(path, f"its header of {_HEADER_BYTES} bytes is truncated")
     major, minor, room, stated, _, count, level, *_, low, high = _HEADER.unpack_from(raw)
     sections = stated or room  # the number may be 0 if all of them are used
     if (major, minor) != (0, 1):

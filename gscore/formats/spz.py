@@ -131,7 +131,7 @@ def encode_spz(
 def _header(path: Path, raw: bytes | memoryview) -> _Header:
     """Fields common to all versions, checked."""
     if len(raw) < _HEADER.size:
-        raise _damaged(path, f"it ends within its header of {_HEADER.size} bytes")
+        raise _damaged(path, f"its header of {_HEADER.size} bytes is truncated")
     magic, version, count, degree, bits, flags, _ = _HEADER.unpack_from(raw)
     if magic != _MAGIC:
         raise _damaged(path, "it does not begin as one")
@@ -181,7 +181,7 @@ def _streams(path: Path, raw: bytes | memoryview) -> _Content:
             raise _damaged(path, f"{words} take more than its {number(len(view))} bytes")
         return header, _split(body, header.sizes)[0], None
     if len(view) < _HEADER_4.size:
-        raise _damaged(path, "it ends within its header")
+        raise _damaged(path, "its header is truncated")
     streams, start = _HEADER_4.unpack_from(view)[6:]
     first = start + streams * _STREAM.size
     sizes = [size for size in header.sizes if size]
@@ -189,7 +189,7 @@ def _streams(path: Path, raw: bytes | memoryview) -> _Content:
     if streams not in (len(sizes), len(header.sizes)) or not _HEADER_4.size <= start:
         raise _damaged(path, f"it has {streams} streams, expected {len(sizes)}")
     if first > len(view):
-        raise _damaged(path, "it ends within the table of its streams")
+        raise _damaged(path, "its stream table is truncated")
     check_ratio(f"{path} is a damaged SPZ file", len(view), sum(sizes))
     matrix = placement(path, view[_HEADER_4.size : start])
     arrays, at = [], first

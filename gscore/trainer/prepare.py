@@ -39,12 +39,13 @@ _MASKS = {
     "ignore": Decision(
         "masks",
         "Masks are used: masked pixels are neither trained nor measured. `--mask-mode none` trains "
-        "whole photos, composite only the subject.",
+        "whole photos, `--mask-mode composite` only the subject.",
     ),
     "composite": Decision(
         "masks",
         "Masks are used as the opacity of the subject, and only the subject is trained. "
-        "`--mask-mode none` trains whole photos, ignore does not constrain masked pixels.",
+        "`--mask-mode none` trains whole photos, `--mask-mode ignore` does not constrain masked "
+        "pixels.",
     ),
 }
 """Decision on masks, by `mask_mode`."""

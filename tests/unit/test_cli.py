@@ -212,7 +212,8 @@ def test_help_is_a_verb_too(capsys: pytest.CaptureFixture[str]) -> None:
         assert reported == capsys.readouterr().out
     for line in ("trian", "help trian"):
         assert commands.main(line.split()) == 2
-        assert "there is no verb 'trian'; did you mean `gscore train`?" in capsys.readouterr().err
+        reported = capsys.readouterr().err
+        assert "there is no command 'trian'; did you mean `gscore train`?" in reported
 
 
 def test_a_bad_option_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:

@@ -125,8 +125,7 @@ def orbit_path(viewmats: np.ndarray, frames: int, *, up: np.ndarray | None = Non
     radii, angles = np.hypot(x, y), np.arctan2(y, x)
     if not np.median(radii) > 1e-9 * max(1.0, float(np.abs(centers).max())):
         raise ConfigError(
-            "The cameras have no distance to their focus point, so there is no orbit; use "
-            "`--path spline`."
+            "All cameras are at their focus point, so there is no orbit; use `--path spline`."
         )
     toward = -offsets / np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-12)
     facing = np.einsum("ci,ci->c", viewmats[:, 2, :3], toward)
