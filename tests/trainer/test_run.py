@@ -18,6 +18,8 @@ from gscore.commands.terminal.display import _texts
 from gscore.config import DataConfig, Stereo, Switch, TrainConfig
 from gscore.config_file import load_config
 from gscore.control import Control
+from gscore.engine.base import StepRequest
+from gscore.engine.cpu.engine import CpuEngine
 from gscore.errors import BackendError, Cancelled, ConfigError, DatasetError, GsError
 from gscore.events import (
     TOPICS,
@@ -365,14 +367,14 @@ def test_running_out_of_memory_is_one_sentence(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: a real failure of a torch allocation in the fifth step."""
-    real = Trainer.step
+    real = CpuEngine.step
 
-    def step(self: Trainer) -> Any:
-        if self.steps == 4:
+    def step(self: CpuEngine, model: Any, request: StepRequest) -> Any:
+        if request.step == 5:
             torch.empty(1 << 60)
-        return real(self)
+        return real(self, model, request)
 
-    monkeypatch.setattr(Trainer, "step", step)
+    monkeypatch.setattr(CpuEngine, "step", step)
     with pytest.raises(BackendError, match="Out of memory; use fewer splats"):
         train(CONFIG, data_of(capture), tmp_path)
 
