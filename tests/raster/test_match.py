@@ -8,7 +8,7 @@ import pytest
 from gscore.errors import ShapeError
 from gscore.raster import _native, header
 from gscore.raster.match import match_descriptors
-from gscore.raster.reference.match import match_descriptors as twin
+from tests.raster.twins.match import match_descriptors as twin
 
 NEAR = {"max_distance": 0.7 * 512, "max_ratio": 0.8}
 

@@ -5,7 +5,7 @@ import pytest
 
 from gscore.errors import BackendError, ShapeError
 from gscore.raster import mesh
-from gscore.raster.reference import mesh as twin
+from tests.raster.twins import mesh as twin
 
 SIZE = 80, 60
 K = np.array([[70.0, 0, 41.3], [0, 68.0, 29.2], [0, 0, 1]])

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gscore.errors import Cancelled, ShapeError
-from gscore.raster.reference import stereo as twin
 from gscore.raster.request import CancelFlag
 from gscore.raster.stereo_depth import StereoView, check, sweep
+from tests.raster.twins import stereo as twin
 from tests.stereo.scene import Scene
 
 RANGE = {"farthest": 0.12, "nearest": 0.32}

@@ -8,8 +8,8 @@ import numpy as np
 import pycolmap
 import pytest
 
-from gscore.raster.reference.match import match_descriptors as twin
 from gscore.sfm.matches import FARTHEST_MATCH, LARGEST_RATIO, match_pairs
+from tests.raster.twins.match import match_descriptors as twin
 
 LEAST = 15
 

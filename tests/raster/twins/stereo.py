@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..stereo_depth import Checked, StereoView, SweepResult, Warp
+from gscore.raster.stereo_depth import Checked, StereoView, SweepResult, Warp
 
 _NEAR = 2
 """Maximum distance of two peaks, in planes, that count as one."""

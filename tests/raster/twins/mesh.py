@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..mesh import projected_corners
+from gscore.raster.mesh import projected_corners
 
 
 def mesh_depth(
