@@ -84,7 +84,7 @@ from .io.images.resample import downscale as downscale
 from .io.lock import FolderLock as FolderLock
 from .io.lod_file import LOD_ENDING as LOD_ENDING
 from .io.lod_file import is_lod_file as is_lod_file
-from .io.mesh.ply import write_mesh as write_mesh
+from .io.mesh.files import write_mesh as write_mesh
 from .io.ply.comments import UP_NOTE as UP_NOTE
 from .io.ply.comments import stated_up as stated_up
 from .io.ply.splats import MIP_COMMENT as MIP_COMMENT

@@ -6,7 +6,7 @@ import numpy as np
 
 from experiments.depth.captures import Source, exact
 from gscore.io.colmap.folder import read_model
-from gscore.io.mesh.ply import write_mesh
+from gscore.io.mesh.files import write_mesh
 from gscore.io.ply.splats import read_ply
 from gscore.raster.api import render
 

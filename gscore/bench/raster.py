@@ -11,7 +11,6 @@ from ..raster.memory import zeros
 from ..raster.request import Frustum, Settings
 from ..scene import Cameras
 from ..splats import PARAMETERS, Splats
-from .bench_setting import BenchSetting
 
 STAGES = (
     "project_ms",
@@ -21,6 +20,21 @@ STAGES = (
     "blend_backward_ms",
     "project_backward_ms",
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchSetting:
+    """The library, the splats and the views of a measurement."""
+
+    isa: str
+    """Instruction set of the kernels."""
+    threads: int
+    splats: int
+    views: int
+    width: int
+    """Width of the first view, px."""
+    height: int
+    """Height of the first view, px."""
 
 
 @dataclass(frozen=True, kw_only=True)

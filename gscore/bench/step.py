@@ -13,8 +13,7 @@ from ..trainer.host.isolated_state import isolated_torch_state
 from ..trainer.host.malloc import mmap_large_blocks
 from ..trainer.photos.view_sampler import Photos
 from ..trainer.trainer import Trainer
-from .bench_setting import BenchSetting
-from .raster import STAGES
+from .raster import STAGES, BenchSetting
 
 _WARM_UP = 5
 """Steps that are not measured, because the first ones allocate memory."""

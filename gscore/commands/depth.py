@@ -1,16 +1,20 @@
 """`gscore depth`: prediction of depth maps, alignment with a capture's points, contact sheet."""
 
 import argparse
+import sys
+from typing import Any
 
 from ..depth.catalogue import known, network_names
-from ..depth.network import NETWORK_HINT
+from ..depth.maps import DepthKind
+from ..depth.network import NETWORK_HINT, Network
 from ..errors import ConfigError
+from ..text_format import count_words
 from .args.depth_options import add_arguments as add_arguments
-from .depth_maps.make_maps import StopMessage, make_maps
+from .depth_maps.make_maps import DepthResult, StopMessage, make_maps
 from .depth_maps.networks import list_models
-from .depth_maps.result_text import facts_of, print_result
 from .terminal.output import print_json
 from .terminal.run_job import OutputOptions, run_job
+from .terminal.status import wrapped
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,3 +65,81 @@ def _check_stereo(args: argparse.Namespace) -> None:
             f"`--method stereo` and {flag} exclude each other: stereo uses no network, and its "
             "maps have the scale of the capture."
         )
+
+
+def _model_facts(network: Network) -> dict[str, Any]:
+    profile = network.profile
+    return {
+        "file": str(network.path),
+        "family": profile.family,
+        "normalization": profile.normalization.value,
+        "kind": profile.kind.value,
+        "input_size": [profile.width, profile.height],
+    }
+
+
+def _table_text(table: list[dict[str, Any]]) -> str:
+    width = max(len(row["view"]) for row in table)
+    lines = [f"{'view':{width}}  points  inliers     scale    offset   error"]
+    for row in table:
+        error = "-" if row["error"] is None else f"{row['error']:.1%}"
+        inliers = f"{row['inliers']:.0%}" if row["points"] else "-"
+        scale, offset = "-", "-"
+        if row["map"]:
+            scale, offset = f"{row['scale']:.4g}", f"{row['offset']:.3g}"
+        lines.append(
+            f"{row['view']:{width}}  {row['points']:6}  {inliers:>7}  {scale:>8}  {offset:>8}  "
+            f"{error:>6}  {row['reason']}"
+        )
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def facts_of(args: argparse.Namespace, result: DepthResult) -> dict[str, Any]:
+    """The result as JSON values."""
+    done = result.done
+    return {
+        "views": done.views,
+        "predicted": done.predicted,
+        "kept": done.kept,
+        "accepted": done.accepted,
+        "align": _rule(args),
+        "kind": result.alignment.kind.value,
+        "folder": done.folder,
+        "params": done.params or None,
+        "sheet": done.sheet or None,
+        "model": _model_facts(result.network) if result.network else None,
+        "why": done.why,
+        "table": done.table,
+        "warnings": result.warnings,
+    }
+
+
+def _rule(args: argparse.Namespace) -> str:
+    """The rule that determined the scale of the maps."""
+    if args.method == "stereo":
+        return "stereo"
+    return "auto" if args.check else args.align
+
+
+def print_result(args: argparse.Namespace, result: DepthResult) -> None:
+    """Print the result as text."""
+    done = result.done
+    what = "depth" if result.alignment.kind is DepthKind.DEPTH else "inverse depth"
+    lines = [_table_text(done.table)]
+    if result.used:
+        lines.append(f"Predicted with {result.used}.")
+    count = f"{done.accepted} of {sum(1 for row in done.table if row['map'])} maps of {what}"
+    if args.check:
+        lines.append(f"{count} would be used with their scale; nothing was written")
+    else:
+        rule = (
+            "scaled by stereo" if args.method == "stereo" else f"aligned by the {args.align} rule"
+        )
+        lines.append(f"{count} {rule}: {done.params}")
+        if not any(row["points"] for row in done.table):
+            lines.append(
+                "The capture has no points where these maps have depths, so only a comparison with "
+                "the photos shows their quality."
+            )
+        lines.append(f"{count_words(result.shown, 'view')} on {done.sheet}")
+    print(wrapped("\n".join([*lines, done.why]), sys.stdout))

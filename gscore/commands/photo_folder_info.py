@@ -21,8 +21,7 @@ from ..sfm.photos import (
     read_photos,
 )
 from ..sfm.pycolmap_stages import Work
-from ..sfm.search_attempts import attempts
-from ..sfm.search_request import SearchRequest
+from ..sfm.search_request import SearchRequest, attempts
 from ..text_format import count_words, number, time_words
 
 

@@ -2,20 +2,22 @@
 
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
+from typing import Any, TypeGuard
 
 import numpy as np
 
 from ..config import DataConfig
-from ..errors import DatasetError
+from ..errors import DatasetError, GsError
 from ..io.block_record import read_block
 from ..io.colmap.folder import ColmapModel, read_model
 from ..io.colmap.model import ColmapPoints, PointIndex
-from ..io.files import is_file
+from ..io.files import is_file, read_bytes
+from ..io.runs import SEARCH_RECORD
+from ..json_text import parse_json
 from ..scene import PointCloud, within_reach
 from ..text_format import count_words
 from .capture import Capture, View, listing, repeated
 from .folder import Folder
-from .search_record import search_warnings
 
 
 def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
@@ -130,3 +132,50 @@ def _observed(model: ColmapModel) -> Sequence[np.ndarray | None]:
         return [None] * len(model.images)
     index = PointIndex(model.points)
     return [np.unique(index.find(image.point3D_ids)[1]) for image in model.images]
+
+
+def unplaced_photos_text(others: Sequence[Sequence[str]], alone: Sequence[str]) -> list[str]:
+    """Messages about photos without a camera, with the remedy.
+
+    Args:
+        others: Names of the photos of each model but the largest.
+        alone: Names of the photos in no model.
+    """
+    messages = [
+        f"{count_words(len(other), 'photo forms', 'photos form')} a separate model and "
+        f"{'is' if len(other) == 1 else 'are'} left out: {listing(list(other))}. If it is the same "
+        "scene, take photos between the two; if not, use separate folders."
+        for other in others
+    ]
+    if alone:
+        messages.append(
+            f"{count_words(len(alone), 'photo matches', 'photos match')} no other: "
+            f"{listing(list(alone))}. Take photos between these and the others, or remove them if "
+            "they are blurred or show another scene."
+        )
+    return messages
+
+
+def search_warnings(source: Path, views: int) -> list[str]:
+    """Warning if gscore's SfM found cameras for only some of a capture's photos.
+
+    Args:
+        source: The capture.
+        views: Number of views of its model; a record with another number is of another model.
+    """
+    try:
+        record = parse_json(read_bytes(source / SEARCH_RECORD))
+    except (GsError, ValueError):
+        return []  # cameras from another program
+    if not isinstance(record, dict) or record.get("registered") != views:
+        return []
+    others, alone, photos = record.get("others"), record.get("alone"), record.get("photos")
+    if not (isinstance(others, list) and all(map(_are_names, others)) and _are_names(alone)):
+        return []
+    if not (isinstance(photos, int) and (messages := unplaced_photos_text(others, alone))):
+        return []
+    return [" ".join([f"{views} of {count_words(photos, 'photo')} have a camera.", *messages])]
+
+
+def _are_names(value: Any) -> TypeGuard[list[str]]:
+    return isinstance(value, list) and all(isinstance(name, str) for name in value)

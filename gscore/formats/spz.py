@@ -21,15 +21,15 @@ from ..text_format import count_words, number
 from ..transforms import transform_splats, unit_quats
 from .axes import X, harmonic_signs
 from .far_splats import without_far
-from .packed_bytes import (
+from .splat_file import Decoded, SplatFormat, WriteOptions, colors_note
+from .spz_records import (
     check_ratio,
     gunzip_exactly,
     gzip_quickly,
+    placement,
     unzstd_exactly,
     zstd_quickly,
 )
-from .splat_file import Decoded, SplatFormat, WriteOptions, colors_note
-from .spz_records import placement
 
 _MAGIC = b"NGSP"
 VERSIONS = (3, 4)

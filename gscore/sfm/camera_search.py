@@ -32,9 +32,8 @@ from .photo_folders import (
 from .photo_quality import PhotoQuality, blurred, exposure_jumps
 from .pycolmap_stages import Work
 from .pycolmap_thread import check_space, colmap, log_messages, run_in_thread
-from .search_attempts import ENOUGH, Attempt, attempts
 from .search_progress import SearchProgress
-from .search_request import USUAL_LENS, SearchRequest
+from .search_request import ENOUGH, USUAL_LENS, Attempt, SearchRequest, attempts
 from .search_result import (
     SearchResult,
     attempt_text,

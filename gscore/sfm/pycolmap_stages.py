@@ -1,20 +1,23 @@
 """Pycolmap stages on a database: import of photos, features, matches, reconstruction."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..config import checked_threads
+from ..datasets.dataset import map_threads
 from ..io.files import atomic_write
+from ..raster.match import match_descriptors
 from . import database, gps_scale
 from .bundle_adjustment import may_be_stable
 from .forecast import Forecast, working_cores
-from .matches import match_pairs
 from .pairs import FURTHER_PAIRS, Pair, further_parts, in_parts, is_sequential
 from .photos import LEAST, Photo, by_camera
 from .pycolmap_thread import colmap
-from .search_attempts import Attempt
-from .search_request import SearchRequest
+from .search_request import Attempt, SearchRequest
 
 SEED = 0
 """Random seed of all stages."""
@@ -261,3 +264,52 @@ def _incremental_options(work: Work, *, lenient: bool) -> Any:
         options.ba_refine_extra_params = False
         options.mapper.abs_pose_refine_extra_params = False
     return options
+
+
+FARTHEST_MATCH, LARGEST_RATIO = 0.7 * 512, 0.8
+"""Maximum distance and ratio of a match; COLMAP's own, whose descriptors have a norm of 512."""
+
+
+def match_pairs(
+    database: Path,
+    pairs: list[Pair],
+    *,
+    least: int,
+    threads: int,
+    cancelled: Callable[[], bool],
+) -> None:
+    """Match the features of pairs of photos that have not been matched yet.
+
+    Args:
+        database: With features; not open elsewhere.
+        pairs: Aliases of photos.
+        least: Minimum number of matches; a pair with fewer gets none.
+        threads: Pairs at a time; 0: one per core.
+        cancelled: Called after each pair; finished pairs are kept.
+
+    Raises:
+        BackendError: the native library is missing.
+    """
+    with colmap().Database.open(database) as link:
+        numbers = {image.name: image.image_id for image in link.read_all_images()}
+        wanted = [(numbers[a], numbers[b]) for a, b in pairs]
+        wanted = [pair for pair in wanted if not link.exists_matches(*pair)]
+        described = {
+            i: link.read_descriptors(i).data
+            for i in {i for pair in wanted for i in pair}
+            if link.exists_descriptors(i)
+        }
+        wanted = [(a, b) for a, b in wanted if a in described and b in described]
+
+        def found(k: int) -> np.ndarray:
+            first, second = (described[i] for i in wanted[k])
+            matches = match_descriptors(
+                first, second, max_distance=FARTHEST_MATCH, max_ratio=LARGEST_RATIO
+            )
+            return matches if len(matches) >= least else matches[:0]
+
+        results = map_threads(found, [*range(len(wanted))], threads=threads)
+        for pair, matches in zip(wanted, results, strict=True):
+            link.write_matches(*pair, matches)
+            if cancelled():
+                return

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ..datasets.capture import listing
-from ..datasets.search_record import unplaced_photos_text
+from ..datasets.colmap_source import unplaced_photos_text
 from ..quoting import as_typed, brief
 from ..text_format import count_words, number, time_words
 from .gps_scale import Gps

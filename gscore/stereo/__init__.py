@@ -1,4 +1,3 @@
 """Multi-view stereo: depth maps from photos with known cameras."""
 
-from .cloud import dense_points
-from .maps import StereoMaps, stereo_maps
+from .maps import StereoMaps, dense_points, stereo_maps

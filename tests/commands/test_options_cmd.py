@@ -10,7 +10,7 @@ import pytest
 from gscore.commands import dashed, main, train
 from gscore.commands.args import option_names_3dgs
 from gscore.commands.args.train_request import TrainRequest
-from gscore.commands.bench.config_changes import changed
+from gscore.commands.bench.shared import changed
 from gscore.config import LIFTED_BY, Background, Skip, Strategy, Switch, TrainConfig
 from gscore.options import options_of
 from gscore.presets import PRESETS

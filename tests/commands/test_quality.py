@@ -12,7 +12,7 @@ from gscore.bench import quality as study
 from gscore.bench.quality import ScoredView, Training, compare, summarize
 from gscore.bench.training import load_for_bench, train_measured
 from gscore.commands import main
-from gscore.commands.bench.quality_tables import tables
+from gscore.commands.bench.quality_results import tables
 from gscore.config import TrainConfig
 from gscore.datasets import Dataset
 from gscore.metrics import psnr

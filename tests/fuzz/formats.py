@@ -26,8 +26,7 @@ from gscore.io.cams_txt import read_cam
 from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from gscore.io.images.read_image import read_image, read_info, read_mask, write_png
-from gscore.io.mesh.files import read_mesh
-from gscore.io.mesh.ply import write_mesh
+from gscore.io.mesh.files import read_mesh, write_mesh
 from gscore.io.ply.points import read_point_cloud
 from gscore.io.ply.splats import read_ply, write_splats
 from gscore.io.runs import read_run

@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from gscore.sfm.matches import FARTHEST_MATCH, LARGEST_RATIO, match_pairs
+from gscore.sfm.pycolmap_stages import FARTHEST_MATCH, LARGEST_RATIO, match_pairs
 from tests.raster.twins.match import match_descriptors as twin
 
 LEAST = 15
@@ -93,7 +93,7 @@ def test_compared_pairs_are_kept(database: Path, monkeypatch: pytest.MonkeyPatch
         seen.append(1)
         return twin(first[:20], second[:20], **limits)
 
-    monkeypatch.setattr("gscore.sfm.matches.match_descriptors", counted)
+    monkeypatch.setattr("gscore.sfm.pycolmap_stages.match_descriptors", counted)
     pairs = pairs_of(database)
     match_pairs(database, pairs[:10], least=1, threads=1, cancelled=never)
     assert len(seen) == compared(database) == 10

@@ -7,9 +7,7 @@ import plyfile
 import pytest
 
 from gscore.errors import DatasetError, FormatError
-from gscore.io.mesh.files import read_mesh
-from gscore.io.mesh.ply import write_mesh
-from gscore.io.mesh.triangles import MOST_TRIANGLES, check_count
+from gscore.io.mesh.files import MOST_TRIANGLES, check_count, read_mesh, write_mesh
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float64)
 FAN = [[0, 1, 2], [0, 2, 3]]

@@ -1,18 +1,23 @@
-"""Plan of the curves of `gscore bench time-error`: trainings, checked before the first one."""
+"""Curves of `gscore bench time-error`: trainings, checked before the first; results.json."""
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-from ...bench.time_error import Curve, Variant, read_peers
-from ...bench.training import open_sizes
+from ..._version import __version__
+from ...bench.time_error import Curve, Variant, curve_json, read_peers, time_to_psnr
+from ...bench.training import first_size, open_sizes
 from ...config import Skip, TrainConfig
 from ...datasets import Dataset
 from ...errors import ConfigError
+from ...events import strict_json
+from ...io.files import atomic_write
+from ...metrics.machine import machine
 from ...quoting import quoted
-from .config_changes import changed
+from ...raster import native_library
+from .shared import changed, named_sources, training_configs
 from .sweeps import SizesPlan, plan_sizes
-from .training_options import named_sources, training_configs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,3 +79,48 @@ def _changed(
         parts = ablation.split(",")
         label = ", ".join(f"without {p}" if p in tuple(Skip) else p for p in parts)
         yield label, changed(config, parts, flag="--ablations")
+
+
+class ResultsFile:
+    """The results so far; docs/metrics.md describes the file."""
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self._path = args.output / "results.json"
+        self._captures: dict[str, dict[str, Any]] = {}
+        self._content = {
+            "gscore": __version__,
+            "finished": False,
+            "machine": machine(),
+            "isa": native_library.isa(),
+            "threads": args.threads or native_library.default_threads(),
+            "seeds": args.seeds,
+            "captures": self._captures,
+        }
+
+    def add_curves(self, plan: CapturePlan, curves: Sequence[Curve]) -> None:
+        """Store all curves of a capture so far."""
+        eval_views = plan.eval_views
+        self._captures[plan.name] = {
+            "judged_on": first_size(eval_views),
+            "held_out": [eval_views.names[index] for index in eval_views.test],
+            "curves": [curve_json(curve) for curve in curves],
+            "time_to_psnr": time_to_psnr(curves),
+        }
+        self._write()
+
+    def add_sizes(self, plan: CapturePlan, found: dict[str, Any]) -> None:
+        """Store all sizes of a capture so far."""
+        self._captures[plan.name]["sizes"] = found
+        self._write()
+
+    def finish(self) -> None:
+        """Mark the results as complete."""
+        self._content["finished"] = True
+        self._write()
+
+    def text(self) -> str:
+        """The content of the file."""
+        return strict_json(self._content)
+
+    def _write(self) -> None:
+        atomic_write(self._path, self.text().encode())

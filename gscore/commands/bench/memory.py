@@ -12,8 +12,8 @@ from ...text_format import count_words, number
 from ..parser import add_threads_option
 from ..terminal.output import print_json
 from ..terminal.status import show_while, wrapped
-from .numbers import check_numbers
 from .scaling import size
+from .shared import check_numbers
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

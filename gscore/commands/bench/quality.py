@@ -15,12 +15,9 @@ from ...presets import PRESETS
 from ...trainer.schedule.caps import cap_by_photos
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
-from .numbers import check_numbers
-from .progress import Ticker
 from .quality_plans import Cell, cells_of, variants_of
-from .quality_results import QualityResults
-from .quality_tables import tables
-from .training_options import add_training_options
+from .quality_results import QualityResults, tables
+from .shared import Ticker, add_training_options, check_numbers
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -11,8 +11,7 @@ from ...config import DataConfig
 from ...errors import ConfigError
 from ...presets import PRESETS
 from ...quoting import quoted
-from .config_changes import changed
-from .training_options import named_sources, training_configs
+from .shared import changed, named_sources, training_configs
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,8 +1,6 @@
 """`gscore bench raster`: time of the rasterizer alone."""
 
 import argparse
-import sys
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +10,9 @@ from ...config import DataConfig
 from ...datasets import load_dataset
 from ...errors import ConfigError
 from ...formats import read_splats
-from ...metrics.machine import machine
-from ...raster import native_library
 from ...text_format import count_words, number
 from ..parser import add_threads_option
-from ..terminal.output import print_json
-from ..terminal.status import show_while, wrapped
-from .numbers import check_numbers
+from .shared import check_numbers, for_each_isa
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,22 +50,12 @@ def run(args: argparse.Namespace) -> int:
         cameras = load_dataset(data).scene.cameras
     count = min(args.views, len(cameras))
     views = np.unique(np.linspace(0, len(cameras) - 1, count).round().astype(int)).tolist()
-    isas = (
-        native_library.available_isas() if args.isa == "all" else [args.isa or native_library.isa()]
+    for_each_isa(
+        args,
+        count_words(len(splats), "splat"),
+        lambda: bench_raster(splats, cameras, views, repeats=args.repeats, threads=args.threads),
+        _table,
     )
-    results = []
-    for isa in isas:
-        native_library.set_isa(isa)
-        with show_while(sys.stderr, f"Measuring {isa}, {count_words(len(splats), 'splat')}"):
-            result = bench_raster(
-                splats, cameras, views, repeats=args.repeats, threads=args.threads
-            )
-        results.append(result)
-        if not args.json:
-            sys.stdout.write(wrapped(_table(result), sys.stdout))
-    if args.json:
-        found = [{"machine": machine()} | asdict(r) for r in results]
-        print_json(found[0] if len(found) == 1 else found)
     return 0
 
 

@@ -12,7 +12,7 @@ from ...raster import native_library
 from ...text_format import count_words
 from ..terminal.output import print_json
 from ..terminal.status import Rows, Status
-from .numbers import check_numbers
+from .shared import check_numbers
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -13,7 +13,7 @@ from ...presets import PRESETS
 from ...raster import native_library
 from ..terminal.output import print_json
 from ..terminal.status import Rows, Status
-from .training_options import add_training_options, training_configs
+from .shared import add_training_options, training_configs
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,8 +1,6 @@
 """`gscore bench step`: time of a training step and of its parts."""
 
 import argparse
-import sys
-from dataclasses import asdict
 from pathlib import Path
 
 from ...bench.step import StepBench, bench_step
@@ -11,14 +9,10 @@ from ...config import DataConfig, Skip, Strategy, TrainConfig
 from ...datasets import load_dataset
 from ...errors import ConfigError
 from ...formats import read_splats
-from ...metrics.machine import machine
-from ...raster import native_library
 from ...text_format import count_words
 from ..args.data_options import add_data_options, with_data_options
 from ..parser import add_threads_option
-from ..terminal.output import print_json
-from ..terminal.status import show_while, wrapped
-from .numbers import check_numbers
+from .shared import check_numbers, for_each_isa
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,26 +63,19 @@ def run(args: argparse.Namespace) -> int:
     config = TrainConfig(
         strategy=Strategy(args.strategy), without=tuple(Skip(name) for name in args.without)
     )
-    results = []
-    for isa in (
-        native_library.available_isas() if args.isa == "all" else [args.isa or native_library.isa()]
-    ):
-        native_library.set_isa(isa)
-        with show_while(sys.stderr, f"Measuring {isa}, {count_words(args.steps, 'step')}"):
-            found = bench_step(
-                photos,
-                splats,
-                steps=args.steps,
-                threads=args.threads,
-                config=config,
-                photo_cache=cache,
-            )
-        results.append(found)
-        if not args.json:
-            sys.stdout.write(wrapped(_table(found), sys.stdout))
-    if args.json:
-        dicts = [{"machine": machine()} | asdict(found) for found in results]
-        print_json(dicts[0] if len(dicts) == 1 else dicts)
+    for_each_isa(
+        args,
+        count_words(args.steps, "step"),
+        lambda: bench_step(
+            photos,
+            splats,
+            steps=args.steps,
+            threads=args.threads,
+            config=config,
+            photo_cache=cache,
+        ),
+        _table,
+    )
     return 0
 
 

@@ -13,11 +13,9 @@ from ...presets import PRESETS
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
 from .curve_figures import figure_files, table, write_curves
-from .curve_plans import CapturePlan, plans_of
-from .curve_results import ResultsFile
-from .progress import Ticker
+from .curve_plans import CapturePlan, ResultsFile, plans_of
+from .shared import Ticker, add_training_options
 from .sweeps import add_sweep_options, check_sweeps, sizes_file, train_sizes
-from .training_options import add_training_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

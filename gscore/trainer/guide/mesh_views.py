@@ -8,7 +8,7 @@ import numpy as np
 from ...datasets import Dataset
 from ...datasets.dataset import map_threads
 from ...depth.confidence import inner, shown_by
-from ...io.mesh.triangles import TriangleMesh
+from ...io.mesh.files import TriangleMesh
 from ...raster.mesh import mesh_depth
 
 _CURVATURE = 0.02

@@ -12,8 +12,7 @@ from ...datasets import Dataset
 from ...datasets.tracks import Tracks
 from ...errors import ConfigError
 from ...events import Decision
-from ...io.mesh.files import read_mesh
-from ...io.mesh.triangles import TriangleMesh
+from ...io.mesh.files import TriangleMesh, read_mesh
 from ...scene import offset_between
 from ...text_format import count_words
 from ..depth.rule import coverage

@@ -17,7 +17,7 @@ from gscore.datasets.tracks import tracks_of
 from gscore.errors import ConfigError
 from gscore.events import Event, Started, Warn
 from gscore.io.colmap.folder import read_model, write_model
-from gscore.io.mesh.ply import write_mesh
+from gscore.io.mesh.files import write_mesh
 from gscore.raster.api import render
 from gscore.scene import Cameras
 from gscore.splats import Splats

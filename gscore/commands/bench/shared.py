@@ -1,0 +1,182 @@
+"""Shared parts of several benches: options of trainings, changes, instruction sets, progress."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from ...config import LIFTED_BY, DataConfig, Skip, Strategy, TrainConfig
+from ...config_file import from_dict, to_dict
+from ...errors import ConfigError
+from ...json_text import parse_json
+from ...metrics.machine import machine
+from ...option_marks import mark_option
+from ...presets import PRESETS
+from ...quoting import brief, quoted
+from ...raster import native_library
+from ...text_format import number
+from ...trainer.files.checkpoint import FREE
+from ..args.data_options import add_data_options, with_data_options
+from ..parser import add_threads_option
+from ..terminal.output import print_json
+from ..terminal.status import Status, show_while, wrapped
+
+_EVERY = 8
+"""Every eighth view is held out by default."""
+
+
+def add_training_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that change a preset, and those of the capture."""
+    parser.add_argument(
+        "--iterations", type=int, help="number of training steps; default: the preset's"
+    )
+    parser.add_argument(
+        "--max-splats", type=int, help="cap of the number of splats; default: the preset's"
+    )
+    parser.add_argument("--strategy", choices=tuple(Strategy), help="densification strategy")
+    add_threads_option(parser)
+    add_data_options(parser)
+
+
+def named_sources(sources: Sequence[Path]) -> dict[str, Path]:
+    """Captures by the names of their folders.
+
+    Raises:
+        ConfigError: two have one name.
+    """
+    named: dict[str, Path] = {}
+    for source in sources:
+        name = source.resolve().name
+        if name in named:
+            raise ConfigError(f"Two captures are called {quoted(name)}; give them different names.")
+        named[name] = source
+    return named
+
+
+def training_configs(
+    args: argparse.Namespace, source: Path, preset: str
+) -> tuple[DataConfig, TrainConfig]:
+    """Preset `preset` for `source` with the given options; some views are always held out."""
+    data, train = PRESETS[preset](source)
+    data = with_data_options(data, args)
+    if not data.eval:
+        data = replace(data, eval=True, test_every=_EVERY)
+    given = {
+        name: getattr(args, name)
+        for name in ("iterations", "max_splats")
+        if getattr(args, name) is not None
+    }
+    given |= {LIFTED_BY[name]: 0 for name in given}  # as for `gscore train`
+    if args.strategy is not None:
+        given["strategy"] = Strategy(args.strategy)
+    return data, replace(train, threads=args.threads, **given)
+
+
+class Ticker:
+    """Progress of a training on a status line."""
+
+    def __init__(self, capture: str, status: Status) -> None:
+        self._capture, self._status = capture, status
+
+    def __call__(self, label: str, seed: int, step: int, iterations: int) -> None:
+        """Show that a step of the training with this label and seed is done."""
+        which = f"{self._capture}, {label}, seed {seed}"
+        far = f"step {number(step)} of {number(iterations)}"
+        self._status.show([which, far], share=step / iterations)
+        if step == iterations:
+            self._status.clear()
+
+
+_MOST = 10**8
+"""Ten times the splats of a large scene; they need 24 GB."""
+
+
+def check_numbers(args: argparse.Namespace, least: int, *names: str) -> None:
+    """Raise ConfigError if a number of an option is less than `least` or absurdly large."""
+    for name in names:
+        value = getattr(args, name)
+        for given in value if isinstance(value, Sequence) else [value]:
+            if given < least:
+                raise ConfigError(
+                    f"{mark_option(name)} must be at least {least}, got {quoted(given)}."
+                )
+            if given > _MOST:
+                raise ConfigError(
+                    f"{mark_option(name)} must be at most {number(_MOST)}, got {brief(given)}."
+                )
+
+
+_NOT_HERE = ("seed", "start_opacity", *sorted(FREE - {"iterations", *LIFTED_BY.values()}))
+"""Options that benches set themselves, or that do not affect a training from points."""
+
+
+def changed(config: TrainConfig, changes: Sequence[str], *, flag: str) -> TrainConfig:
+    """`config` with all these changes.
+
+    Args:
+        config: Options to change.
+        changes: Each a strategy, a skip to disable, or OPTION=VALUE.
+        flag: The command-line option with the changes, for messages.
+
+    Raises:
+        ConfigError: there is no such change, or the value is invalid.
+    """
+    for name in changes:
+        config = _changed(config, name, flag)
+    return config
+
+
+def _changed(config: TrainConfig, name: str, flag: str) -> TrainConfig:
+    if name in tuple(Strategy):
+        return replace(config, strategy=Strategy(name))
+    if name in tuple(Skip):
+        return replace(config, without=(*config.without, Skip(name)))
+    option, equals, value = name.partition("=")
+    option = option.replace("-", "_")
+    if not equals or option in _NOT_HERE or option.startswith("depth_"):
+        known = ", ".join((*Strategy, *Skip))
+        raise ConfigError(
+            f"There is no change {quoted(name)} for {flag}; there are: {known}, and OPTION=VALUE "
+            "for options of gscore.TrainConfig that affect a training without depth maps."
+        )
+    values = to_dict(config) | {option: _value(value, getattr(config, option, None))}
+    if option in LIFTED_BY:  # as for `gscore train`
+        values[LIFTED_BY[option]] = 0
+    return from_dict(TrainConfig, values, where=f"{flag} {name}")
+
+
+def _value(text: str, now: Any) -> Any:
+    """The value of `text` for an option with the value `now`."""
+    if isinstance(now, bool) and text in ("on", "off"):
+        return text == "on"
+    try:
+        return parse_json(text)
+    except ValueError:
+        return text
+
+
+def for_each_isa(
+    args: argparse.Namespace, what: str, measure: Callable[[], Any], table: Callable[[Any], str]
+) -> None:
+    """Measure with the instruction set `args.isa`, or with each if it is `all`; print the tables,
+    or JSON: one object, or a list of several.
+
+    Args:
+        args: Arguments with `isa` and `json`.
+        what: Size of the work, for the status line.
+        measure: Measures once.
+        table: The text of a measurement.
+    """
+    available = native_library.available_isas()
+    results = []
+    for isa in available if args.isa == "all" else [args.isa or native_library.isa()]:
+        native_library.set_isa(isa)
+        with show_while(sys.stderr, f"Measuring {isa}, {what}"):
+            results.append(measure())
+        if not args.json:
+            sys.stdout.write(wrapped(table(results[-1]), sys.stdout))
+    if args.json:
+        found = [{"machine": machine()} | asdict(result) for result in results]
+        print_json(found[0] if len(found) == 1 else found)
