@@ -84,8 +84,8 @@ def test_a_second_ctrl_c_ends_at_once(
     second apart, so that two do not become one on a busy machine."""
     code = (
         "import sys, time; from gscore.__main__ import main\n"
-        "from gscore.trainer.trainer import Trainer; real = Trainer.step\n"
-        "Trainer.step = lambda self: (time.sleep(2), real(self))[1]; sys.exit(main())"
+        "from gscore.trainer.trainer import Trainer; real = Trainer.advance\n"
+        "Trainer.advance = lambda self: (time.sleep(2), real(self))[1]; sys.exit(main())"
     )
     process = begin([sys.executable, "-c", code, *command(capture, tmp_path, *LONG)[3:]])
     is_training(process, tmp_path)
@@ -197,8 +197,8 @@ def test_a_signal_that_is_ignored_stays_so(capture: Path, tmp_path: Path, name: 
     code = (
         f"import os, signal, sys; signal.signal(signal.{name}, signal.SIG_IGN)\n"
         "from gscore.__main__ import main; from gscore.trainer.trainer import Trainer\n"
-        "real = Trainer.step\n"
-        f"Trainer.step = lambda self: (os.kill(os.getpid(), signal.{name}), real(self))[1]\n"
+        "real = Trainer.advance\n"
+        f"Trainer.advance = lambda self: (os.kill(os.getpid(), signal.{name}), real(self))[1]\n"
         "sys.exit(main())"
     )
     arguments = command(capture, tmp_path, *SHORT, "--quiet")[3:]
