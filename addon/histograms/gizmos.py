@@ -9,9 +9,9 @@ from ..interface.blocks import with_uid
 from ..interface.views import redraw_views
 from ..splats.objects import in_question
 from .boxes import Box, OverlappingRegions, placed
-from .counted import COUNTED
 from .counting import OPACITY, SIZE, Histogram
 from .drawing import draw
+from .histogram_cache import HISTOGRAMS
 from .limits import Handle, handles, limits_of
 
 _KINDS = OPACITY, SIZE
@@ -47,7 +47,7 @@ def in_view(
     ob = in_question(context) if context.window_manager.gscore_histograms else None
     if ob is None or not editable_check.keeps(ob):
         return None
-    found, box = COUNTED.of(ob).get(kind), box_of(context, kind)
+    found, box = HISTOGRAMS.of(ob).get(kind), box_of(context, kind)
     return None if found is None or box is None else (ob, found, box)
 
 

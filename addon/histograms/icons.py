@@ -3,7 +3,7 @@
 import bpy
 
 from ..interface.images import PictureIcons
-from .counted import COUNTED
+from .histogram_cache import HISTOGRAMS
 from .limits import limits_of
 
 _SIZE = 192
@@ -14,7 +14,7 @@ class HistogramIcons(PictureIcons):
 
     def update(self, ob: bpy.types.Object, kind: str) -> int:
         """Icon id of a histogram, hidden splats in grey; 0 if there is none."""
-        if (found := COUNTED.of(ob).get(kind)) is None:
+        if (found := HISTOGRAMS.of(ob).get(kind)) is None:
             return 0
         limits = limits_of(ob, kind)
         return self.show(kind, (found, *limits), lambda: found.picture(_SIZE, _SIZE, *limits))

@@ -11,9 +11,9 @@ from ..process.incremental_tasks import Check, Pieces, run_in_thread
 from ..splats import objects, point_attributes, separate_join
 from ..splats.edit_guard import EditGuard
 from ..splats.edit_operators import Editing
-from ..splats.framed import frame_of
 from ..splats.point_attributes import Column
 from ..splats.read_chunked import ChunkedRead
+from ..splats.splat_framing import frame_of
 
 _VIEWS, _WIDTH = 4, 256
 """Number of compared pictures, and their larger side, px."""

@@ -8,7 +8,7 @@ from bpy.props import BoolProperty
 from .. import stored_paths
 from ..cameras import photos
 from ..interface.base_operator import Undoable, make_active
-from ..splats import framed
+from ..splats import splat_framing
 from ..splats.error_maps import is_map, show_map, siblings
 from ..splats.objects import in_question, is_splats
 from .operators import use_engine
@@ -36,7 +36,7 @@ class ShowSplats(Undoable, bpy.types.Operator):
     def act(self, context: bpy.types.Context) -> str:
         """Apply all settings."""
         ob = _wanted(context, trained=self.trained)
-        framed.frame_of(ob)  # raises for empty splats before anything is set
+        splat_framing.frame_of(ob)  # raises for empty splats before anything is set
         if any(map(is_map, _of_run(context, ob))):
             show_map(ob, False)
         ob.hide_set(False)
@@ -46,9 +46,9 @@ class ShowSplats(Undoable, bpy.types.Operator):
         use_engine(context.scene)
         photos.show(context.scene, False)
         context.view_layer.update()  # to evaluate the matrix of hidden objects
-        for space in framed.turn_views(context.scene, ob):
+        for space in splat_framing.turn_views(context.scene, ob):
             space.shading.type = "RENDERED"
-        self.warn(framed.set_camera(context.scene, ob))
+        self.warn(splat_framing.set_camera(context.scene, ob))
         return ""
 
 

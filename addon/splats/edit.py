@@ -12,7 +12,7 @@ from ..cameras.objects import local_matrix
 from ..interface import editable_check
 from ..nodes import display
 from ..process.incremental_tasks import Check, Pieces, run_in_thread
-from . import filters, framed, lag, objects, separate_join
+from . import filters, lag, objects, separate_join, splat_framing
 from . import settings as splat_settings
 from .edit_guard import EditGuard
 from .mesh_buffers import points_of
@@ -116,7 +116,7 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
     """
     if ob.mode == "EDIT":
         raise ValueError(f"{ob.name} is in Edit Mode: leave it before adding a crop box.")
-    placed = framed.in_world(ob)
+    placed = splat_framing.in_world(ob)
     if not len(placed):
         raise ValueError(f"{ob.name} has no splats to put a box around.")
     low, high = np.quantile(placed, [_CROP_QUANTILE, 1 - _CROP_QUANTILE], axis=0)

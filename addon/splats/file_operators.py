@@ -19,7 +19,7 @@ from ..core import LOD_ENDING, SPLAT_ENDINGS
 from ..interface.base_operator import Condition, OnScene, make_active
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Pieces
-from . import exporting, framed, splat_files
+from . import exporting, splat_files, splat_framing
 from .importing import importing_splats
 from .objects import active_splats, can_export, hide_points, is_splats
 
@@ -167,8 +167,8 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
             hide_points(context.scene, root)
         if here and self.turn_views and not self.in_crop:
             context.view_layer.update()
-            framed.turn_views(context.scene, here[-1])
-            self.warn(framed.set_camera(context.scene, here[-1], may_add=False))
+            splat_framing.turn_views(context.scene, here[-1])
+            self.warn(splat_framing.set_camera(context.scene, here[-1], may_add=False))
         total = sum(len(ob.data.vertices) for ob in made)
         return f"Imported {total:,} splats from {len(made)} file(s)."
 

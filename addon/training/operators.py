@@ -17,7 +17,7 @@ from ..interface.base_operator import (
 )
 from ..interface.images import show_image
 from ..process import poll_timer
-from ..splats import framed, splat_files
+from ..splats import splat_files, splat_framing
 from ..splats.file_operators import ImportOperator
 from . import facts, guides, registry, results, run_state, start_training
 from .options import BY_WIDTH
@@ -303,8 +303,8 @@ class ImportResult(ImportOperator, bpy.types.Operator):
         if context.mode == "OBJECT" and ob.name in context.view_layer.objects:
             make_active(context, ob)
             context.view_layer.update()
-            framed.turn_views(context.scene, ob)
-            self.warn(framed.set_camera(context.scene, ob, may_add=False))
+            splat_framing.turn_views(context.scene, ob)
+            self.warn(splat_framing.set_camera(context.scene, ob, may_add=False))
         return f"{ob.name} has the {len(ob.data.vertices):,} splats of {self._run.info.path}."
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from ..errors import DatasetError, FormatError
 from ..io.colmap.lenses import distorted_pixels, undistorted_rays
 from ..io.colmap.model import ColmapCamera
-from ..io.images.image_lookup import Pixels
+from ..io.images.interpolation import Pixels
 from ..io.images.resample import divided, premultiplied
 
 _ROWS_A_STRIP, _PIXELS_A_STRIP = 32, 1 << 17

@@ -12,9 +12,9 @@ import numpy as np
 
 from ..scene import Cameras
 from .align import LEAST_SHARE, REVERSED, is_significant
-from .chart import Chart, chart, inverse_depth
 from .fit import Fit, fit_of
 from .joint import Web, covariances, place
+from .posed_depth_map import PosedDepthMap, inverse_depth, prepare_depth_map
 from .samples import Samples
 
 _MOST_VIEWS = 12
@@ -58,7 +58,7 @@ def agreed(
         for part, fit in zip(maps, fits, strict=True)
     ]
     found, (views, web) = list(fits), _web(usable, cameras)
-    determined = {i for k, i in enumerate(views) if _determined(web.charts[k], fits[i])}
+    determined = {i for k, i in enumerate(views) if _determined(web.depth_maps[k], fits[i])}
     if len(views) < 2 or len(determined) == len(views):
         return found
     logs = _placed(web, [fits[i] for i in views])
@@ -69,7 +69,7 @@ def agreed(
     for k, i in enumerate(views):
         reason = reasons[k]
         if reason is not None and i not in determined:
-            fit = fit_of(*web.charts[k].line(np.exp(logs[k])), *_own_points(maps[i]))
+            fit = fit_of(*web.depth_maps[k].line(np.exp(logs[k])), *_own_points(maps[i]))
             found[i] = fit.refused(reason) if reason else fit
     return with_errors(found, maps, cameras)
 
@@ -84,14 +84,14 @@ def with_errors(
         for k, i in enumerate(views)
         if (fit := fits[i]) is not None
         and fit.accepted
-        and (ends := web.charts[k].ends(fit)) is not None
+        and (ends := web.depth_maps[k].ends(fit)) is not None
     }
-    if len(known) < 2 or all(_determined(web.charts[k], fit) for k, (fit, _) in known.items()):
+    if len(known) < 2 or all(_determined(web.depth_maps[k], fit) for k, (fit, _) in known.items()):
         return found
     errors = covariances(web.only(list(known)), np.log([ends for _, ends in known.values()]))
     for (k, (fit, ends)), covariance in zip(known.items(), errors, strict=True):
-        if not _determined(web.charts[k], fit):
-            found[views[k]] = replace(fit, **web.charts[k].uncertainty(ends, covariance))
+        if not _determined(web.depth_maps[k], fit):
+            found[views[k]] = replace(fit, **web.depth_maps[k].uncertainty(ends, covariance))
     return found
 
 
@@ -99,48 +99,51 @@ def _web(maps: Sequence[Samples | None], cameras: Cameras) -> tuple[list[int], W
     """Indices of the views whose maps can be compared, and these maps."""
     there = sum(samples is not None for samples in maps)
     count = min(_PIXELS, max(_LEAST_PIXELS, _MOST_PIXELS // max(there, 1)))
-    charts = {
+    depth_maps = {
         i: found
         for i, samples in enumerate(maps)
-        if samples is not None and (found := chart(samples, cameras, i, count=count)) is not None
+        if samples is not None
+        and (found := prepare_depth_map(samples, cameras, i, count=count)) is not None
     }
-    axes = cameras.viewmats[list(charts), 2, :3]
+    axes = cameras.viewmats[list(depth_maps), 2, :3]
     similarity = axes @ axes.T - 3 * np.eye(len(axes))  # itself comes last
     order = np.argsort(-similarity, axis=1, kind="stable")[:, : min(_MOST_VIEWS, len(axes) - 1)]
-    return list(charts), Web(charts=list(charts.values()), neighbours=order.tolist())
+    return list(depth_maps), Web(depth_maps=list(depth_maps.values()), neighbours=order.tolist())
 
 
 def _placed(web: Web, fits: Sequence[Fit | None]) -> np.ndarray:
     """[V, 2] logs of the ends with the least contradiction, from several starts: the fits to points
     only, and ends of one ratio for all maps."""
-    every = [chart.point_inverse for chart in web.charts if len(chart.point_inverse)]
+    every = [
+        depth_map.point_inverse for depth_map in web.depth_maps if len(depth_map.point_inverse)
+    ]
     middle = float(np.median(np.concatenate(every))) if every else 1.0
     starts = [
-        np.stack([_through_points(c, middle, ratio) for c in web.charts]) for ratio in _RATIOS
+        np.stack([_through_points(c, middle, ratio) for c in web.depth_maps]) for ratio in _RATIOS
     ]
     stated = [
-        other if fit is None or not fit.accepted or (ends := chart.ends(fit)) is None else ends
-        for chart, fit, other in zip(web.charts, fits, starts[0], strict=True)
+        other if fit is None or not fit.accepted or (ends := depth_map.ends(fit)) is None else ends
+        for depth_map, fit, other in zip(web.depth_maps, fits, starts[0], strict=True)
     ]
-    pixels = sum(len(chart.tones) for chart in web.charts)
+    pixels = sum(len(depth_map.tones) for depth_map in web.depth_maps)
     rough = web.thinned(max(1, pixels // _ROUGH_PIXELS))
     tried = [place(rough, np.log(ends), factors=_FACTORS) for ends in [np.stack(stated), *starts]]
     return place(web, min(tried, key=lambda found: found[0])[1])[1]
 
 
-def _determined(chart: Chart, fit: Fit | None) -> bool:
+def _determined(depth_map: PosedDepthMap, fit: Fit | None) -> bool:
     """Whether the points alone determine the map better than other maps would."""
     if fit is None or not fit.accepted:
         return False
-    return bool((fit.relative_error(np.array([chart.low, chart.high])) < _DETERMINED).all())
+    return bool((fit.relative_error(np.array([depth_map.low, depth_map.high])) < _DETERMINED).all())
 
 
-def _through_points(chart: Chart, middle: float, ratio: float) -> np.ndarray:
+def _through_points(depth_map: PosedDepthMap, middle: float, ratio: float) -> np.ndarray:
     """[2] ends of this ratio with the median point between them, or `middle` without points."""
     tone, level = 0.5, middle
-    if len(chart.point_inverse):
-        tone = float(np.clip(np.median(chart.point_tones), 0, 1))
-        level = float(np.median(chart.point_inverse))
+    if len(depth_map.point_inverse):
+        tone = float(np.clip(np.median(depth_map.point_tones), 0, 1))
+        level = float(np.median(depth_map.point_inverse))
     far = level / (1 - tone + ratio * tone)
     return np.array([far, far * ratio])
 
@@ -156,19 +159,21 @@ def _refusal(web: Web, index: int, logs: np.ndarray) -> str | None:
 
     The points have the same total weight as all maps.
     """
-    chart = web.charts[index]
+    depth_map = web.depth_maps[index]
     tones, stated = [], []
     for i in web.projected_onto(index):
-        other = web.charts[i]
-        seen, inverse = chart.look_up(other.points(inverse_depth(np.exp(logs[i]), other.tones)))
+        other = web.depth_maps[i]
+        seen, inverse = depth_map.look_up(other.points(inverse_depth(np.exp(logs[i]), other.tones)))
         tones.append(seen[np.isfinite(seen)])
         stated.append(inverse[np.isfinite(seen)])
     count = sum(len(part) for part in tones)
-    if count < _OVERLAP * len(chart.tones):
+    if count < _OVERLAP * len(depth_map.tones):
         return None
-    weights = np.concatenate([chart.point_weights, np.full(count, 1 / count)])
-    own = np.log(inverse_depth(np.exp(logs[index]), np.concatenate([chart.point_tones, *tones])))
-    expected = np.log(np.concatenate([chart.point_inverse, *stated]))
+    weights = np.concatenate([depth_map.point_weights, np.full(count, 1 / count)])
+    own = np.log(
+        inverse_depth(np.exp(logs[index]), np.concatenate([depth_map.point_tones, *tones]))
+    )
+    expected = np.log(np.concatenate([depth_map.point_inverse, *stated]))
     low, high = np.quantile(expected, (0.05, 0.95))
     near = min(_NEAR, 0.3 * float(high - low))
     share = float(weights[np.abs(own - expected) <= near].sum() / weights.sum())

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .chart import Chart, inverse_depth
+from .posed_depth_map import PosedDepthMap, inverse_depth
 
 MAP_SIGMA = 0.1
 """Standard deviation of r: maps have correlated errors of some per cent."""
@@ -48,7 +48,7 @@ _DELTA = 1e-3
 class Web:
     """Maps and their neighbours."""
 
-    charts: list[Chart]
+    depth_maps: list[PosedDepthMap]
     neighbours: list[list[int]]
     """Neighbours of each map, into which its pixels are projected."""
 
@@ -60,14 +60,15 @@ class Web:
         """A subset of the maps, renumbered 0, 1, ... in this order."""
         place = {k: n for n, k in enumerate(chosen)}
         neighbours = [[place[i] for i in self.neighbours[k] if i in place] for k in chosen]
-        return Web(charts=[self.charts[k] for k in chosen], neighbours=neighbours)
+        return Web(depth_maps=[self.depth_maps[k] for k in chosen], neighbours=neighbours)
 
     def thinned(self, step: int) -> "Web":
         """The same with every `step`-th of the sampled pixels."""
-        charts = [
-            replace(c, tones=c.tones[::step], directions=c.directions[::step]) for c in self.charts
+        depth_maps = [
+            replace(c, tones=c.tones[::step], directions=c.directions[::step])
+            for c in self.depth_maps
         ]
-        return Web(charts=charts, neighbours=self.neighbours)
+        return Web(depth_maps=depth_maps, neighbours=self.neighbours)
 
 
 def _penalty(r: np.ndarray, sigma: float) -> np.ndarray:
@@ -191,27 +192,33 @@ def _linearised(web: Web, logs: np.ndarray, sigma: float, typical: float) -> _Sy
     curvature, slope = np.zeros((count, 2, count, 2)), -unlike[:, None] * _NARROWER / _SPAN_SIGMA
     for j in range(count):
         curvature[j, :, j] = np.outer(_NARROWER, _NARROWER) / _SPAN_SIGMA**2
-    tones = np.stack([chart.tones for chart in web.charts])
+    tones = np.stack([depth_map.tones for depth_map in web.depth_maps])
     share = PAIRS / tones.shape[1]
     depths = inverse_depth(ends, tones)
     shares = _shares(ends, tones)
     places = [
-        c.points(np.stack([d, d * (1 + _DELTA)])) for c, d in zip(web.charts, depths, strict=True)
+        c.points(np.stack([d, d * (1 + _DELTA)]))
+        for c, d in zip(web.depth_maps, depths, strict=True)
     ]
-    for j, chart in enumerate(web.charts):
-        if len(chart.point_weights):
-            r = np.log(inverse_depth(ends[j], chart.point_tones) / chart.point_inverse) / spans[j]
-            weight = POINTS * chart.point_weights
+    for j, depth_map in enumerate(web.depth_maps):
+        if len(depth_map.point_weights):
+            r = (
+                np.log(inverse_depth(ends[j], depth_map.point_tones) / depth_map.point_inverse)
+                / spans[j]
+            )
+            weight = POINTS * depth_map.point_weights
             points += float(weight @ _penalty(r, sigma))
             weight = weight * _weight(r, sigma)
-            jacobian = (_shares(ends[j], chart.point_tones) + r[:, None] * _NARROWER) / spans[j]
+            jacobian = (_shares(ends[j], depth_map.point_tones) + r[:, None] * _NARROWER) / spans[j]
             curvature[j, :, j] += jacobian.T @ (weight[:, None] * jacobian)
             slope[j] += jacobian.T @ (weight * r)
         projected_onto = web.projected_onto(j)
         if not projected_onto:
             continue
         span = 0.5 * (spans[projected_onto] + spans[j])[:, None]  # [S, 1]
-        seen, inverse = chart.look_up(np.stack([places[i] for i in projected_onto]))  # [S, 2, P]
+        seen, inverse = depth_map.look_up(
+            np.stack([places[i] for i in projected_onto])
+        )  # [S, 2, P]
         r, moved = np.moveaxis(np.log(inverse / inverse_depth(ends[j], seen)), 1, 0) / span
         pairs += float(_penalty(r, sigma).sum())
         visible, neighbours = visible + int(np.isfinite(r).sum()), neighbours + r.size

@@ -34,8 +34,8 @@ def smooth(path, inverse):
 def true_logs(planes, web):
     """Logs of the inverse depths at the ends of `smooth` maps without their waves."""
     ends = [
-        [(value + 0.1) / (1 + k) for value in (chart.low, chart.high)]
-        for k, chart in enumerate(web.charts)
+        [(value + 0.1) / (1 + k) for value in (depth_map.low, depth_map.high)]
+        for k, depth_map in enumerate(web.depth_maps)
     ]
     return np.log(ends)
 
@@ -96,11 +96,11 @@ def test_an_end_nobody_shows_is_uncertain(web):
     together = joint.covariances(web, truth)
     alone = joint.covariances(web.only([2]), truth[[2]])[0]
     assert alone[0, 0] > 1.5 * together[2, 0, 0]
-    chart = web.charts[2]
-    numbers = chart.uncertainty(np.exp(truth[2]), together[2])
-    scale, offset = chart.line(np.exp(truth[2]))
+    depth_map = web.depth_maps[2]
+    numbers = depth_map.uncertainty(np.exp(truth[2]), together[2])
+    scale, offset = depth_map.line(np.exp(truth[2]))
     fit = Fit(scale=scale, offset=offset, **numbers)
     expected = np.sqrt(np.diagonal(together[2]))
-    assert fit.relative_error(np.array([chart.low, chart.high])) == pytest.approx(
+    assert fit.relative_error(np.array([depth_map.low, depth_map.high])) == pytest.approx(
         expected, rel=1e-4
     )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gscore.depth.chart import chart
+from gscore.depth.posed_depth_map import prepare_depth_map
 from gscore.depth.samples import Samples, averaged, grid_step
 from gscore.scene import Cameras
 
@@ -26,7 +26,7 @@ def test_means_over_squares_of_what_is_known():
 
 @pytest.fixture
 def plane():
-    """A chart of a map that is affine over the photo, with fine noise of 1 % of its range, and the
+    """A posed depth map that is affine over the photo, with fine noise of 1 % of its range, and the
     map's values at pixels."""
 
     def stated(x, y):
@@ -48,7 +48,7 @@ def plane():
     none = np.zeros(0)
     grid = averaged(values.astype(np.float32))
     samples = Samples(values=none, inverse_depth=none, weights=none, grid=grid)
-    return chart(samples, cameras, 0, count=300), stated
+    return prepare_depth_map(samples, cameras, 0, count=300), stated
 
 
 def test_sampled_pixels_lie_where_the_map_says(plane):

@@ -8,10 +8,10 @@ from ...config import TrainConfig
 from ...errors import DatasetError
 from ...events import Decision
 from ...text_format import count_words, number
-from ..depth.regularisers import drop_rate_of
 from ..model.checkpoint_schema import as_float
 from ..photos.view_sampler import Photos
 from ..schedule.caps import max_splats_per_model, model_count
+from ..schedule.dropout_rate import drop_rate_of
 from ..schedule.plan import Plan
 from .analysis import Analysis
 

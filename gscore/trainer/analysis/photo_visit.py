@@ -1,4 +1,4 @@
-"""Photo visit: what decides on a training is read from its photos and tracks, from each once."""
+"""Photo facts: EXIF exposures, track colours and masks of all photos, read in one pass."""
 
 from dataclasses import dataclass, field
 

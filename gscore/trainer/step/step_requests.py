@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from ...config import Skip, TrainConfig
 from ...engine.base import ENGINE_SKIPS, ShUpdate, StepRequest
-from ..depth.regularisers import drop_rate_at
+from ..schedule.dropout_rate import drop_rate_at
 from ..schedule.plan import Plan
 from ..strategy import Policy
 from ..views.model_renderer import ModelRenderer

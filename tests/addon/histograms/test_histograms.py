@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from addon import attributes
-from addon.histograms import counted, icons
+from addon.histograms import histogram_cache, icons
 from addon.histograms.counting import OPACITY, SIZE, of_opacities, of_sizes
 from addon.panels.result import FiltersPanel
 from tests.addon import points
@@ -60,14 +60,14 @@ def test_a_place_stands_for_a_value():
 
 
 @pytest.fixture
-def kept(monkeypatch: pytest.MonkeyPatch) -> Iterator[counted.Counted]:
-    """A `Counted` without the wait for unchanged meshes."""
-    monkeypatch.setattr(counted, "QUIET", 0.0)
-    yield counted.COUNTED
-    counted.COUNTED.clear()
+def kept(monkeypatch: pytest.MonkeyPatch) -> Iterator[histogram_cache.HistogramCache]:
+    """A `HistogramCache` without the wait for unchanged meshes."""
+    monkeypatch.setattr(histogram_cache, "QUIET", 0.0)
+    yield histogram_cache.HISTOGRAMS
+    histogram_cache.HISTOGRAMS.clear()
 
 
-def wait_for_counts(kept: counted.Counted) -> int:
+def wait_for_counts(kept: histogram_cache.HistogramCache) -> int:
     """Poll until all is counted; return the number of polls with new results."""
     new = 0
     while kept.waits():
@@ -81,7 +81,7 @@ def changed(ob: bpy.types.Object) -> None:
     bpy.context.view_layer.update()
 
 
-def numbers(kept: counted.Counted, ob: bpy.types.Object) -> list[int]:
+def numbers(kept: histogram_cache.HistogramCache, ob: bpy.types.Object) -> list[int]:
     """Number of splats of each histogram."""
     return [int(found.counts.sum()) for found in kept.of(ob).values()]
 
@@ -119,12 +119,12 @@ def test_a_limit_makes_no_new_histogram(scene, kept, monkeypatch):
     first = kept.of(ob)[SIZE]
     ob.gscore.opacity_min = 0.3
     changed(ob)
-    monkeypatch.setattr(counted, "QUIET", 60.0)
+    monkeypatch.setattr(histogram_cache, "QUIET", 60.0)
     assert kept.of(ob)[SIZE] is first and kept.waits()
     for _ in range(5):
         assert not kept.collect()
     assert not any(entry.task for entry in kept._entries.values())
-    monkeypatch.setattr(counted, "QUIET", 0.0)
+    monkeypatch.setattr(histogram_cache, "QUIET", 0.0)
     assert wait_for_counts(kept) == 0
     assert kept.of(ob)[SIZE] is first
 
@@ -133,7 +133,7 @@ def test_many_are_counted_beside_blender(scene, kept, monkeypatch):
     """Oracle: numpy's counts of every fourth; no result until the poll timer has run all steps;
     with another mesh of the object, the earlier histograms stay until it is counted."""
     lab.prepare(scene)
-    monkeypatch.setattr(counted, "MOST", 100)
+    monkeypatch.setattr(histogram_cache, "MOST", 100)
     ob = lab.add(scene, lab.blob())
     assert kept.of(ob) == {} and wait_for_counts(kept) == 1
     sizes = attributes.column(ob.data, attributes.SCALE)[::4].max(axis=1)
@@ -147,7 +147,7 @@ def test_many_are_counted_beside_blender(scene, kept, monkeypatch):
 def test_objects_of_two_windows_are_known_at_once(scene, kept, monkeypatch):
     """Oracle: both are counted in the end, although their requests alternate."""
     lab.prepare(scene)
-    monkeypatch.setattr(counted, "MOST", 100)
+    monkeypatch.setattr(histogram_cache, "MOST", 100)
     both = [lab.add(scene, lab.blob()), lab.add(scene, lab.blob(300))]
     for _ in range(50):
         for ob in both:
@@ -184,7 +184,7 @@ def test_a_count_that_fails_leaves_what_was_there(scene, kept, monkeypatch):
     def fail(*given: object) -> None:
         raise MemoryError("no more")
 
-    monkeypatch.setattr(counted, "_count", fail)
+    monkeypatch.setattr(histogram_cache, "_count", fail)
     kept.forget({ob.data.session_uid})
     kept.of(ob)
     with pytest.raises(MemoryError):
@@ -210,7 +210,7 @@ def test_icons_follow_the_filters(scene):
     for limit in (0.0, 0.5):
         ob.gscore.opacity_min = limit
         icons.ICONS.update(ob, OPACITY)
-        wanted = counted.COUNTED.of(ob)[OPACITY].picture(192, 192, limit, 0.0)
+        wanted = histogram_cache.HISTOGRAMS.of(ob)[OPACITY].picture(192, 192, limit, 0.0)
         got = np.array(icons.ICONS._icons[OPACITY].image_pixels_float[:]).reshape(192, 192, 4)
         np.testing.assert_allclose(got, wanted, atol=1 / 255)
 

@@ -13,7 +13,7 @@ from mathutils import Matrix, Quaternion, Vector
 from addon.cameras import capture_transform, select_imported
 from addon.compat import matrix_to_numpy
 from addon.interface import framing
-from addon.splats import framed
+from addon.splats import splat_framing
 from tests.addon import splat_scenes as lab
 from tests.addon.calls import import_capture
 from tests.addon.captures import STUDIO
@@ -96,7 +96,7 @@ def test_a_room_is_seen_from_inside_through_haze(
     ob = lab.add(scene, splats)
     ob.parent = capture_with(rotations, scale * eyes)
     bpy.context.view_layer.update()
-    framed.turn_views(scene, ob)
+    splat_framing.turn_views(scene, ob)
     eye, pivot = eye_of(view), np.array(view.region_3d.view_location)
     assert np.linalg.norm(scale * eyes - eye, axis=1).min() < 1e-3 * scale and eye[1] > 0
     assert np.linalg.norm(pivot - scale * np.array([0, 0, 0.75])) < 0.8 * scale
@@ -106,7 +106,7 @@ def test_a_room_is_seen_from_inside_through_haze(
     view.region_3d.view_perspective = "CAMERA"
     before = eye_of(view)
     view.region_3d.view_distance = 1.0
-    framed.turn_views(scene, ob)
+    splat_framing.turn_views(scene, ob)
     assert view.region_3d.view_distance == 1.0 and (eye_of(view) != before).any()
 
 
@@ -123,8 +123,8 @@ def test_haze_is_not_framed_without_cameras_either(scene: bpy.types.Scene, view:
     ob.location = 7, 0, 0
     bpy.context.view_layer.update()
     rotation = view.region_3d.view_rotation.copy()
-    framed.turn_views(scene, ob)
-    middle, radius = framed.frame_of(ob)
+    splat_framing.turn_views(scene, ob)
+    middle, radius = splat_framing.frame_of(ob)
     np.testing.assert_allclose(middle, (7, 0, 0), atol=0.3)
     assert 0.8 < radius < 1.3 and view.region_3d.view_rotation == rotation
     assert share_seen(view, splats.means[:1000] + np.array([7, 0, 0])) > 0.9

@@ -5,7 +5,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from addon.splats import framed
+from addon.splats import splat_framing
 from tests.addon import splat_scenes as lab
 from tests.addon.calls import import_capture
 from tests.addon.captures import write_capture
@@ -53,7 +53,7 @@ def test_the_frame_holds_most_splats_and_no_sky(scene: bpy.types.Scene) -> None:
     ob = lab.add(scene, splats)
     ob.location, ob.scale = (5, 0, -2), (3, 3, 3)
     bpy.context.view_layer.update()
-    middle, radius = framed.frame_of(ob)
+    middle, radius = splat_framing.frame_of(ob)
     np.testing.assert_allclose(middle, (5, 0, -2), atol=0.4)
     np.testing.assert_allclose(radius, 3, atol=0.4)
 
@@ -66,7 +66,7 @@ def test_the_frame_is_around_what_stands_on_the_ground(scene: bpy.types.Scene) -
     splats.means[:600] = rng.uniform((-1, -1, -0.01), (1, 1, 0), (600, 3))
     ob = lab.add(scene, splats)
     bpy.context.view_layer.update()
-    middle, radius = framed.frame_of(ob)
+    middle, radius = splat_framing.frame_of(ob)
     assert 0.8 < middle[2] < 1.1 and radius > 1
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from addon.core import Splats
-from addon.splats import edit, framed, objects
+from addon.splats import edit, objects, splat_framing
 
 
 @pytest.mark.parametrize("most", [200_000, 400])
@@ -18,13 +18,13 @@ def test_in_world(
     most: int,
 ) -> None:
     """All of few splats; of many a sample, whose quantiles, box and frame are close."""
-    monkeypatch.setattr(framed, "_MOST", most)
+    monkeypatch.setattr(splat_framing, "_MOST", most)
     ob = objects.create(make_splats(3999), "chair")
     ob.rotation_euler, ob.scale, ob.location = (0.4, 0.7, -0.2), (3, 3, 3), (1, 2, 3)
     bpy.context.view_layer.update()
     matrix = np.array(ob.matrix_world, np.float64)
     everywhere = objects.read(ob).means @ matrix[:3, :3].T + matrix[:3, 3]
-    found = framed.in_world(ob)
+    found = splat_framing.in_world(ob)
     if most > 3999:
         np.testing.assert_allclose(found, everywhere, atol=1e-6)
     else:

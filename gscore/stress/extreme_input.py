@@ -1,4 +1,4 @@
-"""S10 to S12, poisoned input: extreme quats, opacities and scales; one broken row."""
+"""S10 to S12, extreme input: very large or small quats, opacities and scales; one broken row."""
 
 from collections.abc import Iterator
 

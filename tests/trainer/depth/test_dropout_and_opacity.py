@@ -14,7 +14,7 @@ from gscore.engine.cpu.loss import mean_transmittance, opacity_loss
 from gscore.presets import PRESETS
 from gscore.raster.random_numbers import uniform_rows
 from gscore.trainer.analysis.analysis import Analysis
-from gscore.trainer.depth.regularisers import (
+from gscore.trainer.schedule.dropout_rate import (
     drop_rate_at,
     drop_rate_of,
 )

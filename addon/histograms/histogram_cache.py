@@ -1,4 +1,4 @@
-"""Counted histograms of objects' splats, counted again when their meshes change."""
+"""Cached histograms of objects' splats, counted again when their meshes change."""
 
 import time
 from dataclasses import dataclass, field
@@ -53,7 +53,7 @@ class _Entry:
     task: TaskRunner | None = None
 
 
-class Counted:
+class HistogramCache:
     """Histograms of the most recently requested objects."""
 
     def __init__(self) -> None:
@@ -167,8 +167,8 @@ def _count(columns: dict[str, np.ndarray], before: _Count, check: Check) -> _Cou
     return _Count(counted=counted, found=found)
 
 
-COUNTED = Counted()
-_FOLLOWER = poll_timer.Poller(COUNTED.collect, COUNTED.waits)
+HISTOGRAMS = HistogramCache()
+_FOLLOWER = poll_timer.Poller(HISTOGRAMS.collect, HISTOGRAMS.waits)
 
 
 @persistent
@@ -177,7 +177,7 @@ def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     meshes = {
         u.id.original.session_uid for u in depsgraph.updates if isinstance(u.id, bpy.types.Mesh)
     }
-    COUNTED.forget(meshes)
+    HISTOGRAMS.forget(meshes)
 
 
 HANDLERS = {"depsgraph_update_post": _changed}
@@ -186,4 +186,4 @@ APPENDED = ((poll_timer.POLLERS, _FOLLOWER),)
 
 def on_unregister() -> None:
     """Stop counting."""
-    COUNTED.clear()
+    HISTOGRAMS.clear()

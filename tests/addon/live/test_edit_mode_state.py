@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from addon import attributes
-from addon.live import edited
+from addon.live import edit_mode_state
 from addon.render import viewport_copies
 from addon.render.mesh_copies import HIDDEN, SELECTED
 from addon.render.scene import sources
@@ -19,7 +19,7 @@ COUNT = 500
 def ob(scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch) -> bpy.types.Object:
     """An object that counts as large, with a third of it selected, in Object Mode."""
     monkeypatch.setattr(viewport_copies, "EDITED_AT_ONCE", COUNT - 1)
-    monkeypatch.setattr(edited, "PIECE", 200)
+    monkeypatch.setattr(edit_mode_state, "PIECE", 200)
     ob = lab.add(scene, lab.blob(COUNT))
     attributes.select(ob.data, np.arange(COUNT) % 3 == 0)
     bpy.context.view_layer.objects.active = ob
@@ -35,9 +35,9 @@ def known(ob: bpy.types.Object) -> viewport_copies.Copies:
 
 
 @pytest.fixture
-def reader(known: viewport_copies.Copies) -> edited.Reader:
+def reader(known: viewport_copies.Copies) -> edit_mode_state.Reader:
     """The tested reader, with Edit Mode started at second 0."""
-    made = edited.Reader(known)
+    made = edit_mode_state.Reader(known)
 
     def changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         known.forget_changed(depsgraph)
@@ -63,9 +63,9 @@ def _marks(known: viewport_copies.Copies) -> np.ndarray:
     return np.zeros(COUNT, np.uint8) if marks is None else marks
 
 
-def _read(reader: edited.Reader) -> int:
+def _read(reader: edit_mode_state.Reader) -> int:
     """Number of chunks read until views must be redrawn."""
-    assert not reader.step(edited.REST / 2)  # not while it does not rest
+    assert not reader.step(edit_mode_state.REST / 2)  # not while it does not rest
     for pieces in range(1, 20):
         if reader.step(1.0):
             return pieces

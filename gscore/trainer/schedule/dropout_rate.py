@@ -2,7 +2,7 @@
 
 from ...config import TrainConfig
 from ...events import Decision
-from ..schedule.caps import drops_splats_of_subject
+from .caps import drops_splats_of_subject
 
 
 def drop_rate_of(

@@ -1,4 +1,4 @@
-"""Depth chart: a depth map with its camera, for points in the world and their depths.
+"""Posed depth map: a depth map with its camera, for points in the world and their depths.
 
 Values of a map are normalised to tones, 0 at its far end and 1 at its near end, so that two
 positive numbers, the inverse depths at the ends, define its scale and offset.
@@ -27,7 +27,7 @@ _FLOOR = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Chart:
+class PosedDepthMap:
     """A depth map prepared for comparison with others. P sampled pixels, M points."""
 
     low: float
@@ -113,8 +113,10 @@ class Chart:
         }
 
 
-def chart(samples: Samples, cameras: Cameras, index: int, *, count: int) -> Chart | None:
-    """Chart of view `index` with `count` sampled pixels; None if too few pixels are confident.
+def prepare_depth_map(
+    samples: Samples, cameras: Cameras, index: int, *, count: int
+) -> PosedDepthMap | None:
+    """Depth map of view `index` with `count` sampled pixels; None if too few pixels are confident.
 
     Args:
         samples: Samples of a map that is affine in inverse depth.
@@ -141,7 +143,7 @@ def chart(samples: Samples, cameras: Cameras, index: int, *, count: int) -> Char
         seen[:] = False
     weights = samples.weights[seen]
     viewmat = cameras.viewmats[index]
-    return Chart(
+    return PosedDepthMap(
         low=low,
         high=high,
         grid=grid,
