@@ -3,20 +3,23 @@
 import math
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import bpy
 import numpy as np
 
+from .. import stored_paths
 from ..cameras import camera_math as cm
 from ..cameras.objects import PhotoCamera, is_camera, rigid_viewmat, stated
 from ..cameras.pictures import levels_of
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
-from ..core import colorize, psnr, read_header, rgba_png
+from ..core import colorize, psnr, read_gains, read_header, rgba_png
 from ..interface.blocks import with_uid
 from ..process.background_task import Cancelled
 from ..process.incremental_tasks import Check, Pieces, run_in_thread
 from ..splats.read_chunked import ChunkedRead
+from ..stored_paths import RUN
 from . import picture
 from .camera_photo import Target, load_target
 from .engine import final_cache
@@ -41,6 +44,8 @@ class Comparison:
     With a mask, both are black outside of it, as in gscore's metrics."""
     psnr_masked: float | None
     """PSNR of the pixels inside the mask, dB; None without a mask."""
+    exposed: bool
+    """True: the picture has the exposure that the training found, or predicted, for the photo."""
     images: dict[str, bpy.types.Image]
     """Images by the names in `KINDS`."""
 
@@ -66,7 +71,8 @@ class Comparing:
                 f"{camera.name} is not the camera of a photo: choose one that Import Capture made."
             )
         own = stated(camera)
-        self._camera, self._name = camera.session_uid, camera.name
+        self._camera, self._name, self._photo = camera.session_uid, camera.name, own.image
+        self._runs = {stored_paths.read(one.ob.original, RUN) for one in sources(depsgraph)} - {""}
         background = background_of(world_light(scene.world)[0])
         percentage = scene.render.resolution_percentage
         size = cm.frame_size(*_full_size(own), percentage)
@@ -92,7 +98,8 @@ class Comparing:
         The picture has the photo's size times the scene's resolution percentage, whatever the
         scene's resolution; the photo is scaled to it as for training. Masks follow the scene's
         settings for training; transparent pixels show the world's colour. Photos with lens
-        distortion are undistorted as for training. Sets `PSNR` on the camera.
+        distortion are undistorted as for training. Splats of one run get the exposure of the photo
+        in it. Sets `PSNR` on the camera.
 
         Raises:
             ValueError: no photo, its camera model cannot be undistorted, or the camera has been
@@ -116,7 +123,9 @@ class Comparing:
         images = {}
         for kind, png in found.pictures.items():
             images[kind] = store(kind, png, camera.name)
-        return Comparison(psnr=found.psnr, psnr_masked=found.psnr_masked, images=images)
+        return Comparison(
+            psnr=found.psnr, psnr_masked=found.psnr_masked, exposed=found.exposed, images=images
+        )
 
     def _drawn(self, placed: list[Placed], target: Target, check: Check) -> "_Compared":
         model = final_cache.model(placed)
@@ -130,7 +139,16 @@ class Comparing:
             return False
 
         rendered = picture.draw(model, self._view, self._options, stop=unwanted)
-        return _compared(np.clip(rendered.rgb, 0, 1), target, check)
+        shown, gain = rendered.rgb, self._gain()
+        if gain is not None:
+            rest = np.float32(self._options.background) * (1 - rendered.alpha[..., None])
+            shown = (shown - rest) * gain.astype(np.float32) + rest
+        return _compared(np.clip(shown, 0, 1), target, check, exposed=gain is not None)
+
+    def _gain(self) -> np.ndarray | None:
+        """Exposure gain of the photo, [3], in the run of the splats; None: unknown."""
+        found = [read_gains(Path(run)).get(self._photo) for run in sorted(self._runs)]
+        return found[0] if len(found) == 1 else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,11 +157,12 @@ class _Compared:
 
     psnr: float
     psnr_masked: float | None
+    exposed: bool
     pictures: dict[str, bytes]
     """PNGs, by the names in `KINDS`."""
 
 
-def _compared(shown: np.ndarray, target: Target, check: Check) -> _Compared:
+def _compared(shown: np.ndarray, target: Target, check: Check, *, exposed: bool) -> _Compared:
     photo, masked = target.pixels, None
     if target.weight is not None:
         weight = target.weight[..., None]
@@ -161,7 +180,7 @@ def _compared(shown: np.ndarray, target: Target, check: Check) -> _Compared:
         opaque = np.full((*levels.shape[:2], 1), 255, np.uint8)
         # Uncompressed: compressing takes long, and Blender would decode it more slowly.
         pictures[kind] = rgba_png(np.concatenate([levels, opaque], axis=2), packed=False)
-    return _Compared(psnr=value, psnr_masked=masked, pictures=pictures)
+    return _Compared(psnr=value, psnr_masked=masked, exposed=exposed, pictures=pictures)
 
 
 def _full_size(own: PhotoCamera) -> tuple[int, int]:

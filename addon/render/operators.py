@@ -126,6 +126,7 @@ def compared(context: bpy.types.Context, camera: bpy.types.Object) -> Pieces[str
     if found.psnr_masked is not None:
         kind, psnr = "PSNR inside the mask", found.psnr_masked
     value = "infinite" if math.isinf(psnr) else f"{psnr:.2f} dB"
+    value += " at the exposure of the photo" if found.exposed else ""
     return f"{name}: {kind} {value}{where}."
 
 

@@ -20,6 +20,7 @@ from addon.process.incremental_tasks import Pieces, TaskRunner, run_blocking
 from addon.render import camera_photo as photo_module
 from addon.render import compare
 from addon.splats import objects
+from gscore.io.exposure_json import EXPOSURE_FILE, write_exposures
 from gscore.io.images.read_image import write_png
 from tests.addon import splat_scenes as lab
 from tests.addon.calls import import_capture
@@ -53,6 +54,33 @@ def pixels(image: bpy.types.Image) -> np.ndarray:
     values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
     image.pixels.foreach_get(values)
     return values.reshape(image.size[1], image.size[0], 4)[::-1, :, :3]
+
+
+def test_the_picture_has_the_exposure_of_the_photo(studio, scene, tmp_path):
+    """Oracle: the picture without exposures times the gains in the run's exposure.json, but for
+    the background; without it, or for splats of two runs, the picture as it is."""
+    capture, _ = studio
+    camera, scene.gscore.use_masks = capture.cameras[9], False
+    ob = bpy.data.objects["s"]
+    graph = bpy.context.evaluated_depsgraph_get
+    stored_paths.write(ob, stored_paths.RUN, tmp_path)
+    plain = compared(scene, camera, graph())
+    before = pixels(plain.images["Render"])
+    gain = np.array([0.5, 0.7, 0.9])
+    write_exposures(tmp_path / EXPOSURE_FILE, {stated(camera).image: gain})
+    found = compared(scene, camera, graph())
+    after = pixels(found.images["Render"])
+    background = float(lab.srgb(0.1))
+    empty = (np.abs(before - background) < 0.5 / 255).all(axis=2)
+    assert not plain.exposed and found.exposed and found.psnr < plain.psnr
+    assert np.abs(after - before)[empty].max(initial=0) <= 4 / 255
+    assert (after <= before + 1 / 255).all() and (after < before - 0.05).any()
+    solid = before[~empty].max(axis=0)  # opaque and bright: the gain alone
+    np.testing.assert_allclose(after[~empty].max(axis=0), solid * gain, atol=0.03)
+    copy = ob.copy()
+    capture.collection.objects.link(copy)
+    stored_paths.write(copy, stored_paths.RUN, tmp_path / "other")
+    assert not compared(scene, camera, graph()).exposed
 
 
 @pytest.mark.parametrize("percentage", [100, 50, 37])
