@@ -51,7 +51,7 @@ def _row(arm: str, seed: int, psnr: float, splats: str = "") -> dict[str, Any]:
         "asked": "6",
         "known": None,
         "splats": 100,
-        "evaluated": [{"name": "a", "psnr": psnr, "psnr_cc": psnr + 1, "ssim": 0.5, "lpips": None}],
+        "judged": [{"name": "a", "psnr": psnr, "psnr_cc": psnr + 1, "ssim": 0.5, "lpips": None}],
         "arm": arm,
         "seed": seed,
         "psnr": psnr,
