@@ -17,9 +17,8 @@
 namespace gs::GS_NAMESPACE {
 
 static constexpr Kernels make_kernels(const char *name) {
-    return {name,       project,   bin,           blend,      blend_backward, project_backward,
-            image_loss, adam_step, adam_catch_up, exp2_array, stereo_sweep,   match,
-            encrypt,    to_uniform, to_normal};
+    return {name,          project,    bin,          blend, blend_backward, project_backward, image_loss, adam_step,
+            adam_catch_up, exp2_array, stereo_sweep, match, encrypt,        to_uniform,       to_normal};
 }
 
 } // namespace gs::GS_NAMESPACE
