@@ -50,7 +50,7 @@ class AlignCapture(_Aligning, bpy.types.Operator):
         description="Approximate up direction; the level plane with most points is the ground",
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Align."""
         root = find_root(context, self.capture)
         alignment = capture_transform.align_root(root, self._up(context, root))
@@ -80,7 +80,7 @@ class FlipUp(_Aligning, bpy.types.Operator):
     bl_idname = "gscore.flip_up"
     bl_label = "Flip Up"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Flip."""
         root = find_root(context, self.capture)
         capture_transform.align_root(root, -current_up(root))
@@ -111,7 +111,7 @@ class SetExtent(_Aligning, bpy.types.Operator):
             return self.refuse(error)
         return context.window_manager.invoke_props_dialog(self)
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Scale."""
         capture_transform.set_extent(find_root(context, self.capture), self.extent)
         return ""
@@ -123,7 +123,7 @@ class ResetAlignment(_Aligning, bpy.types.Operator):
     bl_idname = "gscore.reset_alignment"
     bl_label = "Reset to COLMAP World"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Reset."""
         capture_transform.reset_root(find_root(context, self.capture))
         return ""

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core import Cameras, atomic_write, file_errors, write_cameras, write_nerfstudio_path
 from ..process import garbage
-from ..process.incremental_tasks import BUDGET, Check, Pieces, run_in_thread
+from ..process.incremental_tasks import BUDGET, Check, Steps, run_in_thread
 from . import objects as co
 from .capture_transform import origin_of
 from .export_transforms import transforms_text
@@ -29,7 +29,7 @@ def exporting_path(
     *,
     root: bpy.types.Object | None,
     kind: str,
-) -> Pieces[int]:
+) -> Steps[int]:
     """Write the pose and lens of a camera at each frame of the scene's range.
 
     Writes every `frame_step`-th frame, like a render of the animation, at fps / `frame_step`, so
@@ -66,7 +66,7 @@ def exporting_path(
 
 def _reading(
     camera: bpy.types.Object, scene: bpy.types.Scene, root: bpy.types.Object | None
-) -> Pieces[list[ExportView]]:
+) -> Steps[list[ExportView]]:
     numbers = range(scene.frame_start, scene.frame_end + 1, scene.frame_step)
     tracked, raster = Tracked([camera], scene, root), co.frame_of(scene)
     views: list[ExportView] = []

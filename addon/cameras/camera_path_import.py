@@ -17,7 +17,7 @@ from ..interface.blocks import with_uid
 from ..interface.option_labels import panel_words
 from ..interface.temporary_data import Temporary
 from ..process import garbage
-from ..process.incremental_tasks import BUDGET, Check, Pieces, run_in_thread
+from ..process.incremental_tasks import BUDGET, Check, Steps, run_in_thread
 from . import camera_math as cm
 from . import objects as co
 from .capture_transform import origin_of
@@ -54,7 +54,7 @@ def importing_path(
     root: bpy.types.Object | None = None,
     start: int = 1,
     numbered: bool = True,
-) -> Pieces[ImportedPath]:
+) -> Steps[ImportedPath]:
     """Create a camera with a keyframe of location, rotation and lens for each camera of a file; it
     enters the scene when complete.
 
@@ -195,7 +195,7 @@ class _PendingCamera:
         for of_lens, name in dict.fromkeys((one.of_lens, one.name) for one in path.columns):
             (ob.data if of_lens else ob).keyframe_insert(name, frame=path.numbers[0])
 
-    def fill(self) -> Pieces[None]:
+    def fill(self) -> Steps[None]:
         """Create the other keyframes, one curve after the other."""
         columns, until = self._path.columns, time.perf_counter() + BUDGET
         for done, column in enumerate(columns):

@@ -20,14 +20,12 @@ from ..core import (
     write_colmap,
 )
 from ..interface.option_labels import error_words
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from .export_sources import ExportInputs, points_to_export, reading_inputs
 from .export_views import Exported, ExportView, Tracked, all_or_none, kept_lenses
 
 
-def exporting_colmap(
-    path: str | Path, tracked: Tracked, *, binary: bool = True
-) -> Pieces[Exported]:
+def exporting_colmap(path: str | Path, tracked: Tracked, *, binary: bool = True) -> Steps[Exported]:
     """Write cameras and points into `path`/sparse/0; photos are not copied.
 
     Args:

@@ -20,7 +20,7 @@ from ..core import (
 )
 from ..interface.blocks import with_uid
 from ..paths import absolute
-from ..process.incremental_tasks import Pieces, run_in_thread
+from ..process.incremental_tasks import Steps, run_in_thread
 from . import objects as co
 from . import sfm_points
 from .capture_transform import origin_of
@@ -51,7 +51,7 @@ class ExportPoints:
         return sfm_points.encoded(self.linear)
 
 
-def reading_points(root: int | None) -> Pieces[ExportPoints | None]:
+def reading_points(root: int | None) -> Steps[ExportPoints | None]:
     """Read the points of a capture, one attribute per step.
 
     Args:
@@ -95,7 +95,7 @@ class ExportInputs:
     """[3] local origin of views and points; None: there is none."""
 
 
-def reading_inputs(tracked: Tracked) -> Pieces[ExportInputs]:
+def reading_inputs(tracked: Tracked) -> Steps[ExportInputs]:
     """Read the inputs; errors as `collecting` and `reading_points`."""
     root = tracked.root
     source, captures, origin = source_of(root), known_captures(), origin_of(root)

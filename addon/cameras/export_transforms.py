@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..core import ColmapPoints, atomic_write, offset_between
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import camera_math as cm
 from .export_sources import ExportInputs, points_to_export, reading_inputs
 from .export_views import (
@@ -30,7 +30,7 @@ _UNUSED = frozenset({"k4", "k5", "k6"})
 """Parameters of FULL_OPENCV without an agreed meaning in transforms.json."""
 
 
-def exporting_transforms(path: str | Path, tracked: Tracked) -> Pieces[Exported]:
+def exporting_transforms(path: str | Path, tracked: Tracked) -> Steps[Exported]:
     """Write a transforms.json of nerfstudio: camera to world, OpenGL axes; photos are not copied.
 
     Args:

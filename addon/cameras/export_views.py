@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core import ColmapCamera, file_errors, moved_viewmats, offset_between
 from ..interface.blocks import first_few
-from ..process.incremental_tasks import BUDGET, Check, Pieces
+from ..process.incremental_tasks import BUDGET, Check, Steps
 from . import camera_math as cm
 from . import objects as co
 from .undistorted_photos import lens_of
@@ -55,7 +55,7 @@ class Exported:
     """Warnings for the user."""
 
 
-def collecting(tracked: "Tracked") -> Pieces[list[ExportView]]:
+def collecting(tracked: "Tracked") -> Steps[list[ExportView]]:
     """The cameras to write, with unique names.
 
     Raises:

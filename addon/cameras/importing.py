@@ -21,7 +21,7 @@ from ..interface.blocks import with_uid
 from ..interface.incremental_removal import clear, clearing
 from ..interface.temporary_data import Temporary, release
 from ..process import garbage
-from ..process.incremental_tasks import BUDGET, Pieces, run_in_thread
+from ..process.incremental_tasks import BUDGET, Steps, run_in_thread
 from . import capture_transform, sfm_points, undistort_jobs
 from . import objects as co
 from .backgrounds import KnownImages, set_photo, shows_photo
@@ -67,7 +67,7 @@ def importing(
     points: bool = True,
     align: bool = True,
     into: bpy.types.Object | None = None,
-) -> Pieces[ImportedCapture]:
+) -> Steps[ImportedCapture]:
     """Import a capture into the scene, in one change at the end.
 
     If the scene has the capture already, its cameras and points are updated from the files;
@@ -150,7 +150,7 @@ class _PendingCapture:
         for one in (inner, root):
             self._temporary.mark(one)
 
-    def fill(self, there: Present | None) -> Pieces[None]:
+    def fill(self, there: Present | None) -> Steps[None]:
         """Create everything that `there` lacks."""
         self._there = uid_of(there)
         have = {} if there is None else _by_image(there.cameras)
@@ -234,7 +234,7 @@ class _PendingCapture:
             has_photo=one.photo is not None and shows_photo(ob, one.photo),
         )
 
-    def _fill_points(self, points: ReadPoints) -> Pieces[None]:
+    def _fill_points(self, points: ReadPoints) -> Steps[None]:
         name = f"{self._read.name} points"
         if (outer := self._temporary.found()) is None:
             return

@@ -9,7 +9,7 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from ..interface.base_operator import OnScene, Undoable
 from ..interface.incremental_operator import IncrementalOperator
 from ..paths import absolute
-from ..process.incremental_tasks import Pieces
+from ..process.incremental_tasks import Steps
 from . import captures
 from .export_colmap import exporting_colmap
 from .export_transforms import exporting_transforms
@@ -102,7 +102,7 @@ class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Read the capture in a thread, then create its objects."""
         scene = context.scene
         path = absolute(self.directory or _panel_path(context), "Capture")
@@ -150,7 +150,7 @@ class RelinkCapture(OnCapture, bpy.types.Operator):
         obs = cameras_of(root)
         return (root, *obs, *(ob.data for ob in obs))
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Relink."""
         folder = absolute(self.directory, "Folder")
         root = find_root(context, self.capture)
@@ -207,7 +207,7 @@ class ExportCameras(IncrementalOperator, OnCapture, bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Read cameras and points, then write in a thread."""
         folder = absolute(self.directory, "Folder")
         needs_root = self.world == "CAPTURE" or self.which == "CAPTURE"
@@ -263,7 +263,7 @@ class UseCamera(OnScene, OnCapture, bpy.types.Operator):
         name="Look Through", default=True, description="Turn the 3D view to the camera"
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Set the camera, and look through it."""
         root = find_root(context, self.capture)
         ob = find_camera(context, root, self.camera, self.index)
@@ -290,7 +290,7 @@ class StepCamera(OnScene, OnCapture, bpy.types.Operator):
         which = "next" if properties.step > 0 else "previous"
         return f"Look through the {which} photo's camera"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Step."""
         ob = captures.step_camera(context.scene, find_root(context, self.capture), self.step)
         self.warn(captures.use_camera(context.scene, ob))
@@ -318,7 +318,7 @@ class ChooseCamera(OnScene, OnCapture, bpy.types.Operator):
         context.window_manager.invoke_search_popup(self)
         return {"RUNNING_MODAL"}
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Set the camera, and look through it."""
         ob = find_camera(context, find_root(context, self.capture), self.image)
         self.warn(captures.use_camera(context.scene, ob))

@@ -9,7 +9,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ..interface.base_operator import OnScene
 from ..interface.incremental_operator import IncrementalOperator
 from ..paths import absolute
-from ..process.incremental_tasks import Pieces
+from ..process.incremental_tasks import Steps
 from .camera_path import CAMERAS, NERFSTUDIO, TRANSFORMS, exporting_path
 from .camera_path_import import importing_path, use_path
 from .lookup import find_root, roots_of
@@ -59,7 +59,7 @@ class ExportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, Expor
         """Ask for the file."""
         return ExportHelper.invoke(self, context, event)
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Read the frames, then write in a thread."""
         path, camera = absolute(self.filepath, "File"), context.scene.camera
         if camera is None:
@@ -108,7 +108,7 @@ class ImportCameraPath(IncrementalOperator, OnCapture, OnScene, bpy.types.Operat
             self.world = "BLENDER"
         return ImportHelper.invoke(self, context, event)
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Read the file in a thread, then create the camera."""
         path = absolute(self.filepath, "File")
         root = find_root(context, self.capture) if self.world == "CAPTURE" else None

@@ -33,7 +33,7 @@ class UndistortPhotos(Undoable, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Queue the copies; without a window, wait for them."""
         cameras = cameras_of(find_root(context, self.capture))
         count = undistort_jobs.queue_copies(cameras)
@@ -57,7 +57,7 @@ class StopUndistorting(BaseOperator, bpy.types.Operator):
     bl_options: ClassVar = {"REGISTER"}
     needs = Condition(lambda context: undistort_jobs.QUEUE.busy, "No photos are being undistorted")
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Clear the queue."""
         undistort_jobs.QUEUE.stop()
         return ""
@@ -75,7 +75,7 @@ class RemoveUndistortedPhotos(ConfirmMixin, BaseOperator, bpy.types.Operator):
         "Photos are being undistorted; stop that first",
     )
 
-    def question(self, context: bpy.types.Context) -> Iterable[str]:
+    def confirm_lines(self, context: bpy.types.Context) -> Iterable[str]:
         """Number, size and folder of the copies."""
         folder = undistorted_photos.copies_folder()
         count, size = undistorted_photos.size_of(folder)
@@ -83,7 +83,7 @@ class RemoveUndistortedPhotos(ConfirmMixin, BaseOperator, bpy.types.Operator):
             raise ValueError(f"There are no undistorted photos in {folder}.")
         return [f"{count} undistorted copies, {size / 1e6:.0f} MB, in {folder}. The photos stay."]
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Remove the copies."""
         folder = undistorted_photos.copies_folder()
         files = undistorted_photos.copies(folder)
@@ -107,7 +107,7 @@ def draw_copies(layout: bpy.types.UILayout, prefs: Preferences) -> None:
 CLASSES = (UndistortPhotos, StopUndistorting, RemoveUndistortedPhotos)
 
 
-_FOLLOWER = poll_timer.Poller(_SIZES.collect, lambda: _SIZES.busy)
+_POLLER = poll_timer.Poller(_SIZES.collect, lambda: _SIZES.busy)
 
 
-APPENDED = ((SECTIONS, draw_copies), (poll_timer.POLLERS, _FOLLOWER))
+APPENDED = ((SECTIONS, draw_copies), (poll_timer.POLLERS, _POLLER))

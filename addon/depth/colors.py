@@ -84,7 +84,7 @@ class ColorCameras(Undoable, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Color the cameras, or restore their colors."""
         scene = context.scene
         root = panel_root(scene)
@@ -105,8 +105,8 @@ class ColorCameras(Undoable, bpy.types.Operator):
 
 
 CLASSES = (ColorCameras,)
-_FOLLOWER = poll_timer.Poller(follow)
-APPENDED = ((poll_timer.POLLERS, _FOLLOWER),)
+_POLLER = poll_timer.Poller(follow)
+APPENDED = ((poll_timer.POLLERS, _POLLER),)
 
 
 def on_unregister() -> None:

@@ -56,7 +56,7 @@ def terms(network: KnownNetwork) -> str:
     return f"{network.bytes / 1e6:.0f} MB, licence {network.licence}"
 
 
-def question(network: KnownNetwork) -> list[str]:
+def confirm_lines(network: KnownNetwork) -> list[str]:
     """Sentences on a download for the confirmation dialog."""
     return [
         f"{network.name} is downloaded: {terms(network)}.",

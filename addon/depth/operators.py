@@ -45,14 +45,14 @@ class PredictDepth(ConfirmMixin, Starting, bpy.types.Operator):
             return {"RUNNING_MODAL"}
         return super().invoke(context, event)
 
-    def question(self, context: bpy.types.Context) -> list[str]:
+    def confirm_lines(self, context: bpy.types.Context) -> list[str]:
         """List the replaced maps and the download."""
         lines = predict_depth.replaced(context.scene) if self.overwrite else []
         network = networks.chosen()
         if self.download and network is not None:
             networks.check_download(network, True)
             self.confirm = "Download"
-            lines += networks.question(network)
+            lines += networks.confirm_lines(network)
         return lines
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -102,7 +102,7 @@ class ShowDepthSheet(BaseOperator, bpy.types.Operator):
     bl_idname = "gscore.show_depth_sheet"
     bl_label = "Contact Sheet"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Reload the picture and show it."""
         image = bpy.data.images.load(str(predict_depth.sheet(context.scene)), check_existing=True)
         image.reload()

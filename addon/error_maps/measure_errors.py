@@ -15,7 +15,7 @@ from ..cameras.objects import root_of
 from ..capture.figures import MEASURED, Figures
 from ..core import EvalDone, EvalProgress, colorize
 from ..interface import undo
-from ..process.incremental_tasks import Pieces
+from ..process.incremental_tasks import Steps
 from ..splats import objects
 from ..splats.error_maps import MAP, drop_maps, is_map, run_of, show_map, siblings
 from ..splats.write_chunked import replace
@@ -95,7 +95,7 @@ def remove(ob: bpy.types.Object) -> None:
         hide(root)
 
 
-def _arriving(job: VerbJob) -> Pieces[Iterable[str]]:
+def _arriving(job: VerbJob) -> Steps[Iterable[str]]:
     """Import the error map."""
     mesh = yield from mesh_of(Path(job.done.error_map))
     try:

@@ -57,7 +57,7 @@ class ColorByError(Undoable, _OfRun, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Color the cameras, or restore their colors."""
         ob = active_splats(context)
         root = root_of(ob)
@@ -87,7 +87,7 @@ class ShowErrorMap(Undoable, _OfRun, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Show the error map or the splats."""
         measure_errors.show_map(active_splats(context), self.show)
         return ""
@@ -99,7 +99,7 @@ class RemoveErrors(Undoable, _OfRun, bpy.types.Operator):
     bl_idname = "gscore.remove_errors"
     bl_label = "Remove Errors"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Remove."""
         measure_errors.remove(active_splats(context))
         return ""

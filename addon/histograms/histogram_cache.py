@@ -12,7 +12,7 @@ from .. import attributes
 from ..interface.blocks import with_uid
 from ..interface.views import redraw_views
 from ..process import poll_timer
-from ..process.incremental_tasks import Check, Pieces, TaskRunner, run_blocking, run_in_thread
+from ..process.incremental_tasks import Check, Steps, TaskRunner, run_blocking, run_in_thread
 from ..splats import point_attributes
 from .counting import OPACITY, SIZE, Histogram, of_opacities, of_sizes
 
@@ -131,7 +131,7 @@ def _step(entry: _Entry) -> bool:
     return entry.count is not before
 
 
-def _counting(uid: int, before: _Count) -> Pieces[_Count]:
+def _counting(uid: int, before: _Count) -> Steps[_Count]:
     """Count a mesh, one attribute per step; returns `before` if it is still right, or if the mesh
     cannot be read."""
     columns: dict[str, np.ndarray] = {}
@@ -168,7 +168,7 @@ def _count(columns: dict[str, np.ndarray], before: _Count, check: Check) -> _Cou
 
 
 HISTOGRAMS = HistogramCache()
-_FOLLOWER = poll_timer.Poller(HISTOGRAMS.collect, HISTOGRAMS.waits)
+_POLLER = poll_timer.Poller(HISTOGRAMS.collect, HISTOGRAMS.waits)
 
 
 @persistent
@@ -181,7 +181,7 @@ def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 
 HANDLERS = {"depsgraph_update_post": _changed}
-APPENDED = ((poll_timer.POLLERS, _FOLLOWER),)
+APPENDED = ((poll_timer.POLLERS, _POLLER),)
 
 
 def on_unregister() -> None:

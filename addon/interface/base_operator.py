@@ -33,7 +33,7 @@ class BaseOperator:
             cls.poll_message_set(cls.needs.message)
         return False
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Run the operator; the text of its report, or an empty string.
 
         Raises:
@@ -42,10 +42,10 @@ class BaseOperator:
         raise NotImplementedError
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """Datablocks that `act` changes; it runs only if Blender keeps changes of all of them.
+        """Datablocks that `run` changes; it runs only if Blender keeps changes of all of them.
 
         Raises:
-            ValueError: as `act`.
+            ValueError: as `run`.
         """
         return ()
 
@@ -53,7 +53,7 @@ class BaseOperator:
         """Entry point of Blender."""
         try:
             editable_check.check(*self.changes(context))
-            message = self.act(context)
+            message = self.run(context)
         except (GsError, ValueError, OSError) as error:
             return self.refuse(error)
         if message:
@@ -131,13 +131,13 @@ def letters() -> int:
 
 
 class ConfirmMixin:
-    """Mixed in before `BaseOperator`: shows `question` in a dialog before `execute`; Enter
+    """Mixed in before `BaseOperator`: shows `confirm_lines` in a dialog before `execute`; Enter
     cancels."""
 
     confirm = "OK"
     """Text of the confirm button."""
 
-    def question(self, context: bpy.types.Context) -> list[str]:
+    def confirm_lines(self, context: bpy.types.Context) -> list[str]:
         """Sentences about the effects; none: no confirmation is needed.
 
         Raises:
@@ -149,7 +149,7 @@ class ConfirmMixin:
         """Show the dialog."""
         try:
             editable_check.check(*self.changes(context))
-            self.lines = self.question(context)
+            self.lines = self.confirm_lines(context)
         except (GsError, ValueError, OSError) as error:
             return self.refuse(error)
         if not self.lines:

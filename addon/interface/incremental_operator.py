@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import bpy
 
 from ..core import GsError
-from ..process.incremental_tasks import Pieces, ResultT, TaskRunner, run_blocking
+from ..process.incremental_tasks import ResultT, Steps, TaskRunner, run_blocking
 from ..process.pace import Pace
 from . import editable_check
 from .base_operator import Undoable
@@ -65,7 +65,7 @@ class ModalStatus:
 class IncrementalOperator(Undoable):
     """Work in steps, cancelled by Esc. Scripts and the redo panel run it in one call."""
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """The work in steps; returns the text of the report.
 
         Blender's data may change between two steps, so objects are looked up again.
@@ -75,10 +75,10 @@ class IncrementalOperator(Undoable):
         """
         raise NotImplementedError
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Run all steps in one call."""
         try:
-            return run_blocking(with_readable_errors(self.pieces(context)))
+            return run_blocking(with_readable_errors(self.steps(context)))
         finally:
             finish()
 
@@ -95,7 +95,7 @@ class IncrementalOperator(Undoable):
             return super().execute(context)
         try:
             editable_check.check(*self.changes(context))
-            runner = TaskRunner(with_readable_errors(self.pieces(context)))
+            runner = TaskRunner(with_readable_errors(self.steps(context)))
             done = runner.step()
         except (GsError, ValueError, OSError) as error:
             return self.refuse(error)
@@ -175,10 +175,10 @@ class _ModalRun:
 _MODAL_RUNS: set[_ModalRun] = set()
 
 
-def with_readable_errors(pieces: Pieces[ResultT]) -> Pieces[ResultT]:
+def with_readable_errors(steps: Steps[ResultT]) -> Steps[ResultT]:
     """The same steps, with a readable error if memory runs out."""
     try:
-        return (yield from pieces)
+        return (yield from steps)
     except MemoryError as error:
         raise GsError(
             "There is not enough memory for this: close other programs, or use fewer splats."

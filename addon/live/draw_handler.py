@@ -147,7 +147,7 @@ def draw(context: bpy.types.Context) -> None:
 
 def _lay_over(exact: viewport.Viewport) -> None:
     """Draw the engine's picture over the background pictures that Blender has drawn over it."""
-    pixels = exact.painter.pixels
+    pixels = exact.renderer.pixels
     if pixels is not None:
         exact.draw_over(pixels)
 

@@ -70,7 +70,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
         """The points."""
         return (objects.active_splats(context).data,)
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Raise ValueError: painting needs a 3D view."""
         raise ValueError(
             "Paint Splats needs a 3D view in a window; scripts paint with gscore.paint_stroke."

@@ -12,7 +12,7 @@ from bpy.props import (
 )
 
 from ..cameras.render_camera import RenderCamera, render_camera
-from ..process.incremental_tasks import Pieces
+from ..process.incremental_tasks import Steps
 from ..splats.edit_guard import EditGuard
 from ..splats.edit_operators import Editing
 from . import paint_target
@@ -70,7 +70,7 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
         name="Inverted", description="Paint the opposite opacity, or deselect", default=False
     )
 
-    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
         """Paint."""
         if not self.stroke:
             raise ValueError("The stroke has no points: add one or more.")

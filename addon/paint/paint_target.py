@@ -13,7 +13,7 @@ import numpy as np
 from .. import attributes
 from ..cameras.render_camera import RenderCamera
 from ..interface.blocks import with_uid
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..render import viewport_copies
 from ..render.mesh_copies import HIDDEN, SELECTED, read_marks
 from ..splats import live_display, objects
@@ -29,7 +29,7 @@ def begin_stroke(
     *,
     front_only: bool = False,
     only_selected: bool = False,
-) -> "Pieces[PaintedObject]":
+) -> "Steps[PaintedObject]":
     """Collect the splats that a stroke can paint, without hidden and filtered ones.
 
     Args:
@@ -194,7 +194,7 @@ def paint(
     *,
     front_only: bool = False,
     only_selected: bool = False,
-) -> Pieces[int]:
+) -> Steps[int]:
     """Paint a whole stroke; return the number of splats it reached. Errors as `begin_stroke`.
 
     Args:

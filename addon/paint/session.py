@@ -13,7 +13,7 @@ from ..compat import matrix_to_numpy
 from ..interface import editable_check, undo
 from ..interface.incremental_operator import INTERVAL
 from ..interface.views import redraw_views
-from ..process.incremental_tasks import Pieces, TaskRunner
+from ..process.incremental_tasks import Steps, TaskRunner
 from ..render.viewport import view_camera
 from ..splats import objects
 from ..splats.operators import check_shown
@@ -99,7 +99,7 @@ class _Search(TaskRunner):
     def __init__(
         self,
         context: bpy.types.Context,
-        pieces: Pieces[Any],
+        steps: Steps[Any],
         *,
         way: list[np.ndarray] | None = None,
     ) -> None:
@@ -107,10 +107,10 @@ class _Search(TaskRunner):
 
         Args:
             context: Context of the event.
-            pieces: The search, in steps.
+            steps: The search, in steps.
             way: The mouse path of a stroke so far; None: a color pick.
         """
-        super().__init__(pieces)
+        super().__init__(steps)
         self.way, self.is_released = way, False
         self._manager, self._timer = context.window_manager, None
         if not bpy.app.background:  # so that events arrive even if the mouse rests
@@ -218,7 +218,7 @@ class Session:
         self, context: bpy.types.Context, spot: Spot, brush: BrushSettings, *, inverted: bool
     ) -> None:
         self._step_search(wait=True)
-        pieces = paint_target.begin_stroke(
+        steps = paint_target.begin_stroke(
             paintable(context),
             brush.brush(inverted=inverted),
             spot.view,
@@ -226,7 +226,7 @@ class Session:
             only_selected=brush.only_selected,
         )
         self._stroke_region = spot.region.as_pointer()
-        self._search = _Search(context, pieces, way=[spot.point])
+        self._search = _Search(context, steps, way=[spot.point])
         self._step_search(wait=bpy.app.background)
 
     def _step_search(self, *, wait: bool = False) -> None:
@@ -313,8 +313,8 @@ class Session:
 
     def _pick(self, context: bpy.types.Context, spot: Spot, brush: BrushSettings) -> None:
         self._step_search(wait=True)
-        pieces = visible_splats.color_at(paintable(context), spot.view, spot.point)
-        self._search = _Search(context, pieces)
+        steps = visible_splats.color_at(paintable(context), spot.view, spot.point)
+        self._search = _Search(context, steps)
         self._step_search(wait=bpy.app.background)
 
     def _show_undone(self, context: bpy.types.Context) -> None:

@@ -10,7 +10,7 @@ from .. import attributes, compat
 from ..cameras.camera_math import project
 from ..cameras.render_camera import RenderCamera
 from ..core import Rendered, render
-from ..process.incremental_tasks import Pieces, run_in_thread
+from ..process.incremental_tasks import Steps, run_in_thread
 from ..render.viewport import smaller
 from ..splats import filters, objects
 from ..splats.read_chunked import read_chunked
@@ -142,7 +142,7 @@ class VisibleSplats:
 
 def copy_visible(
     ob: bpy.types.Object, view: RenderCamera | None, *, drawn: bool
-) -> Pieces[VisibleSplats]:
+) -> Steps[VisibleSplats]:
     """Copy the splats of an object in Object Mode for a view.
 
     Args:
@@ -183,7 +183,7 @@ def _blocks(count: int) -> Iterator[slice]:
     return (slice(at, at + _BLOCK) for at in range(0, count, _BLOCK))
 
 
-def color_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> Pieces[np.ndarray]:
+def color_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> Steps[np.ndarray]:
     """sRGB values of an object's splats at a pixel without view dependence, [3].
 
     Args:

@@ -209,9 +209,9 @@ def _width(context: bpy.types.Context) -> float:
 CLASSES = (DepthItem, DepthTable, DepthTables, GSCORE_UL_depth)
 
 
-_FOLLOWER = poll_timer.Poller(fill)
+_POLLER = poll_timer.Poller(fill)
 PROPERTIES = ((bpy.types.WindowManager, "gscore_depth", PointerProperty(type=DepthTables)),)
-APPENDED = ((poll_timer.POLLERS, _FOLLOWER),)
+APPENDED = ((poll_timer.POLLERS, _POLLER),)
 
 
 def on_unregister() -> None:

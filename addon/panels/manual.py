@@ -75,7 +75,7 @@ class OpenManual(BaseOperator, bpy.types.Operator):
     bl_label = "Manual"
     bl_options: ClassVar = {"REGISTER"}
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Open it."""
         bpy.ops.wm.url_open(url=page().as_uri())
         return ""

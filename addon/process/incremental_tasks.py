@@ -23,7 +23,7 @@ class ThreadCall:
     """Progress sentence meanwhile."""
 
 
-Pieces = Generator[str | ThreadCall, Any, ResultT]
+Steps = Generator[str | ThreadCall, Any, ResultT]
 """Generator that yields a progress sentence after each step and returns the result.
 
 A step on Blender's main thread takes at most some hundredths of a second; longer calls go to
@@ -31,7 +31,7 @@ A step on Blender's main thread takes at most some hundredths of a second; longe
 """
 
 
-def run_in_thread(function: Callable[[Check], ResultT], sentence: str) -> Pieces[ResultT]:
+def run_in_thread(function: Callable[[Check], ResultT], sentence: str) -> Steps[ResultT]:
     """Call a function in a thread; its result or exception is returned or raised here.
 
     Args:
@@ -44,13 +44,13 @@ def run_in_thread(function: Callable[[Check], ResultT], sentence: str) -> Pieces
 class TaskRunner:
     """Runs a generator one step per call of `step`."""
 
-    def __init__(self, pieces: Pieces[Any]) -> None:
+    def __init__(self, steps: Steps[Any]) -> None:
         """Initialise without running a step."""
         self.sentence = ""
         """Progress sentence."""
         self.result: Any = None
         """Result of the finished work."""
-        self._pieces = pieces
+        self._steps = steps
         self._task: BackgroundTask | None = None
 
     @property
@@ -69,11 +69,11 @@ class TaskRunner:
         task, self._task = self._task, None
         try:
             if task is None:
-                request = next(self._pieces)
+                request = next(self._steps)
             elif task.error is not None:
-                request = self._pieces.throw(task.error)
+                request = self._steps.throw(task.error)
             else:
-                request = self._pieces.send(task.result)
+                request = self._steps.send(task.result)
         except StopIteration as end:
             self.result = end.value
             return True
@@ -88,24 +88,24 @@ class TaskRunner:
         """Cancel the work."""
         if self._task is not None:
             self._task.cancel()
-        self._pieces.close()
+        self._steps.close()
 
 
-def run_blocking(pieces: Pieces[ResultT]) -> ResultT:
+def run_blocking(steps: Steps[ResultT]) -> ResultT:
     """Run all steps synchronously, without a thread."""
-    go_on: Callable[[], str | ThreadCall] = partial(next, pieces)
+    go_on: Callable[[], str | ThreadCall] = partial(next, steps)
     try:
         while True:
             request = go_on()
             waits = isinstance(request, ThreadCall)
-            go_on = _answered(pieces, request) if waits else partial(next, pieces)
+            go_on = _answered(steps, request) if waits else partial(next, steps)
     except StopIteration as end:
         return end.value
 
 
-def _answered(pieces: Pieces[Any], request: ThreadCall) -> Callable[[], str | ThreadCall]:
+def _answered(steps: Steps[Any], request: ThreadCall) -> Callable[[], str | ThreadCall]:
     """Continuation of the work with the result of a function called on this thread."""
     try:
-        return partial(pieces.send, request.function(lambda: None))
+        return partial(steps.send, request.function(lambda: None))
     except Exception as error:
-        return partial(pieces.throw, error)
+        return partial(steps.throw, error)

@@ -28,7 +28,7 @@ class PaintMask(Undoable, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Make the image, and open it in paint mode."""
         camera = find_camera(context, find_root(context), self.camera)
         image = masks.make(context.scene, camera)
@@ -77,7 +77,7 @@ class SaveMask(_OnMask, bpy.types.Operator):
             return bpy.ops.gscore.discard_mask("EXEC_DEFAULT", image=self.mask(context).name)
         return self.execute(context)
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Write it."""
         file = masks.save(context.scene, self.mask(context))
         if not context.scene.gscore.use_masks:
@@ -91,7 +91,7 @@ class DiscardMask(Undoable, _OnMask, bpy.types.Operator):
     bl_idname = "gscore.discard_mask"
     bl_label = "Discard Mask"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Discard the strokes."""
         image = self.mask(context)
         name = masks.photo_name(image)
@@ -115,7 +115,7 @@ class MaskBrush(_OnMask, bpy.types.Operator):
         ),
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Set it."""
         if not use_brush(context, hides=self.does == "HIDE"):
             raise ValueError(_NO_BRUSH)

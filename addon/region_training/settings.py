@@ -6,7 +6,7 @@ from ..core import TrainConfig
 from ..training.properties import declared
 
 
-class SteerSettings(bpy.types.PropertyGroup):
+class RegionSettings(bpy.types.PropertyGroup):
     """Region training settings of a scene, `Scene.gscore_steer`."""
 
     region_steps: declared(
@@ -20,5 +20,5 @@ class SteerSettings(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (SteerSettings,)
-PROPERTIES = ((bpy.types.Scene, "gscore_steer", bpy.props.PointerProperty(type=SteerSettings)),)
+CLASSES = (RegionSettings,)
+PROPERTIES = ((bpy.types.Scene, "gscore_steer", bpy.props.PointerProperty(type=RegionSettings)),)

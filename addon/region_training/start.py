@@ -10,7 +10,7 @@ import numpy as np
 from .. import attributes
 from ..cameras.capture_transform import box_of_capture, origin_of
 from ..core import write_region, write_splat_file
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats import objects
 from ..splats.filters import SPHERE, crop_matrix, is_cropped
 from ..splats.read_chunked import ChunkedRead
@@ -19,7 +19,7 @@ from ..splats.splat_files import source_matrix_of_data
 
 def start_files(
     ob: bpy.types.Object, box: np.ndarray, *, splats_file: Path, region_file: Path
-) -> Pieces[None]:
+) -> Steps[None]:
     """Write the current splats of an object and a box: read in chunks, then transformed into their
     capture's world and written in a thread.
 

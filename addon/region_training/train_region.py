@@ -14,7 +14,7 @@ from .. import attributes, preferences
 from ..core import Done, Progress, headline_psnr
 from ..interface import undo
 from ..paths import capture_folder, output_folder
-from ..process.incremental_tasks import Pieces
+from ..process.incremental_tasks import Steps
 from ..splats import objects, splat_files
 from ..splats.error_maps import is_map
 from ..splats.write_chunked import check_replaceable, replace
@@ -124,7 +124,7 @@ def job_of(scene: bpy.types.Scene) -> VerbJob | None:
         return None
 
 
-def _arriving(object_uid: int, before: str, job: VerbJob) -> Pieces[Iterable[str]]:
+def _arriving(object_uid: int, before: str, job: VerbJob) -> Steps[Iterable[str]]:
     """Import the result, with warnings.
 
     It replaces the splats that the training started from, and undo restores them. If they were

@@ -22,7 +22,7 @@ from ..core import (
     read_capture,
 )
 from ..interface.blocks import with_uid
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 
 MASKS = "masks"
 """Folder of masks in a capture, where the capture names no others."""
@@ -49,7 +49,7 @@ def load_target(
     background: tuple[float, float, float],
     mask_mode: str,
     invert_masks: bool = False,
-) -> Pieces[Target]:
+) -> Steps[Target]:
     """A camera's photo and mask at another size, scaled as for training.
 
     Args:
@@ -207,7 +207,7 @@ def _find_masks(
     return file, [one for one in found if one.file]
 
 
-def _cut_out(masks: list[_Masked], inverted: bool) -> Pieces[bool]:
+def _cut_out(masks: list[_Masked], inverted: bool) -> Steps[bool]:
     """Whether masks cut a subject out, by the rule of training."""
     sampled: list[int] = []
     blank = np.zeros((8, 8), np.uint8)

@@ -17,7 +17,7 @@ from ..compat import matrix_to_numpy
 from ..core import colorize, psnr, read_gains, read_header, rgba_png
 from ..interface.blocks import with_uid
 from ..process.background_task import Cancelled
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats.read_chunked import ChunkedRead
 from ..stored_paths import RUN
 from . import picture
@@ -92,7 +92,7 @@ class Comparing:
         self._snapshot = snapshot(depsgraph)
         next(self._snapshot)  # takes it
 
-    def compared(self) -> Pieces[Comparison]:
+    def compared(self) -> Steps[Comparison]:
         """Render from the camera and compare with its photo.
 
         The picture has the photo's size times the scene's resolution percentage, whatever the
@@ -233,7 +233,7 @@ def store(kind: str, png: bytes, camera: str) -> bpy.types.Image:
     return image
 
 
-def snapshot(depsgraph: bpy.types.Depsgraph) -> Pieces[list[Placed]]:
+def snapshot(depsgraph: bpy.types.Depsgraph) -> Steps[list[Placed]]:
     """The splats of a depsgraph at the first step, unaffected by later changes.
 
     Raises:

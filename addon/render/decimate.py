@@ -7,7 +7,7 @@ from bpy.props import IntProperty
 from .. import attributes, compat
 from ..cameras.objects import cameras_of, rigid_viewmat, root_of, stated
 from ..core import Splats, importance_of, most_important, psnr, render
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats import objects, point_attributes, separate_join
 from ..splats.edit_guard import EditGuard
 from ..splats.edit_operators import Editing
@@ -88,7 +88,7 @@ class DecimateSplats(Editing, bpy.types.Operator):
 
     count: IntProperty(name="Splats", description="Number to keep", default=100_000, min=1)
 
-    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
         """Delete the others."""
         ob, count = guard.there(), self.count
         total = len(ob.data.vertices)

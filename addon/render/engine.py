@@ -18,13 +18,13 @@ from ..timeline.settings import plays
 from . import holdout_meshes, picture, unsupported_settings, viewport_copies
 from .compositing_scene import main_scene
 from .model import SplatCache
-from .pass_renderer import Film, Shot
+from .pass_renderer import PassRenderer, Shot
 from .passes import RequestedPasses, requested_passes
 from .regions import border_window, camera_of, drawn_window
 from .samples import Mean
 from .scene import Placed, sources
 from .selections import tinted_in
-from .shutter_lens import Stage
+from .shutter_lens import ShutterLens
 from .stereo import eyes_of, refusal
 from .unsupported_settings import renders_only
 from .viewport import (
@@ -32,8 +32,8 @@ from .viewport import (
     FALLBACKS,
     OVER,
     Request,
-    ViewPainter,
     Viewport,
+    ViewRenderer,
     redraw_when_ready,
     view_camera,
 )
@@ -45,7 +45,7 @@ ENGINE_BEFORE = "gs_engine_before"
 """Custom property of a scene: the engine that it had before this one."""
 final_cache = SplatCache()
 """Decoded splats of the last picture, shared by the frames of an animation."""
-_painters: WeakSet[ViewPainter] = WeakSet()
+_renderers: WeakSet[ViewRenderer] = WeakSet()
 """Painters of all viewports in Rendered shading."""
 
 
@@ -117,17 +117,17 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             if viewport_copies.SHARED.under_way(found):
                 self.tag_redraw()
         elif not placed:
-            view.painter.pixels = None
+            view.renderer.pixels = None
             status = "There are no splats to show"
         elif live is None or not (stays or live.moves(context)):
             status = self._request_picture(view, request)
         self.update_stats("", status or renders_only(depsgraph, camera_of(context)))
-        view.painter.fresh = False
-        if complete and not stays and view.painter.shows(request):
+        view.renderer.fresh = False
+        if complete and not stays and view.renderer.shows(request):
             EXACT.add(pointer)
-        made = view.painter.made
+        made = view.renderer.made
         is_meant = made is not None and made.over_view == over
-        pixels, window = view.painter.pixels if is_meant else None, view.window
+        pixels, window = view.renderer.pixels if is_meant else None, view.window
         waits = live is not None and pointer not in EXACT
         if over and pixels is not None and not waits:
             OVER[pointer] = view
@@ -145,9 +145,9 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         if self._view is None:
             self._view = Viewport(final_cache)
             holdout_meshes.SHARED.clear()  # changes were not reported while no view was drawn
-            _painters.add(self._view.painter)
+            _renderers.add(self._view.renderer)
             # Not in __del__ either, which cannot read the instance's attributes any more.
-            finalize(self, self._view.painter.close)
+            finalize(self, self._view.renderer.close)
         return self._view
 
     def _request(
@@ -182,11 +182,11 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
 
     def _request_picture(self, view: Viewport, request: Request) -> str:
         """Start drawing a picture; return why there is none, or an empty string."""
-        painter = view.painter
-        painter.submit(request)
-        if painter.busy:
-            redraw_when_ready(painter)
-        return painter.problem
+        renderer = view.renderer
+        renderer.submit(request)
+        if renderer.busy:
+            redraw_when_ready(renderer)
+        return renderer.problem
 
     def _empty(self, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
         """A picture without splats, [1, 1, 4]."""
@@ -223,7 +223,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         window, corner = border_window(scene.render, *size)
         transparent = scene.render.film_transparent
         light = np.zeros(3) if transparent else light_of(depsgraph)
-        film = Film(
+        pass_renderer = PassRenderer(
             options=picture.Options(
                 background=background_of(light),
                 depths=requested.depth,
@@ -235,17 +235,19 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             mattes=requested.mattes,
             holdouts=requested.holdout_depth,
         )
-        stage = Stage(depsgraph, camera, size, final_cache, self.frame_set, eye)
-        still = stage.view()
+        shutter_lens = ShutterLens(depsgraph, camera, size, final_cache, self.frame_set, eye)
+        still = shutter_lens.view()
         self.update_progress(0.1)
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
-        if stage.blurs:
-            shot = self._mean(film.without_depths(), stage, scene.gscore_render.blur_samples)
+        if shutter_lens.blurs:
+            shot = self._mean(
+                pass_renderer.without_depths(), shutter_lens, scene.gscore_render.blur_samples
+            )
             if requested.depth:  # at the frame, through the lens's middle: mean depths are useless
-                shot.passes["Depth"] = film.render(still, self.test_break)["Depth"]
+                shot.passes["Depth"] = pass_renderer.render(still, self.test_break)["Depth"]
         else:
-            shot = film.expose(still, self.test_break)
-        passes = film.completed(shot, still, self.test_break)
+            shot = pass_renderer.expose(still, self.test_break)
+        passes = pass_renderer.completed(shot, still, self.test_break)
         mattes, stamps = requested.mattes_of(shot.covered, passes["Combined"].shape[:2], layer.name)
         self.update_progress(0.9)
         result = self.begin_result(0, 0, *size, layer=layer.name, view=view)
@@ -258,18 +260,18 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         for key, value in stamps.items():
             self.get_result().stamp_data_add_field(key, value)
 
-    def _mean(self, film: Film, stage: Stage, count: int) -> Shot:
+    def _mean(self, pass_renderer: PassRenderer, shutter_lens: ShutterLens, count: int) -> Shot:
         """Means over lens and exposure."""
         last, shot, means = None, Shot({}, {}, {}), (Mean(), Mean(), Mean())
-        _, top, _, height = film.options.window or (0, 0, 0, self.resolution_y)
+        _, top, _, height = pass_renderer.options.window or (0, 0, 0, self.resolution_y)
         # Pictures have the bottom row first.
         rows = (np.arange(top, top + height)[::-1] + 0.5) / self.resolution_y
-        shares = stage.shares(count, rows)
-        with closing(stage.views(count)) as views:
+        shares = shutter_lens.shares(count, rows)
+        with closing(shutter_lens.views(count)) as views:
             for i, view in enumerate(views):
                 self.update_stats("", f"Sample {i + 1} of {count}")
                 if last is None or not view.same(last):
-                    last, shot = view, film.expose(view, self.test_break)
+                    last, shot = view, pass_renderer.expose(view, self.test_break)
                 if self.test_break():
                     raise Cancelled
                 for mean, pictures in zip(means, shot, strict=True):
@@ -314,8 +316,8 @@ def on_unregister() -> None:
     """Stop the viewports and drop their splats."""
     frame_sync.TAKE_FRAMES.discard(NAME)
     _leave_viewports()
-    for painter in list(_painters):
-        painter.close()
+    for renderer in list(_renderers):
+        renderer.close()
     final_cache.clear()
     viewport_copies.SHARED.clear()
     holdout_meshes.SHARED.clear()

@@ -12,7 +12,7 @@ import numpy as np
 from .. import attributes
 from ..attributes import BASE, POSITION, SCALE
 from ..core import Splats
-from ..process.incremental_tasks import Pieces, TaskRunner, run_in_thread
+from ..process.incremental_tasks import Steps, TaskRunner, run_in_thread
 from ..splats.filters import Filters, mask
 from ..splats.point_attributes import Column, copy_values, empty_values, zeroed
 
@@ -141,7 +141,7 @@ class Freezer:
         self._data, self._copy = data, replace(self._copy, name=name)
         return self._copy.remarked(read_marks(data)) if self._runner.step() else None
 
-    def _copying(self) -> Pieces[None]:
+    def _copying(self) -> Steps[None]:
         data, name = self._data, self._copy.name
         found = attributes.names(data, called=name)
         kinds = {one: attributes.check_vectors(data, one, called=name).data_type for one in found}

@@ -14,7 +14,7 @@ from ..capture.figures import figures
 from ..interface.base_operator import Condition, OnScene, make_active
 from ..interface.images import show_soon
 from ..interface.incremental_operator import IncrementalOperator
-from ..process.incremental_tasks import Pieces
+from ..process.incremental_tasks import Steps
 from ..splats.error_maps import splats_in_view
 from ..splats.objects import active_splats, has_trained
 from . import compare as comparing
@@ -63,7 +63,7 @@ class UseEngine(OnScene, bpy.types.Operator):
     bl_idname = "gscore.use_engine"
     bl_label = "Render with Gaussian Splats"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Set the scene's engine."""
         use_engine(context.scene)
         return ""
@@ -75,7 +75,7 @@ class UsePhotoColors(OnScene, bpy.types.Operator):
     bl_idname = "gscore.use_photo_colors"
     bl_label = "Use the Colors of the Photos"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Set the scene's colour management."""
         use_photo_colors(context.scene)
         return ""
@@ -92,7 +92,7 @@ class ComparePhoto(IncrementalOperator, bpy.types.Operator):
         description="Name of an imported camera; empty: the active object, or the scene's camera",
     )
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Compare, show the pictures in an image editor, in a new window if need be, and report."""
         return (yield from compared(context, chosen_camera(context, self.camera)))
 
@@ -104,9 +104,9 @@ class CompareWorstPhoto(IncrementalOperator, bpy.types.Operator):
     bl_label = "Compare Worst Photo"
     needs = Condition(has_trained, "Select splats that were trained with this add-on")
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Find the camera, compare from it, and make it the active object."""
-        found = worst_of(context.scene, active_splats(context))
+        found = worst_photo_of(context.scene, active_splats(context))
         name = found.camera.name
         report = yield from compared(context, found.camera)
         if context.mode == "OBJECT" and (camera := context.view_layer.objects.get(name)):
@@ -114,7 +114,7 @@ class CompareWorstPhoto(IncrementalOperator, bpy.types.Operator):
         return f"Worst of {found.among} photos, {found.psnr:.2f} dB when measured. {report}"
 
 
-def compared(context: bpy.types.Context, camera: bpy.types.Object) -> Pieces[str]:
+def compared(context: bpy.types.Context, camera: bpy.types.Object) -> Steps[str]:
     """Compare from a camera, show the pictures, and return the report."""
     with splats_in_view():
         begun = comparing.Comparing(context.scene, camera, context.evaluated_depsgraph_get())
@@ -142,7 +142,7 @@ class SetUpCompositing(OnScene, bpy.types.Operator):
         default=True,
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Set up or update the compositing."""
         made = compositor.set_up(context.scene, transparent=self.transparent)
         return f"Rendering {context.scene.name} now includes {made.name}."
@@ -154,7 +154,7 @@ class RemoveCompositing(OnScene, bpy.types.Operator):
     bl_idname = "gscore.remove_compositing"
     bl_label = "Remove Compositing"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Undo the set-up."""
         compositor.take_down(context.scene)
         return f"Rendering {context.scene.name} works as before compositing."
@@ -178,7 +178,7 @@ def chosen_camera(context: bpy.types.Context, name: str = "") -> bpy.types.Objec
 
 
 @dataclass(frozen=True, kw_only=True)
-class Worst:
+class WorstPhoto:
     """The worst photo of a run."""
 
     camera: bpy.types.Object
@@ -188,7 +188,7 @@ class Worst:
     """Number of measured photos with a camera in the scene."""
 
 
-def worst_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> Worst:
+def worst_photo_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> WorstPhoto:
     """The camera of the worst measured photo of the run that splats come from.
 
     Args:
@@ -215,7 +215,7 @@ def worst_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> Worst:
             "capture."
         )
     psnr, camera = min(known, key=lambda pair: pair[0])
-    return Worst(camera=camera, psnr=psnr, among=len(known))
+    return WorstPhoto(camera=camera, psnr=psnr, among=len(known))
 
 
 CLASSES = (

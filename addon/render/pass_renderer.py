@@ -46,7 +46,7 @@ class Shot(NamedTuple):
     """Pictures of one view, or their means over several; all float32, the bottom row first."""
 
     passes: dict[str, np.ndarray]
-    """Rendered passes by name, as `Film.render` returns them."""
+    """Rendered passes by name, as `PassRenderer.render` returns them."""
     covered: dict[Identity, np.ndarray]
     """Coverage of each pixel by each object, [H, W]; empty if not requested."""
     blocked: dict[str, np.ndarray]
@@ -55,7 +55,7 @@ class Shot(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Film:
+class PassRenderer:
     """Settings of a picture."""
 
     options: picture.Options
@@ -70,8 +70,8 @@ class Film:
     holdouts: bool = False
     """Whether `HOLDOUT_PASSES` are requested; with depths and a transparent film."""
 
-    def without_depths(self) -> "Film":
-        """The film without the pass Depth."""
+    def without_depths(self) -> "PassRenderer":
+        """The same without the pass Depth."""
         return replace(self, options=replace(self.options, depths=False))
 
     def render(
@@ -132,7 +132,7 @@ class Film:
         """All passes that Blender stores.
 
         Args:
-            shot: Pictures of this film, or their means.
+            shot: Pictures of this renderer, or their means.
             view: The view at the frame itself, for depths, of which means are useless.
             stop: As for `render`.
         """
@@ -177,8 +177,8 @@ class Film:
 
     def _unfold(self, view: View, camera: Panorama, stop: Stop) -> dict[str, np.ndarray]:
         def side(camera: RenderCamera, window: Window) -> dict[str, np.ndarray]:
-            film = replace(self, options=replace(self.options, window=window))
-            return film.render(replace(view, model=distant, camera=camera), stop)
+            pass_renderer = replace(self, options=replace(self.options, window=window))
+            return pass_renderer.render(replace(view, model=distant, camera=camera), stop)
 
         distant = beyond(view.model, camera)
         passes = unfold(camera, self.options.window, side)

@@ -35,7 +35,7 @@ class RaiseTransparentBounces(OnScene, bpy.types.Operator):
     bl_label = "Raise Transparent Bounces"
     needs = Condition(lambda context: ends_early(context.scene))
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Raise the limit."""
         context.scene.cycles.transparent_max_bounces = ENOUGH
         return ""
@@ -63,7 +63,7 @@ class MakeSizeEven(OnScene, bpy.types.Operator):
     bl_label = "Make Size Even"
     needs = Condition(lambda context: bool(problem(context.scene)))
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Raise the resolution, with its percentage kept."""
         render = context.scene.render
         while frame_of(context.scene).width % 2:

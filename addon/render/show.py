@@ -33,7 +33,7 @@ class ShowSplats(Undoable, bpy.types.Operator):
         ob = _wanted(context, trained=self.trained)
         return (context.scene, ob) if ob.hide_viewport or ob.hide_render else (context.scene,)
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Apply all settings."""
         ob = _wanted(context, trained=self.trained)
         splat_framing.frame_of(ob)  # raises for empty splats before anything is set

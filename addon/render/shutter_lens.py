@@ -54,7 +54,7 @@ class View:
         )
 
 
-class Stage:
+class ShutterLens:
     """The views of one rendered frame.
 
     Args:

@@ -22,7 +22,7 @@ from ..process.background_task import Latest
 from . import picture
 from .holdout_meshes import HoldoutMesh, same_meshes
 from .model import Model, SplatCache
-from .pass_renderer import Film
+from .pass_renderer import PassRenderer
 from .scene import Placed
 from .selections import Tinted, marked
 from .shutter_lens import View
@@ -85,7 +85,7 @@ class Request:
         if options.window is not None:
             camera, window = _scaled(self.camera, options.window, camera)
             options = replace(options, window=window)
-        film = Film(
+        pass_renderer = PassRenderer(
             options=options,
             transparent=self.transparent,
             to_scene=self.to_scene,
@@ -93,10 +93,10 @@ class Request:
         )
         visible = marked(model, self.placed, self.tinted)
         view = View(model=visible, camera=camera, holdouts=self.holdout_meshes)
-        return film.render(view, stop, cancel)["Combined"]
+        return pass_renderer.render(view, stop, cancel)["Combined"]
 
 
-class ViewPainter:
+class ViewRenderer:
     """Thread that draws the last requested picture, smaller first; without bpy."""
 
     def __init__(self, cache: SplatCache) -> None:
@@ -182,13 +182,13 @@ class Viewport:
     """One 3D viewport in Rendered shading; main thread only."""
 
     def __init__(self, cache: SplatCache) -> None:
-        self.painter = ViewPainter(cache)
+        self.renderer = ViewRenderer(cache)
         self._texture: tuple[np.ndarray, gpu.types.GPUTexture] | None = None
 
     @property
     def window(self) -> picture.Window | None:
-        """The part of the view in the painter's last picture; None: all of it."""
-        made = self.painter.made
+        """The part of the view in the renderer's last picture; None: all of it."""
+        made = self.renderer.made
         return None if made is None else made.options.window
 
     def draw(
@@ -359,12 +359,12 @@ def _scaled(
     return replace(view, K=K, width=ends[0], height=ends[1]), (*places, *sizes)
 
 
-def redraw_when_ready(painter: ViewPainter) -> None:
-    """Redraw 3D views as soon as the painter has a new picture."""
+def redraw_when_ready(renderer: ViewRenderer) -> None:
+    """Redraw 3D views as soon as the renderer has a new picture."""
 
     def poll() -> float | None:
-        if painter.fresh:
+        if renderer.fresh:
             redraw_views()
-        return _POLL if painter.busy or painter.fresh else None
+        return _POLL if renderer.busy or renderer.fresh else None
 
     bpy.app.timers.register(poll, first_interval=_POLL)

@@ -28,7 +28,7 @@ class TrainSequence(ConfirmMixin, Starting, bpy.types.Operator):
     )
     confirm = "Start Over"
 
-    def question(self, context: bpy.types.Context) -> list[str]:
+    def confirm_lines(self, context: bpy.types.Context) -> list[str]:
         """List overwritten frames, and parts of the scene that the training would not use."""
         output = train_sequence.output_of(context.scene)
         lines = []

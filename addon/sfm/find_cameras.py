@@ -14,7 +14,7 @@ from ..capture.folders import same_folder
 from ..core import FramesProgress, SfmDone, SfmProgress, default_capture_output
 from ..interface import editable_check, undo
 from ..paths import absolute, capture_folder, relative
-from ..process.incremental_tasks import Pieces
+from ..process.incremental_tasks import Steps
 from ..training import facts, lookups, options
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS
@@ -119,7 +119,7 @@ def job_of(scene: bpy.types.Scene) -> VerbJob | None:
     return JOBS.of_source(VERB, chosen) or next(by_capture, None)
 
 
-def _coming(job: VerbJob) -> Pieces[Iterable[str]]:
+def _coming(job: VerbJob) -> Steps[Iterable[str]]:
     """Import the cameras that a job found."""
     lookups.captures.expire()
     return (yield from importing_capture(_scene_of(job), job.output))
@@ -131,7 +131,7 @@ def _scene_of(job: VerbJob) -> bpy.types.Scene | None:
     return next((scene for scene in scenes if job_of(scene) is job), None)
 
 
-def importing_capture(scene: bpy.types.Scene, capture: Path) -> Pieces[tuple[str, ...]]:
+def importing_capture(scene: bpy.types.Scene, capture: Path) -> Steps[tuple[str, ...]]:
     """Choose the capture, and import its cameras, points and photos unless the scene has them.
 
     Returns warnings for the user.

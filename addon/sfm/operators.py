@@ -10,7 +10,7 @@ from ..interface.base_operator import OnScene
 from ..interface.incremental_operator import IncrementalOperator
 from ..interface.sidebar import choose_tab, in_turn, open_sidebar
 from ..paths import relative
-from ..process.incremental_tasks import Pieces
+from ..process.incremental_tasks import Steps
 from ..training.verb_operators import Cancelling, Waiting, ended
 from . import find_cameras
 
@@ -41,7 +41,7 @@ class ChooseVideo(OnScene, bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Choose the video, and show the panel."""
         chosen = Path(bpy.path.abspath(self.filepath or self.directory))
         if not chosen.exists():
@@ -59,7 +59,7 @@ class FindCameras(Waiting, IncrementalOperator, OnScene, bpy.types.Operator):
     bl_idname = "gscore.find_cameras"
     bl_label = "Find Cameras"
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Start the job, or import an earlier result."""
         scene = context.scene
         where = find_cameras.places(scene)

@@ -11,7 +11,7 @@ from .. import attributes, compat
 from ..cameras.objects import local_matrix
 from ..interface import editable_check
 from ..nodes import display
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import filters, lag, objects, separate_join, splat_framing
 from . import settings as splat_settings
 from .edit_guard import EditGuard
@@ -76,7 +76,7 @@ def _shown(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> int | None:
     return 0 if points is None else len(points.points)
 
 
-def apply_filters(guard: EditGuard) -> Pieces[int]:
+def apply_filters(guard: EditGuard) -> Steps[int]:
     """Delete splats that the filters hide, and reset the filters.
 
     Returns:
@@ -136,7 +136,7 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
     return box
 
 
-def apply_transform(guard: EditGuard) -> Pieces[None]:
+def apply_transform(guard: EditGuard) -> Steps[None]:
     """Apply the object's own location, rotation and scale to its splats, exactly.
 
     Blender's own Apply transforms only the positions, not the ellipsoids and colours.

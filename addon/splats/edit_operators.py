@@ -13,7 +13,7 @@ from ..core import rgb_to_sh0, sh0_to_rgb
 from ..interface.base_operator import make_active
 from ..interface.blocks import with_uid
 from ..interface.incremental_operator import IncrementalOperator
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import edit, objects, separate_join
 from .edit_guard import EditGuard
 from .operators import OnSplats, edit_vertices
@@ -74,7 +74,7 @@ class Editing(IncrementalOperator, OnSplats):
         """The points."""
         return (objects.active_splats(context).data,)
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Leave Edit Mode, edit, and enter it again."""
         ob = objects.active_splats(context)
         objects.catch_up(ob)
@@ -95,7 +95,7 @@ class Editing(IncrementalOperator, OnSplats):
             if edited:
                 _edit_again(context, uid)
 
-    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
         """The edit in steps; raises ValueError if it is not possible."""
         raise NotImplementedError
 
@@ -137,7 +137,7 @@ class GradeSplats(Editing, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
         """Grade."""
         ob = guard.there()
         selected, whole = attributes.selected(ob.data), len(ob.data.vertices)
@@ -171,7 +171,7 @@ class SeparateSplats(Editing, bpy.types.Operator):
     bl_idname = "gscore.separate_splats"
     bl_label = "Separate Splats"
 
-    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
         """Separate."""
         made = yield from separate_join.separated(guard, attributes.selected(guard.there().data))
         return f"Moved {len(made.data.vertices):,} splats to {made.name}."
@@ -196,7 +196,7 @@ class JoinSplats(Editing, bpy.types.Operator):
         children = [child for other in others for child in other.children]
         return (*super().changes(context), *others, *children)
 
-    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
         """Join."""
         ob, others = guard.there(), _others(context)
         separate_join.check_joinable(ob, others)  # before the selection changes
@@ -230,7 +230,7 @@ class ApplyFilters(_EditingObject, bpy.types.Operator):
     bl_idname = "gscore.apply_filters"
     bl_label = "Delete Hidden Splats"
 
-    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
         """Delete."""
         count = yield from edit.apply_filters(guard)
         return f"Deleted {count:,} splats, {len(guard.found().data.vertices):,} left."
@@ -242,7 +242,7 @@ class ApplySplatTransform(_EditingObject, bpy.types.Operator):
     bl_idname = "gscore.apply_splat_transform"
     bl_label = "Apply Splat Transform"
 
-    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
         """Apply."""
         yield from edit.apply_transform(guard)
         return ""

@@ -12,7 +12,7 @@ from .. import attributes
 from ..cameras.capture_transform import origin_of
 from ..compat import matrix_to_numpy
 from ..core import BackendError, GsError, Splats, file_errors, join_splats, write_splat_file
-from ..process.incremental_tasks import Check, Pieces, ResultT, run_in_thread
+from ..process.incremental_tasks import Check, ResultT, Steps, run_in_thread
 from . import conversion, filters, objects
 from .filters import Filters
 from .read_chunked import ChunkedRead
@@ -43,7 +43,7 @@ class _Part:
 
 def exporting(
     obs: Sequence[bpy.types.Object], path: str | Path, *, world: str, filtered: bool
-) -> Pieces[Written]:
+) -> Steps[Written]:
     """Write splat objects with their edits and transforms as one file.
 
     Reads the splats as of the first step, then transforms and writes them in a thread. Cancellation

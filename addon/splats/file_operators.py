@@ -18,7 +18,7 @@ from ..cameras.objects import root_of
 from ..core import LOD_ENDING, SPLAT_ENDINGS
 from ..interface.base_operator import Condition, OnScene, make_active
 from ..interface.incremental_operator import IncrementalOperator
-from ..process.incremental_tasks import Pieces
+from ..process.incremental_tasks import Steps
 from . import exporting, splat_files, splat_framing
 from .importing import importing_splats
 from .objects import active_splats, can_export, hide_points, is_splats
@@ -75,7 +75,7 @@ class ImportOperator(IncrementalOperator, OnScene):
         """Handle the objects, one per file; the text of the report."""
         raise NotImplementedError
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Read in a thread, then write to Blender."""
         made = yield from importing_splats(context, self.import_requests(context))
         return self.show(context, made.objects, made.warnings)
@@ -219,7 +219,7 @@ class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
             return self.refuse(ValueError("Select the splat objects to export."))
         return ExportHelper.invoke(self, context, event)
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Write the file."""
         context.view_layer.update()
         obs, path = _chosen(context, self.collection), self.filepath

@@ -14,7 +14,7 @@ import numpy as np
 from .. import attributes
 from ..core import GsError, collected_warnings
 from ..interface.blocks import with_uid
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import objects, settings, splat_files
 from .splat_files import ImportRequest
 from .write_chunked import ChunkedWrite, filled
@@ -57,7 +57,7 @@ def importing_splats(
     *,
     find: Callable[[ImportRequest], ImportRequest] = lambda wanted: wanted,
     note: Callable[[Columns], str] = lambda columns: "",
-) -> Pieces[ImportedSplats]:
+) -> Steps[ImportedSplats]:
     """Import some files: all of them, or none.
 
     Args:

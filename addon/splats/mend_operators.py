@@ -9,7 +9,7 @@ import numpy as np
 from .. import attributes
 from ..interface.base_operator import Condition
 from ..interface.incremental_operator import IncrementalOperator
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import lag, objects, point_attributes
 from .edit_guard import EditGuard, all_to_change
 from .mesh_buffers import Points, points_of
@@ -41,7 +41,7 @@ class MendSplats(IncrementalOperator, bpy.types.Operator):
         """Their points."""
         return [ob.data for ob in outdated(context)]
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Correct each mesh once."""
         obs = {ob.data: ob for ob in reversed(outdated(context))}.values()
         names = ", ".join(ob.name for ob in obs)
@@ -58,7 +58,7 @@ class MendSplats(IncrementalOperator, bpy.types.Operator):
         return f"Updated shapes and colors of {names}."
 
 
-def _mended(guards: list[EditGuard]) -> Pieces[None]:
+def _mended(guards: list[EditGuard]) -> Steps[None]:
     """Rotate and scale shapes and colors of objects to match their current positions.
 
     Raises:

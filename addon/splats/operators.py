@@ -15,7 +15,7 @@ from ..interface import editable_check
 from ..interface.base_operator import Condition, Undoable, make_active
 from ..interface.blocks import with_uid
 from ..interface.incremental_operator import IncrementalOperator
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import edit, objects, settings
 from .mesh_buffers import Points
 from .objects import active_splats, has_splats, is_native
@@ -40,7 +40,7 @@ class ResetFilters(OnSplats, bpy.types.Operator):
     bl_idname = "gscore.reset_filters"
     bl_label = "Reset Filters"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Reset."""
         settings.reset_filters(active_splats(context))
         return ""
@@ -52,7 +52,7 @@ class AddCropBox(OnSplats, bpy.types.Operator):
     bl_idname = "gscore.add_crop_box"
     bl_label = "Add Crop Box"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Add."""
         make_active(context, edit.add_crop_box(context, active_splats(context)))
         return ""
@@ -69,7 +69,7 @@ class MakeScaleEven(OnSplats, bpy.types.Operator):
         """The objects with a changed scale."""
         return uneven(active_splats(context))
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Change the scales."""
         changed = make_even(context, active_splats(context))
         if changed:
@@ -83,7 +83,7 @@ class ResetDisplay(IncrementalOperator, OnSplats, bpy.types.Operator):
     bl_idname = "gscore.reset_display"
     bl_label = "Restore Display"
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Build the display if the file has none, then attach it."""
         ob = active_splats(context)
         name, uid = ob.name, ob.session_uid
@@ -110,7 +110,7 @@ class TakeNativeSplats(IncrementalOperator, bpy.types.Operator):
         """The scene, and the cloud, which gets hidden."""
         return (context.scene, context.object)
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Convert the splats."""
         made = yield from taking(context.object)
         if context.mode == "OBJECT" and made.name in context.view_layer.objects:
@@ -118,7 +118,7 @@ class TakeNativeSplats(IncrementalOperator, bpy.types.Operator):
         return f"{made.name} has {len(made.data.vertices):,} splats."
 
 
-def taking(cloud: bpy.types.Object) -> Pieces[bpy.types.Object]:
+def taking(cloud: bpy.types.Object) -> Steps[bpy.types.Object]:
     """Create a splat object at a point cloud's location; the cloud is kept and hidden.
 
     Raises:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .. import attributes
 from ..interface.temporary_data import Temporary
-from ..process.incremental_tasks import BUDGET, Check, Pieces, run_in_thread
+from ..process.incremental_tasks import BUDGET, Check, Steps, run_in_thread
 from . import objects, point_attributes, vertex_groups
 from .point_attributes import TEXT, Column
 
@@ -45,7 +45,7 @@ class ChunkedRead:
             self.drop()
             raise
 
-    def read(self) -> Pieces[dict[str, np.ndarray]]:
+    def read(self) -> Steps[dict[str, np.ndarray]]:
         """Read the attributes; with all names the input of `attributes.as_splats`.
 
         Raises:
@@ -57,7 +57,7 @@ class ChunkedRead:
         yield from run_in_thread(partial(_check_finite, columns, self._data), self._sentence(1.0))
         return {column.name: column.values for column in columns}
 
-    def table(self, *, whole: bool = True) -> Pieces[list[Column]]:
+    def table(self, *, whole: bool = True) -> Steps[list[Column]]:
         """Read all point attributes, selection and hiding.
 
         Args:
@@ -74,7 +74,7 @@ class ChunkedRead:
             raise
         return (yield from self._read(kinds, self._groups if whole else [])) + marks
 
-    def _read(self, kinds: dict[str, str], groups: list[str]) -> Pieces[list[Column]]:
+    def _read(self, kinds: dict[str, str], groups: list[str]) -> Steps[list[Column]]:
         try:
             count = attributes.point_count(self._copy())
             # First, because removing an attribute also removes the group of the same name.
@@ -99,7 +99,7 @@ class ChunkedRead:
         finally:
             self.drop()
 
-    def _weights(self, groups: list[str], count: int) -> Pieces[list[Column]]:
+    def _weights(self, groups: list[str], count: int) -> Steps[list[Column]]:
         made = yield from run_in_thread(
             lambda check: vertex_groups.made(groups, count), self._sentence(0.0)
         )
@@ -111,7 +111,7 @@ class ChunkedRead:
             vertex_groups.read(self._copy(), begin, made)
         return point_attributes.of_groups(groups, made)
 
-    def _text(self, name: str, values: np.ndarray) -> Pieces[None]:
+    def _text(self, name: str, values: np.ndarray) -> Steps[None]:
         known: dict[bytes, bytes] = {}
         until = time.perf_counter() + BUDGET
         for begin in range(0, len(values), point_attributes.BLOCK):
@@ -142,6 +142,6 @@ def _check_finite(columns: list[Column], called: str, check: Check) -> None:
 
 def read_chunked(
     ob: bpy.types.Object, names: Sequence[str] | None = None
-) -> Pieces[dict[str, np.ndarray]]:
+) -> Steps[dict[str, np.ndarray]]:
     """The splats of an object at the first step; arguments and errors as `ChunkedRead`."""
     return (yield from ChunkedRead(ob, names).read())

@@ -9,7 +9,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProp
 
 from .. import attributes
 from ..core import Splats, cluster_sizes, in_unit_shape, reached_from, sh0_to_rgb
-from ..process.incremental_tasks import Pieces, run_in_thread
+from ..process.incremental_tasks import Steps, run_in_thread
 from . import filters
 from .edit_guard import EditGuard
 from .edit_operators import Editing
@@ -112,7 +112,7 @@ class _Choosing(Editing):
         """Mode of `combined`."""
         return SET
 
-    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Pieces[str]:
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
         """Select."""
         ob = guard.there()
         check_shown(ob)  # before the selection changes

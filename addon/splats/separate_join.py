@@ -8,7 +8,7 @@ from mathutils import Matrix
 
 from .. import attributes, compat
 from ..interface import editable_check
-from ..process.incremental_tasks import Check, Pieces, run_in_thread
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import lag, objects, point_attributes, settings, vertex_groups
 from .edit_guard import EditGuard, all_to_change
 from .mesh_buffers import Points, points_of
@@ -18,7 +18,7 @@ from .rotation import moved
 from .write_chunked import ChunkedWrite, filled, swap
 
 
-def separated(guard: EditGuard, chosen: np.ndarray) -> Pieces[bpy.types.Object]:
+def separated(guard: EditGuard, chosen: np.ndarray) -> Steps[bpy.types.Object]:
     """Move splats with all attributes into a new object with the same transform, display and
     filters; deselects all.
 
@@ -73,7 +73,7 @@ def split_off(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
     return other
 
 
-def kept(guard: EditGuard, table: list[Column], rows: np.ndarray) -> Pieces[bpy.types.Object]:
+def kept(guard: EditGuard, table: list[Column], rows: np.ndarray) -> Steps[bpy.types.Object]:
     """Delete all splats of an object except some, whose attributes stay bit-identical.
 
     Args:
@@ -115,7 +115,7 @@ def check_joinable(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None
         )
 
 
-def joined(guard: EditGuard, others: list[EditGuard]) -> Pieces[bpy.types.Object]:
+def joined(guard: EditGuard, others: list[EditGuard]) -> Steps[bpy.types.Object]:
     """Join the splats of other objects into one, as displayed; the others are removed.
 
     Lower SH degrees are padded with 0, as are other attributes that an object lacks. Vertex groups

@@ -9,7 +9,7 @@ from .. import attributes, compat
 from ..nodes import display
 from ..nodes.colors import MODES as COLOR_MODES
 from ..nodes.graph import is_of_another_blender
-from ..process.incremental_tasks import BUDGET, Pieces
+from ..process.incremental_tasks import BUDGET, Steps
 from . import live_display
 from .filters import BOX, SPHERE
 
@@ -207,7 +207,7 @@ def reset_filters(ob: bpy.types.Object) -> None:
     apply(ob)
 
 
-def building() -> Pieces[None]:
+def building() -> Steps[None]:
     """Build the display node groups of a file, one per step."""
     until = time.perf_counter() + BUDGET
     for build in display.builders():

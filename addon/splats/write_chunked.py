@@ -12,7 +12,7 @@ import bpy
 
 from .. import attributes
 from ..interface.temporary_data import Temporary
-from ..process.incremental_tasks import BUDGET, Pieces
+from ..process.incremental_tasks import BUDGET, Steps
 from . import copy_metadata, objects, point_attributes, vertex_groups
 from .mesh_buffers import ReadyT
 from .point_attributes import GROUP, TEXT
@@ -94,7 +94,7 @@ class ChunkedWrite(Generic[ReadyT]):
 # Quoted: see mesh_buffers.py.
 def filled(
     fillings: "Sequence[ChunkedWrite[Any]]", check: Callable[[], object] = lambda: None
-) -> Pieces[list[bpy.types.Mesh]]:
+) -> Steps[list[bpy.types.Mesh]]:
     """Filled meshes, owned by the caller; none is left after an error.
 
     Args:

@@ -18,7 +18,7 @@ from ..interface.blocks import with_uid
 from ..interface.option_labels import error_words
 from ..interface.views import redraw_views
 from ..process import poll_timer
-from ..process.incremental_tasks import Check, Pieces, TaskRunner, run_in_thread
+from ..process.incremental_tasks import Check, Steps, TaskRunner, run_in_thread
 from ..splats import live_display, objects
 from ..splats.mesh_buffers import Points
 from ..splats.write_chunked import ChunkedWrite, filled
@@ -213,7 +213,7 @@ def _go_on() -> bool:
     return coming.result
 
 
-def _writing(owner: int, frame: Frame) -> Pieces[bool]:
+def _writing(owner: int, frame: Frame) -> Steps[bool]:
     """Write a frame to a new mesh, and show it; False: it cannot be shown."""
     try:
         points, mark = yield from run_in_thread(partial(_prepared, frame), "")
@@ -243,11 +243,11 @@ def _waits() -> bool:
     return not bpy.app.is_job_running("RENDER") and next(_behind(), None) is not None
 
 
-def _hurries() -> bool:
+def _is_urgent() -> bool:
     return _state.coming is not None or LIBRARY.busy
 
 
-_FOLLOWER = poll_timer.Poller(_collect, _waits, _hurries)
+_POLLER = poll_timer.Poller(_collect, _waits, _is_urgent)
 
 
 @persistent
@@ -312,7 +312,7 @@ HANDLERS = {
 APPENDED = (
     (settings.CHANGED, settings_changed),
     (objects.CATCH_UP, catch_up),
-    (poll_timer.POLLERS, _FOLLOWER),
+    (poll_timer.POLLERS, _POLLER),
 )
 
 

@@ -7,7 +7,7 @@ import bpy
 
 from ..interface import editable_check
 from ..paths import relative
-from ..process.incremental_tasks import Pieces
+from ..process.incremental_tasks import Steps
 from ..splats import splat_files
 from ..splats.importing import importing_splats
 from ..splats.splat_files import ImportRequest
@@ -24,7 +24,7 @@ def importing_sequence(
     start: int = 1,
     parent: bpy.types.Object | None = None,
     up: str = "-Y",
-) -> Pieces[tuple[bpy.types.Object, Series, list[str]]]:
+) -> Steps[tuple[bpy.types.Object, Series, list[str]]]:
     """Make a splat object that plays the frames in a folder. A thread finds the frames and reads
     the first, which is then written to Blender.
 

@@ -13,7 +13,7 @@ from ..core import SPLAT_ENDINGS
 from ..interface.base_operator import Condition, OnScene, Undoable, make_active
 from ..interface.incremental_operator import IncrementalOperator
 from ..process import poll_timer
-from ..process.incremental_tasks import Pieces
+from ..process.incremental_tasks import Steps
 from ..splats.file_operators import AXIS_ITEMS
 from ..splats.objects import active_splats, has_splats, hide_points
 from . import frame_sync, importing
@@ -86,7 +86,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def pieces(self, context: bpy.types.Context) -> Pieces[str]:
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Find the frames and read the first in a thread, then write it to Blender."""
         folder, called = self._chosen()
         parent = self._parent(context)
@@ -145,7 +145,7 @@ class PlayAgain(OnSequence, bpy.types.Operator):
         ob = active_splats(context)
         return ob.data, ob
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Resume playback."""
         importing.resume_playback(active_splats(context))
         frame_sync.settings_changed(active_splats(context))
@@ -158,7 +158,7 @@ class KeepFrame(OnSequence, bpy.types.Operator):
     bl_idname = "gscore.keep_frame"
     bl_label = "Keep This Frame"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Make the object."""
         ob, scene = active_splats(context), context.scene
         frame_sync.update_meshes(scene)
@@ -180,7 +180,7 @@ class RescanFrames(OnSequence, bpy.types.Operator):
     bl_label = "Rescan Frames"
     bl_options: ClassVar = {"REGISTER"}
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Scan."""
         LIBRARY.forget(folder_of(active_splats(context)))
         frame_sync.settings_changed(active_splats(context))

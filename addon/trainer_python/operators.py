@@ -23,7 +23,7 @@ class CheckTrainer(BaseOperator, bpy.types.Operator):
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Check."""
         prefs = preferences.get()
         if not self.wait:
@@ -55,12 +55,12 @@ class MakeEnvironment(ConfirmMixin, BaseOperator, bpy.types.Operator):
 
     confirm = "Download and Install"
 
-    def question(self, context: bpy.types.Context) -> list[str]:
+    def confirm_lines(self, context: bpy.types.Context) -> list[str]:
         """List the packages to install."""
         wheel = Path(self.wheel) if self.wheel else None
         return contents(preferences.get(), wheel=wheel)
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Start."""
         wheel = Path(self.wheel) if self.wheel else None
         if self.wait:
@@ -78,7 +78,7 @@ class CancelSetup(BaseOperator, bpy.types.Operator):
     bl_label = "Cancel"
     needs = Condition(lambda context: CURRENT.busy())
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Cancel it."""
         CURRENT.cancel()
         return ""

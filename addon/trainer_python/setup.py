@@ -205,8 +205,8 @@ class Setup:
 
 CURRENT = Setup()
 """Setup of this Blender session."""
-_FOLLOWER = poll_timer.Poller(lambda: CURRENT.collect(preferences.get()), CURRENT.busy)
-APPENDED = ((poll_timer.POLLERS, _FOLLOWER), (preferences.PYTHON_CHOSEN, CURRENT.chosen))
+_POLLER = poll_timer.Poller(lambda: CURRENT.collect(preferences.get()), CURRENT.busy)
+APPENDED = ((poll_timer.POLLERS, _POLLER), (preferences.PYTHON_CHOSEN, CURRENT.chosen))
 
 
 def on_unregister() -> None:

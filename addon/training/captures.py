@@ -50,7 +50,7 @@ class ChooseCapture(OnScene, bpy.types.Operator):
 
     path: StringProperty(name="Capture", description="Folder of the capture", options={"SKIP_SAVE"})
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Choose the capture."""
         if not self.path.strip():
             raise ValueError("No capture is given; choose one in the panel.")

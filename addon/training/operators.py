@@ -46,7 +46,7 @@ class _OnJob(BaseOperator):
         """The training to work on."""
         return registry.by_id(self.job_id) if self.job_id else start_training.job_of(context.scene)
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         job = self.job(context)
         if job is None or job.state.status not in self.allowed:
             raise ValueError("This scene has no training in a state that allows this.")
@@ -71,13 +71,13 @@ class Train(ConfirmMixin, Waiting, OnScene, bpy.types.Operator):
     )
     confirm = "Start Over"
 
-    def question(self, context: bpy.types.Context) -> list[str]:
+    def confirm_lines(self, context: bpy.types.Context) -> list[str]:
         """List overwritten files, and data that the training would not use."""
         lines = start_training.replaced(context.scene) if self.overwrite else []
         self.confirm = "Start Over" if lines else "Train Without"
         return lines + start_training.unsaved(context.scene)
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Start the training."""
         self.warn(start_training.unsaved(context.scene))
         return _report(
@@ -100,7 +100,7 @@ class FitTraining(OnScene, bpy.types.Operator):
         ),
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Change the settings."""
         settings = context.scene.gscore
         found, problem = facts.forecast_of(context.scene)
@@ -121,7 +121,7 @@ class ResumeTraining(Waiting, OnScene, bpy.types.Operator):
     bl_idname = "gscore.resume_training"
     bl_label = "Resume"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Resume the training."""
         return _report(start_training.resume(context.scene, wait=self.wait))
 
@@ -160,7 +160,7 @@ class FollowTraining(OnScene, bpy.types.Operator):
 
     job_id: StringProperty(name="Training", description="Id of the training", options={"HIDDEN"})
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Choose the training's capture and output folder."""
         job = registry.by_id(self.job_id)
         if job is None:
@@ -178,7 +178,7 @@ class DiscardTraining(ConfirmMixin, _OnJob, bpy.types.Operator):
 
     confirm = "Discard"
 
-    def question(self, context: bpy.types.Context) -> list[str]:
+    def confirm_lines(self, context: bpy.types.Context) -> list[str]:
         """Name the run, because it cannot be restored."""
         job = self.job(context)
         if job is None:
@@ -205,7 +205,7 @@ class ShowTestView(BaseOperator, bpy.types.Operator):
     bl_label = "Show Test View"
     needs = Condition(lambda context: context.scene.gscore.preview is not None)
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Show the picture."""
         if not show_image(context, context.scene.gscore.preview, new_window=True):
             raise ValueError("There is no window to show a picture in.")
@@ -218,7 +218,7 @@ class SelectResult(Undoable, bpy.types.Operator):
     bl_idname = "gscore.select_result"
     bl_label = "Select Result"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Select."""
         ob = context.scene.gscore.result
         if ob is None or context.view_layer.objects.get(ob.name) is None:
@@ -233,7 +233,7 @@ class ShowReport(BaseOperator, bpy.types.Operator):
     bl_idname = "gscore.show_report"
     bl_label = "Show Report"
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Open the report."""
         bpy.ops.wm.url_open(url=start_training.report_of(context.scene).as_uri())
         return ""
@@ -266,7 +266,7 @@ class AddGuides(OnScene, bpy.types.Operator):
         ),
     )
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Link the objects."""
         obs = [ob for ob in context.selected_objects if guides.may_guide(ob)]
         if not obs:

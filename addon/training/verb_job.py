@@ -14,7 +14,7 @@ from ..core import Event, Failed, FrameStarted, GsError, Progress, Warn
 from ..interface.lookup import Lookup
 from ..interface.option_labels import error_words
 from ..process.child_program import Process
-from ..process.incremental_tasks import Pieces, TaskRunner
+from ..process.incremental_tasks import Steps, TaskRunner
 from . import run_state
 
 STOP_GRACE = 10.0
@@ -71,9 +71,9 @@ class VerbJob:
         source: Path,
         output: Path | None = None,
         scene_uid: int = 0,
-        prepare: Callable[[], Pieces[object]] | None = None,
+        prepare: Callable[[], Steps[object]] | None = None,
         begun: Callable[[], object] = lambda: None,
-        arrive: "Callable[[VerbJob], Pieces[Iterable[str]]] | None" = None,
+        arrive: "Callable[[VerbJob], Steps[Iterable[str]]] | None" = None,
         after: "VerbJob | None" = None,
     ) -> None:
         """Start the process.
@@ -207,7 +207,7 @@ class VerbJob:
         self.preparing = None
         return True
 
-    def arrive_step(self, with_readable_errors: Callable[[Pieces[Any]], Pieces[Any]]) -> bool:
+    def arrive_step(self, with_readable_errors: Callable[[Steps[Any]], Steps[Any]]) -> bool:
         """Run the next step of the import; True if it ended.
 
         Args:

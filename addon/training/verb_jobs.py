@@ -9,7 +9,7 @@ import bpy
 from ..capture.folders import same_folder
 from ..interface.incremental_operator import with_readable_errors
 from ..process import poll_timer
-from ..process.incremental_tasks import Pieces, run_in_thread
+from ..process.incremental_tasks import Steps, run_in_thread
 from ..splats import settings
 from ..splats.write_chunked import ChunkedWrite, filled
 from . import loader
@@ -86,7 +86,7 @@ JOBS = VerbJobs()
 """Jobs of this Blender session."""
 
 
-def mesh_of(path: Path) -> Pieces[bpy.types.Mesh]:
+def mesh_of(path: Path) -> Steps[bpy.types.Mesh]:
     """Import the splats of a file into a mesh, owned by the caller.
 
     Raises:
@@ -130,10 +130,10 @@ def import_next(job: VerbJob) -> bool:
     return True
 
 
-_FOLLOWER = poll_timer.Poller(
+_POLLER = poll_timer.Poller(
     _collect,
     lambda: any(not job.ended or job.awaits_import for job in JOBS.jobs()),
     lambda: any(job.import_task is not None for job in JOBS.jobs()),
 )
-APPENDED = ((poll_timer.POLLERS, _FOLLOWER),)
+APPENDED = ((poll_timer.POLLERS, _POLLER),)
 on_register, on_unregister = released_at_quit(JOBS.release_all)

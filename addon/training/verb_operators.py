@@ -25,12 +25,12 @@ class Waiting(BaseOperator):
 class Starting(Waiting):
     """Mixin before bpy.types.Operator that starts a job."""
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Start the job."""
         return ended(self.start(context))
 
     def start(self, context: bpy.types.Context) -> VerbJob:
-        """Start the job; errors as `act`."""
+        """Start the job; errors as `run`."""
         raise NotImplementedError
 
 
@@ -40,7 +40,7 @@ class Cancelling(BaseOperator):
     none = ""
     """Message if there is nothing to cancel."""
 
-    def act(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> str:
         """Cancel the job."""
         job = self.job_of(context.scene)
         if job is None or job.ended:

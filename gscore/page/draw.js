@@ -2,7 +2,7 @@
 
 const ROW = 2048; // texels in a row of the texture, as in the shader
 
-class Painter {
+class Renderer {
   constructor(canvas, scene, splats) {
     this.canvas = canvas;
     this.scene = scene;

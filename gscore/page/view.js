@@ -22,7 +22,7 @@ class Viewer {
     this.scene = scene;
     this.canvas = canvas;
     this.splats = splats;
-    this.painter = new Painter(canvas, scene, splats);
+    this.renderer = new Renderer(canvas, scene, splats);
     this.eye = new Eye(scene.up);
     this.first = scene.cameras[scene.first.number] || scene.first;
     this.camera = this.first;
@@ -47,7 +47,7 @@ class Viewer {
     this.sorter.onmessage = ({ data }) => {
       this.sorting = false;
       this.sortMs = data.ms;
-      this.painter.setOrder(data.order);
+      this.renderer.setOrder(data.order);
       this.sorted = data.number;
       this.wake();
     };
@@ -76,7 +76,7 @@ class Viewer {
     const moves = now - this.moved < REST;
     this.pace(now, moves);
     this.resize(moves ? this.scale : 1);
-    if (this.sorted >= 0) this.painter.draw(this.eye, fitted(this.camera, this.canvas));
+    if (this.sorted >= 0) this.renderer.draw(this.eye, fitted(this.camera, this.canvas));
     if (moves) this.wake();
     else if (this.sorted === this.version) this.waiting.splice(0).forEach((done) => done());
   }
@@ -237,7 +237,7 @@ function connect(viewer, scene) {
     say(SENTENCES.lost);
   });
   canvas.addEventListener("webglcontextrestored", () => {
-    viewer.painter.setUp();
+    viewer.renderer.setUp();
     viewer.version++;
     viewer.wake();
     say("");

@@ -99,7 +99,7 @@ def test_start_over_names_what_it_replaces(two: SimpleNamespace) -> None:
     asked: list[str] = []
     layout = SimpleNamespace(column=lambda **k: layout, label=lambda text, icon: asked.append(text))
     operator = SimpleNamespace(overwrite=True, layout=layout)
-    operator.lines = operators.Train.question(operator, bpy.context)
+    operator.lines = operators.Train.confirm_lines(operator, bpy.context)
     operators.Train.draw(operator, bpy.context)
     text = " ".join(asked).replace("- ", "-")  # a path is broken at its hyphens too
     assert f"{folder} (3,000 steps, written 2023-11-14" in text
@@ -108,7 +108,7 @@ def test_start_over_names_what_it_replaces(two: SimpleNamespace) -> None:
     (sentence,) = start_training.replaced(two.scene)[1:]
     assert settings.result.name in sentence and "edited and is kept" in sentence
     operator.overwrite = False
-    assert operators.Train.question(operator, bpy.context) == []
+    assert operators.Train.confirm_lines(operator, bpy.context) == []
 
 
 def test_the_run_of_another_capture_is_never_replaced(two: SimpleNamespace) -> None:

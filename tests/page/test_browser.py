@@ -305,7 +305,7 @@ def test_lost_context_is_reported_and_restored(browser, tmp_path):
     path, _ = written(tmp_path, cloud(1500, 2))
     before = shown(browser, path, 0)
     reported = "document.getElementById('message').textContent"
-    browser.value("window.loss = viewer.painter.gl.getExtension('WEBGL_lose_context')")
+    browser.value("window.loss = viewer.renderer.gl.getExtension('WEBGL_lose_context')")
     browser.value("loss.loseContext(); new Promise((done) => setTimeout(done, 300))")
     assert "connection to the graphics card was lost" in browser.value(reported)
     browser.value("loss.restoreContext(); new Promise((done) => setTimeout(done, 500))")

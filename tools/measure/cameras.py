@@ -43,7 +43,7 @@ def begun(operator: str, **settings: Any) -> Any:
     """A started operator, as from a button."""
     from addon.process.incremental_tasks import TaskRunner
 
-    return TaskRunner(windowless(operator, **settings).pieces(bpy.context))
+    return TaskRunner(windowless(operator, **settings).steps(bpy.context))
 
 
 def removal() -> Any:

@@ -108,12 +108,12 @@ def timed(name: str, operator: str, **settings: Any) -> None:
     """Print the times of an operator call from Object Mode, and return there."""
     bpy.context.view_layer.update()
     bpy.ops.ed.undo_push(message=name)
-    measured(name, windowless(operator, **settings).pieces(bpy.context))
+    measured(name, windowless(operator, **settings).steps(bpy.context))
     if bpy.context.mode != "OBJECT":
         bpy.ops.object.mode_set(mode="OBJECT")
 
 
-def measured(name: str, pieces: Any) -> None:
+def measured(name: str, task: Any) -> None:
     """Run a task and print its times."""
     from addon.process.incremental_tasks import TaskRunner
     from addon.splats import edit_operators, operators, select_operators
@@ -124,7 +124,7 @@ def measured(name: str, pieces: Any) -> None:
     own, theirs, late = 0.0, 0.0, 0.0
     began = time.perf_counter()
     try:
-        going = TaskRunner(pieces)
+        going = TaskRunner(task)
         for step, waited in steps(going):
             own, theirs = max(own, step - blenders.spent), max(theirs, blenders.spent)
             late, blenders.spent = max(late, waited), 0.0
@@ -144,9 +144,9 @@ def nothing() -> Iterator[str]:
         yield ""
 
 
-def stroke(pieces: Any) -> Iterator[str]:
+def stroke(task: Any) -> Iterator[str]:
     """A whole stroke of a brush, a move per step."""
-    made = yield from pieces
+    made = yield from task
     for x in range(500, 1100, 20):
         made.to(np.array([x, 450.0]))
         made.show()

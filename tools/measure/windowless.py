@@ -13,7 +13,7 @@ INTERVAL = 0.01
 
 def windowless(name: str, **settings: Any) -> Any:
     """An instance of an operator's Python class with its settings, outside of Blender's operator
-    system: `pieces` works as from a button, and `said` collects its reports.
+    system: `steps` works as from a button, and `said` collects its reports.
 
     Args:
         name: Name in `bpy.ops.gscore`.

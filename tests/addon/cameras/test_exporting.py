@@ -37,7 +37,7 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 def going(folder: Path, **settings: Any) -> TaskRunner:
     """The operator in a window, before its first step."""
     work = windowless("export_cameras", directory=str(folder), **settings)
-    return TaskRunner(work.pieces(bpy.context))
+    return TaskRunner(work.steps(bpy.context))
 
 
 def files(folder: Path) -> dict[str, bytes]:

@@ -69,7 +69,7 @@ def state() -> dict[str, Any]:
 
 def going(**settings: Any) -> TaskRunner:
     """The operator in a window, before its first step."""
-    return TaskRunner(windowless("import_cameras", **settings).pieces(bpy.context))
+    return TaskRunner(windowless("import_cameras", **settings).steps(bpy.context))
 
 
 def until(work: TaskRunner, ends: Callable[[], bool]) -> bool:

@@ -33,7 +33,7 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 def going(name: str, file: Path, **settings: Any) -> TaskRunner:
     """The operator in a window, nothing done."""
     given = {"filepath": str(file), "world": "BLENDER", **settings}
-    return TaskRunner(windowless(name, **given).pieces(bpy.context))
+    return TaskRunner(windowless(name, **given).steps(bpy.context))
 
 
 def exporting(file: Path, **settings: Any) -> TaskRunner:
@@ -92,17 +92,15 @@ def test_export_given_up(scene, camera, tmp_path: Path, late: bool) -> None:  # 
         assert gc.get_threshold() == before
     else:
         file = str(tmp_path / "a")
-        pieces = windowless("export_camera_path", filepath=file, world="BLENDER").pieces(
-            bpy.context
-        )
-        asked = next(one for one in pieces if isinstance(one, ThreadCall))
+        steps = windowless("export_camera_path", filepath=file, world="BLENDER").steps(bpy.context)
+        asked = next(one for one in steps if isinstance(one, ThreadCall))
 
         def given_up() -> None:
             raise Cancelled
 
         with pytest.raises(Cancelled):
             asked.function(given_up)
-        pieces.close()
+        steps.close()
     assert not list(tmp_path.iterdir()) and scene.frame_current == 4
 
 

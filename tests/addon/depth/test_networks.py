@@ -67,7 +67,7 @@ def test_one_that_is_not_here_is_fetched_on_a_click_alone(play: Play, online) ->
     shown = drawn(DepthPanel)
     assert "To download: 99 MB, licence Apache-2.0" in shown
     assert "(Download and Predict)" in shown and "(Predict Again)" not in shown
-    asked = " ".join(networks.question(SMALL))
+    asked = " ".join(networks.confirm_lines(SMALL))
     assert all(word in asked for word in ("99 MB", "Apache-2.0", SMALL.page, "SHA-256"))
     with pytest.raises(RuntimeError, match="press Download and Predict"):
         bpy.ops.gscore.predict_depth(wait=True)

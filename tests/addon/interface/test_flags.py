@@ -60,10 +60,10 @@ def test_errors_of_operators(scene: bpy.types.Scene, error: Exception, shown: st
     """Oracle: the field's name in errors of gscore; the add-on's own messages stay."""
 
     class Refusing(ConfirmMixin, BaseOperator):
-        def act(self, context: bpy.types.Context) -> str:
+        def run(self, context: bpy.types.Context) -> str:
             raise error
 
-        question = act
+        confirm_lines = run
 
         def report(self, kinds: set[str], text: str) -> None:
             said.append((kinds, text))

@@ -20,13 +20,13 @@ class Danger(ConfirmMixin, BaseOperator):
         self.asked, self.problem, self.done = list(lines), problem, 0
         self.reports: list[tuple[set[str], str]] = []
 
-    def question(self, context: object) -> list[str]:
+    def confirm_lines(self, context: object) -> list[str]:
         """The given text."""
         if self.problem:
             raise ValueError(self.problem)
         return self.asked
 
-    def act(self, context: object) -> str:
+    def run(self, context: object) -> str:
         """Count."""
         self.done += 1
         return "done"

@@ -66,9 +66,9 @@ def _marks(known: viewport_copies.Copies) -> np.ndarray:
 def _read(reader: edit_mode_state.Reader) -> int:
     """Number of chunks read until views must be redrawn."""
     assert not reader.step(edit_mode_state.REST / 2)  # not while it does not rest
-    for pieces in range(1, 20):
+    for count in range(1, 20):
         if reader.step(1.0):
-            return pieces
+            return count
     raise AssertionError("nothing came")
 
 

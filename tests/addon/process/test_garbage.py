@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from addon.process import garbage
-from addon.process.incremental_tasks import Pieces, TaskRunner
+from addon.process.incremental_tasks import Steps, TaskRunner
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_two_works_that_end_in_any_order() -> None:
     """Oracle: the collector's own threshold, restored after the end of both."""
     before = gc.get_threshold()
 
-    def work() -> Pieces[None]:
+    def work() -> Steps[None]:
         with garbage.defer_collections():
             yield "begun"
             yield "goes on"

@@ -9,7 +9,7 @@ import pytest
 from addon.process.background_task import Cancelled
 from addon.process.incremental_tasks import (
     Check,
-    Pieces,
+    Steps,
     TaskRunner,
     run_blocking,
     run_in_thread,
@@ -18,7 +18,7 @@ from addon.process.incremental_tasks import (
 MAIN = threading.main_thread()
 
 
-def work(log: list[Any], raises: Exception | None = None) -> Pieces[str]:
+def work(log: list[Any], raises: Exception | None = None) -> Steps[str]:
     """Two steps, with a thread between them."""
 
     def beside(check: Check) -> int:
@@ -60,7 +60,7 @@ def test_steps_run_here_and_threads_in_parallel():
     assert run_blocking(work(log)) == "made 7" and log == [True, "over"]
 
 
-@pytest.mark.parametrize("do", [run_blocking, lambda pieces: ended(TaskRunner(pieces))])
+@pytest.mark.parametrize("do", [run_blocking, lambda steps: ended(TaskRunner(steps))])
 def test_an_error_in_a_thread_is_one_of_the_task(do: Callable[[Any], Any]):
     """The error keeps its type, and the task cleans up."""
     log: list[Any] = []
@@ -83,7 +83,7 @@ def test_given_up():
             ends.set()
             raise
 
-    def endless() -> Pieces[None]:
+    def endless() -> Steps[None]:
         try:
             yield from run_in_thread(beside, "beside")
             log.append("went on")

@@ -6,7 +6,7 @@ import pytest
 
 from addon.interface import incremental_operator
 from addon.process import pace, poll_timer
-from addon.process.incremental_tasks import Pieces, TaskRunner
+from addon.process.incremental_tasks import Steps, TaskRunner
 
 PIECE = 0.008
 
@@ -33,8 +33,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 class Work:
     """Steps that are run by polls."""
 
-    def __init__(self, clock: Clock, pieces: int, seconds: float = PIECE) -> None:
-        self.clock, self.left, self.seconds = clock, pieces, seconds
+    def __init__(self, clock: Clock, steps: int, seconds: float = PIECE) -> None:
+        self.clock, self.left, self.seconds = clock, steps, seconds
         self.stuck = False
         """Whether none can be done now."""
 
@@ -129,13 +129,13 @@ def test_a_pause_is_no_slow_redraw(clock: Clock, follow: Callable[[Work], None])
 def test_an_operator_does_more_where_redraws_are_slow(clock: Clock) -> None:
     """Oracle: as the poll timer: of 0.49 s a tenth of a second, which is 13 steps."""
 
-    def pieces() -> Pieces[str]:
+    def steps() -> Steps[str]:
         for number in range(30):
             clock.now += PIECE
             yield str(number)
         return "done"
 
-    own = incremental_operator._ModalRun(TaskRunner(pieces()), None)
+    own = incremental_operator._ModalRun(TaskRunner(steps()), None)
     said = []
     try:
         while not own.step():

@@ -264,8 +264,8 @@ def test_a_comparison_takes_the_same_masks(studio: bpy.types.Scene, folder: str)
     given[:20] = 255
     file = Path(studio.gscore.capture_path) / folder / f"{own.image}.png"
     write_png(file, np.kron(given, np.ones((2, 2), np.uint8)))
-    pieces = load_target(
+    steps = load_target(
         studio.camera, own.width, own.height, background=(0, 0, 0), mask_mode="ignore"
     )
-    weight = run_blocking(pieces).weight
+    weight = run_blocking(steps).weight
     assert weight is not None and np.array_equal(np.rint(weight * 255), given)

@@ -16,7 +16,7 @@ from addon.cameras.objects import stated
 from addon.cameras.undistorted_photos import lens_of
 from addon.core import Folder, downscale, plan_undistortion, psnr, read_colmap, render, write_colmap
 from addon.panels.render import RenderPanel
-from addon.process.incremental_tasks import Pieces, TaskRunner, run_blocking
+from addon.process.incremental_tasks import Steps, TaskRunner, run_blocking
 from addon.render import camera_photo as photo_module
 from addon.render import compare
 from addon.splats import objects
@@ -158,7 +158,7 @@ def test_masks_of_the_capture_count(studio, scene):
         np.testing.assert_allclose(corner, lab.srgb(0.1), atol=1 / 255)
 
 
-def target_pieces(camera) -> Pieces[photo_module.Target]:
+def target_pieces(camera) -> Steps[photo_module.Target]:
     """The target of the camera's picture."""
     own, options = stated(camera), {"background": (0, 0, 0), "mask_mode": "auto"}
     return photo_module.load_target(camera, own.width, own.height, **options)

@@ -7,8 +7,8 @@ import pytest
 from addon.core import Splats
 from addon.render import picture
 from addon.render.engine import final_cache
-from addon.render.pass_renderer import Film
-from addon.render.shutter_lens import Stage, View
+from addon.render.pass_renderer import PassRenderer
+from addon.render.shutter_lens import ShutterLens, View
 from tests.addon import splat_scenes as lab
 
 
@@ -93,8 +93,8 @@ def test_the_viewport_cuts_the_same_hole(scene, tmp_path):
     lab.add(scene, veil(2.0, 0.8), "front").is_holdout = True
     wanted = lab.render_exr(tmp_path)
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    stage = Stage(depsgraph, camera, (90, 70), final_cache, lambda *_: None)
-    view = View(model=lab.model_of(depsgraph), camera=stage.view().camera)
-    film = Film(options=picture.Options(), transparent=True, to_scene=np.eye(3))
-    got = film.render(view, lambda: False)["Combined"][::-1]
+    shutter_lens = ShutterLens(depsgraph, camera, (90, 70), final_cache, lambda *_: None)
+    view = View(model=lab.model_of(depsgraph), camera=shutter_lens.view().camera)
+    pass_renderer = PassRenderer(options=picture.Options(), transparent=True, to_scene=np.eye(3))
+    got = pass_renderer.render(view, lambda: False)["Combined"][::-1]
     np.testing.assert_allclose(got, wanted, atol=1e-5)

@@ -8,8 +8,8 @@ import pytest
 from addon.core import Splats
 from addon.render import holdout_meshes, picture
 from addon.render.engine import final_cache
-from addon.render.pass_renderer import Film
-from addon.render.shutter_lens import Stage, View
+from addon.render.pass_renderer import PassRenderer
+from addon.render.shutter_lens import ShutterLens, View
 from tests.addon import splat_scenes as lab
 
 SIZE = 90, 70
@@ -95,14 +95,14 @@ def test_the_viewport_shows_the_same(scene, tmp_path):
     wanted = lab.render_exr(tmp_path)
     shared = holdout_meshes.HoldoutMeshes()
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    stage = Stage(depsgraph, camera, SIZE, final_cache, lambda *_: None)
+    shutter_lens = ShutterLens(depsgraph, camera, SIZE, final_cache, lambda *_: None)
     view = View(
         model=lab.model_of(depsgraph),
-        camera=stage.view().camera,
+        camera=shutter_lens.view().camera,
         holdouts=shared.of(depsgraph),
     )
-    film = Film(options=picture.Options(), transparent=True, to_scene=np.eye(3))
-    got = film.render(view, lambda: False)["Combined"][::-1]
+    pass_renderer = PassRenderer(options=picture.Options(), transparent=True, to_scene=np.eye(3))
+    got = pass_renderer.render(view, lambda: False)["Combined"][::-1]
     np.testing.assert_allclose(got, wanted, atol=3e-5)
     assert holdout_meshes.same_meshes(
         view.holdouts, shared.of(depsgraph)
@@ -234,7 +234,9 @@ def test_a_slanted_plane_has_its_depth_everywhere(scene):
     bpy.context.view_layer.update()
     depsgraph = bpy.context.evaluated_depsgraph_get()
     lab.add(scene, lab.blob())
-    view = Stage(bpy.context.evaluated_depsgraph_get(), camera, SIZE, final_cache, print).view()
+    view = ShutterLens(
+        bpy.context.evaluated_depsgraph_get(), camera, SIZE, final_cache, print
+    ).view()
     assert len(holdout_meshes.HoldoutMeshes().of(depsgraph)) == 1
     found = holdout_meshes.hidden(view.holdouts, view.camera)
     assert (found.share == 1).all()

@@ -107,7 +107,7 @@ def test_a_region_beside_the_view_is_a_pixel(scene: bpy.types.Scene) -> None:
 
 def shot(request: Request, factor: int = 1) -> np.ndarray:
     """[H, W, 4], the top row first."""
-    camera = smaller(request.camera, factor)  # as a painter requests it
+    camera = smaller(request.camera, factor)  # as a renderer requests it
     model = SplatCache().model(request.placed)
     return request.render(model, camera, lambda: False, CancelFlag())[::-1]
 

@@ -65,12 +65,12 @@ def request_for(scene, splats, size=(96, 64), **options):
     ), ob
 
 
-def wait(painter, seconds=60.0):
-    """Wait until the painter has finished its request."""
+def wait(renderer, seconds=60.0):
+    """Wait until the renderer has finished its request."""
     until = time.monotonic() + seconds
-    while painter.busy and time.monotonic() < until:
+    while renderer.busy and time.monotonic() < until:
         time.sleep(0.01)
-    assert not painter.busy
+    assert not renderer.busy
 
 
 def test_painter_ends_with_the_full_picture(scene):
@@ -78,18 +78,18 @@ def test_painter_ends_with_the_full_picture(scene):
     lab.prepare(scene, (96, 64))
     splats = lab.blob()
     request, _ = request_for(scene, splats)
-    painter = viewport.ViewPainter(SplatCache())
-    painter._factor = 4
-    painter.submit(request)
-    wait(painter)
+    renderer = viewport.ViewRenderer(SplatCache())
+    renderer._factor = 4
+    renderer.submit(request)
+    wait(renderer)
     camera = request.camera
     want = render(splats, camera.K, camera.viewmat, 96, 64, near=camera.near)
-    np.testing.assert_allclose(lab.srgb(painter.pixels[::-1, :, :3]), want.rgb, atol=1e-4)
-    assert painter.fresh and not painter.problem
-    painter.fresh = False
-    painter.submit(request)  # an equal request: nothing to do
-    assert not painter.busy
-    painter.close()
+    np.testing.assert_allclose(lab.srgb(renderer.pixels[::-1, :, :3]), want.rgb, atol=1e-4)
+    assert renderer.fresh and not renderer.problem
+    renderer.fresh = False
+    renderer.submit(request)  # an equal request: nothing to do
+    assert not renderer.busy
+    renderer.close()
 
 
 def test_pictures_appear_while_the_view_turns(scene):
@@ -97,16 +97,16 @@ def test_pictures_appear_while_the_view_turns(scene):
     orbit."""
     lab.prepare(scene, (96, 64))
     request, _ = request_for(scene, lab.veil(2000), size=(1200, 900))
-    painter, shown = viewport.ViewPainter(SplatCache()), set()
+    renderer, shown = viewport.ViewRenderer(SplatCache()), set()
     until = time.monotonic() + 60
     while time.monotonic() < until and len(shown) < 4:
         turned = request.camera.viewmat.copy()
         turned[0, 3] += 1e-3 * (time.monotonic() % 1)
-        painter.submit(replace(request, camera=replace(request.camera, viewmat=turned)))
-        shown.add(id(painter.pixels) if painter.fresh else None)
-        painter.fresh = False
+        renderer.submit(replace(request, camera=replace(request.camera, viewmat=turned)))
+        shown.add(id(renderer.pixels) if renderer.fresh else None)
+        renderer.fresh = False
         time.sleep(0.02)
-    painter.close()
+    renderer.close()
     assert len(shown - {None}) >= 3
 
 
@@ -126,13 +126,13 @@ def test_a_new_request_stops_the_old_one(scene):
     lab.prepare(scene, (96, 64))
     quick, _ = request_for(scene, lab.veil())
     slow = Large(**vars(quick) | {"camera": replace(quick.camera, width=3000, height=3000)})
-    painter = viewport.ViewPainter(SplatCache())
-    painter.submit(slow)
+    renderer = viewport.ViewRenderer(SplatCache())
+    renderer.submit(slow)
     assert begun.wait(60)
-    painter.submit(quick)
-    wait(painter)
-    assert len(ends) == 1 and painter.pixels.shape == (64, 96, 4)
-    painter.close()
+    renderer.submit(quick)
+    wait(renderer)
+    assert len(ends) == 1 and renderer.pixels.shape == (64, 96, 4)
+    renderer.close()
 
 
 def test_problems_are_sentences(scene):
@@ -140,12 +140,12 @@ def test_problems_are_sentences(scene):
     lab.prepare(scene, (96, 64))
     request, ob = request_for(scene, lab.blob())
     placed = [type(p)(**{**vars(p), "matrix": np.diag([1.0, 2, 1, 1])}) for p in request.placed]
-    painter = viewport.ViewPainter(SplatCache())
-    painter.submit(type(request)(**{**vars(request), "placed": placed}))
-    wait(painter)
-    assert ob.name in painter.problem and "unevenly" in painter.problem
-    assert painter.pixels is None
-    painter.close()
+    renderer = viewport.ViewRenderer(SplatCache())
+    renderer.submit(type(request)(**{**vars(request), "placed": placed}))
+    wait(renderer)
+    assert ob.name in renderer.problem and "unevenly" in renderer.problem
+    assert renderer.pixels is None
+    renderer.close()
 
 
 def test_copying_is_spread_over_redraws(scene, monkeypatch):

@@ -209,10 +209,10 @@ def test_the_button_grades_what_is_selected(ob: bpy.types.Object, mode: str, sha
         bpy.ops.object.mode_set(mode=mode)
         return (sh0 != before).any(axis=(1, 2))
 
-    run_blocking(windowless("grade_splats", saturation=0.5).pieces(bpy.context))
+    run_blocking(windowless("grade_splats", saturation=0.5).steps(bpy.context))
     np.testing.assert_array_equal(changed(), some if share else True)
     run_blocking(
-        windowless("grade_splats", gain=(0.5,) * 3, only_selected=False).pieces(bpy.context)
+        windowless("grade_splats", gain=(0.5,) * 3, only_selected=False).steps(bpy.context)
     )
     assert changed().all()
     bpy.ops.gscore.grade_splats(gain=(0.5,) * 3)

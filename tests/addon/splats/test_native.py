@@ -190,7 +190,7 @@ def test_the_display_is_built_in_parts(
     for block in [*bpy.data.node_groups, *bpy.data.materials]:
         bpy.data.batch_remove([block])
     monkeypatch.setattr(settings, "BUDGET", 0.0)
-    going = TaskRunner(windowless("take_native_splats").pieces(bpy.context))
+    going = TaskRunner(windowless("take_native_splats").steps(bpy.context))
     counts = [0]
     while not going.step():
         counts.append(len(bpy.data.node_groups) + len(bpy.data.materials))

@@ -99,7 +99,7 @@ def state() -> dict[str, Any]:
 
 def begun(name: str, settings: dict[str, Any]) -> TaskRunner:
     """The operator after its first step."""
-    going = TaskRunner(windowless(name, **settings).pieces(bpy.context))
+    going = TaskRunner(windowless(name, **settings).steps(bpy.context))
     assert not going.step()
     return going
 
