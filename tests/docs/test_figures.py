@@ -132,7 +132,7 @@ def _seeds(capture: str) -> tuple[Source, Source, Source]:
 
 def _freed(capture: str) -> Source:
     """What free space brings to drafts, dB."""
-    page, heading = EXPERIMENTS.format("free-space"), "Free space before cameras (2026-11-22)"
+    page, heading = EXPERIMENTS.format("free-space"), "Free space in front of cameras (2026-11-22)"
     without = cell(page, heading, capture, "`--free-space 0`: PSNR (by seed)")
     return less(cell(page, heading, capture, "0.4: PSNR"), without)
 
