@@ -166,7 +166,7 @@ _GROWING = "`-n 2000 --densify-until 2000`: grows at 1,000 and 1,500"
 _GROWING_MORE = (
     "`-n 1000 --densify-from 99 --refine-every 100 --densify-until 1000`: grows nine times"
 )
-_OPENSPLAT = "Beside OpenSplat, step by step (2026-11-21)"
+_OPENSPLAT = "Step time compared with OpenSplat (2026-11-21)"
 _STEPS = ("steps 6 to 30", "steps 61 to 106", "steps 61 to 106, the same")
 _PLUSH = "plush, 800 x 600"
 _TIMES = tuple(cell(EXPERIMENTS.format("opensplat"), _OPENSPLAT, s, "times") for s in _STEPS)
