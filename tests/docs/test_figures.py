@@ -139,8 +139,8 @@ def _freed(capture: str) -> Source:
 
 def _coupled(capture: str) -> Source:
     """What growth with the photos brings to drafts, dB."""
-    page, heading = EXPERIMENTS.format("small-photos"), "Against growth at once"
-    without = cell(page, heading, capture, "at once: PSNR (by seed)")
+    page, heading = EXPERIMENTS.format("small-photos"), "Comparison with immediate growth"
+    without = cell(page, heading, capture, "immediate: PSNR (by seed)")
     return less(cell(page, heading, capture, "with the photos: PSNR"), without)
 
 
