@@ -107,7 +107,7 @@ class Quote:
 def _climbed(capture: str) -> Source:
     """What `normal` has more than `draft`."""
     page, column = EXPERIMENTS.format("ladder"), "`normal`: colour-corrected, dB"
-    heading = "What the presets reach" if capture == "all" else "With splats left out"
+    heading = "Quality of the presets" if capture == "all" else "With dropout"
     return cell(page, heading, capture, column)
 
 
