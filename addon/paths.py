@@ -87,15 +87,15 @@ def output_folder(scene: bpy.types.Scene, default: str = "") -> Path:
         return absolute(scene.gscore.output_path, "Output")
     capture = find_capture(absolute(scene.gscore.capture_path, "Capture"))
     if default.strip():
-        wanted = absolute(default, "Default Output Folder") / capture.name
+        proposed = absolute(default, "Default Output Folder") / capture.name
     elif bpy.data.filepath:
-        wanted = Path(bpy.data.filepath).parent / "splats" / capture.name
+        proposed = Path(bpy.data.filepath).parent / "splats" / capture.name
     else:
-        wanted = capture.with_name(f"{capture.name}_splats")
-    return _untaken(wanted, capture)
+        proposed = capture.with_name(f"{capture.name}_splats")
+    return _untaken(proposed, capture)
 
 
-def _untaken(wanted: Path, capture: Path) -> Path:
+def _untaken(proposed: Path, capture: Path) -> Path:
     """The folder, or a numbered one if another capture of this file uses it.
 
     Captures in different folders may have the same name.
@@ -108,5 +108,5 @@ def _untaken(wanted: Path, capture: Path) -> Path:
                 output = absolute(holder.output_path, "Output")
                 if not means_capture(own, capture):
                     taken.add(output)
-    numbered = (wanted.with_name(f"{wanted.name}-{n}") for n in itertools.count(2))
-    return next(path for path in itertools.chain([wanted], numbered) if path not in taken)
+    numbered = (proposed.with_name(f"{proposed.name}-{n}") for n in itertools.count(2))
+    return next(path for path in itertools.chain([proposed], numbered) if path not in taken)

@@ -69,16 +69,18 @@ class Control:
     def wait_while_paused(
         self,
         *,
-        held: Callable[[], bool] = lambda: False,
+        is_paused: Callable[[], bool] = lambda: False,
         meanwhile: Callable[[], None] = lambda: None,
     ) -> None:
         """Return when training may continue or must end, or after any other request.
 
         Args:
-            held: Returns True while another party, such as a viewer, pauses the training.
+            is_paused: Returns True while another party, such as a viewer, pauses the training.
             meanwhile: Called repeatedly.
         """
-        while (self.paused or held()) and not (self.stopping or self._snapshots or self._unknown):
+        while (self.paused or is_paused()) and not (
+            self.stopping or self._snapshots or self._unknown
+        ):
             meanwhile()
             time.sleep(0.02)
 

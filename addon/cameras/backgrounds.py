@@ -10,7 +10,7 @@ import bpy
 from .. import stored_paths
 from ..interface import editable_check
 from ..paths import relative
-from .objects import PhotoCamera, stated
+from .objects import PhotoCamera, photo_camera_of
 from .undistorted_photos import copy_of
 
 _MADE = "gs_background"
@@ -171,7 +171,7 @@ def undistorted_background(ob: bpy.types.Object) -> UndistortedBackground | None
     if slot is None:
         return None
     return UndistortedBackground(
-        own=stated(ob), file=file_of(slot.image), can_change=editable_check.keeps(ob.data)
+        own=photo_camera_of(ob), file=file_of(slot.image), can_change=editable_check.keeps(ob.data)
     )
 
 

@@ -75,7 +75,7 @@ def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignmen
     cameras = cameras_of(root)
     if not cameras:
         raise ValueError(f"{root.name} has no cameras to align by. Import the capture again.")
-    viewmats = np.stack([co.stated(ob).viewmat for ob in cameras])
+    viewmats = np.stack([co.photo_camera_of(ob).viewmat for ob in cameras])
     made = co.points_of(root)
     cloud = np.zeros((0, 3)) if made is None else sfm_points.positions_of(made).astype(np.float64)
     result = alignment.align(viewmats, cloud, up)
@@ -91,7 +91,7 @@ def align_root(root: bpy.types.Object, up: np.ndarray | None = None) -> alignmen
 def world_extent(root: bpy.types.Object) -> float:
     """Largest distance between two of a capture's cameras, in Blender's units."""
     cameras = cameras_of(root)
-    viewmats = np.array([co.stated(ob).viewmat for ob in cameras]).reshape(-1, 4, 4)
+    viewmats = np.array([co.photo_camera_of(ob).viewmat for ob in cameras]).reshape(-1, 4, 4)
     return alignment.camera_extent(centers_of(viewmats)) * root_scale(root)
 
 

@@ -26,7 +26,7 @@ def use_camera(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
     """
     if not is_camera(ob):
         raise ValueError(f"{ob.name} is not a camera of a photo. Import a capture's cameras first.")
-    before, own = scene.camera, co.stated(ob)
+    before, own = scene.camera, co.photo_camera_of(ob)
     notes = scene_camera.use_photo(scene, ob)
     if not bpy.app.background:
         undistort_jobs.queue_copies([ob])
@@ -87,7 +87,7 @@ def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> 
     known = KnownImages()
     for ob in cameras:
         if found[ob.name] is not None:
-            set_photo(ob, photo_on_disk(co.stated(ob), found[ob.name]), known)
+            set_photo(ob, photo_on_disk(co.photo_camera_of(ob), found[ob.name]), known)
     if not bpy.app.background:
         undistort_jobs.queue_copies(cameras)
     return sum(1 for file in found.values() if file), len(cameras)

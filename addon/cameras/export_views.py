@@ -175,7 +175,7 @@ def _photo_view(
     *,
     photos: bool,
 ) -> ExportView:
-    own = co.stated(ob)
+    own = co.photo_camera_of(ob)
     camera = lens_of(own)
     moved = root is None or co.root_of(ob) != root or co.is_moved(ob, own)
     changed = co.is_lens_changed(_data(ob, depsgraph), own)

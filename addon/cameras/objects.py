@@ -191,7 +191,7 @@ def _as_list(value: Any) -> Any:
 def is_as_stated(ob: bpy.types.Object, setup: Setup) -> bool:
     """True if a camera already has the values of `state`."""
     try:
-        own = stated(ob)
+        own = photo_camera_of(ob)
     except ValueError:
         return False
     now, then = vars(own), vars(setup.own)
@@ -199,7 +199,7 @@ def is_as_stated(ob: bpy.types.Object, setup: Setup) -> bool:
     return same and not is_moved(ob, own) and not is_lens_changed(ob.data, own)
 
 
-def stated(ob: bpy.types.Object) -> PhotoCamera:
+def photo_camera_of(ob: bpy.types.Object) -> PhotoCamera:
     """The photo camera of an object, the argument of `make`.
 
     Raises:

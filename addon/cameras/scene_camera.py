@@ -57,7 +57,7 @@ def use_photo(scene: bpy.types.Scene, ob: bpy.types.Object) -> list[str]:
     Raises:
         ValueError: a custom property of the camera is missing or invalid; nothing is changed.
     """
-    own, render = co.stated(ob), scene.render
+    own, render = co.photo_camera_of(ob), scene.render
     _, frame = cm.lens_from_intrinsics(own.K, own.width, own.height)
     scene.camera = ob
     render.resolution_x, render.resolution_y = own.width, own.height

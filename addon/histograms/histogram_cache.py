@@ -46,7 +46,7 @@ class _Entry:
     """Session uid of the counted mesh."""
     count: _Count = _NOTHING
     stale: bool = True
-    wanted: bool = False
+    requested: bool = False
     """True if requested since it became stale."""
     changed: float = float("-inf")
     """Monotonic seconds."""
@@ -77,11 +77,11 @@ class HistogramCache:
             _give_up(entry)
             entry.count, entry.stale = _NOTHING, True
         elif entry.stale or entry.mesh != mesh.session_uid:
-            entry.mesh, entry.stale, entry.wanted = mesh.session_uid, True, True
+            entry.mesh, entry.stale, entry.requested = mesh.session_uid, True, True
             if entry.count is _NOTHING and len(mesh.vertices) <= MOST:
                 _give_up(entry)
                 entry.count = run_blocking(_counting(entry.mesh, _NOTHING))
-                entry.stale = entry.wanted = False
+                entry.stale = entry.requested = False
             else:
                 poll_timer.ensure()
         return entry.count.found
@@ -107,20 +107,20 @@ class HistogramCache:
 
     def waits(self) -> bool:
         """True if a count runs, or is due when its mesh stops changing."""
-        return any(entry.wanted or entry.task for entry in self._entries.values())
+        return any(entry.requested or entry.task for entry in self._entries.values())
 
 
 def _give_up(entry: _Entry) -> None:
     if entry.task is not None:
         entry.task.cancel()
-    entry.task, entry.wanted = None, False
+    entry.task, entry.requested = None, False
 
 
 def _step(entry: _Entry) -> bool:
     """Start or continue a count; true if there are new results."""
     if entry.task is None:
-        if entry.wanted and time.monotonic() - entry.changed >= QUIET:
-            entry.stale = entry.wanted = False
+        if entry.requested and time.monotonic() - entry.changed >= QUIET:
+            entry.stale = entry.requested = False
             entry.task = TaskRunner(_counting(entry.mesh, entry.count))
         return False
     task, entry.task = entry.task, None

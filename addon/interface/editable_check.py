@@ -43,11 +43,13 @@ def check(*blocks: bpy.types.ID) -> None:
 
 
 def taking(
-    wanted: Iterable[bpy.types.Collection | None], scene: bpy.types.Scene | None = None
+    collections: Iterable[bpy.types.Collection | None], scene: bpy.types.Scene | None = None
 ) -> list[bpy.types.Collection]:
     """Those of some collections that accept objects, else the collection of the scene or the
     context's scene: linked and overridden collections accept none."""
-    usable = [c for c in wanted if c is not None and c.is_editable and c.override_library is None]
+    usable = [
+        c for c in collections if c is not None and c.is_editable and c.override_library is None
+    ]
     return usable or [(scene or bpy.context.scene).collection]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from .. import stored_paths
-from ..cameras.objects import cameras_of, root_of, stated
+from ..cameras.objects import cameras_of, photo_camera_of, root_of
 from ..cameras.pictures import levels_of, pixels_of, read_picture
 from ..capture.folders import same_folder
 from ..core import (
@@ -61,7 +61,7 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
     Raises:
         ValueError: the photo or its mask cannot be read, or a mask of it would not be used.
     """
-    own, root = stated(camera), root_of(camera)
+    own, root = photo_camera_of(camera), root_of(camera)
     if root is None:
         raise ValueError(f"{camera.name} is not a camera of a capture; import its cameras first.")
     source = stored_paths.read(root, stored_paths.SOURCE)
@@ -210,7 +210,7 @@ def _target(camera: bpy.types.Object, place: Path, name: str) -> Path:
         if stated_file is not None:
             raise ValueError(f"The mask {file} named by the capture is not a PNG: convert it.")
         file = place / f"{name}.png"
-    photos = {Path(stated(c).photo).resolve().parent for c in cameras_of(root_of(camera))}
+    photos = {Path(photo_camera_of(c).photo).resolve().parent for c in cameras_of(root_of(camera))}
     inside = stated_file is not None or place.resolve() in file.resolve().parents
     if file.resolve().parent in photos or not inside:
         raise ValueError(f"{file} is in a folder of photos; move the masks to another folder.")

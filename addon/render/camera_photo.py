@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from .. import stored_paths
-from ..cameras.objects import PhotoCamera, cameras_of, is_camera, root_of, stated
+from ..cameras.objects import PhotoCamera, cameras_of, is_camera, photo_camera_of, root_of
 from ..cameras.pictures import Decoded, decode, levels_of
 from ..cameras.undistorted_photos import undistortion_of
 from ..core import (
@@ -65,7 +65,7 @@ def load_target(
     Raises:
         ValueError: photo or mask cannot be decoded, or their shape differs from the camera's.
     """
-    own = stated(camera)
+    own = photo_camera_of(camera)
     source = None if mask_mode == "none" else source_of(camera)
     file, masks = None, []
     if source is not None:
@@ -73,7 +73,7 @@ def load_target(
         file, masks = yield from run_in_thread(
             partial(_find_masks, source, own.image, listed), _READING
         )
-    wanted = _Wanted(
+    request = _Request(
         own=own,
         size=(width, height),
         background=background,
@@ -88,12 +88,12 @@ def load_target(
         yield _READING
     if masks:
         cut_out = yield from _cut_out(masks, invert_masks)
-        wanted = replace(wanted, mode="composite" if cut_out else "ignore")
-    return (yield from run_in_thread(lambda check: _target(wanted, photo, mask), _READING))
+        request = replace(request, mode="composite" if cut_out else "ignore")
+    return (yield from run_in_thread(lambda check: _target(request, photo, mask), _READING))
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Wanted:
+class _Request:
     """Settings for the target made from a photo."""
 
     own: PhotoCamera
@@ -103,9 +103,9 @@ class _Wanted:
     inverted: bool
 
 
-def _target(wanted: _Wanted, photo: Decoded, mask: Decoded | None) -> Target:
+def _target(request: _Request, photo: Decoded, mask: Decoded | None) -> Target:
     """Like `load_target`, without bpy."""
-    own, (width, height), mode = wanted.own, wanted.size, wanted.mode
+    own, (width, height), mode = request.own, request.size, request.mode
     plan = undistortion_of(own)
     rgba = photo.arranged(own)
     opacity = rgba[..., 3]
@@ -116,7 +116,7 @@ def _target(wanted: _Wanted, photo: Decoded, mask: Decoded | None) -> Target:
                 f"The mask {mask.path} is {values.shape[1]} x {values.shape[0]} pixels, its photo "
                 f"{rgba.shape[1]} x {rgba.shape[0]}: make them the same."
             )
-        opacity = kept_of(values, wanted.inverted)
+        opacity = kept_of(values, request.inverted)
         if values.shape != rgba.shape:
             opacity = _scaled(opacity, rgba.shape[1], rgba.shape[0])
     elif mode == "auto":
@@ -134,7 +134,7 @@ def _target(wanted: _Wanted, photo: Decoded, mask: Decoded | None) -> Target:
     if mode == "composite" and opacity.min() < 1:
         # Averages premultiplied colours, so that hidden ones do not bleed in.
         colors = _scaled(rgba[..., :3] * opacity[..., None], width, height)
-        pixels = colors + np.array(wanted.background, np.float32) * (1 - weight[..., None])
+        pixels = colors + np.array(request.background, np.float32) * (1 - weight[..., None])
     ignores = mode == "ignore" and opacity.min() < 1
     return Target(pixels=pixels, weight=weight if ignores else None)
 
@@ -221,7 +221,7 @@ def _cut_out(masks: list[_Masked], inverted: bool) -> Steps[bool]:
                 f"The camera of {one.image} was removed while masks were read: compare again."
             )
         levels[i] = yield from run_in_thread(
-            partial(_levels, decode(one.file), stated(ob), inverted),
+            partial(_levels, decode(one.file), photo_camera_of(ob), inverted),
             f"Reading masks: {done / len(sampled):.0%}",
         )
     return are_mattes(len(masks), levels.__getitem__)

@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import stored_paths
 from ..cameras import camera_math as cm
-from ..cameras.objects import PhotoCamera, is_camera, rigid_viewmat, stated
+from ..cameras.objects import PhotoCamera, is_camera, photo_camera_of, rigid_viewmat
 from ..cameras.pictures import levels_of
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
@@ -70,7 +70,7 @@ class Comparing:
             raise ValueError(
                 f"{camera.name} is not the camera of a photo: choose one that Import Capture made."
             )
-        own = stated(camera)
+        own = photo_camera_of(camera)
         self._camera, self._name, self._photo = camera.session_uid, camera.name, own.image
         self._runs = {stored_paths.read(one.ob.original, RUN) for one in sources(depsgraph)} - {""}
         background = background_of(world_light(scene.world)[0])

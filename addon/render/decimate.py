@@ -5,7 +5,7 @@ import numpy as np
 from bpy.props import IntProperty
 
 from .. import attributes, compat
-from ..cameras.objects import cameras_of, rigid_viewmat, root_of, stated
+from ..cameras.objects import cameras_of, photo_camera_of, rigid_viewmat, root_of
 from ..core import Splats, importance_of, most_important, psnr, render
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats import objects, point_attributes, separate_join
@@ -33,7 +33,7 @@ def views_of(ob: bpy.types.Object) -> list[View]:
     chosen = [cameras[i] for i in np.linspace(0, len(cameras) - 1, _VIEWS).round().astype(int)]
     matrix, found = compat.matrix_to_numpy(ob.matrix_world), []
     for camera in dict.fromkeys(chosen):
-        own = stated(camera)
+        own = photo_camera_of(camera)
         share = _WIDTH / max(own.width, own.height)
         width, height = max(round(own.width * share), 1), max(round(own.height * share), 1)
         K = own.K.copy()

@@ -65,11 +65,11 @@ def holdouts_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return list(dict.fromkeys([*found, *shown]))
 
 
-def missing_holdouts(main: bpy.types.Scene | None, apart: bpy.types.Scene | None) -> str:
+def missing_holdouts(main: bpy.types.Scene | None, splat_scene: bpy.types.Scene | None) -> str:
     """Names of holdout objects of a main scene that its splat-only scene does not have."""
-    if main is None or apart is None:
+    if main is None or splat_scene is None:
         return ""
-    there = set(apart.original.collection.objects)
+    there = set(splat_scene.original.collection.objects)
     return ", ".join(ob.name for ob in holdouts_of(main) if ob not in there)
 
 
@@ -100,20 +100,20 @@ class HoldoutMeshes:
     def of(
         self,
         depsgraph: bpy.types.Depsgraph,
-        wanted: Callable[[bpy.types.Object, bpy.types.Object], bool] = lambda ob, shown_by: True,
+        accepts: Callable[[bpy.types.Object, bpy.types.Object], bool] = lambda ob, shown_by: True,
     ) -> tuple[HoldoutMesh, ...]:
         """All holdout meshes of a depsgraph, with their instances.
 
         Args:
             depsgraph: Its visible objects.
-            wanted: Predicate of an evaluated object and the object that shows it, possibly itself.
+            accepts: Predicate of an evaluated object and the object that shows it, possibly itself.
         """
         found, uids = [], set()
         instancers: set[instances.InstancerKey] = set()
         paths: set[instances.InstancerKey] = set()
         for shown_by, is_shown in _owners(depsgraph):
             for ob, matrix, path in instances_with_paths(shown_by, depsgraph, may_hide):
-                if not (_cuts(ob, shown_by, depsgraph) and wanted(ob, shown_by)):
+                if not (_cuts(ob, shown_by, depsgraph) and accepts(ob, shown_by)):
                     continue
                 uid = ob.original.session_uid
                 uids.add(uid)

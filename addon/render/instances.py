@@ -27,22 +27,22 @@ _NO_ID = 0x7FFFFFFF
 def instances(
     ob: bpy.types.Object,
     depsgraph: bpy.types.Depsgraph,
-    wanted: Callable[[bpy.types.Object], bool],
+    accepts: Callable[[bpy.types.Object], bool],
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
-    """An evaluated object and those of its instanced collection that are `wanted`, each with its
+    """An evaluated object and those of its instanced collection that are `accepts`, each with its
     matrix to the world, [4, 4] float64."""
-    for found, matrix, _ in instances_with_paths(ob, depsgraph, wanted):
+    for found, matrix, _ in instances_with_paths(ob, depsgraph, accepts):
         yield found, matrix
 
 
 def instances_with_paths(
     ob: bpy.types.Object,
     depsgraph: bpy.types.Depsgraph,
-    wanted: Callable[[bpy.types.Object], bool],
+    accepts: Callable[[bpy.types.Object], bool],
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray, Path]]:
     """Objects and matrices like `instances`, each with its path."""
     # Not through depsgraph.object_instances, which yields every ellipsoid of a display.
-    return _instances(ob, depsgraph, wanted, matrix_to_numpy(ob.matrix_world), ())
+    return _instances(ob, depsgraph, accepts, matrix_to_numpy(ob.matrix_world), ())
 
 
 def path_of(instance: bpy.types.DepsgraphObjectInstance) -> Path:
@@ -54,17 +54,17 @@ def path_of(instance: bpy.types.DepsgraphObjectInstance) -> Path:
 def _instances(
     ob: bpy.types.Object,
     depsgraph: bpy.types.Depsgraph,
-    wanted: Callable[[bpy.types.Object], bool],
+    accepts: Callable[[bpy.types.Object], bool],
     matrix: np.ndarray,
     path: Path,
 ) -> Iterator[tuple[bpy.types.Object, np.ndarray, Path]]:
-    if wanted(ob):
+    if accepts(ob):
         yield ob, matrix, path
     collection = ob.instance_collection if ob.instance_type == "COLLECTION" else None
     if collection is None or len(path) > DEEPEST:
         return
     for number, inner, place in inside(collection, depsgraph):
-        yield from _instances(inner, depsgraph, wanted, matrix @ place, (*path, number))
+        yield from _instances(inner, depsgraph, accepts, matrix @ place, (*path, number))
 
 
 def inside(

@@ -30,12 +30,12 @@ class ShowSplats(Undoable, bpy.types.Operator):
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The scene, and hidden splats."""
-        ob = _wanted(context, trained=self.trained)
+        ob = _shown_object(context, trained=self.trained)
         return (context.scene, ob) if ob.hide_viewport or ob.hide_render else (context.scene,)
 
     def run(self, context: bpy.types.Context) -> str:
         """Apply all settings."""
-        ob = _wanted(context, trained=self.trained)
+        ob = _shown_object(context, trained=self.trained)
         splat_framing.frame_of(ob)  # raises for empty splats before anything is set
         if any(map(is_map, _of_run(context, ob))):
             show_map(ob, False)
@@ -52,7 +52,7 @@ class ShowSplats(Undoable, bpy.types.Operator):
         return ""
 
 
-def _wanted(context: bpy.types.Context, *, trained: bool) -> bpy.types.Object:
+def _shown_object(context: bpy.types.Context, *, trained: bool) -> bpy.types.Object:
     """The splats of the training if `trained`, else those that panels are about."""
     result = [context.scene.gscore.result] if trained else []
     for ob in (*result, in_question(context)):

@@ -27,7 +27,7 @@ Columns = Sequence[tuple[str, str, np.ndarray]]
 class _Read:
     """Contents of a read file."""
 
-    wanted: ImportRequest
+    request: ImportRequest
     count: int
     columns: tuple[tuple[str, str, np.ndarray], ...]
     size: float
@@ -53,16 +53,16 @@ class ImportedSplats:
 
 def importing_splats(
     context: bpy.types.Context,
-    wanted: Sequence[ImportRequest],
+    requests: Sequence[ImportRequest],
     *,
-    find: Callable[[ImportRequest], ImportRequest] = lambda wanted: wanted,
+    find: Callable[[ImportRequest], ImportRequest] = lambda request: request,
     note: Callable[[Columns], str] = lambda columns: "",
 ) -> Steps[ImportedSplats]:
     """Import some files: all of them, or none.
 
     Args:
         context: Its scene and collection, as at the first step, receive the objects.
-        wanted: At least one file.
+        requests: At least one file.
         find: Resolves the file, if it must be searched for; runs in the thread.
         note: Summarises the attributes of each file, for `notes`; runs in the thread.
 
@@ -72,7 +72,7 @@ def importing_splats(
     scene_uid = context.scene.session_uid
     collection_uid = getattr(context.collection, "session_uid", 0)
     reads = []
-    for request in wanted:
+    for request in requests:
         read = partial(_read, request, find, note)
         reads.append((yield from run_in_thread(read, f"Reading {request.path.name}")))
     yield from settings.building()
@@ -82,10 +82,10 @@ def importing_splats(
     collection = with_uid(within, collection_uid) or within[0]
     made, warnings = [], [text for read in reads for text in read.warnings]
     for read, mesh in zip(reads, meshes, strict=True):
-        mesh.name = read.wanted.path.stem
+        mesh.name = read.request.path.stem
         ob = objects.around(mesh, read.size, collection=collection)
-        splat_files.set_up_object(ob, read.wanted, read)
-        if read.wanted.parent and ob.parent is None:
+        splat_files.set_up_object(ob, read.request, read)
+        if read.request.parent and ob.parent is None:
             warnings.append(
                 f"The parent of {ob.name} was removed during the import; it has no parent."
             )
@@ -108,18 +108,19 @@ def _read(
 ) -> _Read:
     """Read a file; runs in the thread."""
     with collected_warnings() as warnings:
-        wanted = find(request)
+        request = find(request)
         try:
-            file = splat_files.read(wanted, check)
+            file = splat_files.read(request, check)
             check()
             columns = tuple(attributes.columns(file.splats))
         except MemoryError as error:
             raise GsError(
-                f"{wanted.path} does not fit into memory; close other programs and import it again."
+                f"{request.path} does not fit into memory; close other programs and import it "
+                "again."
             ) from error
         check()
         return _Read(
-            wanted=wanted,
+            request=request,
             count=len(file.splats),
             columns=columns,
             size=objects.typical_size(file.splats),

@@ -118,21 +118,21 @@ def import_request(
     )
 
 
-def read(wanted: ImportRequest, check: Check = lambda: None) -> SplatFile:
+def read(request: ImportRequest, check: Check = lambda: None) -> SplatFile:
     """Read an import request, in any thread. `check` raises after cancellation.
 
     Raises:
         GsError: the file is missing, corrupt or contains no splats.
         ValueError: there is no such level, or no splat in the box.
     """
-    if not is_lod_file(wanted.path):
-        file = conversion.read(wanted.path, wanted.by, check)
-        return file if _BLENDER_NOTE in file.comments else file.of_capture(wanted.origin)
-    if wanted.to_unit is None:
-        return read_lod(wanted.path, wanted.level, most=MOST_AT_ONCE)
-    file = read_lod(wanted.path, wanted.level or 0, to_unit=wanted.to_unit)
+    if not is_lod_file(request.path):
+        file = conversion.read(request.path, request.by, check)
+        return file if _BLENDER_NOTE in file.comments else file.of_capture(request.origin)
+    if request.to_unit is None:
+        return read_lod(request.path, request.level, most=MOST_AT_ONCE)
+    file = read_lod(request.path, request.level or 0, to_unit=request.to_unit)
     if not len(file.splats):
-        raise ValueError(f"No splat of {wanted.path} is inside {wanted.crop}.")
+        raise ValueError(f"No splat of {request.path} is inside {request.crop}.")
     return file
 
 
@@ -147,23 +147,23 @@ class FileMetadata(Protocol):
     def comments(self) -> Sequence[str]: ...
 
 
-def set_up_object(ob: bpy.types.Object, wanted: ImportRequest, metadata: FileMetadata) -> None:
+def set_up_object(ob: bpy.types.Object, request: ImportRequest, metadata: FileMetadata) -> None:
     """Place the object of a file as requested; without a parent if that was removed."""
     if metadata.antialiased:
         ob[ANTIALIAS] = True
-    uids = {other.session_uid: other for other in bpy.data.objects} if wanted.parent else {}
-    ob.parent = uids.get(wanted.parent)
-    if wanted.basis is not None:
-        ob.matrix_basis, ob.matrix_parent_inverse = wanted.basis
-        if wanted.stored:
-            ob[_IMPORT_MATRIX] = list(wanted.stored)
+    uids = {other.session_uid: other for other in bpy.data.objects} if request.parent else {}
+    ob.parent = uids.get(request.parent)
+    if request.basis is not None:
+        ob.matrix_basis, ob.matrix_parent_inverse = request.basis
+        if request.stored:
+            ob[_IMPORT_MATRIX] = list(request.stored)
         note_origin(ob, metadata.origin)
         return
-    is_of_blender = wanted.up == FROM_FILE and _BLENDER_NOTE in metadata.comments
+    is_of_blender = request.up == FROM_FILE and _BLENDER_NOTE in metadata.comments
     if not is_of_blender:
         match_capture_origin(ob, metadata.origin)
     if ob.parent is None:
-        stated = stated_up(metadata.comments) if wanted.up == FROM_FILE else wanted.up
+        stated = stated_up(metadata.comments) if request.up == FROM_FILE else request.up
         turn_up(ob, stated if stated in UP_AXES else _USUAL_UP)
     elif is_of_blender:
         ob.matrix_parent_inverse = ob.parent.matrix_world.inverted_safe()

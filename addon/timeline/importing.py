@@ -46,12 +46,12 @@ def importing_sequence(
     """
     found: list[Series] = []
 
-    def first(wanted: ImportRequest) -> ImportRequest:
+    def first(request: ImportRequest) -> ImportRequest:
         found.append(find_series(folder, called))
-        return replace(wanted, path=found[0].files[0].path)
+        return replace(request, path=found[0].files[0].path)
 
-    wanted = splat_files.import_request(folder, parent=parent, up=up)
-    made = yield from importing_splats(context, [wanted], find=first, note=mesh.mark_of)
+    request = splat_files.import_request(folder, parent=parent, up=up)
+    made = yield from importing_splats(context, [request], find=first, note=mesh.mark_of)
     (ob,), (mark,), series = made.objects, made.notes, found[0]
     ob.name = ob.data.name = folder.name
     mesh.note(ob.data, series.files[0], mark)

@@ -76,7 +76,7 @@ NOTHING = Frame(FrameFile(0, Path(), (0, 0)), NO_SPLATS)
 
 
 @dataclass
-class _Wanted:
+class _Request:
     """Requests of one object."""
 
     files: tuple[FrameFile, ...] = ()
@@ -113,10 +113,10 @@ class Library:
         self._read, self._find = read, find
         self._changed = threading.Condition()
         self._series: dict[Folder, _Known] = {}
-        self._asked: OrderedDict[Folder, None] = OrderedDict()
+        self._folders_to_scan: OrderedDict[Folder, None] = OrderedDict()
         self._frames: OrderedDict[FrameFile, Frame] = OrderedDict()
         self._problems: OrderedDict[FrameFile, str] = OrderedDict()
-        self._wanted: dict[Hashable, _Wanted] = {}
+        self._requests: dict[Hashable, _Request] = {}
         self._under_way: FrameFile | None = None
         self._typical = 0
         self._era = 0
@@ -140,7 +140,11 @@ class Library:
     def busy(self) -> bool:
         """True while files or folders wait to be read."""
         with self._changed:
-            return self._under_way is not None or bool(self._asked) or self._next() is not None
+            return (
+                self._under_way is not None
+                or bool(self._folders_to_scan)
+                or self._next() is not None
+            )
 
     @property
     def loaded(self) -> tuple[int, int]:
@@ -159,9 +163,9 @@ class Library:
             known = self._series.get(folder)
             if known is None or known.old:
                 if wait:
-                    self._asked.pop(folder, None)
+                    self._folders_to_scan.pop(folder, None)
                 else:
-                    self._asked[folder] = None
+                    self._folders_to_scan[folder] = None
                     self._wake()
             else:
                 wait = False
@@ -196,7 +200,7 @@ class Library:
             files: The current frame, then the next ones.
         """
         with self._changed:
-            self._wanted[owner] = _Wanted(tuple(files))
+            self._requests[owner] = _Request(tuple(files))
             if self._next() is not None:
                 self._wake()
 
@@ -211,7 +215,13 @@ class Library:
         """Drop all frames and requests; a file being read is dropped when it is loaded."""
         with self._changed:
             self._era += 1
-            for kept in (self._series, self._asked, self._frames, self._problems, self._wanted):
+            for kept in (
+                self._series,
+                self._folders_to_scan,
+                self._frames,
+                self._problems,
+                self._requests,
+            ):
                 kept.clear()
 
     def close(self) -> None:
@@ -231,11 +241,11 @@ class Library:
         own = threading.current_thread()
         while True:
             with self._changed:
-                while self._thread is own and not self._asked and self._next() is None:
+                while self._thread is own and not self._folders_to_scan and self._next() is None:
                     self._changed.wait()
                 if self._thread is not own:
                     return
-                folder = next(iter(self._asked), None)
+                folder = next(iter(self._folders_to_scan), None)
                 file = None if folder is not None else self._next()
                 self._under_way = file
             if folder is not None:
@@ -244,7 +254,7 @@ class Library:
                 self._load(file)
             with self._changed:
                 if folder is not None:
-                    self._asked.pop(folder, None)
+                    self._folders_to_scan.pop(folder, None)
                 self._under_way, self.fresh = None, True
                 self._changed.notify_all()
 
@@ -257,7 +267,7 @@ class Library:
 
     def _in_order(self) -> list[FrameFile]:
         """Requested files that fit into memory, by urgency."""
-        queues = [wanted.files for wanted in self._wanted.values()]
+        queues = [wanted.files for wanted in self._requests.values()]
         chosen: dict[FrameFile, None] = {}
         taken = 0
         for place in range(max(map(len, queues), default=0)):

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..core import RunInfo, find_capture, read_run
 from ..interface.option_labels import panel_words
 
-_BEGINNING = 65_536
+_HASHED_BYTES = 65_536
 """Bytes at the beginning of a file that go into its fingerprint."""
 
 
@@ -67,7 +67,7 @@ def content(path: Path) -> str:
     """
     try:
         with path.open("rb") as file:
-            return f"{path.stat().st_size}-{zlib.crc32(file.read(_BEGINNING)):08x}"
+            return f"{path.stat().st_size}-{zlib.crc32(file.read(_HASHED_BYTES)):08x}"
     except OSError:
         return ""
 

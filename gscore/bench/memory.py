@@ -37,7 +37,7 @@ class MemoryBench:
     """Width of each view, px."""
     height: int
     steps: int
-    said_bytes: int
+    forecast_bytes: int
     """Estimate before the run."""
     peak_bytes: int
     """Largest resident memory."""
@@ -119,7 +119,7 @@ def bench_memory(
         width=width,
         height=height,
         steps=steps,
-        said_bytes=estimates[0],
+        forecast_bytes=estimates[0],
         peak_bytes=peak,
         parts=parts | {"the rest": peak - sum(parts.values())},
     )

@@ -82,7 +82,7 @@ def _all_in_turn(request: TrainRequest, team: "ProcessGroup", through: Callable[
     )
 
 
-def _found(request: TrainRequest, wanted: Sequence[int] | None = None) -> list[int]:
+def _found(request: TrainRequest, chosen: Sequence[int] | None = None) -> list[int]:
     """Indices of the blocks to train, checked to exist; all if none is named."""
     source = request.source
     if source is None:
@@ -93,8 +93,8 @@ def _found(request: TrainRequest, wanted: Sequence[int] | None = None) -> list[i
             f"{brief(source)} contains no blocks; give the output folder of gscore split."
         )
     count = next(iter(records.values())).count
-    wanted = range(count) if wanted is None else wanted
-    for index in wanted:
+    chosen = range(count) if chosen is None else chosen
+    for index in chosen:
         if not 0 <= index < count:
             raise ConfigError(
                 f"There is no block {index} in {brief(source)}: its {count_words(count, 'block')} "
@@ -105,7 +105,7 @@ def _found(request: TrainRequest, wanted: Sequence[int] | None = None) -> list[i
                 f"Block {index} of {count} is not in {brief(source)}. Copy {block_name(index)} "
                 "there, or train the existing ones individually with `--block`."
             )
-    return list(wanted)
+    return list(chosen)
 
 
 def _check_room(request: TrainRequest, blocks: Sequence[int], *, resume: bool) -> None:

@@ -146,7 +146,11 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     warnings += [
         *_stopped(model, course),
         *_doubts(
-            model, dataset, course, asked=args.split, measured=[dataset.names[i] for i in indices]
+            model,
+            dataset,
+            course,
+            requested_split=args.split,
+            measured=[dataset.names[i] for i in indices],
         ),
     ]
     pictures = PictureCollector(count=len(indices))
@@ -283,12 +287,12 @@ def _doubts(
     dataset: Dataset,
     course: Course,
     *,
-    asked: str | None,
+    requested_split: str | None,
     measured: Sequence[str],
 ) -> list[str]:
     """Sentences on the limits of the figures."""
     found = []
-    if model.data is None and dataset.test and asked != "all":
+    if model.data is None and dataset.test and requested_split != "all":
         found.append(
             "The training views of this model are unknown; the test views are held out only if it "
             "was trained with the same split."

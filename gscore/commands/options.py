@@ -70,19 +70,19 @@ def matching(word: str, options: list[Option]) -> list[Option]:
     Raises:
         ConfigError: no option matches.
     """
-    wanted = _plain(word.lstrip("-"))
+    pattern = _plain(word.lstrip("-"))
     tests = (
-        lambda one: wanted == one.name.lower(),
-        lambda one: wanted == _plain(one.group),
-        lambda one: f"_{wanted}" in f"_{one.name}".lower(),
+        lambda one: pattern == one.name.lower(),
+        lambda one: pattern == _plain(one.group),
+        lambda one: f"_{pattern}" in f"_{one.name}".lower(),
     )
     named = [one for test in tests for one in options if test(one)]
     if named:
         groups = list(dict.fromkeys(one.group for one in named))
         return sorted(dict.fromkeys(named), key=lambda one: groups.index(one.group))
-    if text := [one for one in options if _holds(one, wanted)]:
+    if text := [one for one in options if _holds(one, pattern)]:
         return text
-    guess = nearest(wanted, [known for one in options for known in (one.name, one.group)])
+    guess = nearest(pattern, [known for one in options for known in (one.name, one.group)])
     hint = f"did you mean {guess}?" if guess else "`gscore options` lists all."
     raise ConfigError(f"There is no option with {quoted(word)}; {hint}")
 
@@ -90,14 +90,14 @@ def matching(word: str, options: list[Option]) -> list[Option]:
 def mentioning(word: str, options: list[Option], found: list[Option]) -> list[str]:
     """Names of further options with a word in their texts; empty if the word names a group, since
     those are common words."""
-    wanted = _plain(word.lstrip("-"))
-    if any(wanted == _plain(one.group) for one in options):
+    pattern = _plain(word.lstrip("-"))
+    if any(pattern == _plain(one.group) for one in options):
         return []
-    return [one.name for one in options if one not in found and _holds(one, wanted)]
+    return [one.name for one in options if one not in found and _holds(one, pattern)]
 
 
-def _holds(one: Option, wanted: str) -> bool:
-    return wanted in _plain(f"{one.name} {one.group} {one.text}")
+def _holds(one: Option, pattern: str) -> bool:
+    return pattern in _plain(f"{one.name} {one.group} {one.text}")
 
 
 def _plain(text: str) -> str:

@@ -87,20 +87,20 @@ def find_frames(data: DataConfig) -> list[SequenceFrame]:
     ]
 
 
-def choose_frames(frames: list[SequenceFrame], wanted: str) -> list[SequenceFrame]:
+def choose_frames(frames: list[SequenceFrame], text: str) -> list[SequenceFrame]:
     """Select frames: `0,5,12`, `0:30` (inclusive), `0:30:5`, `10:`, `:20`, or joined by commas.
 
     Raises:
-        ConfigError: `wanted` has another syntax.
+        ConfigError: `text` has another syntax.
         DatasetError: a number, or a whole range, does not exist.
     """
     numbers = {frame.number for frame in frames}
     chosen: set[int] = set()
-    for part in wanted.split(","):
+    for part in text.split(","):
         match = _FRAMES.fullmatch(part)
         if match is None or not part.strip() or match[4] == "0":
             raise ConfigError(
-                f"frames is {quoted(wanted)}; expected numbers such as 0,5,12 or ranges such as "
+                f"frames is {quoted(text)}; expected numbers such as 0,5,12 or ranges such as "
                 f"0:30 or 0:30:5 (first, last, step)."
             )
         if match[2] is None:

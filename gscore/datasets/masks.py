@@ -11,8 +11,8 @@ from ..config import DataConfig
 from ..errors import Cancelled, DatasetError
 from ..io.images.read_image import (
     ImageInfo,
-    assumed_of_mask,
     is_scaled,
+    mask_assumption,
     read_image,
     read_info,
     read_mask,
@@ -118,7 +118,7 @@ def _hide_something(photos: list[Path], cancelled: Callable[[], bool]) -> bool:
 
 def _assumed(mask: Path) -> list[str]:
     """Warning if the white value of masks had to be guessed, from the first mask."""
-    assumed = assumed_of_mask(mask)
+    assumed = mask_assumption(mask)
     return [f"The masks {assumed}, for example {mask}."] if assumed else []
 
 

@@ -170,7 +170,7 @@ def find_duplicates(paths: list[Path], cancelled: Callable[[], bool]) -> list[tu
             if cancelled():
                 return []
             with contextlib.suppress(OSError):
-                first = known.setdefault(_pieces(paths[i], size), i)
+                first = known.setdefault(_sampled_bytes(paths[i], size), i)
                 if first != i:
                     pairs.append((first, i))
     return sorted(pairs)
@@ -183,7 +183,7 @@ def _size(path: Path) -> int:
         return 0
 
 
-def _pieces(path: Path, size: int) -> bytes:
+def _sampled_bytes(path: Path, size: int) -> bytes:
     with open_regular(path) as file:
         out = file.read(_PIECE)
         for at in (size // 2, max(0, size - _PIECE)):

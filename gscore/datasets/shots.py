@@ -18,7 +18,7 @@ from .dataset import map_threads
 
 _SIDE = 64
 """Side of the compared thumbnails, pixels."""
-_EQUAL, _ALIKE = 2.0, 6.0
+_EQUAL, _SIMILAR = 2.0, 6.0
 """Largest RMS difference, of 255, of equal photos, and of similar ones of one moment. A photo saved
 again at half its size differs by at most 0.8, neighbours of an orbit by 6 and more."""
 _FLAT, _LEAST = 0.15, 1.0
@@ -90,7 +90,7 @@ def same_shots(shot: Shot, others: Sequence[Shot]) -> np.ndarray:
     equal = (away <= min(_EQUAL, _FLAT * contrast)) & (contrast >= _LEAST)
     moment = np.array([bool(shot.moment) and shot.moment == other.moment for other in others])
     stem = np.array([shot.stem == other.stem for other in others])
-    return equal | (moment & (stem | (away <= _ALIKE)))
+    return equal | (moment & (stem | (away <= _SIMILAR)))
 
 
 def repeats(shots: Sequence[Shot]) -> list[tuple[int, int]]:

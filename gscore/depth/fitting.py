@@ -43,7 +43,7 @@ def align_views(
     samples: list[Samples | None],
     *,
     kind: DepthKind,
-    together: bool = True,
+    joint: bool = True,
 ) -> Alignment:
     """Scale and offset of every map in `folder` by the method `data.depth_align`.
 
@@ -56,7 +56,7 @@ def align_views(
         folder: Folder of the maps.
         samples: Samples of the maps by view.
         kind: Kind of the maps.
-        together: Align maps to each other too and estimate the errors; False: to the points only,
+        joint: Align maps to each other too and estimate the errors; False: to the points only,
             which is much faster.
 
     Raises:
@@ -66,17 +66,17 @@ def align_views(
     path = params_path(dataset.source, folder)
     if data.depth_align == "official" or (data.depth_align == "auto" and path.is_file()):
         stated = _stated(path, read_params(path), dataset, samples)
-        if together:
+        if joint:
             stated = _with_errors(stated, samples, dataset)
         if data.depth_align == "official":
             return stated
-        return _checked(stated, path, samples, dataset, together=together)
+        return _checked(stated, path, samples, dataset, joint=joint)
     found, warnings = resolved_kind(kind, samples, dataset)
     if data.depth_align == "none":
         fits = [None if part is None else _evaluated(1.0, 0.0, part, found) for part in samples]
         alignment = Alignment(fits=fits, kind=found, warnings=warnings)
-        return _with_errors(alignment, samples, dataset) if together else alignment
-    return robust(samples, found, dataset, warnings, together=together)
+        return _with_errors(alignment, samples, dataset) if joint else alignment
+    return robust(samples, found, dataset, warnings, joint=joint)
 
 
 def robust(
@@ -85,7 +85,7 @@ def robust(
     dataset: Dataset,
     warnings: tuple[str, ...] = (),
     *,
-    together: bool = True,
+    joint: bool = True,
 ) -> Alignment:
     """Robust fits to the points, then to each other; refused if their scale is an outlier.
 
@@ -94,11 +94,11 @@ def robust(
         kind: Kind of the maps.
         dataset: The capture, at the size of its photos in training.
         warnings: Earlier warnings, copied to the result.
-        together: As for `align_views`.
+        joint: As for `align_views`.
     """
     parts = [None if part is None else part.inverse(kind) for part in samples]
     fits = [None if part is None else _robust(part) for part in parts]
-    if together:
+    if joint:
         fits = agreed(fits, _of_training(parts, dataset), dataset.scene.cameras)
     trained = (fits[i] for i in dataset.train)
     median = median_scale([fit.scale for fit in trained if fit is not None and fit.accepted])
@@ -194,7 +194,7 @@ def _checked(
     samples: list[Samples | None],
     dataset: Dataset,
     *,
-    together: bool,
+    joint: bool,
 ) -> Alignment:
     """The fits of a file, replaced by robust ones in views whose points contradict it."""
     fits = list(stated.fits)
@@ -208,7 +208,7 @@ def _checked(
     ]
     if not wrong:
         return stated
-    ours = robust(samples, stated.kind, dataset, together=together).fits
+    ours = robust(samples, stated.kind, dataset, joint=joint).fits
     for i in wrong:
         fits[i] = ours[i]
     sentence = (

@@ -64,7 +64,7 @@ def load_priors(
     dataset: Dataset,
     *,
     kind: DepthKind = DepthKind.AUTO,
-    together: bool = True,
+    joint: bool = True,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Priors:
     """Read the depth maps of a capture and align them with its world.
@@ -73,7 +73,7 @@ def load_priors(
         data: Options `depths` (empty: `depths`) and `depth_align`.
         dataset: The capture at training resolution.
         kind: Kind of the maps; AUTO: detected from the points.
-        together: Align maps to each other too, not to points only; takes seconds, for maps that
+        joint: Align maps to each other too, not to points only; takes seconds, for maps that
             supervise a training. Maps of held-out views are excluded from it.
         on_progress: Called with (done, total) while the maps are read.
 
@@ -90,7 +90,7 @@ def load_priors(
     ]
     seen = observations(data, dataset)
     samples = view_samples(maps, seen, dataset)
-    alignment = align_views(data, dataset, folder.root, samples, kind=kind, together=together)
+    alignment = align_views(data, dataset, folder.root, samples, kind=kind, joint=joint)
     total = len(dataset)
     views: list[DepthPrior | None] = []
 

@@ -198,7 +198,7 @@ class GltfBuffer:
         self.accessors: list[dict[str, Any]] = []
         self.views: list[dict[str, Any]] = []
         self.size = 0
-        self._pieces: list[np.ndarray | bytes] = []
+        self._chunks: list[np.ndarray | bytes] = []
 
     def add_bytes(self, raw: bytes) -> int:
         """Add bytes; returns the index of their bufferView."""
@@ -226,7 +226,7 @@ class GltfBuffer:
 
     def write_to(self, file: BinaryIO) -> None:
         """Write all pieces, each padded to four bytes."""
-        for piece in self._pieces:
+        for piece in self._chunks:
             raw = piece if isinstance(piece, bytes) else np.ascontiguousarray(piece).data
             file.write(raw)
             size = len(raw) if isinstance(raw, bytes) else raw.nbytes
@@ -234,7 +234,7 @@ class GltfBuffer:
 
     def _add(self, piece: np.ndarray | bytes, size: int) -> int:
         self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": size})
-        self._pieces.append(piece)
+        self._chunks.append(piece)
         self.size += size + -size % 4
         return len(self.views) - 1
 

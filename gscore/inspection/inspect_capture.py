@@ -68,9 +68,9 @@ def inspect(config: DataConfig, *, depths: str = DEPTH_FOLDER) -> CaptureFacts:
         *_photo_problems(seen),
         *_use_problems(config, capture, seen),
     ]
-    files, told = _masks(config, capture, seen)
+    files, mask_problems = _masks(config, capture, seen)
     stated = stated_depth(capture.root, [view.name for view in seen.views], folder=depths)
-    problems += [*told, *_depth_problems(stated)]
+    problems += [*mask_problems, *_depth_problems(stated)]
     return _facts(config, capture, seen, files, stated, problems)
 
 

@@ -16,9 +16,9 @@ _COLOR = 5.0
 
 
 def groups_of(
-    means: np.ndarray, weights: np.ndarray, sizes: np.ndarray, colors: np.ndarray, wanted: int
+    means: np.ndarray, weights: np.ndarray, sizes: np.ndarray, colors: np.ndarray, count: int
 ) -> np.ndarray:
-    """[N] int64, the group of each splat, from 0 to `wanted` - 1.
+    """[N] int64, the group of each splat, from 0 to `count` - 1.
 
     The cheapest pairs are joined first, as in Ward (1963): two groups of weights a and b at a
     distance d cost a b / (a + b) times d^2 / (d^2 + s^2), where s is the size of the larger one.
@@ -30,7 +30,7 @@ def groups_of(
         weights: [N] float64, above 0: covered areas.
         sizes: [N] float64, standard deviations, world units.
         colors: [N, 3] float64, about 0 to 1.
-        wanted: Number of groups, 1 to N.
+        count: Number of groups, 1 to N.
 
     Raises:
         BackendError: scipy is not installed.
@@ -38,8 +38,8 @@ def groups_of(
     group = np.arange(len(means))
     features = np.concatenate([means, colors, sizes[:, None] ** 2], axis=1)
     weights = weights / weights.max()
-    while len(features) > wanted:
-        joins, takes = _round(features, weights, len(features) - wanted)
+    while len(features) > count:
+        joins, takes = _round(features, weights, len(features) - count)
         features, weights, step = _joined(features, weights, joins, takes)
         group = step[group]
     return group

@@ -18,7 +18,7 @@ from ..text_format import count_words
 from . import database, masks, photos, pycolmap_stages
 from .bundle_adjustment import AdjustedLens, adjust, is_stable
 from .database import failure_reason
-from .forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
+from .forecast import ADJUSTING, FEATURES, MATCHING, RECONSTRUCTION, Forecast
 from .gps_scale import Gps, read_gps, to_metres
 from .heic import conversion_hint
 from .panorama import check_lens, possible_panoramas, refused_panoramas
@@ -193,7 +193,7 @@ class _Search:
             return pycolmap_stages.reconstruct(work, attempt, token, on_photo)
 
         return self._watch(
-            place, PLACING, count, lambda: min(placed[0], count), lambda: count - placed[0]
+            place, RECONSTRUCTION, count, lambda: min(placed[0], count), lambda: count - placed[0]
         )
 
     def _find_features(self, work: Work, attempt: Attempt, forecast: Forecast) -> None:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 FEATURES, MATCHING = "finding features", "comparing photos"
-PLACING, ADJUSTING = "placing cameras", "adjusting cameras"
+RECONSTRUCTION, ADJUSTING = "placing cameras", "adjusting cameras"
 """Phases of the forecast, in order."""
 
 _LOOK, _DESCRIBE = 0.5, 9e-5
@@ -24,7 +24,7 @@ _MATCHED = 0.5
 """Matches per feature before matching; measured 0.1 (lund) to 1.0 (studio, masked)."""
 _PLACE, _ADJUST = 8.5e-5, 5.5e-5
 """CPU seconds per match, over all pairs."""
-_BUSY_CORES = {PLACING: 1.3, ADJUSTING: 1.6}
+_BUSY_CORES = {RECONSTRUCTION: 1.3, ADJUSTING: 1.6}
 """Maximum number of cores that a phase uses; all for the others."""
 _SURE = 0.25
 """Share of a phase after which its own pace counts alone; before, it is mixed with the last one."""
@@ -157,7 +157,7 @@ class Forecast:
         self._expect_places(_MATCHED * features)
 
     def _expect_places(self, matches: float) -> None:
-        self._take(PLACING, _PLACE * matches)
+        self._take(RECONSTRUCTION, _PLACE * matches)
         self._take(ADJUSTING, _ADJUST * matches)
 
     def _take(self, phase: str, cpu_seconds: float) -> None:

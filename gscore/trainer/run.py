@@ -69,20 +69,20 @@ def train(
     mmap_large_blocks()
     opened = open_folder(output, resume=resume, overwrite=overwrite, data=data)
     with opened as folder, isolated_torch_state():
-        beginning = RunStart(folder, config, data, resume=resume, start_checkpoint=start_checkpoint)
-        if beginning.ended is not None:
-            emit(beginning.ended.event())
-            return beginning.ended
+        run_start = RunStart(folder, config, data, resume=resume, start_checkpoint=start_checkpoint)
+        if run_start.ended is not None:
+            emit(run_start.ended.event())
+            return run_start.ended
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
         if team:
-            order = rank_commands.begin(beginning.state, to_dict(beginning.config), to_dict(data))
+            order = rank_commands.begin(run_start.state, to_dict(run_start.config), to_dict(data))
             team.broadcast(order)
         with all_ready(team):
             found = prepare(
-                beginning.config,
+                run_start.config,
                 data,
-                beginning.state,
-                check=beginning.check,
+                run_start.state,
+                check=run_start.check,
                 emit=emit,
                 control=control,
                 team=team,
@@ -100,7 +100,7 @@ def train(
                 lpips_reason=lpips_reason,
                 viewers=viewers,
             )
-            beginning.resume(found.trainer, session)
+            run_start.resume(found.trainer, session)
             notes = (*found.warnings, *check_training(found.trainer))
             if overwrite:
                 folder.clear()

@@ -134,7 +134,7 @@ class Session:
             if control.paused or self._viewers.has_pausing_viewer:
                 self._emit(self._meter.progress(phase="paused"))
                 control.wait_while_paused(
-                    held=lambda: self._viewers.has_pausing_viewer,
+                    is_paused=lambda: self._viewers.has_pausing_viewer,
                     meanwhile=lambda: self._serve_viewers(idle=True),
                 )
                 self._run_control_commands()
@@ -439,7 +439,7 @@ class Session:
             depth=self._depth_report() if evaluation else None,
             photo_parameters=photo_parameters,
             decisions=self._decisions(),
-            asked=self._prepared.requested,
+            requested=self._prepared.requested,
             reason=reason,
         )
         result = TrainResult(

@@ -50,9 +50,9 @@ class FrameFolder:
         self._request, self._place = request, request.output
         whole = request.output.absolute()
         self._overwrite = overwrite
-        self._aside = whole.parent / f".{whole.name}.frames"
-        self._work = self._aside / _FRAMES
-        self._lock = FolderLock(self._aside, _LOCK, "run of gscore frames")
+        self._work_folder = whole.parent / f".{whole.name}.frames"
+        self._work = self._work_folder / _FRAMES
+        self._lock = FolderLock(self._work_folder, _LOCK, "run of gscore frames")
         self._made = [p for p in whole.parents if not p.exists()]
         self._look()
 
@@ -90,17 +90,21 @@ class FrameFolder:
         finally:
             shutil.rmtree(self._work, ignore_errors=True)
             self._lock.release()
-            for folder in (self._aside, *self._made):
+            for folder in (self._work_folder, *self._made):
                 with contextlib.suppress(OSError):
                     folder.rmdir()  # only an empty one can be removed
 
     def _check_other_folder(self) -> None:
         """Raise ConfigError if the hidden folder is not by gscore, which always has a lock file."""
-        names = {path.name for path in self._aside.iterdir()} if self._aside.is_dir() else set()
+        names = (
+            {path.name for path in self._work_folder.iterdir()}
+            if self._work_folder.is_dir()
+            else set()
+        )
         if names and (_LOCK not in names or names - {_LOCK, _FRAMES}):
             raise ConfigError(
-                f"{brief(self._aside)} is the temporary folder for unfinished frames, but contains "
-                "something else. Move it away, or choose another output with -o."
+                f"{brief(self._work_folder)} is the temporary folder for unfinished frames, but "
+                "contains something else. Move it away, or choose another output with -o."
             )
 
     def put(self, number: int, pixels: np.ndarray) -> str:

@@ -52,7 +52,7 @@ def choose(survey: Survey, count: int) -> Choice:
     way = _way(survey, blurred)
     if count == 0:
         count = int(np.clip(round(way[-1] / SPACING), FEWEST, MOST))
-    taken = _most_pieces(way, sharpness, usable, count)
+    taken = _most_sections(way, sharpness, usable, count)
     return Choice(
         frames=taken,
         sharpness=sharpness,
@@ -86,7 +86,7 @@ def _way(survey: Survey, blurred: np.ndarray) -> np.ndarray:
     return np.where(blurred, np.minimum(steps, usual), steps).cumsum()
 
 
-def _most_pieces(
+def _most_sections(
     way: np.ndarray, sharpness: np.ndarray, usable: np.ndarray, count: int
 ) -> np.ndarray:
     """Frames of the largest number of sections that gives at most `count`; some have none."""
@@ -103,15 +103,15 @@ def _most_pieces(
     return best
 
 
-def _taken(way: np.ndarray, sharpness: np.ndarray, usable: np.ndarray, pieces: int) -> np.ndarray:
-    length = way[-1] / pieces
+def _taken(way: np.ndarray, sharpness: np.ndarray, usable: np.ndarray, sections: int) -> np.ndarray:
+    length = way[-1] / sections
     if length <= 0:
         return np.flatnonzero(usable)[:1]
     place = way / length
-    piece = np.minimum(place.astype(np.int64), pieces - 1)
+    piece = np.minimum(place.astype(np.int64), sections - 1)
     worth = np.minimum(sharpness, 1.5) * (1 - _CENTRE * (2 * np.abs(place - piece - 0.5)) ** 2)
     taken: list[int] = []
-    ends = np.searchsorted(piece, np.arange(pieces + 1))
+    ends = np.searchsorted(piece, np.arange(sections + 1))
     for a, b in pairwise(ends):
         fits = usable[a:b].copy()
         if taken:

@@ -32,14 +32,17 @@ def test_a_project_moves_as_a_whole(scene: bpy.types.Scene, tmp_path: Path) -> N
         if saved:
             _save(here / "a.blend")
         bpy.ops.gscore.import_cameras(directory=str(here / "shots"))
-        assert Path(co.stated(_first("camera")).photo).is_relative_to(here / "shots")
+        assert Path(co.photo_camera_of(_first("camera")).photo).is_relative_to(here / "shots")
         _save(here / "a.blend")
         here.rename(there)
         bpy.ops.wm.open_mainfile(filepath=str(there / "a.blend"))
         scene, camera, root = bpy.context.scene, _first("camera"), _first("capture")
         assert stored_paths.read(root, stored_paths.SOURCE) == str(there / "shots")
         assert paths.capture_folder(scene) == there / "shots"
-        assert Path(co.stated(camera).photo) == there / "shots" / "images" / camera["gs_image"]
+        assert (
+            Path(co.photo_camera_of(camera).photo)
+            == there / "shots" / "images" / camera["gs_image"]
+        )
         assert captures.use_camera(scene, camera) == []
         assert len(photo_of(camera).pixels) == 4 * 480 * 640
 

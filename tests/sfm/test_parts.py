@@ -10,7 +10,7 @@ from PIL import Image, ImageFilter
 
 from gscore.errors import DatasetError
 from gscore.sfm.database import Overlap, failure_reason
-from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, PLACING, Forecast
+from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, RECONSTRUCTION, Forecast
 from gscore.sfm.pairs import further_parts, in_parts, sequential_pairs
 from gscore.sfm.photo_folders import stamp
 from gscore.sfm.photo_quality import PhotoQuality, blurred, exposure_jumps, measure_quality
@@ -260,7 +260,7 @@ def test_a_forecast_goes_one_way() -> None:
         megapixels=[0.5] * 40, most=4096, pairs=780, threads=2, clock=lambda: now[0]
     )
     took = {name: 3 * s for name, s in forecast._seconds.items()}
-    shares, pieces = [], {PLACING: 1, ADJUSTING: 1}
+    shares, pieces = [], {RECONSTRUCTION: 1, ADJUSTING: 1}
     for phase, seconds in took.items():
         count = pieces.get(phase, 4)
         for piece in range(count):

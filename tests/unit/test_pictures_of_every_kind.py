@@ -11,7 +11,7 @@ from PIL import Image
 from gscore.errors import FormatError
 from gscore.io.images.jpeg_scan import missing_blocks
 from gscore.io.images.pillow_images import MOST_PIXELS
-from gscore.io.images.read_image import assumed_of_mask, read_image, read_info, read_mask, write_png
+from gscore.io.images.read_image import mask_assumption, read_image, read_info, read_mask, write_png
 
 from .png_files import png
 from .tiff_files import tiff
@@ -178,7 +178,7 @@ def test_masks_of_labels(top: int, tmp_path: Path) -> None:
         (tmp_path / f"{kind[1:]}{ord(kind[0])}.tif").write_bytes(tiff((LABELS * top).astype(kind)))
     for path in sorted(tmp_path.iterdir()):
         np.testing.assert_array_equal(read_mask(path), KEEP, err_msg=path.name)
-        assumed = assumed_of_mask(path)
+        assumed = mask_assumption(path)
         if top == 1 and path.name.startswith("f4"):
             assert assumed == ""  # floats from 0 to 1 are unambiguous
         else:
@@ -192,7 +192,7 @@ def test_masks_of_yes_and_no(tmp_path: Path) -> None:
     (tmp_path / "deep.png").write_bytes(png((LABELS * 65535).astype(np.uint16)))
     for path in sorted(tmp_path.iterdir()):
         np.testing.assert_array_equal(read_mask(path), KEEP, err_msg=path.name)
-        assert assumed_of_mask(path) == ""
+        assert mask_assumption(path) == ""
     _palette(tmp_path / "palette.png")
     np.testing.assert_array_equal(read_mask(tmp_path / "palette.png"), KEEP)
     write_png(tmp_path / "none.png", np.zeros((6, 8), np.uint8))

@@ -47,7 +47,7 @@ def rank(network: Network, arguments: list[str]) -> int:
     from gscore.commands import main
     from gscore.trainer.distributed.process_group import ProcessGroup
 
-    together, chance = ProcessGroup._together, random.Random(0)
+    collective, chance = ProcessGroup._collective, random.Random(0)
 
     def slowly(team: ProcessGroup, call: Callable[[], Any]) -> Any:
         def over_the_network() -> Any:
@@ -58,10 +58,10 @@ def rank(network: Network, arguments: list[str]) -> int:
             time.sleep(pause)
             return call()
 
-        return together(team, over_the_network)
+        return collective(team, over_the_network)
 
     paid = [0]
-    ProcessGroup._together = slowly
+    ProcessGroup._collective = slowly
     return main(arguments)
 
 

@@ -29,7 +29,7 @@ from addon.live.program import QUADS  # noqa: E402
 from addon.splats import objects  # noqa: E402
 from tools.window import desk  # noqa: E402
 
-ASKED = json.loads((FOLDER / "asked.json").read_text())
+REQUEST = json.loads((FOLDER / "asked.json").read_text())
 seen: dict[str, Any] = {"rows": []}
 STILL_REDRAWS = 20
 """Number of redraws of a view at rest."""
@@ -134,7 +134,7 @@ def add_splats() -> None:
     view.view_perspective, view.view_location, view.view_rotation = "PERSP", middle, FIRST
     away = float(np.median(np.linalg.norm(splats.means - middle, axis=1)))
     view.view_distance = 3.0 * away
-    if ASKED["mesh"]:
+    if REQUEST["mesh"]:
         bpy.ops.mesh.primitive_cube_add(size=0.3 * away, location=middle)
 
 
@@ -183,7 +183,7 @@ def story() -> Iterator[object]:
     yield 0.5
     yield from measured("Solid", meter, desk.at_rest)
     meter.redraws.clear()
-    yield from drag(ASKED["steps"])
+    yield from drag(REQUEST["steps"])
     note("Solid, filter dragged", meter)
     bpy.data.objects["splats"].gscore.opacity_min = 0.0
     yield desk.at_rest
@@ -201,7 +201,7 @@ def measured(what: str, meter: Meter, at_rest: Callable[[], bool]) -> Iterator[o
     if any(r.calls for r in meter.redraws):
         note(f"{what}, first", meter, summed=True)
     meter.redraws.clear()
-    yield from turn(ASKED["steps"])
+    yield from turn(REQUEST["steps"])
     note(f"{what}, turning", meter)
     meter.redraws.clear()
     yield at_rest

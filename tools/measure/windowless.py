@@ -13,7 +13,7 @@ INTERVAL = 0.01
 
 def windowless(name: str, **settings: Any) -> Any:
     """An instance of an operator's Python class with its settings, outside of Blender's operator
-    system: `steps` works as from a button, and `said` collects its reports.
+    system: `steps` works as from a button, and `reports` collects its reports.
 
     Args:
         name: Name in `bpy.ops.gscore`.
@@ -31,8 +31,8 @@ def windowless(name: str, **settings: Any) -> Any:
         setattr(made, key, value)
     made.properties = SimpleNamespace(is_property_set=settings.__contains__)
     made.options = SimpleNamespace(is_invoke=True)
-    made.said = []
-    made.report = lambda kinds, text: made.said.append(text)
+    made.reports = []
+    made.report = lambda kinds, text: made.reports.append(text)
     return made
 
 

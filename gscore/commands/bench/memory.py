@@ -53,7 +53,9 @@ def run(args: argparse.Namespace) -> int:
     if found is None:
         raise BackendError("This system does not report the memory of a process.")
     if args.json:
-        print_json({"machine": machine(), "isa": native_library.isa()} | asdict(found))
+        data = asdict(found)
+        data["said_bytes"] = data.pop("forecast_bytes")  # the key in files of earlier versions
+        print_json({"machine": machine(), "isa": native_library.isa()} | data)
     else:
         sys.stdout.write(wrapped(_table(found), sys.stdout))
     return 0
@@ -66,5 +68,5 @@ def _table(r: MemoryBench) -> str:
     return (
         f"{count_words(r.splats, 'splat')}, {count_words(r.views, 'view')} of {r.width} x "
         f"{r.height} px, {count_words(r.steps, 'step')}\n"
-        f"  estimated {r.said_bytes / 1e9:.2f} GB, used {r.peak_bytes / 1e9:.2f} GB\n{parts}"
+        f"  estimated {r.forecast_bytes / 1e9:.2f} GB, used {r.peak_bytes / 1e9:.2f} GB\n{parts}"
     )

@@ -98,7 +98,7 @@ def train_sizes(
         on_found: Called after each size with `judged_on` (px) and `outcomes` so far, each with
             `best_for_its_time` and `best_for_its_splats`.
     """
-    judged_on = first_size(plan.eval_views)
+    eval_size = first_size(plan.eval_views)
     outcomes: list[SizeOutcome] = []
 
     def stepped(size: Size, seed: int, step: int) -> None:
@@ -111,14 +111,14 @@ def train_sizes(
             asdict(o) | {"best_for_its_time": o in fast, "best_for_its_splats": o in small}
             for o in outcomes
         ]
-        on_found({"judged_on": judged_on, "outcomes": rows})
+        on_found({"judged_on": eval_size, "outcomes": rows})
         if not args.json:
             o = outcome
             print(f"{name}, {o.size}: {o.seconds:.1f} s, PSNR {o.psnr:.2f} dB", flush=True)
 
     measure_sizes(plan.runs, plan.eval_views, args.seeds, on_step=stepped, on_outcome=report)
     fast, small = _fronts(outcomes)
-    _draw(sizes_file(args.output, name), name, outcomes, fast, judged_on)
+    _draw(sizes_file(args.output, name), name, outcomes, fast, eval_size)
     if not args.json:
         print(_table(name, outcomes, fast, small), flush=True)
 
@@ -146,7 +146,7 @@ def _draw(
     name: str,
     outcomes: Sequence[SizeOutcome],
     fast: Sequence[SizeOutcome],
-    judged_on: tuple[int, int],
+    eval_size: tuple[int, int],
 ) -> None:
     def family(outcome: SizeOutcome) -> str:
         size = outcome.size
@@ -159,7 +159,7 @@ def _draw(
     front = [(o.seconds, o.psnr) for o in fast]
     text = figure(
         [Series(label="Pareto front", points=front), *series],
-        title=f"{name}: held-out PSNR at {judged_on[0]} x {judged_on[1]} px over training time",
+        title=f"{name}: held-out PSNR at {eval_size[0]} x {eval_size[1]} px over training time",
         x_label="seconds in training steps",
         y_label="PSNR, dB",
         log_x=True,

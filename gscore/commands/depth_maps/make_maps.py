@@ -29,7 +29,7 @@ from ...text_format import count_words
 from ...trainer.depth.rule import coverage, decide
 from ..args.data_options import with_data_options
 from ..terminal.output import check_folder, check_replaced
-from .networks import network_of, network_words
+from .networks import network_path, network_words
 
 _MAKE = f"use `--method stereo`, which needs no network, or `--model FILE.onnx`. {NETWORK_HINT}."
 """Remedy for missing maps without a network."""
@@ -61,7 +61,7 @@ def make_maps(
     network = None
     if args.model is not None:
         need("onnxruntime", "Predicting depth")
-        path, normalization = network_of(args, show)
+        path, normalization = network_path(args, show)
         network = Network(
             path,
             normalization=normalization,
@@ -199,7 +199,7 @@ def _finish(
         alignment = replace(alignment, warnings=(*unusable(samples), *alignment.warnings))
     else:
         if args.method == "stereo":  # already in scale; the points measure the error
-            alignment = align_views(config, dataset, folder, samples, kind=kind, together=False)
+            alignment = align_views(config, dataset, folder, samples, kind=kind, joint=False)
             fits = _by_stem(dataset, alignment.fits)
         else:
             official = args.align == "official"

@@ -14,7 +14,7 @@ from ...text_format import size_words
 from ..terminal.output import print_json
 
 
-def network_of(args: argparse.Namespace, show: Show) -> tuple[Path, Normalization]:
+def network_path(args: argparse.Namespace, show: Show) -> tuple[Path, Normalization]:
     """The file of --model and its input normalisation."""
     entry = known(args.model)
     path = Path(args.model)

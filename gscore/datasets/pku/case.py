@@ -84,27 +84,27 @@ def read_video(video: PkuVideo, config: DataConfig, *, photos_required: bool = T
         DatasetError: there is no such frame, or files of it are missing.
         FormatError: a file is truncated, corrupt or of another format.
     """
-    wanted = video.frame if config.frame is None else config.frame
-    if video.frame is not None and wanted != video.frame:
+    frame_number = video.frame if config.frame is None else config.frame
+    if video.frame is not None and frame_number != video.frame:
         raise ConfigError(
-            f"{config.source} is frame {video.frame}, but `--frame` is {wanted}. Give the "
+            f"{config.source} is frame {video.frame}, but `--frame` is {frame_number}. Give the "
             f"folder above it, or leave `--frame` out."
         )
     layouts = (video.layout,) if video.layout else tuple(LAYOUTS)
     for layout in layouts:
         listed = _list(video.case / layout, layout)
-        if listed and (wanted is None or wanted in listed):
+        if listed and (frame_number is None or frame_number in listed):
             break
     else:
-        raise _no_frame(video, wanted)
-    frame = next(iter(listed)) if wanted is None else wanted
+        raise _no_frame(video, frame_number)
+    frame = next(iter(listed)) if frame_number is None else frame_number
     capture = LAYOUTS[layout](config, video.case, listed[frame], frame, photos_required)
     warnings = list(capture.warnings)
     points = capture.points
     if len(points) == 0:
         points, notes = _points_of_colmap(video.case, frame, capture, listed[frame])
         warnings += notes
-    if wanted is None and len(listed) > 1:
+    if frame_number is None and len(listed) > 1:
         warnings.append(
             f"{video.case / layout} contains {count_words(len(listed), 'frame')}, {_span(listed)}; "
             f"using frame {frame}. Choose another with `--frame`."
@@ -182,7 +182,7 @@ def _list(folder: Path, layout: str) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
-def _no_frame(video: PkuVideo, wanted: int | None) -> DatasetError:
+def _no_frame(video: PkuVideo, frame_number: int | None) -> DatasetError:
     listed = {
         name: frames
         for name in ((video.layout,) if video.layout else LAYOUTS)
@@ -196,7 +196,7 @@ def _no_frame(video: PkuVideo, wanted: int | None) -> DatasetError:
         )
     have = "; ".join(f"{name} has {len(f)}, {_span(f)}" for name, f in listed.items())
     return DatasetError(
-        f"{where} has no frame {wanted}: {have}. Choose one of these with `--frame`."
+        f"{where} has no frame {frame_number}: {have}. Choose one of these with `--frame`."
     )
 
 

@@ -155,12 +155,12 @@ def read_images(path: Path, *, observations: bool = True) -> Iterator[ColmapImag
     lines.check(count)
 
 
-def _observations(line: str, wanted: bool) -> tuple[np.ndarray, np.ndarray]:
+def _observations(line: str, parse: bool) -> tuple[np.ndarray, np.ndarray]:
     """Positions [M, 2] and ids [M] of triples; ValueError or OverflowError if they are none."""
     words = line.split()
     if len(words) % 3:
         raise ValueError
-    words = words if wanted else []
+    words = words if parse else []
     xys = np.array([words[0::3], words[1::3]], dtype=np.str_).astype(np.float64)
     return np.ascontiguousarray(xys.T), np.array(words[2::3], dtype=np.str_).astype(np.int64)
 

@@ -100,7 +100,7 @@ def read_mask(path: str | Path, *, inverted: bool = False) -> np.ndarray:
     return 255 - mask if inverted else mask
 
 
-def assumed_of_mask(path: str | Path) -> str:
+def mask_assumption(path: str | Path) -> str:
     """Assumption of `read_mask` about the white value of a mask, as the end of a message that
     begins with "masks"; empty without one. Raises as `read_image`."""
     return _mask(Path(path))[1]

@@ -50,27 +50,29 @@ def decide_exposure(config: TrainConfig, analysis: Analysis) -> Exposure:
     found = fit_gains(colors, expected) if measured and colors is not None else expected
     known = "points seen in several photos" if measured else "EXIF" if stops is not None else ""
     off = stops_off_neighbours(found, cameras.centers[train])
-    apart = float(np.sqrt((off**2).mean())) if len(off) else 0.0
-    learns, why = learns_exposure(config.exposure, apart, float(off.max(initial=0.0)), known=known)
+    spread = float(np.sqrt((off**2).mean())) if len(off) else 0.0
+    learns, why = learns_exposure(config.exposure, spread, float(off.max(initial=0.0)), known=known)
     log_gains = np.zeros((len(cameras), 3))
     log_gains[train] = found
     return Exposure(
         gains=PhotoGains(train, log_gains) if learns else None,
         decision=Decision("exposure", why),
-        numbers={"learnt": learns, "why": why, "stops_apart": apart, "known_by": known or None},
+        numbers={"learnt": learns, "why": why, "stops_apart": spread, "known_by": known or None},
     )
 
 
-def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) -> tuple[bool, str]:
+def learns_exposure(
+    mode: Switch, spread: float, farthest: float, *, known: str
+) -> tuple[bool, str]:
     """Decide whether to optimise exposure gains, with the reason as a message.
 
     Args:
         mode: The option `exposure`.
-        apart: Root mean square of `stops_off_neighbours`; 0 if exposures are unknown.
+        spread: Root mean square of `stops_off_neighbours`; 0 if exposures are unknown.
         farthest: Maximum of these.
         known: Source of the exposures; empty: unknown.
     """
-    fact = f"{apart:.2f} stops apart, at most {farthest:.2f}, by {known}"
+    fact = f"{spread:.2f} stops apart, at most {farthest:.2f}, by {known}"
     if mode is Switch.ON:
         return True, f"The exposure of each photo is optimised ({fact if known else 'requested'})."
     if not known:
@@ -78,7 +80,7 @@ def learns_exposure(mode: Switch, apart: float, farthest: float, *, known: str) 
             "The exposure of the photos is unknown, because no points are observed in several of "
             "them and EXIF has none. Colours are used unchanged; `--exposure on` optimises gains."
         )
-    if apart < LEAST_STOPS and farthest < FAR_STOPS:
+    if spread < LEAST_STOPS and farthest < FAR_STOPS:
         return False, (
             f"Neighbouring photos have similar exposure ({fact}), so their colours are used "
             "unchanged."

@@ -74,7 +74,7 @@ def prepare_depth(
         return DepthSetup()
     facts = coverage(photos.scene, photos.train)
     needed, _ = decide(config.depth_mode, facts, usable=len(photos.train))
-    priors = load_priors(data, photos, together=needed, on_progress=on_progress)
+    priors = load_priors(data, photos, joint=needed, on_progress=on_progress)
     usable = sum(
         1
         for i in photos.train

@@ -109,7 +109,7 @@ class RunOutputs:
         depth: DepthReport | None = None,
         photo_parameters: dict[str, Any] | None = None,
         decisions: Sequence[Decision] = (),
-        asked: Mapping[str, int] | None = None,
+        requested: Mapping[str, int] | None = None,
         reason: str,
     ) -> dict[str, Any]:
         """Write report.html and metrics.json; return the metrics.
@@ -124,7 +124,7 @@ class RunOutputs:
             depth: Depth report; None: there are no depth maps.
             photo_parameters: Result of `write_photo_parameters`.
             decisions: Decisions of the run for its photos and options.
-            asked: Requested values of options that the number of photos limited.
+            requested: Requested values of options that the number of photos limited.
             reason: Reason why training ended.
         """
         trainer, folder, photos = self._trainer, self._folder, self._trainer.photos
@@ -140,7 +140,7 @@ class RunOutputs:
             depth=None if depth is None else depth.numbers,
             ranks=_of_ranks(trainer.team),
             decisions=decisions,
-            asked=dict(asked or {}) or None,
+            asked=dict(requested or {}) or None,
             **(photo_parameters or {}),
         )
         stopped = Evaluation.none("training was stopped before its evaluation")

@@ -173,7 +173,7 @@ def test_import_matches_the_model(scene) -> None:
     by_name = {image.name: image for image in model.images}
     for ob in made.cameras:
         assert is_camera(ob) and root_of(ob) == made.root
-        own = co.stated(ob)
+        own = co.photo_camera_of(ob)
         np.testing.assert_array_equal(own.viewmat, by_name[own.image].viewmat)
         np.testing.assert_array_equal(own.K, model.cameras[by_name[own.image].camera_id].K)
         photo = photo_of(ob)
@@ -238,7 +238,7 @@ def test_distorted_cameras_come_as_trainings_see_them(scene, capture: Path) -> N
     """Oracle: the pinhole camera of a training; model, parameters and the photo's size are kept."""
     made = import_capture(bpy.context.scene, capture)
     ob = next(ob for ob in made.cameras if ob["gs_model"] == "OPENCV")
-    own = co.stated(ob)
+    own = co.photo_camera_of(ob)
     assert own.params == (800.0, 801.0, 505.0, 370.0, -0.1, 0.02, 0.001, -0.002)
     assert own.photo_size == own.taken == (1000, 750)
     lens = next(c for c in read_colmap(capture).cameras.values() if c.model == "OPENCV")
@@ -254,7 +254,7 @@ def test_lens_without_inverse_is_reported(scene, tmp_path: Path) -> None:
     write_capture(tmp_path / "x", np.random.default_rng(0), cameras=bent, photos=True)
     made = import_capture(bpy.context.scene, tmp_path / "x")
     assert sum("cannot be undistorted" in warning for warning in made.warnings) == 1
-    own = co.stated(made.cameras[0])
+    own = co.photo_camera_of(made.cameras[0])
     np.testing.assert_array_equal(own.K, [[400, 0, 320], [0, 400, 240], [0, 0, 1]])
     assert own.photo_size is None and own.taken == (640, 480)
     assert Path(photo_of(made.cameras[0]).filepath) == Path(own.photo)
@@ -311,7 +311,7 @@ def test_save_and_load(scene, tmp_path: Path) -> None:
     listed = cameras_of(root)
     assert len(listed) == 60
     for ob in listed:
-        own = co.stated(ob)
+        own = co.photo_camera_of(ob)
         np.testing.assert_array_equal(own.viewmat, by_name[own.image].viewmat)
         assert not co.is_moved(ob, own) and not co.is_lens_changed(ob.data, own)
     assert captures.use_camera(bpy.context.scene, listed[0]) == []
@@ -391,25 +391,25 @@ def test_moving_and_zooming_is_noticed(scene) -> None:
     """Oracle: a change of a hundredth of a pixel counts, another rotation mode does not."""
     made = import_capture(bpy.context.scene, STUDIO)
     ob = made.cameras[7]
-    own = co.stated(ob)
+    own = co.photo_camera_of(ob)
     ob.rotation_mode = "XYZ"
     assert not co.is_moved(ob, own)
     ob.rotation_euler.z += 1e-4
     assert co.is_moved(ob, own)
     ob = made.cameras[8]
-    own = co.stated(ob)
+    own = co.photo_camera_of(ob)
     ob.location.x += 1e-4
     assert co.is_moved(ob, own)
     ob.data.shift_x += 1e-4
     assert co.is_lens_changed(ob.data, own)
     ob = made.cameras[9]
     ob.constraints.new("COPY_LOCATION")
-    assert co.is_moved(ob, co.stated(ob))
+    assert co.is_moved(ob, co.photo_camera_of(ob))
     ob = made.cameras[10]
     ob.driver_add("location", 0).driver.expression = "frame"
-    assert co.is_moved(ob, co.stated(ob))
+    assert co.is_moved(ob, co.photo_camera_of(ob))
     made.root.location.x += 5
-    assert not co.is_moved(made.cameras[0], co.stated(made.cameras[0]))
+    assert not co.is_moved(made.cameras[0], co.photo_camera_of(made.cameras[0]))
 
 
 def test_a_property_that_is_gone(scene) -> None:
@@ -417,7 +417,7 @@ def test_a_property_that_is_gone(scene) -> None:
     made = import_capture(bpy.context.scene, STUDIO)
     del made.cameras[0]["gs_K"]
     with pytest.raises(ValueError, match=r"view_000 .*gs_K"):
-        co.stated(made.cameras[0])
+        co.photo_camera_of(made.cameras[0])
 
 
 def test_operators(scene) -> None:
@@ -489,7 +489,7 @@ def test_transforms_json(scene, tmp_path: Path) -> None:
     views = {v.name: v for v in read_capture(DataConfig(source=tmp_path)).views}
     assert len(made.cameras) == 60 and len(made.points.data.vertices) == 6725
     for ob in made.cameras:
-        own = co.stated(ob)
+        own = co.photo_camera_of(ob)
         np.testing.assert_array_equal(own.viewmat, views[own.image].viewmat)
         np.testing.assert_array_equal(own.K, views[own.image].camera.K)
     assert captures.use_camera(bpy.context.scene, made.cameras[0]) == []
@@ -510,7 +510,9 @@ def test_cameras_of_metashape(scene, tmp_path: Path) -> None:
     assert len(made.cameras) == 60
     poses = {image.name: image.viewmat for image in model.images}
     for ob in made.cameras:
-        np.testing.assert_allclose(co.stated(ob).viewmat, poses[co.stated(ob).image], atol=1e-6)
+        np.testing.assert_allclose(
+            co.photo_camera_of(ob).viewmat, poses[co.photo_camera_of(ob).image], atol=1e-6
+        )
 
 
 def test_one_switch_shows_all_photos_of_the_capture(scene, tmp_path: Path) -> None:

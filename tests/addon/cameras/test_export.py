@@ -298,7 +298,7 @@ def test_without_the_source(made, scene, capture: Path, tmp_path: Path) -> None:
 def test_reconstructed_source_warns(made, scene, capture: Path, tmp_path: Path) -> None:
     """Oracle: the imported poses take precedence over those of another reconstruction; a
     warning."""
-    imported = {ob["gs_image"]: co.stated(ob).viewmat for ob in made.cameras}
+    imported = {ob["gs_image"]: co.photo_camera_of(ob).viewmat for ob in made.cameras}
     write_capture(capture, np.random.default_rng(7))
     done = export_colmap(tmp_path / "o", made.cameras, scene, root=made.root, depsgraph=graph())
     assert "14 cameras have changed" in done.warnings[0]
@@ -324,13 +324,13 @@ def test_transforms_file(made, scene, tmp_path: Path) -> None:
     assert done.points == 300 and "14 photos are not inside" in done.warnings[0]
     data = json.loads(path.read_text())
     frame = data["frames"][0]
-    own = co.stated(made.cameras[0])
+    own = co.photo_camera_of(made.cameras[0])
     world = np.linalg.inv(own.viewmat)
     np.testing.assert_allclose(frame["transform_matrix"], world @ np.diag([1, -1, -1, 1]))
     views = read_capture(DataConfig(source=path), photos_required=False).views
     assert len(views) == 14
     for view, ob in zip(views, made.cameras, strict=True):
-        own = co.stated(ob)
+        own = co.photo_camera_of(ob)
         np.testing.assert_allclose(view.viewmat, own.viewmat, atol=1e-12)
         assert (view.camera.width, view.camera.height) == own.taken
         if own.photo_size is None:

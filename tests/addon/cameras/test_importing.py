@@ -277,7 +277,7 @@ def test_anew(scene, folder: Path) -> None:
     assert again.cameras[7].data.dof.use_dof and "view_009" in bpy.data.objects
     by_name = {image.name: image for image in read_colmap(folder).images}
     for ob in again.cameras:
-        stated = co.stated(ob)
+        stated = co.photo_camera_of(ob)
         np.testing.assert_array_equal(stated.viewmat, by_name[stated.image].viewmat)
         assert not co.is_moved(ob, stated) and not co.is_lens_changed(ob.data, stated)
         assert ob.data.clip_end == pytest.approx(again.cameras[0].data.clip_end)
@@ -427,7 +427,7 @@ def test_a_camera_that_is_renamed_meanwhile(scene, folder: Path) -> None:
     late = cameras_of(bpy.data.objects["studio"])[-1]
     late.name, late.location.x = "late", 99.0
     assert until(work, lambda: False)
-    assert len(bpy.data.cameras) == 60 and not co.is_moved(late, co.stated(late))
+    assert len(bpy.data.cameras) == 60 and not co.is_moved(late, co.photo_camera_of(late))
 
 
 @pytest.mark.parametrize("what", ["moved", "replaced"])
@@ -528,7 +528,7 @@ def test_the_button_stays(scene, folder: Path, tmp_path: Path) -> None:
     assert len(bpy.data.cameras) == 60
     root = bpy.data.objects["studio"]
     assert Path(root["gs_source"]) == moved and points_of(root) is not None
-    assert Path(co.stated(cameras_of(root)[0]).photo).is_file()
+    assert Path(co.photo_camera_of(cameras_of(root)[0]).photo).is_file()
 
 
 def test_file_import_has_it(scene) -> None:

@@ -23,7 +23,7 @@ from addon.cameras import (
     undistorted_photos,
 )
 from addon.cameras.backgrounds import photo_of, undistorted_background
-from addon.cameras.objects import PhotoCamera, is_camera, stated
+from addon.cameras.objects import PhotoCamera, is_camera, photo_camera_of
 from addon.core import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_colmap
 from addon.panels.cameras import CamerasPanel
 from addon.process import poll_timer
@@ -168,7 +168,7 @@ def test_backgrounds_fit_up_to_the_corners(scene, tmp_path: Path, ending: str) -
     bpy.context.view_layer.update()
     for ob in made.cameras:
         assert not any("is missing" in note for note in captures.use_camera(scene, ob))
-        own, picture = stated(ob), shown(photo_of(ob))
+        own, picture = photo_camera_of(ob), shown(photo_of(ob))
         assert picture.shape == (own.height, own.width)
         assert picture.shape == (scene.render.resolution_y, scene.render.resolution_x)
         errors, reach, original = [], [], []
@@ -191,7 +191,7 @@ def test_masks_stay_those_of_the_photo(scene, tmp_path: Path) -> None:
     """Oracle: the photo's own pixels and size, and the size of the file that is saved."""
     made = import_capture(scene, capture_of(tmp_path / "c", ["OPENCV"]))
     scene.gscore.capture_path = str(tmp_path / "c")
-    image, own = masks.make(scene, made.cameras[0]), stated(made.cameras[0])
+    image, own = masks.make(scene, made.cameras[0]), photo_camera_of(made.cameras[0])
     assert tuple(image.size) == SIZE != (own.width, own.height)
     np.testing.assert_array_equal(np.rint(shown(image) * 255), board("OPENCV")[..., 0])
     saved = bpy.data.images.load(str(masks.save(scene, image)))
@@ -208,7 +208,7 @@ def test_photos_that_change_or_move_get_new_copies(scene, tmp_path: Path, own_co
     (first,) = own_copies.iterdir()
     before = shown(photo_of(ob)).copy()
 
-    photo = Path(stated(ob).photo)
+    photo = Path(photo_camera_of(ob).photo)
     write_png(photo, 255 - board("OPENCV"))
     os.utime(photo, (1e9, 1e9))
     ob.data.background_images[0].alpha, ob.data.show_background_images = 0.5, False
@@ -342,7 +342,7 @@ def test_many_cameras_are_asked_for_at_once(
     """Oracle: the number of passes over all images of the file."""
     made = import_capture(scene, capture_of(tmp_path / "c", [*LENSES]))
     for ob in made.cameras:
-        os.utime(stated(ob).photo, (1e9, 1e9))  # so that all copies have other names
+        os.utime(photo_camera_of(ob).photo, (1e9, 1e9))  # so that all copies have other names
     calls = []
     known = backgrounds.KnownImages
     monkeypatch.setattr(undistort_jobs, "KnownImages", lambda: calls.append(1) or known())

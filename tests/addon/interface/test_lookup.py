@@ -154,10 +154,12 @@ def test_camera_warnings_are_shown(
     assert made.warnings[0] == SHOWN
     assert any(text.startswith(f"{SHOWN} Until then") for text in made.warnings)
     bent = next(
-        ob for ob in made.cameras if not undistorted_photos.lens_of(co.stated(ob)).is_pinhole
+        ob
+        for ob in made.cameras
+        if not undistorted_photos.lens_of(co.photo_camera_of(ob)).is_pinhole
     )
     with pytest.raises(ValueError, match=f"cannot be undistorted. {SHOWN}"):
-        undistorted_photos.undistortion_of(co.stated(bent))
+        undistorted_photos.undistortion_of(co.photo_camera_of(bent))
     monkeypatch.setattr(export_colmap, "read_colmap", refuse)
     done = calls.export_colmap(tmp_path / "out", made.cameras, scene, root=made.root)
     assert done.warnings[0].endswith(f"cannot be read: {SHOWN}")

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 
-from addon.cameras.objects import stated
+from addon.cameras.objects import photo_camera_of
 from addon.core import Folder, gray_png, masks_inside
 from addon.panels.cameras import CamerasPanel
 from addon.process.incremental_tasks import run_blocking
@@ -60,7 +60,7 @@ def painted(image: bpy.types.Image) -> np.ndarray:
 
 def test_from_button_to_training(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: the mask as training reads it, the photos' bytes, and the warnings before a start."""
-    own = stated(studio.camera)
+    own = photo_camera_of(studio.camera)
     before = {path: path.read_bytes() for path in (tmp_path / "studio" / "images").iterdir()}
     assert "(Paint Mask)" in drawn(CamerasPanel)
     assert bpy.ops.gscore.paint_mask() == {"FINISHED"}
@@ -101,7 +101,7 @@ def test_image_editor_is_ready_to_paint(studio: bpy.types.Scene) -> None:
 @pytest.mark.parametrize("inverted", [False, True])
 def test_a_mask_that_is_there_is_painted_on(studio: bpy.types.Scene, inverted: bool) -> None:
     """Oracle: the levels of a file, and those after painting."""
-    own = stated(studio.camera)
+    own = photo_camera_of(studio.camera)
     studio.gscore.invert_masks = inverted
     file = Path(studio.gscore.capture_path) / "masks" / Path(own.image).with_suffix(".png").name
     rng = np.random.default_rng(0)
@@ -241,7 +241,7 @@ def test_full_size_masks_of_either_folder_keep_their_size(
 ) -> None:
     """Oracle: the levels of a file twice as large as its photo, and the file found by gscore's
     rule."""
-    own, source = stated(studio.camera), Path(studio.gscore.capture_path)
+    own, source = photo_camera_of(studio.camera), Path(studio.gscore.capture_path)
     file = source / folder / f"{own.image}.png"
     given = np.kron(
         np.arange(own.height * own.width).reshape(own.height, -1) // 97 % 256, [[1] * 2] * 2
@@ -259,7 +259,7 @@ def test_full_size_masks_of_either_folder_keep_their_size(
 @pytest.mark.parametrize("folder", ["masks", "mask"])
 def test_a_comparison_takes_the_same_masks(studio: bpy.types.Scene, folder: str) -> None:
     """Oracle: the written mask at the photo's size; blocks of 2 x 2 pixels are equal."""
-    own = stated(studio.camera)
+    own = photo_camera_of(studio.camera)
     given = np.zeros((own.height, own.width), np.uint8)
     given[:20] = 255
     file = Path(studio.gscore.capture_path) / folder / f"{own.image}.png"

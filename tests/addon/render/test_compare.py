@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from addon import stored_paths
-from addon.cameras.objects import stated
+from addon.cameras.objects import photo_camera_of
 from addon.cameras.undistorted_photos import lens_of
 from addon.core import Folder, downscale, plan_undistortion, psnr, read_colmap, render, write_colmap
 from addon.panels.render import RenderPanel
@@ -67,7 +67,7 @@ def test_the_picture_has_the_exposure_of_the_photo(studio, scene, tmp_path):
     plain = compared(scene, camera, graph())
     before = pixels(plain.images["Render"])
     gain = np.array([0.5, 0.7, 0.9])
-    write_exposures(tmp_path / EXPOSURE_FILE, {stated(camera).image: gain})
+    write_exposures(tmp_path / EXPOSURE_FILE, {photo_camera_of(camera).image: gain})
     found = compared(scene, camera, graph())
     after = pixels(found.images["Render"])
     background = float(lab.srgb(0.1))
@@ -90,7 +90,7 @@ def test_psnr_and_pictures(studio, scene, percentage):
     camera = capture.cameras[9]
     scene.render.resolution_percentage, scene.gscore.use_masks = percentage, False
     found = compared(scene, camera, bpy.context.evaluated_depsgraph_get())
-    own = stated(camera)
+    own = photo_camera_of(camera)
     width, height = own.width * percentage // 100, own.height * percentage // 100
     K = np.diag([width / own.width, height / own.height, 1]) @ own.K
     near = camera.data.clip_start / capture.root.scale[0]
@@ -160,7 +160,7 @@ def test_masks_of_the_capture_count(studio, scene):
 
 def target_pieces(camera) -> Steps[photo_module.Target]:
     """The target of the camera's picture."""
-    own, options = stated(camera), {"background": (0, 0, 0), "mask_mode": "auto"}
+    own, options = photo_camera_of(camera), {"background": (0, 0, 0), "mask_mode": "auto"}
     return photo_module.load_target(camera, own.width, own.height, **options)
 
 
@@ -342,7 +342,7 @@ def film(camera, folder):
 def test_masks_of_labels_are_yes_and_no(studio, scene, tmp_path, top):
     """Oracle: the same mask in 0 and 255, as training reads it."""
     camera = studio[0].cameras[9]
-    own = stated(camera)
+    own = photo_camera_of(camera)
     shutil.copytree(STUDIO, tmp_path / "in", ignore=shutil.ignore_patterns("depths", "masks"))
     stored_paths.write(studio[0].root, stored_paths.SOURCE, str(tmp_path / "in"))
     found = []
@@ -463,7 +463,7 @@ def test_photos_of_lenses_that_bend_are_straightened_as_for_training(scene, bent
     scene.gscore.use_masks = False
     camera = capture.cameras[0]
     found = compared(scene, camera, bpy.context.evaluated_depsgraph_get())
-    own, shown = stated(camera), pixels(found.images["Photo"])
+    own, shown = photo_camera_of(camera), pixels(found.images["Photo"])
     plan = plan_undistortion(lens_of(own))
     assert shown.shape == (own.height, own.width, 3) == (plan.height, plan.width, 3)
     np.testing.assert_array_equal(np.rint(shown * 255), plan.undistort_photo(photo))
@@ -482,7 +482,7 @@ def test_masks_of_lenses_that_bend_are_straightened_too(scene, bent):
     """Oracle: the mask's rows, sampled where the lens has the rows of the undistorted photo."""
     capture, _, photo = bent(-0.12)
     camera = capture.cameras[0]
-    own = stated(camera)
+    own = photo_camera_of(camera)
     mask = np.zeros(photo.shape[:2], np.uint8)
     mask[200:] = 255
     folder = Path(own.photo).parents[1]

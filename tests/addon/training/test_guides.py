@@ -14,7 +14,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Euler, Matrix, Vector
 
 from addon import preferences
-from addon.cameras.objects import stated
+from addon.cameras.objects import photo_camera_of
 from addon.core import Capture, write_splats
 from addon.panels.train import GuidesPanel
 from addon.training import guides, registry, start_training
@@ -100,7 +100,7 @@ def test_a_mesh_lands_where_cameras_see_it(studio: bpy.types.Scene, tmp_path: Pa
     cameras = [o for o in studio.objects if o.type == "CAMERA"]
     seen = 0
     for camera in cameras[:6]:
-        own = stated(camera)
+        own = photo_camera_of(camera)
         view = views[own.image]
         studio.render.resolution_x, studio.render.resolution_y = own.width, own.height
         local = vertices @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
@@ -212,7 +212,7 @@ def test_a_real_training_sees_a_wall_where_blender_does(studio: bpy.types.Scene)
     into(studio, "surface", wall)
     graph, seen = bpy.context.evaluated_depsgraph_get(), 0
     for camera in cameras:
-        own = stated(camera)
+        own = photo_camera_of(camera)
         frame = [camera.matrix_world @ corner for corner in camera.data.view_frame(scene=studio)]
         center, hit = camera.matrix_world.translation, False
         for across in np.linspace(0.01, 0.99, own.width // 8):
