@@ -34,7 +34,7 @@ LONGEST = 280
 BYTES = 64
 """Bytes per splat read by the GPU: four texels of four floats, including one for the order."""
 COLUMNS = (
-    "redraws a second", "with waits", "main thread, ms", "with the card's, ms", "splats",
+    "redraws a second", "with waits", "main thread, ms", "with drawing, ms", "splats",
     "draw calls", "uploaded MB", "read MB",
 )  # fmt: skip
 
