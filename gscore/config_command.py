@@ -21,7 +21,7 @@ def preset_of(data: DataConfig) -> str:
     return widths.get(data.max_width, "")
 
 
-def preset_words(data: DataConfig, train: TrainConfig) -> str:
+def preset_text(data: DataConfig, train: TrainConfig) -> str:
     """Name of the preset, and whether options were changed; empty: no preset."""
     name = preset_of(data)
     if not name:

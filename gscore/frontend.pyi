@@ -111,7 +111,7 @@ from .raster.mesh import mesh_depth as mesh_depth
 from .report.colormap import colorize as colorize
 from .scene import moved_viewmats as moved_viewmats
 from .scene import offset_between as offset_between
-from .scene import origin_words as origin_words
+from .scene import origin_text as origin_text
 from .sfm.output_path import default_capture_output as default_capture_output
 from .sh import rgb_to_sh0 as rgb_to_sh0
 from .sh import sh0_to_rgb as sh0_to_rgb

@@ -99,10 +99,10 @@ class Option:
         return f"auto, or {numbers}"
 
     @property
-    def default_words(self) -> str:
+    def default_text(self) -> str:
         """Default as command-line text; empty: none."""
         automatic = self.auto is not None and self.default == self.auto
-        return "auto" if automatic else value_words(self.default)
+        return "auto" if automatic else value_text(self.default)
 
     def is_auto(self, value: Any) -> bool:
         """Whether a value is None or `auto`, and the option has a number for them."""
@@ -146,10 +146,10 @@ def check_options(config: Any) -> None:
             raise ConfigError(f"{each} must be {_expected(declared)}, got {quoted(value)}.")
 
 
-def value_words(value: Any) -> str:
+def value_text(value: Any) -> str:
     """A value as command-line text; empty for none."""
     if isinstance(value, tuple):
-        return " ".join(value_words(member) for member in value)
+        return " ".join(value_text(member) for member in value)
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, int | float):

@@ -105,7 +105,7 @@ def are_relative_to(places: np.ndarray, origin: np.ndarray | None) -> bool:
     return bool(np.linalg.norm(middle) < np.linalg.norm(middle - origin))
 
 
-def origin_words(origin: np.ndarray) -> str:
+def origin_text(origin: np.ndarray) -> str:
     """A local origin for a message."""
     return "(" + ", ".join(f"{value:.15g}" for value in origin) + ")"
 

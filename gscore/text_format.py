@@ -6,7 +6,7 @@ from typing import Any
 from .events import ENDED, MASKED_OF, headline_psnr
 
 
-def number_words(value: float | None, digits: int) -> str:
+def number_text(value: float | None, digits: int) -> str:
     """A number with this many decimals; n/a for None."""
     return "n/a" if value is None else f"{value:.{digits}f}"
 
@@ -16,12 +16,12 @@ def number(count: int | None) -> str:
     return "n/a" if count is None else f"{count:,}"
 
 
-def count_words(count: int, one: str, many: str = "") -> str:
+def count_text(count: int, one: str, many: str = "") -> str:
     """1 view, 42,691 views; with `many` any other plural: 1 photo is, 2 photos are."""
     return f"{number(count)} {one if count == 1 else many or one + 's'}"
 
 
-def size_words(count: int | None) -> str:
+def size_text(count: int | None) -> str:
     """Bytes in decimal units: 12.3 MB."""
     if count is None:
         return "n/a"
@@ -31,7 +31,7 @@ def size_words(count: int | None) -> str:
     return f"{count} B"
 
 
-def time_words(seconds: float | None) -> str:
+def time_text(seconds: float | None) -> str:
     """A duration: 42 s, 3 min 05 s, 1 h 02 min."""
     if seconds is None:
         return "n/a"
@@ -43,7 +43,7 @@ def time_words(seconds: float | None) -> str:
     return f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def quality_words(metrics: Mapping[str, Any]) -> str:
+def quality_text(metrics: Mapping[str, Any]) -> str:
     """PSNR, SSIM and LPIPS of a metrics.json, headline figure first; empty: no PSNR."""
     if (worth := headline_psnr(metrics)) is None:
         return ""
@@ -57,13 +57,13 @@ def quality_words(metrics: Mapping[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def colour_words(metrics: Mapping[str, Any]) -> str:
-    """Colour-corrected PSNR, to append to `quality_words`; empty: not measured."""
+def colour_text(metrics: Mapping[str, Any]) -> str:
+    """Colour-corrected PSNR, to append to `quality_text`; empty: not measured."""
     worth = metrics.get("psnr_cc")
     return "" if worth is None else f", colour-corrected PSNR {worth:.2f} dB"
 
 
-def stopped_words(metrics: Mapping[str, Any], iterations: int = 0) -> str:
+def stopped_text(metrics: Mapping[str, Any], iterations: int = 0) -> str:
     """Step at which a training was stopped: "stopped after 500 of 1,500 steps"; empty: it was not
     stopped, or this is unknown.
 
@@ -74,13 +74,13 @@ def stopped_words(metrics: Mapping[str, Any], iterations: int = 0) -> str:
     reason, steps = metrics.get("reason"), metrics.get("steps")
     if not reason or reason in ENDED or steps is None or 0 < iterations <= steps:
         return ""
-    return f"stopped after {step_words(steps, iterations)}"
+    return f"stopped after {step_text(steps, iterations)}"
 
 
-def step_words(steps: int, iterations: int) -> str:
+def step_text(steps: int, iterations: int) -> str:
     """Progress of a training: 500 of 1,500 steps; without a total if `iterations` is 0."""
     of = f"{number(steps)} of " if iterations else ""
-    return f"{of}{count_words(iterations or steps, 'step')}"
+    return f"{of}{count_text(iterations or steps, 'step')}"
 
 
 def has_exposure_correction(metrics: Mapping[str, Any]) -> bool:

@@ -100,7 +100,7 @@ TRAINER = {
     "analysis": {"depth", "estimate", "guide", "model", "photos", "region", "schedule", "views"},
     "trainer": {"depth", "guide", "host", "photos", "distributed", "region", "model", "schedule"}
     | {"analysis", "step", "strategy", "views"},
-    "team_trainer": {"analysis", "distributed", "model", "schedule", "step", "trainer"},
+    "distributed_trainer": {"analysis", "distributed", "model", "schedule", "step", "trainer"},
     "evaluation": {"trainer"},
     "preflight": {"trainer"},
     "stopping": {"estimate", "evaluation", "model", "schedule", "trainer"},
@@ -123,7 +123,7 @@ TRAINER = {
         "region",
         "model",
         "schedule",
-        "team_trainer",
+        "distributed_trainer",
         "trainer",
         "views",
     },

@@ -14,7 +14,7 @@ from ..compat import curves_of
 from ..core import Cameras, offset_between, read_camera_path, rotmat_to_quat
 from ..interface import editable_check
 from ..interface.blocks import with_uid
-from ..interface.option_labels import panel_words
+from ..interface.option_labels import panel_text
 from ..interface.temporary_data import Temporary
 from ..process import garbage
 from ..process.incremental_tasks import BUDGET, Check, Steps, run_in_thread
@@ -172,7 +172,7 @@ def _read(
         columns=columns,
         frame=frame,
         fps=None if read.fps is None else read.fps * _frames_a_picture(numbers),
-        warnings=tuple(map(panel_words, read.warnings)),
+        warnings=tuple(map(panel_text, read.warnings)),
     )
 
 

@@ -19,7 +19,7 @@ from ..core import (
     rotmat_to_quat,
     write_colmap,
 )
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from .export_sources import ExportInputs, points_to_export, reading_inputs
 from .export_views import Exported, ExportView, Tracked, all_or_none, kept_lenses
@@ -105,7 +105,7 @@ def _source_model(
         return read_colmap(source).about(origin), []
     except (GsError, OSError) as error:
         return None, [
-            f"Observations are left out, because the capture cannot be read: {error_words(error)}"
+            f"Observations are left out, because the capture cannot be read: {error_text(error)}"
         ]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import stored_paths
 from ..capture.folders import same_folder
-from ..core import offset_between, origin_words
+from ..core import offset_between, origin_text
 from ..interface.blocks import first_few
 from . import objects as co
 from .capture_transform import noted_origin
@@ -71,7 +71,7 @@ def other_origins(scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[str, 
     for other in roots_of(scene):
         apart = offset_between(own, noted_origin(other))
         if other != root and apart.any():
-            at, distance = map(origin_words, (offset_between(own, None), apart))
+            at, distance = map(origin_text, (offset_between(own, None), apart))
             return (
                 f"{root.name} has the local origin {at}, at {distance} from that of {other.name}: "
                 f"both are placed near the scene's origin, not in their true relation.",

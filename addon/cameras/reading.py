@@ -20,7 +20,7 @@ from ..core import (
     read_capture,
     up_from_exif,
 )
-from ..interface.option_labels import error_words, panel_words
+from ..interface.option_labels import error_text, panel_text
 from ..process.incremental_tasks import Check
 from . import alignment, sfm_points
 from . import objects as co
@@ -141,7 +141,7 @@ def read(
         columns = sfm_points.columns(cloud, capture.points.colors[finite], np.flatnonzero(finite))
         radius = sfm_points.point_radius(cloud, centers)
         read_points = ReadPoints(count=len(cloud), columns=columns, radius=radius)
-    reader_warnings = map(panel_words, capture.warnings)
+    reader_warnings = map(panel_text, capture.warnings)
     return ReadCapture(
         source=source,
         images=images,
@@ -174,7 +174,7 @@ class _Lenses:
             except GsError as error:
                 self._known[key] = None
                 self.problems.append(
-                    f"{error_words(error)} Until then its photos do not fit their cameras."
+                    f"{error_text(error)} Until then its photos do not fit their cameras."
                 )
         return self._known[key]
 

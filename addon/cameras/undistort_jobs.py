@@ -16,7 +16,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..interface.lookup import Lookup
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..interface.views import redraw_views
 from ..process import poll_timer
 from .backgrounds import (
@@ -99,7 +99,7 @@ def _backgrounds(
         try:
             background = undistorted_background(ob)
         except ValueError as error:
-            problems.append(error_words(error))
+            problems.append(error_text(error))
             continue
         if background is not None:
             backgrounds.append(background)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core import ColmapCamera, GsError, Undistortion, plan_undistortion
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..paths import own_folder
 from .objects import PhotoCamera
 
@@ -49,7 +49,7 @@ def undistortion_of(own: PhotoCamera) -> Undistortion | None:
     try:
         plan_undistortion(lens)
     except GsError as error:
-        raise ValueError(f"{own.image} cannot be undistorted. {error_words(error)}") from error
+        raise ValueError(f"{own.image} cannot be undistorted. {error_text(error)}") from error
     raise ValueError(
         f"The lens of {own.image} has distortion ({own.model}), and its camera was imported "
         f"without undistortion: import the capture's cameras again."

@@ -8,7 +8,7 @@ from .. import preferences
 from ..capture import depth_maps
 from ..capture.depth_maps import DepthReport
 from ..core import DepthDone, DepthProgress
-from ..interface.option_labels import panel_words
+from ..interface.option_labels import panel_text
 from ..paths import absolute, capture_folder, output_folder
 from ..process import poll_timer
 from ..training import facts, lookups, options
@@ -23,7 +23,7 @@ MAPS, RUN = "MAPS", "RUN"
 def _message(job: VerbJob) -> str:
     """Read the report; a sentence with the number of maps, and of accepted maps."""
     done = job.done
-    job.report = depth_maps.from_table(done.table, why=panel_words(done.why))
+    job.report = depth_maps.from_table(done.table, why=panel_text(done.why))
     maps = len(job.report.rows) - job.report.counts[depth_maps.MISSING]
     made = f"{done.predicted} maps predicted. " if done.predicted else ""
     return f"{made}{done.accepted} of {maps} maps are accepted."

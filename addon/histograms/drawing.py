@@ -50,14 +50,14 @@ def draw(
         shapes.append((_rectangle(x - scale, box.y, x + scale, box.top), color))
         shapes.append((_foot(x, box.y, _GRIP * scale), color))
     _fill(shapes)
-    text, above = limit_words(*limits), box.top + 1.5 * pad
+    text, above = limit_text(*limits), box.top + 1.5 * pad
     viewport_text.write(title, box.x, above, scale, _BRIGHT)
     viewport_text.write(
         text, box.right - viewport_text.width_of(text, scale), above, scale, _BRIGHT
     )
 
 
-def limit_words(smallest: float, largest: float) -> str:
+def limit_text(smallest: float, largest: float) -> str:
     """Limits in words."""
     low, high = map(_number, (smallest, largest))
     if smallest > 0 and largest > 0:

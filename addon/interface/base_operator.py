@@ -8,7 +8,7 @@ import bpy
 
 from ..core import GsError
 from . import editable_check
-from .option_labels import error_words
+from .option_labels import error_text
 
 
 class Condition(NamedTuple):
@@ -62,7 +62,7 @@ class BaseOperator:
 
     def refuse(self, error: Exception) -> set[str]:
         """Report an error with the panels' option names; returns the operator's result."""
-        self.report({"ERROR"}, error_words(error))
+        self.report({"ERROR"}, error_text(error))
         return {"CANCELLED"}
 
     def warn(self, sentences: Iterable[str]) -> None:

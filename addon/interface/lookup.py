@@ -5,7 +5,7 @@ from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
 
 from ..process.background_task import BackgroundTask
-from .option_labels import error_words
+from .option_labels import error_text
 
 KeyT = TypeVar("KeyT", bound=Hashable)
 AnswerT = TypeVar("AnswerT")
@@ -59,7 +59,7 @@ class Lookup(Generic[KeyT, AnswerT]):
         for key, task in list(self._tasks.items()):
             if task.running:
                 continue
-            problem = error_words(task.error) or task.problem
+            problem = error_text(task.error) or task.problem
             answer = (task.result, problem, time.monotonic())
             changed |= answer[:2] != self._answers.get(key, (None, "", 0.0))[:2]
             self._answers[key] = answer

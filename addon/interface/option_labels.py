@@ -8,17 +8,17 @@ CHOICES: dict[tuple[str, str], str] = {}
 """Label of a choice in a panel, by option and value."""
 
 
-def panel_words(sentence: str) -> str:
+def panel_text(sentence: str) -> str:
     """`sentence` with panel labels for marked options, or "the option ..." for those without."""
     return show_options(sentence, _label)
 
 
-def error_words(error: Exception | None) -> str:
+def error_text(error: Exception | None) -> str:
     """The sentence of an error, with the names of panels where it is one of gscore's; empty for
     none."""
     if error is None:
         return ""
-    return panel_words(str(error)) if isinstance(error, GsError) else str(error)
+    return panel_text(str(error)) if isinstance(error, GsError) else str(error)
 
 
 def _label(option: str, value: str) -> str:

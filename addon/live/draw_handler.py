@@ -13,7 +13,7 @@ import gpu
 from bpy.app.handlers import persistent
 
 from ..compat import draws_into_views, matrix_to_numpy
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..interface.views import redraw_views
 from ..process.pace import Pace
 from ..render import viewport, viewport_copies
@@ -140,7 +140,7 @@ def draw(context: bpy.types.Context) -> None:
             _lay_over(over)
         _state.problems.pop(pointer, None)
     except ValueError as error:
-        _state.problems[pointer] = error_words(error)
+        _state.problems[pointer] = error_text(error)
     except Exception as error:  # drivers raise anything; Blender would print it at each redraw
         _failed(error, pointer)
 
@@ -219,7 +219,7 @@ def _show(
 def _failed(error: Exception, pointer: int) -> None:
     """Release everything on the graphics card and try again later; if that is hopeless, show
     points."""
-    reason, now = error_words(error), time.monotonic()
+    reason, now = error_text(error), time.monotonic()
     if now - _state.paused_until > _FORGIVEN:
         _state.failures = 0
     compiled = _state.card is not None and _state.card.ready

@@ -7,7 +7,7 @@ import bpy
 from .. import preferences
 from ..capture.inspection import ShownFacts
 from ..depth import colors, networks, predict_depth
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..training.verb_job import STOPPING, VerbJob
 from .depth_table import draw_counts, draw_table
 from .progress import clock
@@ -68,7 +68,7 @@ def draw_network(layout: bpy.types.UILayout) -> bool:
     try:
         here = networks.is_installed(network)
     except ValueError as error:
-        sentence(layout, error_words(error), icon="ERROR")
+        sentence(layout, error_text(error), icon="ERROR")
         return False
     if here is None:
         layout.label(text="Searching...", icon="TIME")

@@ -8,7 +8,7 @@ from .. import attributes, stored_paths
 from ..histograms import gizmos
 from ..histograms.counting import OPACITY, SIZE
 from ..histograms.icons import ICONS
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..live import draw_handler
 from ..splats import edit, lag, live_display, operators
 from ..splats.mend_operators import outdated
@@ -205,7 +205,7 @@ def draw_counts(
     try:
         counts = edit.stats(ob, context.evaluated_depsgraph_get())
     except ValueError as error:
-        sentence(layout, error_words(error), icon="ERROR")
+        sentence(layout, error_text(error), icon="ERROR")
         return
     visible = "not known" if counts.visible is None else f"{counts.visible:,}"
     pairs = [("Splats", f"{counts.total:,}"), ("Shown", visible)]

@@ -64,7 +64,7 @@ def draw_frames(
     ]
     rows(layout, pairs)
     if series.gaps:
-        sentence(layout, series.gap_words(), icon="ERROR")
+        sentence(layout, series.gap_text(), icon="ERROR")
     moment = moment_of(ob, context.scene.frame_current_final)
     damaged = LIBRARY.frame(moment.files[0])[1] if moment is not None and moment.files else ""
     if text := damaged or frame_sync.problem_of(ob):

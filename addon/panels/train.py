@@ -8,7 +8,7 @@ import bpy
 from .. import preferences
 from ..cameras.lookup import panel_root
 from ..core import PRESETS, Estimate, RunInfo
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..paths import output_folder
 from ..sequence import train_sequence as sequence
 from ..training import facts, forecast, guides, results, start_training
@@ -160,7 +160,7 @@ def draw_output(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     try:
         folder = output_folder(context.scene, preferences.get().output_folder)
     except ValueError as error:
-        sentence(layout, error_words(error), icon="ERROR")
+        sentence(layout, error_text(error), icon="ERROR")
         return
     sentence(layout, f"Results go to {folder}", icon="FILE_FOLDER")
 
@@ -190,7 +190,7 @@ def draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
         big.operator("gscore.train", icon="PLAY")
         return
     if before.foreign:
-        sentence(layout, before.foreign_words, icon="ERROR")
+        sentence(layout, before.foreign_text, icon="ERROR")
         return
     info = before.info
     sentence(layout, run_sentence(info), icon="INFO")

@@ -6,7 +6,7 @@ import bpy
 
 from ..cameras.lookup import root_from
 from ..core import FrameStarted, GsError, SequenceFrame, choose_frames
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..sequence import train_sequence
 from ..training import guides
 from ..training.verb_job import STOPPING, VerbJob
@@ -57,7 +57,7 @@ def draw_guides(
     try:
         first = choose_frames(frames, own.frames.strip() or ":")[0]
     except GsError as error:
-        sentence(layout, error_words(error), icon="ERROR")
+        sentence(layout, error_text(error), icon="ERROR")
         return
     if root_from(scene, first.data.source) is None:
         text = f"Guide meshes need the cameras of frame {first.number}: import them."

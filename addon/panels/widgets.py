@@ -8,7 +8,7 @@ from .. import preferences
 from ..cameras.lookup import panel_root
 from ..capture.inspection import ShownFacts
 from ..interface.base_operator import letters, wrapped
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..interface.sidebar import TAB
 from ..splats.objects import active_splats, is_splats
 from ..trainer_python import setup
@@ -85,7 +85,7 @@ def has_python(layout: bpy.types.UILayout) -> bool:
     try:
         setup.trainer_python(preferences.get())
     except ValueError as error:
-        sentence(layout, error_words(error), icon="ERROR")
+        sentence(layout, error_text(error), icon="ERROR")
         operator = layout.operator("preferences.addon_show", text="Preferences", icon="PREFERENCES")
         operator.module = preferences.ROOT
         return False

@@ -11,7 +11,7 @@ import numpy as np
 from ..cameras.render_camera import Eye
 from ..compat import matrix_to_numpy, rec709_to_scene
 from ..core import Cancelled, GsError
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..timeline import frame_sync
 from ..timeline.frame_at import gap_sentence
 from ..timeline.settings import plays
@@ -75,7 +75,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         except Cancelled:
             pass
         except (GsError, ValueError) as error:
-            self._refuse(error_words(error))
+            self._refuse(error_text(error))
         except MemoryError:
             self._refuse(
                 "Not enough memory to render the splats: close other programs or delete splats."
@@ -103,7 +103,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             found = sources(depsgraph)
             placed, complete = viewport_copies.SHARED.copied(found)
         except ValueError as error:
-            self.update_stats("", error_words(error))
+            self.update_stats("", error_text(error))
             return
         live = next((one for one in FALLBACKS if one.draws_live(context)), None)
         meshes = holdout_meshes.SHARED.of(depsgraph)

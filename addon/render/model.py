@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import attributes
 from ..core import Splats, sh_basis, transform_splats
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from .mesh_copies import FrozenMesh, Trace, repainted_rows, trace_of
 from .scene import Identity, Placed
 
@@ -178,7 +178,7 @@ def _refusal(matrix: bytes) -> str:
     try:
         transform_splats(attributes.NO_SPLATS, np.frombuffer(matrix).reshape(4, 4))
     except ValueError as error:
-        return error_words(error)
+        return error_text(error)
     return ""
 
 

@@ -16,7 +16,7 @@ from mathutils import Matrix
 from ..cameras.camera_math import FLIP
 from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Cancelled, GsError
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..interface.views import redraw_views
 from ..process.background_task import Latest
 from . import picture
@@ -149,7 +149,7 @@ class ViewRenderer:
         except Cancelled:
             self._factor = max(2, self._factor)
         except (GsError, ValueError, MemoryError) as error:
-            self.problem = error_words(error) or "Out of memory."
+            self.problem = error_text(error) or "Out of memory."
             self.pixels, self.fresh = None, True
 
     def _paint(self, request: Request) -> None:

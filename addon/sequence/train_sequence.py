@@ -16,7 +16,7 @@ from ..core import (
     find_frames,
     headline_psnr,
 )
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..paths import absolute, output_folder
 from ..process import poll_timer
 from ..training import lookups, options, start_training
@@ -150,7 +150,7 @@ def frames_of(scene: bpy.types.Scene) -> tuple[list[SequenceFrame] | None, str]:
     try:
         source = source_of(scene)
     except ValueError as error:
-        return None, error_words(error)
+        return None, error_text(error)
     answer = lookups.frames.get((str(source), scene.gscore.images))
     poll_timer.ensure()
     return answer

@@ -79,7 +79,7 @@ def exporting(
             one.drop()
 
     splats, total = yield from run_in_thread(
-        _in_words(partial(_same_file, parts, read)), "Collecting"
+        _in_text(partial(_same_file, parts, read)), "Collecting"
     )
     how = {"antialiased": antialiased, "comments": comments, "origin": origin}
 
@@ -88,19 +88,19 @@ def exporting(
             return write_splat_file(path, splats, **how).notes
 
     try:
-        notes = yield from run_in_thread(_in_words(write), f"Writing {path.name}")
+        notes = yield from run_in_thread(_in_text(write), f"Writing {path.name}")
     except BackendError as error:
         options = {"antialiased": antialiased, "origin": origin, "missing": error}
         convert = partial(conversion.write, path, splats, conversion.other_python(), **options)
         notes = yield from run_in_thread(
-            _in_words(convert), f"Writing {path.name} in the trainer's Python"
+            _in_text(convert), f"Writing {path.name} in the trainer's Python"
         )
     hidden = total - len(splats)
     left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
     return len(splats), (*notes, *left)
 
 
-def _in_words(work: Callable[[Check], ResultT]) -> Callable[[Check], ResultT]:
+def _in_text(work: Callable[[Check], ResultT]) -> Callable[[Check], ResultT]:
     """The same work, with a readable error if memory runs out."""
 
     def done(check: Check) -> ResultT:

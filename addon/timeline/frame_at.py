@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 
 from .. import preferences
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..process import poll_timer
 from .frames import FrameFile, Series
 from .library import LIBRARY, NOTHING, Folder, Frame
@@ -115,7 +115,7 @@ def series_of(ob: bpy.types.Object, *, wait: bool = False) -> tuple[Series | Non
     try:
         folder = folder_of(ob)
     except ValueError as error:
-        return None, error_words(error)
+        return None, error_text(error)
     return LIBRARY.series(folder, wait=wait)
 
 
@@ -138,4 +138,4 @@ def folder_of(ob: bpy.types.Object) -> Folder:
 def gap_sentence(ob: bpy.types.Object) -> str:
     """Sentence about missing frames of an object's sequence; empty if none or unknown."""
     series, _ = series_of(ob)
-    return "" if series is None or not series.gaps else f"{ob.name}: {series.gap_words()}"
+    return "" if series is None or not series.gaps else f"{ob.name}: {series.gap_text()}"

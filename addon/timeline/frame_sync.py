@@ -15,7 +15,7 @@ from bpy.app.handlers import persistent
 
 from ..core import GsError
 from ..interface.blocks import with_uid
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..interface.views import redraw_views
 from ..process import poll_timer
 from ..process.incremental_tasks import Check, Steps, TaskRunner, run_in_thread
@@ -64,7 +64,7 @@ def update_meshes(scene: bpy.types.Scene) -> None:
         try:
             _bring_one(ob, scene)
         except (GsError, ValueError) as error:
-            _report(ob, error_words(error))
+            _report(ob, error_text(error))
 
 
 def catch_up(ob: bpy.types.Object) -> None:
@@ -231,7 +231,7 @@ def _writing(owner: int, frame: Frame) -> Steps[bool]:
     except ValueError as error:
         bpy.data.meshes.remove(made)
         _state.refused = frame.file.label
-        _report(ob, error_words(error))
+        _report(ob, error_text(error))
         return True
     _state.problems.pop(owner, None)
     return True

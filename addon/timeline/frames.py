@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from ..core import SPLAT_ENDINGS, GsError, read_sequence
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 
 LOOP, HOLD, HIDE = "LOOP", "HOLD", "HIDE"
 """Behaviour before the first frame and after the last one."""
@@ -104,7 +104,7 @@ class Series:
         """Number of missing frames."""
         return self.slots - len(self.files)
 
-    def gap_words(self) -> str:
+    def gap_text(self) -> str:
         """Sentence about missing numbers; empty if none."""
         if not self.gaps:
             return ""
@@ -176,7 +176,7 @@ def find_series(folder: Path, chosen: str = "") -> Series:
         name = chosen or max(groups, key=lambda key: (len(groups[key]), key), default="")
         files = _stamped(groups.get(name, {}))
     except GsError as error:
-        raise ValueError(error_words(error)) from error
+        raise ValueError(error_text(error)) from error
     except OSError as error:
         raise ValueError(
             f"The frame folder {folder} cannot be read ({error.strerror or error}): choose where "

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..attributes import NO_SPLATS, columns
 from ..core import GsError, Splats, read_splat_file
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..process import threads
 from ..splats.filters import Filters, mask
 from .frames import FrameFile, Series, find_series
@@ -325,7 +325,7 @@ def _tried(act: Callable[[], AnswerT], what: str) -> tuple[AnswerT | None, str]:
     except MemoryError:
         return None, f"{what} does not fit into memory: close programs, or reduce the frame memory."
     except (GsError, ValueError, OSError) as error:
-        return None, error_words(error) or f"{what} cannot be read ({type(error).__name__})."
+        return None, error_text(error) or f"{what} cannot be read ({type(error).__name__})."
 
 
 LIBRARY = Library()

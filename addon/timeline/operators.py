@@ -103,7 +103,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
     ) -> str:
         self.warn(warnings)
         if series.gaps:
-            self.warn([series.gap_words()])
+            self.warn([series.gap_text()])
         free = context.mode == "OBJECT"  # reading the mode first updates the view layer
         if free and ob.name in context.view_layer.objects:
             make_active(context, ob)

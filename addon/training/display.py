@@ -9,7 +9,7 @@ from .. import preferences, run_links
 from ..cameras.objects import note_moves
 from ..capture.folders import same_folder
 from ..interface import editable_check, undo
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..nodes import display as display_nodes
 from ..paths import absolute, output_folder
 from ..splats.error_maps import drop_maps
@@ -169,7 +169,7 @@ def _update_splats(job: Job, place: Place) -> bool:
             undo.push("Training Result" if filling.loaded.final else "Live Splats")
     except ValueError as error:
         bpy.data.meshes.remove(mesh)
-        _give_up(job, filling.loaded, error_words(error))
+        _give_up(job, filling.loaded, error_text(error))
     return True
 
 

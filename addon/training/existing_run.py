@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..core import RunInfo, find_capture, read_run
-from ..interface.option_labels import panel_words
+from ..interface.option_labels import panel_text
 
 _HASHED_BYTES = 65_536
 """Bytes at the beginning of a file that go into its fingerprint."""
@@ -33,7 +33,7 @@ class EarlierRun:
         return f"{self.info.path} ({steps}, written {date})"
 
     @property
-    def foreign_words(self) -> str:
+    def foreign_text(self) -> str:
         """Message for a run of another capture: why it is not changed, and what to do."""
         whose = "" if self.info.data is None else f", {self.info.data.source}"
         return (
@@ -53,7 +53,7 @@ def read_existing_run(folder: Path, capture: Path | None) -> EarlierRun | None:
     if info is None:
         return None
     return EarlierRun(
-        info=replace(info, problem=panel_words(info.problem)),
+        info=replace(info, problem=panel_text(info.problem)),
         trained=_written(info),
         content="" if info.splats is None else content(info.splats),
         foreign=_is_foreign(info, capture),

@@ -5,7 +5,7 @@ import bpy
 from .. import preferences
 from ..capture.inspection import ShownFacts
 from ..core import Estimate
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..paths import absolute, output_folder
 from ..process import poll_timer
 from . import forecast, lookups
@@ -20,7 +20,7 @@ def capture(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
     try:
         path = absolute(settings.capture_path, "Capture")
     except ValueError as error:
-        return None, error_words(error)
+        return None, error_text(error)
     answer = lookups.captures.get((str(path), settings.images))
     poll_timer.ensure()
     return answer

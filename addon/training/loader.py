@@ -9,7 +9,7 @@ import numpy as np
 from .. import attributes
 from ..cameras import alignment
 from ..core import POSES_FILE, GsError, Splats, read_cameras, read_moves, read_splat_file
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from .existing_run import content
 
 _GROUND_POINTS = 20_000
@@ -67,7 +67,7 @@ def load(path: Path, *, most: int = 0, final: bool = False) -> Loaded:
             moves=read_moves(path.with_name(POSES_FILE)) if final else {},
         )
     except GsError as error:
-        return Loaded(path=path, final=final, problem=error_words(error))
+        return Loaded(path=path, final=final, problem=error_text(error))
     except MemoryError:
         problem = f"{path} does not fit into memory; close other programs and import it again."
         return Loaded(path=path, final=final, problem=problem)

@@ -20,7 +20,7 @@ from ..core import (
     read_sequence,
 )
 from ..interface.lookup import Lookup
-from ..interface.option_labels import panel_words
+from ..interface.option_labels import panel_text
 from ..process.child_program import Process
 from . import existing_run, forecast
 
@@ -56,13 +56,13 @@ def _names(line: str) -> frozenset[str] | None:
 
 def _inspected(key: tuple[str, str]) -> ShownFacts:
     facts = inspect(key[0], images=key[1])
-    problems = (replace(one, text=panel_words(one.text)) for one in facts.problems)
+    problems = (replace(one, text=panel_text(one.text)) for one in facts.problems)
     return replace(facts, problems=tuple(problems))
 
 
 def _report(output: Path) -> DepthReport | None:
     report = read_run_report(output)
-    return None if report is None else replace(report, why=panel_words(report.why))
+    return None if report is None else replace(report, why=panel_text(report.why))
 
 
 captures: Lookup[tuple[str, str], ShownFacts] = Lookup(_inspected, max_age=600.0)

@@ -23,7 +23,7 @@ from ..core import (
     from_line,
     headline_psnr,
 )
-from ..interface.option_labels import panel_words
+from ..interface.option_labels import panel_text
 from .curve import Curve
 
 BUDGET = 0.005
@@ -59,7 +59,7 @@ def read_event(line: str) -> Event | None:
         if isinstance(value, bool) != (kind is bool) or not isinstance(value, kinds):
             return None
     if isinstance(event, Warn | Failed):
-        return replace(event, message=panel_words(event.message))
+        return replace(event, message=panel_text(event.message))
     return event
 
 
@@ -108,7 +108,7 @@ class RunState:
     def decisions(self) -> list[Decision]:
         """Decisions of the training for this capture, with panel labels in their texts."""
         found = self.started.decisions if self.started else ()
-        return [replace(one, text=panel_words(one.text)) for one in found]
+        return [replace(one, text=panel_text(one.text)) for one in found]
 
     @property
     def ended(self) -> bool:

@@ -137,7 +137,7 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
     if before is None or info is None or info.checkpoint is None:
         raise ValueError(f"{output} contains no checkpoint to resume; press Train instead.")
     if before.foreign:
-        raise ValueError(before.foreign_words)
+        raise ValueError(before.foreign_text)
     if info.problem:
         raise ValueError(f"The run cannot continue: {info.problem} Press Start Over instead.")
     changes = options.continuation(scene.gscore, info)
@@ -250,7 +250,7 @@ def _own_run(output: Path, capture: Path | None) -> existing_run.EarlierRun | No
     """The run in a folder, if there is one; ValueError if it belongs to another capture."""
     before = existing_run.read_existing_run(output, capture)
     if before is not None and before.foreign:
-        raise ValueError(before.foreign_words)
+        raise ValueError(before.foreign_text)
     return before
 
 

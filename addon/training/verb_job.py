@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from ..core import Event, Failed, FrameStarted, GsError, Progress, Warn
 from ..interface.lookup import Lookup
-from ..interface.option_labels import error_words
+from ..interface.option_labels import error_text
 from ..process.child_program import Process
 from ..process.incremental_tasks import Steps, TaskRunner
 from . import run_state
@@ -203,7 +203,7 @@ class VerbJob:
             else:
                 begin()
         except Exception as error:  # any error: the process cannot begin without its files
-            self.status, self.sentence = FAILED, error_words(error) or type(error).__name__
+            self.status, self.sentence = FAILED, error_text(error) or type(error).__name__
         self.preparing = None
         return True
 
@@ -222,7 +222,7 @@ class VerbJob:
             if ended:
                 self.warnings += self.import_task.result
         except (GsError, ValueError, OSError) as error:
-            self.warnings.append(error_words(error))
+            self.warnings.append(error_text(error))
         finally:
             if ended:
                 self.import_task, self.awaits_import = None, False
@@ -311,7 +311,7 @@ class VerbJob:
         try:
             message = self._message()
         except ValueError as error:
-            self.status, self.sentence = FAILED, error_words(error)
+            self.status, self.sentence = FAILED, error_text(error)
             return
         if message:
             self.status, self.sentence = FINISHED, message

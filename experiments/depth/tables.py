@@ -57,13 +57,13 @@ def _cells(arms: _Arms, arm: str) -> list[str]:
         if all(row["splats_sha256"] == other["splats_sha256"] for row, other in pairs):
             gain = "same splats"
         else:
-            gain = _mean_words([row["psnr"] - other["psnr"] for row, other in pairs], 2, sign="+")
+            gain = _mean_text([row["psnr"] - other["psnr"] for row, other in pairs], 2, sign="+")
             corrected = _corrected(list(found.values()), list(base.values()), arm)
     return [
-        *(str(len(found)), _spread_words(found, "psnr", 2), gain, corrected),
-        *(_spread_words(found, key, 3) for key in ("ssim", "lpips")),
-        *(_spread_words(found, key, 3) for key in ("depth_error", "depth_error_seen", "known")),
-        _spread_words(found, "cpu_seconds", 0),
+        *(str(len(found)), _spread_text(found, "psnr", 2), gain, corrected),
+        *(_spread_text(found, key, 3) for key in ("ssim", "lpips")),
+        *(_spread_text(found, key, 3) for key in ("depth_error", "depth_error_seen", "known")),
+        _spread_text(found, "cpu_seconds", 0),
     ]
 
 
@@ -119,11 +119,11 @@ def _interval(found: Difference) -> str:
     return f"{found.median:+.2f} ({found.low:+.2f} to {found.high:+.2f})"
 
 
-def _spread_words(rows: dict[int, dict[str, Any]], key: str, digits: int) -> str:
-    return _mean_words([row[key] for row in rows.values() if row[key] is not None], digits)
+def _spread_text(rows: dict[int, dict[str, Any]], key: str, digits: int) -> str:
+    return _mean_text([row[key] for row in rows.values() if row[key] is not None], digits)
 
 
-def _mean_words(values: list[float], digits: int, *, sign: str = "") -> str:
+def _mean_text(values: list[float], digits: int, *, sign: str = "") -> str:
     if not values:
         return "n/a"
     mean = f"{statistics.fmean(values):{sign}.{digits}f}"

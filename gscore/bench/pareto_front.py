@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from ..config import DataConfig, TrainConfig
 from ..datasets import Dataset
-from ..text_format import count_words
+from ..text_format import count_text
 from .training import train_measured
 
 
@@ -26,8 +26,8 @@ class Size:
 
     def __str__(self) -> str:
         return (
-            f"{self.preset}, {self.width} px, {count_words(self.max_splats, 'splat')}, "
-            f"{count_words(self.iterations, 'step')}"
+            f"{self.preset}, {self.width} px, {count_text(self.max_splats, 'splat')}, "
+            f"{count_text(self.iterations, 'step')}"
         )
 
 

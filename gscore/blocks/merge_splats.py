@@ -10,7 +10,7 @@ from ..errors import ConfigError
 from ..formats.joined import joined
 from ..io.block_record import BlockRecord
 from ..splats import Splats
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ def check_complete(runs: Sequence[tuple[Path, BlockRecord]]) -> None:
     if missing:
         listed = ", ".join(map(str, missing[:10])) + (", ..." if len(missing) > 10 else "")
         raise ConfigError(
-            f"{number(len(missing))} of {count_words(first.count, 'block')} "
+            f"{number(len(missing))} of {count_text(first.count, 'block')} "
             f"{'is' if len(missing) == 1 else 'are'} missing: {listed}. Train them "
             f"(gscore train BLOCKS --block {missing[0]} -o RUNS), or give their runs too."
         )

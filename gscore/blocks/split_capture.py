@@ -31,7 +31,7 @@ from ..io.files import link_or_copy, reason
 from ..io.images.read_image import IMAGE_ENDINGS
 from ..quoting import quoted
 from ..scene import within_reach
-from ..text_format import count_words
+from ..text_format import count_text
 from ..transforms import rotmat_to_quat
 from .block_cells import MARGIN, SHARE, Cells, make_cells, photos_per_cell, visible_points
 
@@ -212,7 +212,7 @@ def _blocks(
         views = np.flatnonzero(photos).tolist()
         if len(views) < _FEWEST_PHOTOS:
             raise DatasetError(
-                f"Block {index} would have {count_words(len(views), 'photo')}, too few for a "
+                f"Block {index} would have {count_text(len(views), 'photo')}, too few for a "
                 f"training. Cut fewer than {len(chosen)} blocks."
             )
         shown = np.zeros(len(model.points), bool)

@@ -8,7 +8,7 @@ from ..errors import ConfigError, DatasetError, GsError
 from ..io.block_record import block_name, block_records
 from ..io.runs import checkpoints_in, results_in
 from ..quoting import brief
-from ..text_format import count_words
+from ..text_format import count_text
 from .args.train_request import TrainRequest
 from .terminal.torchrun_launch import under_torchrun
 from .torchrun import agent, train_distributed, train_in_turn
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ..trainer.distributed.process_group import ProcessGroup
 
 Lead = Callable[[TrainRequest, "ProcessGroup | None"], int]
-"""Trains one capture, as rank 0 of a team or alone; returns the exit code."""
+"""Trains one capture, as rank 0 of a process group or alone; returns the exit code."""
 
 
 def wants_blocks(request: TrainRequest) -> bool:
@@ -36,13 +36,13 @@ def train_blocks(request: TrainRequest, lead: Lead) -> int:
     """
     if request.block is None:
         if under_torchrun():
-            return train_in_turn(request, lambda request, team: _all(request, lead, team))
+            return train_in_turn(request, lambda request, group: _all(request, lead, group))
         return _all(request, lead, None)
     one = _one(request, _found(request, [request.block])[0], resume=request.resume)
     return train_distributed(one, lead) if under_torchrun() else lead(one, None)
 
 
-def _all(request: TrainRequest, lead: Lead, team: "ProcessGroup | None") -> int:
+def _all(request: TrainRequest, lead: Lead, group: "ProcessGroup | None") -> int:
     codes: list[int] = []
 
     def through(blocks: Iterable[int], *, resume: bool) -> str:
@@ -55,24 +55,24 @@ def _all(request: TrainRequest, lead: Lead, team: "ProcessGroup | None") -> int:
                 return "stopped"
         return "finished"
 
-    if team is None:
+    if group is None:
         blocks = _found(request)
         _check_room(request, blocks, resume=request.resume)
         through(blocks, resume=request.resume)
         return max(codes, default=0)
-    _all_in_turn(request, team, through)
+    _all_in_turn(request, group, through)
     return max(codes, default=0)
 
 
-def _all_in_turn(request: TrainRequest, team: "ProcessGroup", through: Callable[..., str]) -> None:
+def _all_in_turn(request: TrainRequest, group: "ProcessGroup", through: Callable[..., str]) -> None:
     from ..trainer.distributed.consistency import all_ready
     from ..trainer.distributed.work_queue import WorkQueue
 
-    shared = WorkQueue(team=team, output=request.output, agent=agent())
+    shared = WorkQueue(group=group, output=request.output, agent=agent())
     resume = request.resume
-    with all_ready(team):
+    with all_ready(group):
         blocks = _found(request)
-        if team.is_rank0:
+        if group.is_rank0:
             resume = resume or shared.has_started
             _check_room(request, blocks, resume=resume)
     shared.work(
@@ -97,7 +97,7 @@ def _found(request: TrainRequest, chosen: Sequence[int] | None = None) -> list[i
     for index in chosen:
         if not 0 <= index < count:
             raise ConfigError(
-                f"There is no block {index} in {brief(source)}: its {count_words(count, 'block')} "
+                f"There is no block {index} in {brief(source)}: its {count_text(count, 'block')} "
                 f"have the numbers 0 to {count - 1}."
             )
         if index not in records:
@@ -113,7 +113,7 @@ def _check_room(request: TrainRequest, blocks: Sequence[int], *, resume: bool) -
     begun = [name for name in map(block_name, blocks) if results_in(output / name)]
     if begun and not (resume or request.overwrite):
         raise ConfigError(
-            f"{brief(output)} contains runs on {count_words(len(begun), 'block')}, the first "
+            f"{brief(output)} contains runs on {count_text(len(begun), 'block')}, the first "
             f"in {begun[0]}; continue with `--resume`, which keeps completed ones, replace them "
             "with `--overwrite`, or choose another folder."
         )

@@ -19,7 +19,7 @@ from ..metrics.evaluate import target_picture
 from ..quoting import brief
 from ..report.compare_page import PairPictures, names_of, write_comparison
 from ..report.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
-from ..text_format import count_words
+from ..text_format import count_text
 from .args.model_argument import ModelArgument, open_model
 from .parser import add_threads_option
 from .terminal.output import check_folder, check_replaced, print_json
@@ -195,12 +195,12 @@ def _pictures(
 
 def _summary(comparison: RunComparison, output: Path) -> str:
     first, second = (run.label for run in comparison.runs)
-    views, names = count_words(len(comparison.pairs), "view"), names_of(comparison)
+    views, names = count_text(len(comparison.pairs), "view"), names_of(comparison)
     lines = [f"{views} measured in both {first} and {second}:"]
     for key, (a, b) in comparison.means.items():
         digits = 2 if key == "psnr" else 4
         lines.append(f"  {names[key]:5} {a:.{digits}f} and {b:.{digits}f} ({b - a:+.{digits}f})")
     for run, names in zip(comparison.runs, comparison.only_in, strict=True):
         if names:
-            lines.append(f"  {count_words(len(names), 'view')} measured only in {run.label}")
+            lines.append(f"  {count_text(len(names), 'view')} measured only in {run.label}")
     return "\n".join([*lines, f"Page: {output}"])

@@ -22,7 +22,7 @@ from ..lod.read import LOD_FORMAT, read_lod
 from ..quoting import brief
 from ..scene import splat_near
 from ..splats import Splats
-from ..text_format import count_words, number, size_words
+from ..text_format import count_text, number, size_text
 from .args.convert_options import SPZ_VERSION
 from .args.convert_options import add_arguments as add_arguments
 from .args.model_argument import ModelArgument, find_splats, open_model
@@ -275,21 +275,21 @@ def _summary(facts: dict[str, Any]) -> str:
         for step in facts["steps"]
     ]
     if lost := facts["error"]:
-        lines.append(_error_words(lost))
+        lines.append(_error_text(lost))
     read = " + ".join(map(number, facts["splats_read"]))
     lines.append(
-        f"Wrote {facts['output']}: {count_words(facts['splats'], 'splat')}, SH degree "
-        f"{facts['sh_degree']}, {size_words(facts['bytes'])} "
+        f"Wrote {facts['output']}: {count_text(facts['splats'], 'splat')}, SH degree "
+        f"{facts['sh_degree']}, {size_text(facts['bytes'])} "
         f"({'before' if facts['whole'] else 'read'}: {read}, {facts['sh_degree_before']}, "
-        f"{size_words(facts['bytes_before'])})."
+        f"{size_text(facts['bytes_before'])})."
     )
     if facts["picture"]:
         lines.append(f"Before and after: {facts['picture']}")
     return "\n".join(lines)
 
 
-def _error_words(lost: dict[str, Any]) -> str:
-    views = count_words(lost["views"], "view")
+def _error_text(lost: dict[str, Any]) -> str:
+    views = count_text(lost["views"], "view")
     if lost["psnr"] is None:
         return f"  pictures of {views} are bit-identical"
     equal = f", {lost['unchanged']} more are bit-identical" if lost["unchanged"] else ""

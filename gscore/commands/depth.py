@@ -8,7 +8,7 @@ from ..depth.catalogue import known, network_names
 from ..depth.maps import DepthKind
 from ..depth.network import NETWORK_HINT, Network
 from ..errors import ConfigError
-from ..text_format import count_words
+from ..text_format import count_text
 from .args.depth_options import add_arguments as add_arguments
 from .depth_maps.make_maps import DepthResult, StopMessage, make_maps
 from .depth_maps.networks import list_models
@@ -141,5 +141,5 @@ def print_result(args: argparse.Namespace, result: DepthResult) -> None:
                 "The capture has no points where these maps have depths, so only a comparison with "
                 "the photos shows their quality."
             )
-        lines.append(f"{count_words(result.shown, 'view')} on {done.sheet}")
+        lines.append(f"{count_text(result.shown, 'view')} on {done.sheet}")
     print(wrapped("\n".join([*lines, done.why]), sys.stdout))

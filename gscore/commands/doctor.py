@@ -18,7 +18,7 @@ from ..metrics.machine import cores, cpu_name, version_of
 from ..sh import rgb_to_sh0
 from ..shared_constants import ALPHA_MIN, EPS2D
 from ..splats import Splats
-from ..text_format import count_words, size_words
+from ..text_format import count_text, size_text
 from .terminal.output import print_json
 from .terminal.status import show_while, wrapped
 
@@ -188,23 +188,23 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
 
 def _text(facts: dict[str, Any]) -> str:
     native = facts["native"]
-    memory = size_words(facts["memory_bytes"])
+    memory = size_text(facts["memory_bytes"])
     if facts["memory_available_bytes"] is not None:
-        memory += f", {size_words(facts['memory_available_bytes'])} free"
+        memory += f", {size_text(facts['memory_available_bytes'])} free"
     if facts["memory_is_short"]:
         memory += "; low: train with `--resolution 2` and fewer `--max-splats`"
     rows = [
         ("gscore", facts["gscore"]),
         ("Python", f"{facts['python']} ({facts['executable']})"),
         ("platform", facts["platform"]),
-        ("processor", f"{facts['cpu']} ({facts['arch']}), {count_words(facts['cores'], 'core')}"),
+        ("processor", f"{facts['cpu']} ({facts['arch']}), {count_text(facts['cores'], 'core')}"),
         ("memory", memory),
         ("library", native["library"]),
     ]
     if "isa" in native:
         others = ", ".join(i for i in native["isas"] if i != native["isa"])
         also = f" (available: {others})" if others else ""
-        rows.append(("uses", f"{native['isa']}{also}, {count_words(native['threads'], 'thread')}"))
+        rows.append(("uses", f"{native['isa']}{also}, {count_text(native['threads'], 'thread')}"))
     for isa, found in native.get("self_test", {}).items():
         verdict = "ok" if found["error"] <= _TOLERANCE else "WRONG"
         rows.append(("self-test", f"{isa}: {verdict}, error {found['error']:.1e}"))

@@ -29,7 +29,7 @@ from ..report import PictureCollector, cameras_section, splat_histograms, write_
 from ..report.colormap import brightest, error_map
 from ..report.html_parts import link_page
 from ..scene import Cameras
-from ..text_format import colour_words, count_words, number, psnr_name, quality_words, stopped_words
+from ..text_format import colour_text, count_text, number, psnr_name, quality_text, stopped_text
 from .args.data_options import add_data_options, with_data_options
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_threads_option
@@ -275,7 +275,7 @@ class _Views:
 def _stopped(model: ModelArgument, course: Course) -> list[str]:
     """A sentence if the training was stopped before its last step."""
     requested = 0 if model.train is None or model.train.time_budget else model.train.iterations
-    words = stopped_words({"reason": course.reason, "steps": course.steps}, requested)
+    words = stopped_text({"reason": course.reason, "steps": course.steps}, requested)
     if not words or model.run is None:
         return []
     again = as_typed("train", "-o", model.run, "--resume")
@@ -300,7 +300,7 @@ def _doubts(
     unknown = sum(name not in model.gains for name in measured)
     if course.exposure and course.exposure.get("learnt") and unknown:
         found.append(
-            f"The exposures of {number(unknown)} of {count_words(len(measured), 'photo')} are "
+            f"The exposures of {number(unknown)} of {count_text(len(measured), 'photo')} are "
             "unknown, so their pictures have the mean exposure and PSNR is lower where exposures "
             "differ."
         )
@@ -388,10 +388,10 @@ def _of_the_training(model: ModelArgument) -> Course:
 
 def _summary(metrics: dict[str, Any], output: Path) -> str:
     kind = {"test": "test view", "train": "training view", "all": "view"}[metrics["split"]]
-    views = count_words(len(metrics["views"]), kind)
+    views = count_text(len(metrics["views"]), kind)
     why = metrics.get("psnr_masked_reason") or metrics.get("psnr_reason", "")
-    worth = quality_words(metrics) or f"no PSNR ({why})"
-    text = f"{views}: {worth}{colour_words(metrics)}\n"
+    worth = quality_text(metrics) or f"no PSNR ({why})"
+    text = f"{views}: {worth}{colour_text(metrics)}\n"
     text += f"Results: {output / 'metrics.json'}, {output / 'report.html'}"
     if "error_map" in metrics:
         text += f"\nError map: {metrics['error_map']}, brightest from an error of "

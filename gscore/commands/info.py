@@ -24,12 +24,12 @@ from ..quoting import as_typed, brief
 from ..sfm.photo_folders import check_no_cameras_above, is_photo_folder
 from ..splats import Splats, sigmoid
 from ..text_format import (
-    count_words,
-    quality_words,
-    size_words,
-    step_words,
-    stopped_words,
-    time_words,
+    count_text,
+    quality_text,
+    size_text,
+    step_text,
+    stopped_text,
+    time_text,
 )
 from ..video import is_video
 from .args.data_options import add_mask_options, with_data_options
@@ -172,8 +172,8 @@ def _unfinished(folder: Path, metrics: dict[str, Any]) -> str:
     if run is None:
         return ""
     if run.steps > (metrics.get("steps") or 0):
-        return f"its last checkpoint is after {step_words(run.steps, run.iterations)}"
-    return stopped_words(metrics, run.iterations)
+        return f"its last checkpoint is after {step_text(run.steps, run.iterations)}"
+    return stopped_text(metrics, run.iterations)
 
 
 def _capture_facts(path: Path, args: argparse.Namespace) -> dict[str, Any]:
@@ -251,8 +251,8 @@ def _splats_text(facts: dict[str, Any]) -> list[str]:
     marks = ["trained with antialiasing"] if facts["antialias"] else []
     marks += [f'comment "{line}"' for line in facts["comments"]]
     lines = [
-        f"{facts['path']}: {count_words(facts['splats'], 'splat')}, SH degree "
-        f"{facts['sh_degree']}, {size_words(facts['storage_bytes'])}, {facts['layout']} layout"
+        f"{facts['path']}: {count_text(facts['splats'], 'splat')}, SH degree "
+        f"{facts['sh_degree']}, {size_text(facts['storage_bytes'])}, {facts['layout']} layout"
         + (f", {', '.join(marks)}" if marks else "")
     ]
     if "bounds" not in facts:
@@ -275,11 +275,11 @@ def _splats_text(facts: dict[str, Any]) -> list[str]:
 def _run_text(facts: dict[str, Any]) -> list[str]:
     lines = [f"{facts['path']}: a run" + (f" on {facts['source']}" if facts["source"] else "")]
     metrics = facts["metrics"]
-    if metrics and (worth := quality_words(metrics)):
+    if metrics and (worth := quality_text(metrics)):
         models = f", {metrics['models']} models as one" if metrics["models"] else ""
         lines.append(
             f"  {brief(metrics['split'])} views: {worth}; "
-            f"{count_words(metrics['steps'], 'step')} in {time_words(metrics['train_seconds'])}"
+            f"{count_text(metrics['steps'], 'step')} in {time_text(metrics['train_seconds'])}"
             f"{models}"
         )
     count = facts["checkpoints"]
@@ -293,7 +293,7 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
             else ""
         )
         lines.append(f"  {unfinished}{hint}")
-    lines.append(f"  {count_words(count, 'checkpoint')}")
+    lines.append(f"  {count_text(count, 'checkpoint')}")
     if facts["model"] is None:
         return [*lines, "  no point_cloud.ply yet"]
     return lines + _splats_text(facts["model"])
@@ -301,16 +301,16 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
 
 def _sequence_text(facts: dict[str, Any]) -> list[str]:
     frames, total = facts["frames"], facts["mean"].get("frames_total")
-    done = count_words(len(frames), "frame")
-    done = f"{len(frames)} of {count_words(total, 'frame')}" if total else done
+    done = count_text(len(frames), "frame")
+    done = f"{len(frames)} of {count_text(total, 'frame')}" if total else done
     lines = [f"{facts['path']}: a sequence, {done} complete"]
     for entry in frames:
-        worth = quality_words(entry)
+        worth = quality_text(entry)
         quality = f", {entry.get('split')} views: {worth}" if worth else ""
-        took = time_words(entry.get("train_seconds") or 0.0)
+        took = time_text(entry.get("train_seconds") or 0.0)
         lines.append(
-            f"  {entry['folder']}: {count_words(entry.get('splats', 0), 'splat')}, "
-            f"{count_words(entry.get('steps'), 'step')} in {took}{quality}"
+            f"  {entry['folder']}: {count_text(entry.get('splats', 0), 'splat')}, "
+            f"{count_text(entry.get('steps'), 'step')} in {took}{quality}"
         )
     if len(frames) != total:
         lines.append(f"  continue with: {as_typed('sequence', '-o', facts['path'], '--resume')}")
@@ -321,16 +321,16 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
     sizes = ", ".join(f"{n} of {size} px" for size, n in facts["sizes"].items())
     low, high = facts["focal_px"]
     inverted = " inverted" if facts["masks_inverted"] else ""
-    focal = _focal_words(low, high)
-    down = _focal_words(*facts["focal_y_px"])
+    focal = _focal_text(low, high)
+    down = _focal_text(*facts["focal_y_px"])
     undistorted = " after undistortion" if facts["undistorted"] else ""
     focal += " px" if down == focal else f" px across and {down} px down"
     lines = [
-        f"{facts['path']}: a capture with {count_words(facts['views'], 'photo')} ({sizes})",
+        f"{facts['path']}: a capture with {count_text(facts['views'], 'photo')} ({sizes})",
         f"  names from {facts['names'][0]} to {facts['names'][1]}",
         f"  focal length {focal}{undistorted}, camera extent {facts['camera_extent']:.3g}",
-        f"  {count_words(facts['points'], 'point')}, masks: {facts['masks']}{inverted}, "
-        f"{size_words(facts['decoded_bytes'])} of photos in memory",
+        f"  {count_text(facts['points'], 'point')}, masks: {facts['masks']}{inverted}, "
+        f"{size_text(facts['decoded_bytes'])} of photos in memory",
     ]
     if block := facts.get("block"):
         lines.append(f"  block {block['index']} of {block['count']}, numbered from 0")
@@ -343,13 +343,13 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
         error = model["mean_error_px"]
         lines.append(
             f"  COLMAP model {model['path']}: cameras {kinds}; "
-            f"{count_words(model['images'], 'image')}"
+            f"{count_text(model['images'], 'image')}"
             + (f"; mean error {error:.2f} px" if error is not None else "")
         )
     return lines
 
 
-def _focal_words(low: float, high: float) -> str:
+def _focal_text(low: float, high: float) -> str:
     return f"{low:.1f}" if high - low < 0.05 else f"{low:.1f} to {high:.1f}"
 
 

@@ -16,7 +16,7 @@ from ..io.ply.splats import header_comments
 from ..lod.build import LodFacts, build_lod
 from ..lod.measure import measured_levels
 from ..quoting import brief
-from ..text_format import count_words, number, size_words
+from ..text_format import count_text, number, size_text
 from ..warning_log import collected_warnings
 from .args.model_argument import (
     background_of,
@@ -113,9 +113,9 @@ def lod_text(facts: dict[str, Any]) -> list[str]:
     """The same as lines of text."""
     marks = ", trained with antialiasing" if facts["antialias"] else ""
     lines = [
-        f"{facts['path']}: {count_words(facts['splats'], 'splat')} with "
-        f"{count_words(len(facts['levels']), 'level')} of detail, SH degree {facts['sh_degree']}, "
-        f"{size_words(facts['storage_bytes'])}{marks}",
+        f"{facts['path']}: {count_text(facts['splats'], 'splat')} with "
+        f"{count_text(len(facts['levels']), 'level')} of detail, SH degree {facts['sh_degree']}, "
+        f"{size_text(facts['storage_bytes'])}{marks}",
         f"  {'level':>5}{'splats':>13}{'chunks':>9}{'error':>10}  pictures at an error of 1 px",
     ]
     for number_of, level in enumerate(facts["levels"]):

@@ -16,7 +16,7 @@ from ..io.metrics_file import read_metrics
 from ..io.ply.comments import near_comment, stated_near
 from ..io.runs import is_run, read_run
 from ..quoting import as_typed, brief
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .args.model_argument import ModelArgument, open_model
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
@@ -98,10 +98,10 @@ def run(args: argparse.Namespace) -> int:
     for sentence in warnings:
         print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
     lines = [
-        f"  block {records[i].index}: {number(kept)} of {count_words(count, 'splat')}"
+        f"  block {records[i].index}: {number(kept)} of {count_text(count, 'splat')}"
         for i, count, kept in zip(order, trained, merged.kept, strict=True)
     ]
-    head = f"{brief(args.output)}: {count_words(len(merged.splats), 'splat')} of"
+    head = f"{brief(args.output)}: {count_text(len(merged.splats), 'splat')} of"
     if not args.quiet:
         print(wrapped("\n".join([head, *lines]), sys.stdout))
     return 0
@@ -180,13 +180,13 @@ def _stopped(path: Path) -> Iterator[str]:
     if run is not None and run.splats is None:
         raise ConfigError(
             f"{brief(path)} has not ended: it has a checkpoint after "
-            f"{count_words(run.steps, 'step')}, but no splats. Continue with: "
+            f"{count_text(run.steps, 'step')}, but no splats. Continue with: "
             f"{as_typed('train', '-o', path, '--resume')}"
         )
     reason = str(read_metrics(path).get("reason") or FINISHED)
     if run is not None and reason not in ENDED:
         yield (
-            f"{brief(path)} was stopped after {count_words(run.steps, 'step')} ({reason}). To "
+            f"{brief(path)} was stopped after {count_text(run.steps, 'step')} ({reason}). To "
             f"complete it: {as_typed('train', '-o', path, '--resume')}; then merge again."
         )
 

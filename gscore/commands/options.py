@@ -106,7 +106,7 @@ def _plain(text: str) -> str:
 
 def described(one: Option) -> str:
     """An option with default, range and text, on one line."""
-    value = preset_values(one) or one.default_words
+    value = preset_values(one) or one.default_text
     facts = [f"= {value}" if value else "", f"({one.values})" if one.values else "", one.unit]
     head = " ".join(fact for fact in (one.name, *facts) if fact)
     return f"{head}: {plain(one.text)}{effect_condition(one)}"

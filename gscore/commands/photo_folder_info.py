@@ -22,7 +22,7 @@ from ..sfm.photos import (
 )
 from ..sfm.pycolmap_stages import Work
 from ..sfm.search_request import SearchRequest, attempts
-from ..text_format import count_words, number, time_words
+from ..text_format import count_text, number, time_text
 
 
 def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
@@ -67,20 +67,20 @@ def photos_facts(path: Path, data: DataConfig) -> dict[str, Any]:
 def photos_text(facts: dict[str, Any]) -> list[str]:
     """The facts as lines of text."""
     sizes = ", ".join(f"{count} of {size}" for size, count in facts["sizes"].items())
-    cameras = count_words(facts["cameras"], "camera and lens", "cameras and lenses")
+    cameras = count_text(facts["cameras"], "camera and lens", "cameras and lenses")
     lines = [
-        f"{facts['path']}: {count_words(facts['photos'], 'photo')} without cameras",
+        f"{facts['path']}: {count_text(facts['photos'], 'photo')} without cameras",
         f"  sizes: {sizes}; {cameras} according to EXIF",
     ]
     if facts["unread"]:
-        left_out = count_words(len(facts["unread"]), "photo")
+        left_out = count_text(len(facts["unread"]), "photo")
         lines.append(f"  {left_out} of unsupported formats: {listing(facts['unread'], 3)}")
     if not facts["enough"]:
-        least = count_words(LEAST, "photo")
+        least = count_text(LEAST, "photo")
         return [*lines, f"  at least {least} with overlap are needed, better 30 or more"]
     if facts["next"] is None:
         return lines
-    about = time_words(float(f"{facts['sfm_seconds']:.1g}"))
+    about = time_text(float(f"{facts['sfm_seconds']:.1g}"))
     return [
         *lines,
         f"  finding their cameras matches {number(facts['pairs'])} pairs and takes about {about} "

@@ -21,7 +21,7 @@ from ..lod.lod_renderer import LOD_PX, LodModel
 from ..quoting import as_typed, brief, quoted
 from ..raster.api import Rendered
 from ..scene import Cameras
-from ..text_format import count_words
+from ..text_format import count_text
 from .args.lod_argument import LodArgument
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_threads_option
@@ -253,7 +253,7 @@ def _open(args: argparse.Namespace) -> ModelArgument | LodArgument:
 
 
 def _summary(args: argparse.Namespace, result: dict[str, Any]) -> str:
-    count = count_words(result["pictures"], "picture")
+    count = count_text(result["pictures"], "picture")
     size = f"{result['width']} x {result['height']} px"
     text = f"Wrote {args.output}: {count}, {size}, rendered at {result['fps']:.1f} per second."
     others = _older(args.output, result)
@@ -318,7 +318,7 @@ def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:
     is_file = args.output.suffix.lower() == ".png"
     if is_file and len(work.shots.names) > 1:
         raise ConfigError(
-            f"{args.output} is a single picture, but {count_words(len(work.shots.names), 'view')} "
+            f"{args.output} is a single picture, but {count_text(len(work.shots.names), 'view')} "
             "are selected; give a folder with -o, or one view with `--view`."
         )
     stems = [args.output.with_suffix("")] if is_file else []

@@ -13,7 +13,7 @@ from ..io.sequences import SEQUENCE_FILE
 from ..option_marks import mark_option
 from ..quoting import as_typed
 from ..sequence_options import SequenceOptions
-from ..text_format import count_words, quality_words
+from ..text_format import count_text, quality_text
 from . import train as train_command
 from .args.run_options import declare, passed_options
 from .args.train_request import TrainRequest
@@ -61,15 +61,17 @@ def run(args: argparse.Namespace) -> int:
     request = TrainRequest.of(args)
     options = passed_options(SequenceOptions, args)
 
-    def work(request: TrainRequest, team: "ProcessGroup | None") -> int:
-        return _run(request, options, team)
+    def work(request: TrainRequest, group: "ProcessGroup | None") -> int:
+        return _run(request, options, group)
 
     return train_in_turn(request, work) if under_torchrun() else work(request, None)
 
 
-def _run(request: TrainRequest, given: dict[str, Any], team: "ProcessGroup | None") -> int:
+def _run(request: TrainRequest, given: dict[str, Any], group: "ProcessGroup | None") -> int:
     shown = request.shown
-    result, code = run_job(shown, lambda show, control: _train(request, given, show, control, team))
+    result, code = run_job(
+        shown, lambda show, control: _train(request, given, show, control, group)
+    )
     if result is None:
         return code
     if shown.json:
@@ -86,14 +88,14 @@ def _train(
     given: dict[str, Any],
     show: Show,
     control: Control,
-    team: "ProcessGroup | None",
+    group: "ProcessGroup | None",
 ) -> "SequenceResult":
     from ..trainer.distributed.consistency import all_ready
     from ..trainer.sequence import read_options, train_sequence
 
     frame = request.data.get("frame")
-    with all_ready(team):
-        _check(request, show, team)
+    with all_ready(group):
+        _check(request, show, group)
         stored = read_options(request.output) if request.resume else None
         options = replace(stored or SequenceOptions(), **given)
         # Without `frame`, which would also be an option of each frame.
@@ -110,17 +112,17 @@ def _train(
             overwrite=request.overwrite,
             viewers=viewers,
             frame=frame,
-            team=team,
+            group=group,
             agent=agent(),
         )
 
 
-def _check(request: TrainRequest, show: Show, team: "ProcessGroup | None") -> None:
+def _check(request: TrainRequest, show: Show, group: "ProcessGroup | None") -> None:
     """Check the request as far as possible before any photo is read."""
     for name, instead in _ONE_FRAME.items():
         if name in request.given:
             raise ConfigError(f"{mark_option(name)} is for a single training: {instead}.")
-    if team and "frame" in request.data:
+    if group and "frame" in request.data:
         raise ConfigError("`--frame` is for one process; torchrun distributes all frames.")
     output = request.output
     check_output_path(output)
@@ -135,10 +137,10 @@ def _summary(result: "SequenceResult") -> str:
     numbers = result.headline
     how = "Finished" if result.reason == "finished" else f"Stopped ({result.reason})"
     lines = [
-        f"{how}: {len(result.frames)} of {count_words(result.total, 'frame')}, "
+        f"{how}: {len(result.frames)} of {count_text(result.total, 'frame')}, "
         f"{numbers['train_seconds']:.1f} s of training."
     ]
-    if worth := quality_words(numbers):
+    if worth := quality_text(numbers):
         split = result.frames[0].metrics["split"]
         lines.append(f"{split.capitalize()} views, mean of the frames: {worth}.")
     output = result.output

@@ -9,7 +9,7 @@ from ..blocks.split_capture import Cut, check_empty, cut_capture, write_blocks
 from ..config import DataConfig
 from ..io.output_paths import check_output_path
 from ..quoting import as_typed
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .args.data_options import add_split_options, with_data_options
 from .args.run_options import declare
 from .terminal.output import check_folder, print_json
@@ -92,14 +92,14 @@ def _facts(cut: Cut, args: argparse.Namespace) -> dict:
 
 def _lines(cut: Cut, output: Path) -> list[str]:
     lines = [
-        f"{count_words(len(cut.views), 'photo')} and "
-        f"{count_words(len(cut.model.points), 'point')} in "
-        f"{count_words(len(cut.blocks), 'block')}:"
+        f"{count_text(len(cut.views), 'photo')} and "
+        f"{count_text(len(cut.model.points), 'point')} in "
+        f"{count_text(len(cut.blocks), 'block')}:"
     ]
     for block in cut.blocks:
         lines.append(
-            f"  block_{block.record.index}: {count_words(len(block.views), 'photo')}, "
-            f"{count_words(len(block.rows), 'point')}, {number(block.own_points)} in its own cell"
+            f"  block_{block.record.index}: {count_text(len(block.views), 'photo')}, "
+            f"{count_text(len(block.rows), 'point')}, {number(block.own_points)} in its own cell"
         )
     whole = len(cut.views)
     if min(len(block.views) for block in cut.blocks) > 0.9 * whole:

@@ -47,10 +47,10 @@ def train_distributed(
         request = _going_on(request)
     if size == 1:
         return lead(request, None)
-    with ProcessGroup() as team:
-        if team.ended:
+    with ProcessGroup() as group:
+        if group.ended:
             return 0
-        return _lead(request, team, lead) if team.is_rank0 else _follow(request, team)
+        return _lead(request, group, lead) if group.is_rank0 else _follow(request, group)
 
 
 def train_in_turn(
@@ -72,20 +72,20 @@ def train_in_turn(
     os.environ.setdefault("GSCORE_THREADS", str(threads_of_rank(cores())))
     if world_size() == 1:
         return work(request, None)
-    with ProcessGroup() as team:
-        if team.ended:
+    with ProcessGroup() as group:
+        if group.ended:
             return 0
-        if not team.is_rank0:
+        if not group.is_rank0:
             request = replace(request, shown=OutputOptions(quiet=True), live=LiveOptions())
         try:
-            _check_same_arguments(request, team)
-            return work(request, team)
+            _check_same_arguments(request, group)
+            return work(request, group)
         except RankLostError:
-            if team.is_rank0:
+            if group.is_rank0:
                 raise
             return 2
         except GsError:
-            if team.notified and not team.is_rank0:
+            if group.notified and not group.is_rank0:
                 return 2  # rank 0 printed the reason
             raise
 
@@ -111,48 +111,48 @@ def _going_on(request: TrainRequest) -> TrainRequest:
 
 def _lead(
     request: TrainRequest,
-    team: "ProcessGroup",
+    group: "ProcessGroup",
     lead: Callable[[TrainRequest, "ProcessGroup | None"], int],
 ) -> int:
-    _check_same_arguments(request, team)
+    _check_same_arguments(request, group)
     try:
-        code = lead(request, team)
+        code = lead(request, group)
     except BaseException:
-        _part(team, failed=True)
+        _part(group, failed=True)
         raise
     # torchrun restarts a rank that was stopped, and waits for ranks that report their end.
-    _part(team, failed=code != 0)
+    _part(group, failed=code != 0)
     return code
 
 
-def _part(team: "ProcessGroup", *, failed: bool) -> None:
+def _part(group: "ProcessGroup", *, failed: bool) -> None:
     from ..trainer.distributed.process_group import RankLostError
 
     try:
-        team.shutdown(failed=failed)
+        group.shutdown(failed=failed)
     except RankLostError:
         return  # a lost rank needs no message
 
 
-def _follow(request: TrainRequest, team: "ProcessGroup") -> int:
+def _follow(request: TrainRequest, group: "ProcessGroup") -> int:
     """Run as a worker of rank 0, ignoring signals: all ranks receive them, and rank 0 reacts."""
     from ..trainer.distributed.process_group import RankLostError
     from ..trainer.worker_rank import run_worker
 
     with interrupts() as interrupt, interrupt.stopped_by(lambda reason: None, quiet=True):
         try:
-            _check_same_arguments(request, team)
-            return 0 if run_worker(team, request.source) else 2
+            _check_same_arguments(request, group)
+            return 0 if run_worker(group, request.source) else 2
         except RankLostError:
             return 2
         except GsError as error:
-            if team.notified:
+            if group.notified:
                 return 2
-            raise DatasetError(f"Rank {team.rank} ({platform.node()}): {error}") from error
+            raise DatasetError(f"Rank {group.rank} ({platform.node()}): {error}") from error
 
 
-def _check_same_arguments(request: TrainRequest, team: "ProcessGroup") -> None:
+def _check_same_arguments(request: TrainRequest, group: "ProcessGroup") -> None:
     from ..trainer.distributed.consistency import check_equal, versions
 
     given = {f"the option {k}": str(v) for k, v in request.given.items() if k not in _OWN}
-    check_equal(team, versions() | given)
+    check_equal(group, versions() | given)

@@ -14,11 +14,11 @@ from ..io.runs import other_files_in_run
 from ..presets import PRESETS
 from ..quoting import as_typed
 from ..text_format import (
-    colour_words,
-    count_words,
+    colour_text,
+    count_text,
     has_exposure_correction,
-    quality_words,
-    size_words,
+    quality_text,
+    size_text,
 )
 from .args.data_options import add_data_options
 from .args.option_names_3dgs import add_3dgs_names
@@ -120,11 +120,11 @@ def run(args: argparse.Namespace) -> int:
     return train_distributed(request, _run) if under_torchrun() else _run(request, None)
 
 
-def _run(request: TrainRequest, team: "ProcessGroup | None") -> int:
+def _run(request: TrainRequest, group: "ProcessGroup | None") -> int:
     shown = request.shown
     done, code = run_job(
         shown,
-        lambda show, control: _train(request, show, control, team),
+        lambda show, control: _train(request, show, control, group),
         stopped=lambda: _stopped(request.output),
     )
     if done is None:
@@ -139,7 +139,7 @@ def _run(request: TrainRequest, team: "ProcessGroup | None") -> int:
 
 
 def _train(
-    request: TrainRequest, show: Show, control: Control, team: "ProcessGroup | None"
+    request: TrainRequest, show: Show, control: Control, group: "ProcessGroup | None"
 ) -> tuple["TrainResult", TrainConfig]:
     data, config = request.configs_with_messages(show)
     from ..trainer.files.option_files import check_option_files
@@ -163,7 +163,7 @@ def _train(
         show,
         control,
         # Not on a single rank of several: the others need the cameras too.
-        allowed=request.finds_cameras and not team,
+        allowed=request.finds_cameras and not group,
         check=check,
         threads=config.threads,
     )
@@ -178,7 +178,7 @@ def _train(
             overwrite=request.overwrite,
             start_checkpoint=request.start_checkpoint,
             viewers=viewers,
-            team=team,
+            group=group,
             agent=agent(),
         )
     return result, config
@@ -198,19 +198,19 @@ def _summary(result: "TrainResult", config: TrainConfig) -> str:
     if result.reason == FINISHED and config.time_budget:
         how = "Used the time budget"
     lines = [
-        f"{how} after {count_words(result.steps, 'step')}, {result.train_seconds:.1f} s of "
-        f"training: {count_words(len(result.splats), 'splat')}."
+        f"{how} after {count_text(result.steps, 'step')}, {result.train_seconds:.1f} s of "
+        f"training: {count_text(len(result.splats), 'splat')}."
     ]
-    if worth := quality_words(metrics):
+    if worth := quality_text(metrics):
         view = "test view" if metrics["split"] == "test" else "training view"
-        worth += colour_words(metrics) if has_exposure_correction(metrics) else ""
-        lines.append(f"{count_words(len(metrics['views']), view)}: {worth}")
+        worth += colour_text(metrics) if has_exposure_correction(metrics) else ""
+        lines.append(f"{count_text(len(metrics['views']), view)}: {worth}")
     if config.target_psnr and result.reason in (FINISHED, CONVERGED):
         lines.append(f"The target of {config.target_psnr:g} dB was not reached.")
     if ranks := metrics.get("ranks"):
         sent, waited = ranks["sent_bytes_per_batch"], ranks["waited_seconds_per_batch"]
         lines.append(
-            f"{ranks['count']} ranks: each batch sent {size_words(max(sent))} between ranks, and "
+            f"{ranks['count']} ranks: each batch sent {size_text(max(sent))} between ranks, and "
             f"took {min(waited):.3f} to {max(waited):.3f} s of waiting and sending."
         )
     output = result.output
@@ -226,6 +226,6 @@ def _nothing_to_do(result: "TrainResult") -> str:
     how = _HOW[result.reason]
     return (
         f"{result.output} was complete already: {how[0].lower()}{how[1:]} after "
-        f"{count_words(result.steps, 'step')}. Give a larger `--iterations` or `--time-budget` to "
+        f"{count_text(result.steps, 'step')}. Give a larger `--iterations` or `--time-budget` to "
         f"continue, or measure it again with: {as_typed('eval', result.output)}"
     )

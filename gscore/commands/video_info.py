@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from ..quoting import as_typed
-from ..text_format import count_words, time_words
+from ..text_format import count_text, time_text
 from ..video.source import opened_video
 
 
@@ -40,8 +40,8 @@ def video_facts(path: Path) -> dict[str, Any]:
 
 def video_text(facts: dict[str, Any]) -> list[str]:
     """The facts as lines of text."""
-    known = [count_words(facts["frames"], "frame")] if facts["frames"] else []
-    known += [time_words(facts["seconds"])] if facts["seconds"] else []
+    known = [count_text(facts["frames"], "frame")] if facts["frames"] else []
+    known += [time_text(facts["seconds"])] if facts["seconds"] else []
     known += [f"{facts['width']} x {facts['height']} px", facts["codec"]]
     known += [facts["hdr"]] if facts["hdr"] else []
     known += ["interlaced"] if facts["interlaced"] else []

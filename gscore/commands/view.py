@@ -18,7 +18,7 @@ from ..quoting import quoted
 from ..raster.api import render
 from ..report.html_parts import PAGE, link_page
 from ..splats import Splats
-from ..text_format import count_words, number, size_words
+from ..text_format import count_text, number, size_text
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_threads_option
 from .pictures.page_views import PageViews, find_views
@@ -139,7 +139,7 @@ def _write(
 
 
 def _page(title: str, model: ModelArgument, packed: Any, views: PageViews) -> Page:
-    count = count_words(packed.head["count"], "splat")
+    count = count_text(packed.head["count"], "splat")
     return Page(
         title=title,
         splats=packed,
@@ -150,7 +150,7 @@ def _page(title: str, model: ModelArgument, packed: Any, views: PageViews) -> Pa
         background=model.background,
         near=model.near,
         antialias=model.antialias,
-        facts=f"{count}, {count_words(len(views.cameras), 'camera')}. Made with gscore.",
+        facts=f"{count}, {count_text(len(views.cameras), 'camera')}. Made with gscore.",
     )
 
 
@@ -172,9 +172,9 @@ def _check_splats(model: ModelArgument) -> None:
 
 
 def _summary(result: dict[str, Any]) -> str:
-    size = size_words(result["bytes"])
-    parts = [count_words(result["splats"], "splat"), count_words(result["cameras"], "camera")]
-    parts.append(count_words(result["photos"], "photo"))
+    size = size_text(result["bytes"])
+    parts = [count_text(result["splats"], "splat"), count_text(result["cameras"], "camera")]
+    parts.append(count_text(result["photos"], "photo"))
     text = (
         f"Wrote {result['file']}: {size}, {', '.join(parts)}; "
         f"{result['bytes_per_splat']:.1f} bytes a splat."

@@ -15,7 +15,7 @@ from ..io.files import atomic_write, read_bytes
 from ..json_text import parse_json
 from ..quoting import quoted
 from ..scene import Cameras
-from ..text_format import count_words
+from ..text_format import count_text
 from ..transforms import opengl_from_viewmat, viewmat_from_opengl
 from .capture import View
 from .poses import check_focal, rigid_matrix
@@ -180,7 +180,7 @@ def _transforms(path: Path, data: dict[str, Any]) -> MovingCamera:
     Ks = np.tile(np.eye(3), (count, 1, 1))
     for K, view in zip(Ks, views, strict=True):
         K[[0, 1, 0, 1], [0, 1, 2, 2]] = view.camera.params[:4]
-    frames = count_words(count, "frame")
+    frames = count_text(count, "frame")
     warning = f"{path}: {distorted} of {frames} have lens distortion, which is ignored."
     return MovingCamera(
         cameras=Cameras(

@@ -15,7 +15,7 @@ from ..io.files import is_file, read_bytes
 from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
 from ..scene import PointCloud, within_reach
-from ..text_format import count_words
+from ..text_format import count_text
 from .capture import Capture, View, listing, repeated
 from .folder import Folder
 
@@ -54,15 +54,15 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
     missing = [name for name, file in zip(names, files, strict=True) if file is None]
     if photos_required and 2 * len(missing) > len(names):
         raise DatasetError(
-            f"{len(missing)} of the {count_words(len(names), 'image')} of the model in "
+            f"{len(missing)} of the {count_text(len(names), 'image')} of the model in "
             f"{model.path} are missing "
-            f"in {root} ({count_words(len(folder), 'image')} there): {listing(missing)}. Give the "
+            f"in {root} ({count_text(len(folder), 'image')} there): {listing(missing)}. Give the "
             "folder of the photos that COLMAP was run on with `--images`."
         )
     if missing:
         rest = f"; going on with the other {len(names) - len(missing)}" if photos_required else ""
         warnings.append(
-            f"{len(missing)} of the {count_words(len(names), 'image')} of the model are missing "
+            f"{len(missing)} of the {count_text(len(names), 'image')} of the model are missing "
             f"in {root}: {listing(missing)}{rest}."
         )
     renamed = [
@@ -72,7 +72,7 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
     ]
     if renamed:
         warnings.append(
-            f"{count_words(len(renamed), 'image is', 'images are')} named differently in {root}; "
+            f"{count_text(len(renamed), 'image is', 'images are')} named differently in {root}; "
             f"used: {listing(renamed, 3)}."
         )
     seen = _observed(model)
@@ -142,14 +142,14 @@ def unplaced_photos_text(others: Sequence[Sequence[str]], alone: Sequence[str]) 
         alone: Names of the photos in no model.
     """
     messages = [
-        f"{count_words(len(other), 'photo forms', 'photos form')} a separate model and "
+        f"{count_text(len(other), 'photo forms', 'photos form')} a separate model and "
         f"{'is' if len(other) == 1 else 'are'} left out: {listing(list(other))}. If it is the same "
         "scene, take photos between the two; if not, use separate folders."
         for other in others
     ]
     if alone:
         messages.append(
-            f"{count_words(len(alone), 'photo matches', 'photos match')} no other: "
+            f"{count_text(len(alone), 'photo matches', 'photos match')} no other: "
             f"{listing(list(alone))}. Take photos between these and the others, or remove them if "
             "they are blurred or show another scene."
         )
@@ -174,7 +174,7 @@ def search_warnings(source: Path, views: int) -> list[str]:
         return []
     if not (isinstance(photos, int) and (messages := unplaced_photos_text(others, alone))):
         return []
-    return [" ".join([f"{views} of {count_words(photos, 'photo')} have a camera.", *messages])]
+    return [" ".join([f"{views} of {count_text(photos, 'photo')} have a camera.", *messages])]
 
 
 def _are_names(value: Any) -> TypeGuard[list[str]]:

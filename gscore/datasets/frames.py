@@ -10,7 +10,7 @@ from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.colmap.folder import has_model
 from ..quoting import quoted
-from ..text_format import count_words
+from ..text_format import count_text
 from .capture import listing
 from .pku.case import find_video
 from .programs import find_program
@@ -114,7 +114,7 @@ def choose_frames(frames: list[SequenceFrame], text: str) -> list[SequenceFrame]
             known = sorted(numbers)
             raise DatasetError(
                 f"There is no frame {part.strip()}: the sequence has "
-                f"{count_words(len(known), 'frame')}, {listing([str(n) for n in known], _LISTED)}"
+                f"{count_text(len(known), 'frame')}, {listing([str(n) for n in known], _LISTED)}"
                 f"{f' up to {known[-1]}' if len(known) > _LISTED else ''}."
             )
         chosen |= picked

@@ -9,7 +9,7 @@ from ..config import DataConfig
 from ..errors import Cancelled
 from ..io.images.read_image import read_info
 from ..scene import Cameras, PointCloud, Scene, within_reach
-from ..text_format import count_words
+from ..text_format import count_text
 from .capture import View
 from .dataset import Dataset
 from .decode import ViewFile, decode_view
@@ -67,7 +67,7 @@ def load_dataset(
     narrow = sum(1 for file in files if file.photo_size[0] < config.resolution)
     if narrow:
         warnings.append(
-            f"{count_words(narrow, 'photo is', 'photos are')} narrower than the "
+            f"{count_text(narrow, 'photo is', 'photos are')} narrower than the "
             f"requested {config.resolution:g} px and used at full size."
         )
     cameras = Cameras(
@@ -111,7 +111,7 @@ def _cut_off(views: list[View], files: list[ViewFile]) -> list[str]:
         return []
     most, worst = max(cut, key=lambda pair: pair[0])
     return [
-        f"The distortion of {count_words(len(cut), 'photo')} folds back at the rim, so up to "
+        f"The distortion of {count_text(len(cut), 'photo')} folds back at the rim, so up to "
         f"{100 * most:.0f} % of them are left out ({worst.name}, {worst.camera.model} "
         f"{worst.camera.params.tolist()}). COLMAP with a simpler camera model may keep more."
     ]

@@ -17,7 +17,7 @@ from ..io.images.read_image import (
     read_info,
     read_mask,
 )
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .capture import Capture, View, listing
 from .dataset import map_threads
 from .folder import Folder
@@ -153,7 +153,7 @@ def masks_of_views(
         where = str(place)
         if not any(files):
             problem = (
-                f"{place} has no mask of any view ({count_words(len(folder), 'image')} there); "
+                f"{place} has no mask of any view ({count_text(len(folder), 'image')} there); "
                 f"expected names like {views[0].name}.png."
             )
             if config.masks:
@@ -166,7 +166,7 @@ def masks_of_views(
     missing = [view.name for view, file in zip(views, files, strict=True) if file is None]
     if missing:
         return files, [
-            f"{len(missing)} of {count_words(len(views), 'view')} have no mask in {where}: "
+            f"{len(missing)} of {count_text(len(views), 'view')} have no mask in {where}: "
             f"{listing(missing)}; all of their pixels count."
         ]
     return files, []

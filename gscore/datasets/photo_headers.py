@@ -11,7 +11,7 @@ from ..errors import DatasetError, GsError
 from ..io.files import open_regular
 from ..io.images.image_header import ImageInfo
 from ..io.images.read_image import read_info
-from ..text_format import count_words
+from ..text_format import count_text
 from ..upright import find_up
 from .capture import View, listing
 
@@ -82,7 +82,7 @@ def check_fit(views: Sequence[View], infos: Sequence[ImageInfo], fit: PhotoFit) 
         return
     view, info = views[fit.misfits[0]], infos[fit.misfits[0]]
     rest = len(fit.misfits) - 1
-    others = f" {count_words(rest, 'other does', 'others do')} not fit either." if rest else ""
+    others = f" {count_text(rest, 'other does', 'others do')} not fit either." if rest else ""
     raise DatasetError(
         f"{view.image} is {info.width} x {info.height} pixels, its camera was calibrated for "
         f"{view.camera.width} x {view.camera.height}.{others} Give the folder of the photos that "
@@ -114,7 +114,7 @@ def _copies(views: Sequence[View], cancelled: Callable[[], bool]) -> list[str]:
         return []
     named = [f"{views[copy].name} of {views[first].name}" for first, copy in pairs]
     return [
-        f"{count_words(len(pairs), 'photo is a copy', 'photos are copies')} of others: "
+        f"{count_text(len(pairs), 'photo is a copy', 'photos are copies')} of others: "
         f"{listing(named, 3)}. Copies count twice, and a test view that is a "
         f"copy of a training view does not test anything; remove them."
     ]
@@ -132,7 +132,7 @@ def _flipped(views: Sequence[View], infos: Sequence[ImageInfo], fit: PhotoFit) -
     if not unsure:
         return []
     return [
-        f"The EXIF rotation of {count_words(len(unsure), 'photo')} is ignored, as in COLMAP: "
+        f"The EXIF rotation of {count_text(len(unsure), 'photo')} is ignored, as in COLMAP: "
         f"{listing(unsure)}. If the cameras were made from rotated photos, save the photos rotated."
     ]
 
@@ -146,7 +146,7 @@ def _other_sizes(views: Sequence[View], fit: PhotoFit) -> list[str]:
     if not other:
         return []
     return [
-        f"{count_words(len(other), 'photo has', 'photos have')} another size than the camera; "
+        f"{count_text(len(other), 'photo has', 'photos have')} another size than the camera; "
         f"intrinsics are scaled by the actual ratio: {listing(other, 2)}."
     ]
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..scene import FARTHEST, Cameras, PointCloud
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .dataset import map_threads
 
 RANDOM_POINTS = 100_000
@@ -32,7 +32,7 @@ def point_warnings(points: PointCloud, usable: np.ndarray) -> list[str]:
     if not usable.all():
         first = int(np.flatnonzero(~usable)[0])
         warnings.append(
-            f"{count_words(int((~usable).sum()), 'point is', 'points are')} not finite or beyond "
+            f"{count_text(int((~usable).sum()), 'point is', 'points are')} not finite or beyond "
             f"{FARTHEST:g}, the first of them number {first} at {points.points[first].tolist()}; "
             "left out."
         )

@@ -9,7 +9,7 @@ from ..errors import FormatError
 from ..io.colmap.model import ColmapCamera
 from ..quoting import quoted
 from ..scene import FARTHEST, FOCAL_RANGE, Scene, distances, is_focal
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .capture import listing
 
 _SKEW = 1e-3
@@ -105,7 +105,7 @@ def position_warnings(scene: Scene) -> Iterator[str]:
     far, times = _far(scene.points.points, middle)
     if len(far) > 0.001 * len(scene.points):
         yield (
-            f"{number(len(far))} of {count_words(len(scene.points), 'point')} are more than "
+            f"{number(len(far))} of {count_text(len(scene.points), 'point')} are more than "
             f"{_STRAY:.0f} times farther from the cameras than half of the points."
         )
 

@@ -13,7 +13,7 @@ from ..scene import (
     distances,
     moved_viewmats,
     offset_between,
-    origin_words,
+    origin_text,
     within_reach,
 )
 from .capture import Capture, View
@@ -133,7 +133,7 @@ def about_origin(capture: Capture, origin: np.ndarray | None = None) -> Capture:
 def _warning(origin: np.ndarray) -> str:
     return (
         f"The capture is far from the origin of its coordinates, where float32 is too coarse: "
-        f"splats and cameras are relative to the local origin {origin_words(origin)}, which "
+        f"splats and cameras are relative to the local origin {origin_text(origin)}, which "
         f"their files state."
     )
 

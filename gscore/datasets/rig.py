@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..scene import PointCloud, camera_centers
-from ..text_format import count_words
+from ..text_format import count_text
 from .capture import Capture, View, listing
 from .pku.photos import camera_number
 
@@ -73,7 +73,7 @@ def with_rig(capture: Capture, rig: Capture, *, where: Path, rig_at: Path) -> Ca
         return capture
     if len(pairs) < 2:
         raise DatasetError(
-            f"{where} and {rig_at} have {count_words(len(pairs), 'camera')} in common, expected 2 "
+            f"{where} and {rig_at} have {count_text(len(pairs), 'camera')} in common, expected 2 "
             "or more; names "
             f"are like {capture.views[0].name} and {rig.views[0].name}. Give a capture by the same "
             f"cameras, with the same names or camera numbers."
@@ -96,7 +96,7 @@ def with_rig(capture: Capture, rig: Capture, *, where: Path, rig_at: Path) -> Ca
     warnings, farthest = [], float(fit.distances.max())
     if farthest > _REPORTED:
         warnings.append(
-            f"The cameras of {count_words(len(pairs), 'view')} are those of {rig_at}, and the "
+            f"The cameras of {count_text(len(pairs), 'view')} are those of {rig_at}, and the "
             "points were moved "
             f"into its world; the cameras' own positions differ by {100 * distance:.2f} % of the "
             f"rig's radius in the median, {100 * farthest:.2f} % at most."
@@ -104,7 +104,7 @@ def with_rig(capture: Capture, rig: Capture, *, where: Path, rig_at: Path) -> Ca
     lone = [view.name for view in capture.views if _key(view.name) not in targets]
     if lone:
         warnings.append(
-            f"{count_words(len(lone), 'view is', 'views are')} not in {rig_at}: {listing(lone)}."
+            f"{count_text(len(lone), 'view is', 'views are')} not in {rig_at}: {listing(lone)}."
         )
     return replace(
         capture,

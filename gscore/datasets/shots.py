@@ -12,7 +12,7 @@ from ..io.images.image_header import ORIENTATION
 from ..io.images.pillow_images import opened_picture, pillow
 from ..io.images.read_image import TURNS
 from ..scene import camera_centers
-from ..text_format import count_words
+from ..text_format import count_text
 from .capture import View, listing
 from .dataset import map_threads
 
@@ -137,7 +137,7 @@ def warn_of_split_shots(
     if not twins:
         return train, test, []
     named = listing([f"{views[i].name} of {views[j].name}" for i, j in twins.items()], 3)
-    what = count_words(len(twins), "training photo shows", "training photos show")
+    what = count_text(len(twins), "training photo shows", "training photos show")
     shown = f"{what} the same picture as a test view: {named}."
     if not chosen or len(twins) == len(train):
         return (

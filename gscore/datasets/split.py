@@ -7,7 +7,7 @@ from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.files import read_bytes
 from ..quoting import quoted
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .capture import listing
 from .folder import same_name
 
@@ -44,7 +44,7 @@ def split_views(
         rule = f"the list {config.test_list}"
     elif config.test_first or config.test_last:
         test = {i for i in range(count) if i < config.test_first or i >= count - config.test_last}
-        rule = f"the first {config.test_first} and last {count_words(config.test_last, 'view')}"
+        rule = f"the first {config.test_first} and last {count_text(config.test_last, 'view')}"
     elif stated and config.test_offset is None:
         known = set(map(same_name, stated))
         test = {i for i, name in enumerate(names) if same_name(name) in known}
@@ -63,7 +63,7 @@ def split_views(
     if not test or len(test) == count:
         left = "no view to test" if not test else "no view to train"
         raise DatasetError(
-            f"The test split ({rule}) leaves {left}: {len(test)} of {count_words(count, 'view')} "
+            f"The test split ({rule}) leaves {left}: {len(test)} of {count_text(count, 'view')} "
             "are test views. Choose another rule, or hold no view out."
         )
     return [i for i in range(count) if i not in test], sorted(test)
@@ -93,7 +93,7 @@ def split_warnings(count: int, test: Sequence[int], config: DataConfig) -> list[
     )
     return [
         f"One of {number(config.test_every)} views is held out, but there are only "
-        f"{count_words(count, 'view')}: only one view is measured, which is unreliable. {more}"
+        f"{count_text(count, 'view')}: only one view is measured, which is unreliable. {more}"
     ]
 
 
@@ -116,7 +116,7 @@ def _listed(names: Sequence[str], path: Path) -> set[int]:
     unknown = [name for name in wanted if len(lookup.get(same_name(name), ())) != 1]
     if unknown:
         raise DatasetError(
-            f"{path} has {count_words(len(unknown), 'view')} that the capture does not have, or "
+            f"{path} has {count_text(len(unknown), 'view')} that the capture does not have, or "
             "not only once: "
             f"{listing(unknown)}. An example of a name is "
             f"{names[0]}."

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .fit import NO_FIT, Fit, fit_of, scale_reason, tolerance
 from .maps import sample
 from .observations import Observations
@@ -55,7 +55,7 @@ def align_official(values: np.ndarray, seen: Observations) -> Fit:
     count = int(inside.sum())
     if count <= OFFICIAL_POINTS:
         return NO_FIT.refused(
-            f"only {count_words(count, 'point is', 'points are')} seen in it, expected more than 10"
+            f"only {count_text(count, 'point is', 'points are')} seen in it, expected more than 10"
         )
     if np.ptp(seen.inverse_depth) <= OFFICIAL_RANGE:
         return NO_FIT.refused("the inverse depths of its points differ by 0.001 or less")
@@ -93,7 +93,7 @@ def align_robust(
     none = Fit(scale=0.0, offset=0.0, points=len(m))
     if len(m) < LEAST_POINTS:
         return none.refused(
-            f"only {count_words(len(m), 'point is', 'points are')} seen in it, expected "
+            f"only {count_text(len(m), 'point is', 'points are')} seen in it, expected "
             f"{LEAST_POINTS}"
         )
     middle = float(np.median(s))
@@ -112,7 +112,7 @@ def align_robust(
     inside = round(fit.inliers * len(m))
     if inside < LEAST_POINTS or fit.inliers < LEAST_SHARE:
         return fit.refused(
-            f"only {number(inside)} of {count_words(len(m), 'point')} ({fit.inliers:.0%} by "
+            f"only {number(inside)} of {count_text(len(m), 'point')} ({fit.inliers:.0%} by "
             "weight) agree with one scale and offset"
         )
     if not is_significant(slope * unit[0] + height, unit[1], w, near):

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..config import DataConfig
 from ..datasets import Dataset
-from ..text_format import count_words
+from ..text_format import count_text
 from .align import align_robust, reliable
 from .consensus import agreed, with_errors
 from .fit import NO_FIT, Fit, fit_of, median_scale
@@ -212,7 +212,7 @@ def _checked(
     for i in wrong:
         fits[i] = ours[i]
     sentence = (
-        f"{path} contradicts the points of {count_words(len(wrong), 'view')}, as if it belonged "
+        f"{path} contradicts the points of {count_text(len(wrong), 'view')}, as if it belonged "
         "to other maps; these are aligned again. Make it again: gscore depth SOURCE"
     )
     return replace(stated, fits=fits, warnings=(*stated.warnings, sentence))
@@ -240,6 +240,6 @@ def _refusals(
     if not refused:
         return ()
     return (
-        f"{len(refused)} of {count_words(len(usable), 'depth map')} were not aligned, the first "
+        f"{len(refused)} of {count_text(len(usable), 'depth map')} were not aligned, the first "
         f"because {refused[0].reason}.",
     )

@@ -12,7 +12,7 @@ from ..errors import BackendError, ConfigError, FormatError, GsError
 from ..extras import need
 from ..io.files import reason
 from ..quoting import brief
-from ..text_format import size_words
+from ..text_format import size_text
 from .catalogue import KnownNetwork
 
 
@@ -55,7 +55,7 @@ def network_file(network: KnownNetwork, *, download: bool) -> Path:
 
 def terms(network: KnownNetwork) -> str:
     """Size, licence and source of a download, for the user to decide."""
-    return f"{size_words(network.bytes)}, licence {network.licence}, from {network.page}"
+    return f"{size_text(network.bytes)}, licence {network.licence}, from {network.page}"
 
 
 def _hub() -> Any:

@@ -9,7 +9,7 @@ from ..errors import FormatError
 from ..io.files import atomic_write
 from ..json_text import parse_json
 from ..quoting import brief
-from ..text_format import count_words
+from ..text_format import count_text
 
 STEREO_RECORD = "stereo.json"
 """Record next to depth maps made by stereo."""
@@ -50,7 +50,7 @@ def held_out_maps_warning(folder: Path, held_out: Collection[str]) -> tuple[str,
         return ()
     return (
         f"The depth maps in {folder} were made with "
-        f"{count_words(len(among), 'held-out photo', 'held-out photos')}, for example "
+        f"{count_text(len(among), 'held-out photo', 'held-out photos')}, for example "
         f"{brief(among[0])}, so the metrics of held-out views are too good. Make the maps again "
         "without them: gscore depth SOURCE --method stereo --hold-out 8",
     )

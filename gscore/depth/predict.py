@@ -17,7 +17,7 @@ from ..io.files import atomic_write
 from ..io.images.read_image import read_image, read_mask, write_png
 from ..json_text import parse_json
 from ..quoting import brief
-from ..text_format import count_words
+from ..text_format import count_text
 from .fitting import find_kind
 from .maps import DepthKind, MapFolder, stem, to_inverse
 from .network import Network
@@ -174,7 +174,7 @@ def _kept(folder: Path, record: dict[str, Any], names: tuple[str, ...]) -> list[
             return there
         by = f"they were made by {before.get('model')} with another {' and '.join(changed)}"
     raise ConfigError(
-        f"{folder} already contains depth maps of {count_words(len(there), 'view')}, and {by}. "
+        f"{folder} already contains depth maps of {count_text(len(there), 'view')}, and {by}. "
         "Give `--overwrite` to replace them, or another folder with `--depths`."
     )
 

@@ -13,7 +13,7 @@ from ..datasets.dataset import map_threads
 from ..datasets.decode import fit_map
 from ..errors import DatasetError, FormatError
 from ..io.images.read_image import read_mask
-from ..text_format import count_words
+from ..text_format import count_text
 from .confidence import confidence, shown_by
 from .fit import NO_FIT, Fit
 from .fitting import Alignment, align_views
@@ -142,7 +142,7 @@ def _missing(folder: MapFolder, maps: list[Path | None], names: tuple[str, ...])
     if len(missing) == len(maps):
         raise DatasetError(
             f"{folder.root} has no depth map of any view (it contains "
-            f"{count_words(len(folder), 'map')}); expected "
+            f"{count_text(len(folder), 'map')}); expected "
             f"names like {Path(names[0]).stem}.png. Make them with `gscore depth`, or name another "
             f"folder with `--depths`."
         )
@@ -150,7 +150,7 @@ def _missing(folder: MapFolder, maps: list[Path | None], names: tuple[str, ...])
         return []
     listed = ", ".join(missing[:5]) + (", ..." if len(missing) > 5 else "")
     return [
-        f"{len(missing)} of {count_words(len(maps), 'view')} have no depth map in {folder.root}: "
+        f"{len(missing)} of {count_text(len(maps), 'view')} have no depth map in {folder.root}: "
         f"{listed}."
     ]
 

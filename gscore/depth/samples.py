@@ -11,7 +11,7 @@ from ..datasets import Dataset
 from ..datasets.dataset import map_threads
 from ..datasets.decode import ViewFile, check_proportions, fit_map
 from ..errors import DatasetError, FormatError, ShapeError
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .maps import DepthKind, read_map, sample
 from .observations import Observations
 
@@ -98,7 +98,7 @@ def unusable(samples: list[Samples | None]) -> tuple[str, ...]:
     if len(problems) == 1:
         return (f"One depth map is left out, because its file cannot be used: {problems[0]}.",)
     return (
-        f"{count_words(len(problems), 'depth map is', 'depth maps are')} left out, because the "
+        f"{count_text(len(problems), 'depth map is', 'depth maps are')} left out, because the "
         f"file cannot be used, the first: {problems[0]}.",
     )
 

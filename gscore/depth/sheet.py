@@ -10,7 +10,7 @@ from ..datasets import Dataset
 from ..datasets.decode import fit_map
 from ..errors import GsError
 from ..io.images.read_image import SIGNED, resize, resize_map, write_png
-from ..text_format import count_words
+from ..text_format import count_text
 from .fit import Fit
 from .maps import DepthKind, read_map, to_inverse
 
@@ -108,7 +108,7 @@ def _fit_text(fit: Fit | None) -> tuple[str, tuple[int, int, int]]:
         return "", _INK
     if fit.accepted:
         return (
-            f"{fit.inliers:.0%} of {count_words(fit.points, 'point')} agree, scale {fit.scale:.4g}",
+            f"{fit.inliers:.0%} of {count_text(fit.points, 'point')} agree, scale {fit.scale:.4g}",
             _INK,
         )
     return f"refused: {fit.reason}", _BAD

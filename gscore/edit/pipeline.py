@@ -11,7 +11,7 @@ from ..formats.joined import joined
 from ..importance import importance_of, most_important
 from ..scene import Cameras
 from ..splats import Splats, cut_degree, sigmoid
-from ..text_format import count_words
+from ..text_format import count_text
 from ..transforms import transform_splats
 from .clusters import cluster_sizes
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix
@@ -204,7 +204,7 @@ class _Work:
         after = change(self.splats)
         if not len(after):
             raise ConfigError(
-                f"The step {name!r} would leave none of {count_words(before, 'splat')}; nothing "
+                f"The step {name!r} would leave none of {count_text(before, 'splat')}; nothing "
                 "was written. Relax its limit."
             )
         seconds = time.perf_counter() - began

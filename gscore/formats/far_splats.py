@@ -7,7 +7,7 @@ import numpy as np
 
 from ..morton import distances_from_middle, middle_of
 from ..splats import Splats
-from ..text_format import count_words
+from ..text_format import count_text
 
 _COARSE = 2.0**-10
 """Smallest reported step, in median distances of splats from their middle: a camera at that
@@ -60,7 +60,7 @@ def without_far(
     if moved.any():
         splats = moved_within(splats, moved, away, limit)
         notes.append(
-            f"{count_words(int(moved.sum()), 'splat')} up to {away.max():.3g} units away from the "
+            f"{count_text(int(moved.sum()), 'splat')} up to {away.max():.3g} units away from the "
             f"others were moved to {limit:.3g} units and made smaller, so that the positions of "
             f"all keep steps of {step_within(limit):.2g} units in {name}. Remove far splats first, "
             f"with gscore convert --box or --sphere."

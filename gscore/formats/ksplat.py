@@ -18,7 +18,7 @@ from ..io.files import read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, log_scales
 from ..sh import rgb_to_sh0
 from ..splats import SH_REST_BY_DEGREE, Splats
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .joined import joined
 from .splat_file import Decoded, SplatFormat
 
@@ -105,14 +105,14 @@ def _read(path: Path) -> Decoded:
         section = _section(file, index)
         size = section.head + section.room * _row(level, section.degree).itemsize
         if section.count > section.room or at + size > len(raw):
-            words = count_words(section.count, "splat")
+            words = count_text(section.count, "splat")
             raise _damaged(path, f"section {index + 1} of {words} goes on beyond its end")
         parts.append(_splats(file, section, at))
         counts.append(section.count)
         at += size
     total = sum(counts)
     if total != count or not count:
-        raise _damaged(path, f"it states {count_words(count, 'splat')} and has {number(total)}")
+        raise _damaged(path, f"it states {count_text(count, 'splat')} and has {number(total)}")
     return Decoded(splats=joined(parts), layout=f".ksplat, compression {level}")
 
 
@@ -175,7 +175,7 @@ def _means(file: _File, section: _Section, at: int, stored: np.ndarray) -> np.nd
     if buckets > section.buckets or filled + sizes.sum() < section.count:
         raise _damaged(
             file.path,
-            f"its buckets are too small for the {count_words(section.count, 'splat')} of a section",
+            f"its buckets are too small for the {count_text(section.count, 'splat')} of a section",
         )
     # Larger sizes have no effect.
     sizes = np.minimum(sizes, section.count)

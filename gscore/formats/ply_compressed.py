@@ -21,7 +21,7 @@ from ..morton import distances_from_middle, morton_order
 from ..sh import SH_C0, sh0_to_rgb
 from ..smallest_three import smallest_three
 from ..splats import Splats
-from ..text_format import count_words
+from ..text_format import count_text
 from ..transforms import unit_quats
 from . import ply
 from .far_splats import FAR, cut_extremes, moved_within
@@ -111,13 +111,13 @@ def _limited(splats: Splats, order: np.ndarray, near: int) -> tuple[Splats, list
         moved[strays] = True
         splats = moved_within(splats, moved, away, FAR * usual)
         notes.append(
-            f"{count_words(len(strays), 'splat')} up to {away[strays].max():.3g} units away from "
+            f"{count_text(len(strays), 'splat')} up to {away[strays].max():.3g} units away from "
             f"the others were moved to {FAR * usual:.3g} units and made smaller: they share their "
             f"chunk with others. Remove far splats first, with gscore convert --box or --sphere."
         )
     splats, cut = cut_extremes(splats, "sh0", _LARGEST_COLOR)
     if cut:
-        notes.append(f"{count_words(cut, 'splat')} had colours beyond -3.5 to 4.5, cut to that.")
+        notes.append(f"{count_text(cut, 'splat')} had colours beyond -3.5 to 4.5, cut to that.")
     return splats, notes
 
 
@@ -129,14 +129,14 @@ def _notes(splats: Splats, order: np.ndarray) -> list[str]:
     beyond = moved > _MOST_MOVED * np.maximum(away[order], usual)
     if beyond.any():
         notes.append(
-            f"{count_words(int(beyond.sum()), 'splat')} share their chunk with others far away, "
+            f"{count_text(int(beyond.sum()), 'splat')} share their chunk with others far away, "
             f"and were moved by up to {moved[beyond].max():.3g} units. Remove far splats "
             f"first, with gscore convert --box or --sphere."
         )
     wide = int((np.abs(splats.shN) > _REACH).any(axis=(1, 2)).sum())
     if wide:
         notes.append(
-            f"{count_words(wide, 'splat')} had SH coefficients beyond -4 to 4, cut to that."
+            f"{count_text(wide, 'splat')} had SH coefficients beyond -4 to 4, cut to that."
         )
     return notes
 

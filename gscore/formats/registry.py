@@ -15,10 +15,10 @@ from ..io.files import is_file, reason
 from ..io.splat_rows import drawable_rows
 from ..io.unsupported_formats import describe_unsupported
 from ..quoting import brief
-from ..scene import checked_origin, origin_words
+from ..scene import checked_origin, origin_text
 from ..sh import MAX_DEGREE
 from ..splats import SH_REST_BY_DEGREE, Splats, cut_degree
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from ..warning_log import collected_warnings
 from . import gltf_splats, ksplat, ply, ply_compressed, sog, splat, spz, usd
 from .splat_file import Decoded, SplatFile, SplatFormat, WriteOptions, WrittenFile
@@ -180,7 +180,7 @@ def write_splat_file(
         origin = checked_origin(origin)
         if not found.keeps_origin:
             notes.append(
-                f"{found.name} cannot store a local origin: add {origin_words(origin)} to "
+                f"{found.name} cannot store a local origin: add {origin_text(origin)} to "
                 f"positions to get the coordinates of the capture."
             )
     options = WriteOptions(
@@ -199,7 +199,7 @@ def _drawable(splats: Splats, notes: list[str]) -> Splats:
     good = drawable_rows(splats)
     if dropped := len(splats) - len(good):
         notes.append(
-            f"{number(dropped)} of {count_words(len(splats), 'splat')} had numbers that are "
+            f"{number(dropped)} of {count_text(len(splats), 'splat')} had numbers that are "
             f"not finite or a zero quaternion; they are left out."
         )
     return good

@@ -22,7 +22,7 @@ from ..json_text import parse_json
 from ..quoting import quoted
 from ..smallest_three import with_largest
 from ..splats import SH_REST_BY_DEGREE
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from . import textures
 from .codebook import CODEBOOK_SIZE
 from .parts import check_part, parts_of
@@ -119,7 +119,7 @@ def _decode(path: Path, raw: bytes, fetch: _Fetch) -> Decoded:
     files = [fetch(meta.file(*name)) for name in names]
     if count > _MOST_SPLATS_A_BYTE * sum(map(len, files)) + _SLACK:
         raise _damaged(
-            path, f"it states {count_words(count, 'splat')} in {number(sum(map(len, files)))} bytes"
+            path, f"it states {count_text(count, 'splat')} in {number(sum(map(len, files)))} bytes"
         )
     low, high, sizes, turns, colors = (
         textures.decode_texture(f"{path}: {meta.file(*name)}", file, count).reshape(-1, 4)[:count]

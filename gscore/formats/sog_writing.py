@@ -18,7 +18,7 @@ from ..io.splat_rows import opacity_bytes
 from ..morton import morton_order
 from ..smallest_three import smallest_three
 from ..splats import Splats
-from ..text_format import count_words
+from ..text_format import count_text
 from ..transforms import unit_quats
 from . import textures
 from .codebook import codebook, nearest_entries, palette
@@ -86,7 +86,7 @@ def _textures(splats: Splats) -> tuple[dict[str, Any], dict[str, np.ndarray], li
         splats, cut = cut_extremes(splats, field, most)
         if cut:
             notes.append(
-                f"{count_words(cut, 'splat')} had extreme {field}, which were cut, because SOG has "
+                f"{count_text(cut, 'splat')} had extreme {field}, which were cut, because SOG has "
                 f"256 values for those of all splats."
             )
     order = morton_order(splats.means)

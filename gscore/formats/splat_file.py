@@ -10,10 +10,10 @@ import numpy as np
 
 from ..errors import FormatError
 from ..io.file_sample import FileSample
-from ..scene import are_relative_to, checked_origin, offset_between, origin_words
+from ..scene import are_relative_to, checked_origin, offset_between, origin_text
 from ..sh import sh0_to_rgb
 from ..splats import Splats
-from ..text_format import count_words
+from ..text_format import count_text
 
 _log = logging.getLogger(__name__)
 
@@ -56,7 +56,7 @@ class Decoded:
         _log.warning(
             "The splats state no local origin, but are around that of the capture, %s; it is "
             "assumed for them.",
-            origin_words(origin),
+            origin_text(origin),
         )
         return replace(self, origin=origin)
 
@@ -138,7 +138,7 @@ def colors_note(sh0: np.ndarray, low: float, high: float, name: str) -> str:
         f"{round(float(end), 3) + 0:.2g}" for end in sh0_to_rgb(np.array([low, high]))
     )
     return (
-        f"Colours of {count_words(beyond, 'splat')} outside the range of {name}, {ends}, were cut "
+        f"Colours of {count_text(beyond, 'splat')} outside the range of {name}, {ends}, were cut "
         f"to it."
     )
 

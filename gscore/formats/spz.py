@@ -17,7 +17,7 @@ from ..io.files import atomic_write, read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes
 from ..smallest_three import smallest_three, with_largest
 from ..splats import SH_REST_BY_DEGREE, Splats
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from ..transforms import transform_splats, unit_quats
 from .axes import X, harmonic_signs
 from .far_splats import without_far
@@ -177,7 +177,7 @@ def _streams(path: Path, raw: bytes | memoryview) -> _Content:
     if header.version < 4:
         body = view[_HEADER.size :]
         if len(body) < sum(header.sizes):
-            words = count_words(header.count, "splat")
+            words = count_text(header.count, "splat")
             raise _damaged(path, f"{words} take more than its {number(len(view))} bytes")
         return header, _split(body, header.sizes)[0], None
     if len(view) < _HEADER_4.size:
@@ -287,13 +287,13 @@ def _clamped(splats: Splats) -> list[str]:
     beyond = int(((splats.scales < -10.03) | (splats.scales > 5.97)).any(axis=1).sum())
     if beyond:
         notes.append(
-            f"Sizes of {count_words(beyond, 'splat')} outside SPZ's range, e^-10 to e^5.9, were "
+            f"Sizes of {count_text(beyond, 'splat')} outside SPZ's range, e^-10 to e^5.9, were "
             f"cut to it."
         )
     wide = int((np.abs(splats.shN) > 1.004).any(axis=(1, 2)).sum())
     if wide:
         notes.append(
-            f"SH coefficients of {count_words(wide, 'splat')} outside SPZ's range, -1 to 1, were "
+            f"SH coefficients of {count_text(wide, 'splat')} outside SPZ's range, -1 to 1, were "
             f"cut to it."
         )
     return notes

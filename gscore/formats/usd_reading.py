@@ -19,7 +19,7 @@ from ..io.splat_rows import drawable, log_scales, logits
 from ..scene import checked_origin
 from ..sh import MAX_DEGREE, sh_count
 from ..splats import Splats
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from ..transforms import transform_splats
 from ..warning_log import collected_warnings
 from .axes import X, half_turn
@@ -91,7 +91,7 @@ def read_usd(path: Path) -> Decoded:
             _log.warning(
                 "%s is incomplete: %s of the scene cannot be read. %s",
                 path,
-                count_words(len(unread), "part"),
+                count_text(len(unread), "part"),
                 str(unread[0]).strip(),
             )
         has_z_up = UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z

@@ -27,7 +27,7 @@ from ..io.images.image_header import ImageInfo
 from ..io.images.read_image import decoding_pixels, read_info
 from ..scene import Cameras, PointCloud, Scene, within_reach
 from ..sfm.output_path import has_no_cameras
-from ..text_format import count_words
+from ..text_format import count_text
 from ..video import is_video
 from .capture_facts import CaptureFacts, Problem
 from .photo_folder import photo_folder_facts
@@ -134,7 +134,7 @@ def _capture_problems(config: DataConfig, capture: Capture, seen: _Seen) -> Iter
             warnings = ()
     yield from map(_note, warnings)
     if 0 < len(seen.views) < FEW_PHOTOS:
-        count = count_words(len(seen.views), "photo")
+        count = count_text(len(seen.views), "photo")
         yield _note(f"Only {count}; views between them will be poor.")
 
 
@@ -151,11 +151,11 @@ def _photos_elsewhere(capture: Capture, images: str) -> str | None:
 def _photo_problems(seen: _Seen) -> Iterator[Problem]:
     if seen.errors:
         first, *others = seen.errors
-        rest = f" {count_words(len(others), 'other photo')} cannot be read either."
+        rest = f" {count_text(len(others), 'other photo')} cannot be read either."
         yield _error(first + rest if others else first)
     if seen.unknown:
         yield _note(
-            f"{count_words(len(seen.unknown), 'photo')} cannot be checked here, such as "
+            f"{count_text(len(seen.unknown), 'photo')} cannot be checked here, such as "
             f"{seen.unknown[0]}; the training checks them."
         )
     views, infos = seen.known
@@ -239,7 +239,7 @@ def _depth_problems(stated: StatedDepth) -> list[Problem]:
         return [_note(text)]
     short = views - min(stated.entries, maps)
     return (
-        [_note(f"{short} of {count_words(views, 'photo')} lack a depth map or its scale.")]
+        [_note(f"{short} of {count_text(views, 'photo')} lack a depth map or its scale.")]
         if short
         else []
     )

@@ -12,7 +12,7 @@ from ..sfm.heic import conversion_hint, readable, size_of
 from ..sfm.masks import mask_folder
 from ..sfm.photo_folders import photo_folder_warning
 from ..sfm.photos import LEAST, list_photos, photo_folder
-from ..text_format import count_words
+from ..text_format import count_text
 from ..video import is_video
 from .capture_facts import CaptureFacts, Problem
 
@@ -44,14 +44,14 @@ def photo_folder_facts(source: Path) -> CaptureFacts:
     sizes.update(size_of(root / name) for name in changed)
     names += changed
     if len(names) < LEAST:
-        few = f"Only {count_words(len(names), 'photo')}: at least {LEAST} that overlap are needed, "
+        few = f"Only {count_text(len(names), 'photo')}: at least {LEAST} that overlap are needed, "
         problems.append(Problem(is_error=True, text=f"{few}30 or more are good."))
     for text in filter(
         None, (unread_cameras(source), photo_folder_warning(root, names, len(sizes)))
     ):
         problems.append(Problem(is_error=False, text=text))
     if unread:
-        left = count_words(len(unread), "photo is of a kind", "photos are of kinds")
+        left = count_text(len(unread), "photo is of a kind", "photos are of kinds")
         hint = conversion_hint(unread)
         text = f"{left} that is not read: {listing(unread, 2)}. To use them, {hint}."
         problems.append(Problem(is_error=False, text=text))

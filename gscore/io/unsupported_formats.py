@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 
 from ..errors import GsError
-from ..text_format import count_words
+from ..text_format import count_text
 from .block_record import BLOCK_RECORD
 from .file_sample import FileSample, sample_file
 from .lod_index import KIND
@@ -243,7 +243,7 @@ def _folder(path: Path) -> str:
         count = _photos(place) + (below if place == path else 0)
         if count:
             return (
-                f"{place} has {count_words(count, 'photo')}, but no cameras for them. Find them "
+                f"{place} has {count_text(count, 'photo')}, but no cameras for them. Find them "
                 f"first: gscore sfm {_argument(path)} -o {_argument(_capture(path, place))}"
             )
     others = sorted(n for n in names if n.is_file() and n.suffix.lower() != ".json")
@@ -255,7 +255,7 @@ def _gscore_folder(path: Path, folders: list[Path]) -> str:
     if any((folder / BLOCK_RECORD).is_file() for folder in folders):
         blocks = [folder for folder in folders if (folder / BLOCK_RECORD).is_file()]
         return (
-            f"{path} has {count_words(len(blocks), 'block')} of a capture. gscore train "
+            f"{path} has {count_text(len(blocks), 'block')} of a capture. gscore train "
             f"{_argument(path)} -o RUNS trains all; each is a capture too, {blocks[0]} the first."
         )
     if _is_run(path):
@@ -265,7 +265,7 @@ def _gscore_folder(path: Path, folders: list[Path]) -> str:
     runs = [folder for folder in folders if _is_run(folder)]
     if runs:
         return (
-            f"{path} has {count_words(len(runs), 'training')}, {runs[0]} the first: give one. "
+            f"{path} has {count_text(len(runs), 'training')}, {runs[0]} the first: give one. "
             f"Those of blocks are merged by gscore merge {_argument(path)} -o splats.ply."
         )
     return ""

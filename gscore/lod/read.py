@@ -12,7 +12,7 @@ from ..io.lod_file import LodFile, empty_splats, open_lod_file
 from ..io.lod_index import LodLevel
 from ..quoting import brief
 from ..splats import Splats
-from ..text_format import count_words
+from ..text_format import count_text
 
 LOD_FORMAT = "lod"
 """`SplatFile.format` of splats of a level."""
@@ -46,7 +46,7 @@ def read_lod(
             level = _fitting_level(levels, most)
         if not 0 <= level < len(levels):
             raise ConfigError(
-                f"{brief(path)} has {count_words(len(levels), 'level')}, from 0, the finest, to "
+                f"{brief(path)} has {count_text(len(levels), 'level')}, from 0, the finest, to "
                 f"{len(levels) - 1}; there is no level {level}."
             )
         parts = [

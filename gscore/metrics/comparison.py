@@ -9,7 +9,7 @@ from ..errors import ConfigError
 from ..events import headline_psnr
 from ..io.metrics_file import is_number
 from ..quoting import as_typed, brief
-from ..text_format import psnr_name, stopped_words
+from ..text_format import psnr_name, stopped_text
 
 HIGHER_IS_BETTER = {"psnr": True, "ssim": True, "lpips": False}
 """Compared metrics, in the order of tables."""
@@ -208,7 +208,7 @@ def _warnings(runs: Sequence[ComparedRun], names: Sequence[str], *, lpips: bool)
         )
     for run in runs:
         asked = 0 if run.options.get("time_budget") else run.options.get("iterations") or 0
-        if stopped := stopped_words(run.metrics, asked):
+        if stopped := stopped_text(run.metrics, asked):
             found.append(f"{run.label} was {stopped}: its metrics are of an incomplete training.")
     nets = [run.metrics.get("lpips_net") for run in runs]
     if not lpips and all(nets):

@@ -14,7 +14,7 @@ from ..io.files import read_bytes
 from ..io.runs import MADE_OF, SEARCH_RECORD
 from ..json_text import parse_json
 from ..scene import Scene
-from ..text_format import count_words
+from ..text_format import count_text
 from ..upright import up_of
 
 _SIDE = 420
@@ -134,9 +134,9 @@ def _words(found: Mapping[str, Any]) -> str:
     parts = []
     count, photos = found.get("registered"), found.get("photos")
     if isinstance(count, int) and isinstance(photos, int):
-        parts.append(f"{count} of {count_words(photos, 'photo')} have a camera")
+        parts.append(f"{count} of {count_text(photos, 'photo')} have a camera")
     if isinstance(points := found.get("points"), int):
-        parts.append(count_words(points, "point"))
+        parts.append(count_text(points, "point"))
     if isinstance(error := found.get("reprojection_px"), float):
         parts.append(f"mean reprojection error {error:.2f} px")
     alone = found.get("alone")
@@ -179,7 +179,7 @@ def _svg(
         for i in _drawn(cameras.names, worths)
     )
     label = html.escape(
-        f"{name}: {count_words(len(centers), 'camera')}, {count_words(int(usable.sum()), 'point')}"
+        f"{name}: {count_text(len(centers), 'camera')}, {count_text(int(usable.sum()), 'point')}"
     )
     return (
         f'<svg class="chart plan" viewBox="0 0 {_SIDE} {_SIDE}" role="img" aria-label="{label}">'

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..metrics.comparison import HIGHER_IS_BETTER, RunComparison, ViewPair
-from ..text_format import count_words, number, number_words, size_words, time_words
+from ..text_format import count_text, number, number_text, size_text, time_text
 from .curves import Series, clean_points, legend, line_chart
 from .html_parts import AXES, html_page, switch, warnings_html, write_html
 
@@ -84,7 +84,7 @@ def _head(comparison: RunComparison, title: str) -> str:
         + (f'<pre class="command">{html.escape(run.command)}</pre>' if run.command else "")
         for n, run in enumerate(comparison.runs, start=1)
     )
-    views = count_words(len(comparison.pairs), "view")
+    views = count_text(len(comparison.pairs), "view")
     return (
         f'<header><h1>{html.escape(title)}</h1><p class="sub">Two runs compared on {views} '
         f"measured in both</p>{rows}</header>\n"
@@ -114,11 +114,11 @@ def _means_table(comparison: RunComparison) -> str:
 _WORK: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("splats", "Splats", number),
     ("models", "Merged models", number),
-    ("storage_bytes", "Storage", size_words),
+    ("storage_bytes", "Storage", size_text),
     ("steps", "Steps", number),
-    ("train_seconds", "Training", time_words),
-    ("fps", "Rendering, pictures per second", lambda value: number_words(value, 1)),
-    ("peak_memory_bytes", "Peak memory", size_words),
+    ("train_seconds", "Training", time_text),
+    ("fps", "Rendering, pictures per second", lambda value: number_text(value, 1)),
+    ("peak_memory_bytes", "Peak memory", size_text),
 )
 """Key in metrics.json, name, and formatter."""
 
@@ -214,7 +214,7 @@ def _cards(comparison: RunComparison, pictures: Sequence[PairPictures]) -> str:
     left_out = len(comparison.pairs) - len(pictures)
     note = ""
     if left_out:
-        views = count_words(len(comparison.pairs), "view")
+        views = count_text(len(comparison.pairs), "view")
         note = f" Pictures of {len(pictures)} of {views}."
     return (
         f'<section id="views" data-sides="first second"><div class="bar"><h2>Views</h2>{order}'
@@ -286,7 +286,7 @@ def _only_one(comparison: RunComparison) -> str:
     for run, names in zip(comparison.runs, comparison.only_in, strict=True):
         if names:
             listed = html.escape("\n".join(names))
-            views = count_words(len(names), "view")
+            views = count_text(len(names), "view")
             parts.append(
                 f"<details><summary>{views} measured only in {html.escape(run.label)}</summary>"
                 f"<pre>{listed}</pre></details>"

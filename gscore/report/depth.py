@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..text_format import count_words
+from ..text_format import count_text
 from .colormap import colorize
 from .pictures import data_uri, shrink, size_within
 
@@ -151,9 +151,7 @@ def _verdict(row: Mapping[str, Any]) -> str:
     if row["accepted"] and not row["points"]:
         return f"aligned as stated, no points to compare with{shown}"
     if row["accepted"]:
-        return (
-            f"aligned, {row['inliers']:.0%} of {count_words(row['points'], 'point')} agree{shown}"
-        )
+        return f"aligned, {row['inliers']:.0%} of {count_text(row['points'], 'point')} agree{shown}"
     return f"not aligned: {html.escape(str(row['reason']))}{shown}"
 
 
@@ -173,7 +171,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     )
     accepted = sum(1 for row in rows if row["accepted"])
     return (
-        f"<details><summary>Fits: {accepted} of {count_words(len(rows), 'view')} accepted</summary>"
+        f"<details><summary>Fits: {accepted} of {count_text(len(rows), 'view')} accepted</summary>"
         f'<div class="wide"><table><thead><tr>{head}<th>error of the render</th><th>verdict</th>'
         f"<th>reason</th></tr></thead><tbody>{body}</tbody></table></div></details>"
     )

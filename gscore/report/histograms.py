@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..splats import Splats
-from ..text_format import count_words
+from ..text_format import count_text
 from .curves import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, axes, chart_svg, log_ticks, nice_ticks
 from .curves import short_number as short
 
@@ -113,7 +113,7 @@ def _svg(histogram: Histogram) -> str:
     for left, right, count in zip(h.edges[:-1], h.edges[1:], h.counts.tolist(), strict=True):
         x0, x1, y = to_x(float(left)), to_x(float(right)), to_y(count)
         bars.append(f"M{x0:.1f} {base:.1f}V{y:.1f}H{x1 - 0.8:.1f}V{base:.1f}Z")
-        words = f"{count_words(count, 'splat')}: {short(float(left))} to {short(float(right))}"
+        words = f"{count_text(count, 'splat')}: {short(float(left))} to {short(float(right))}"
         hover.append((round((x0 + x1) / 2, 1), round(y, 1), words))
     parts = axes(x_ticks, nice_ticks(0, top), to_x, to_y, h.unit)
     return chart_svg(h.name, f'{parts}<path class="bars" d="{"".join(bars)}"/>', hover)

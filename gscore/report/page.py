@@ -11,7 +11,7 @@ import numpy as np
 
 from ..events import Decision, headline_psnr
 from ..metrics.named import NAMED_METRICS, NamedMetric
-from ..text_format import count_words, has_exposure_correction, number_words, psnr_name, size_words
+from ..text_format import count_text, has_exposure_correction, number_text, psnr_name, size_text
 from .cameras_plan import CamerasSection, cameras_html
 from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
@@ -176,7 +176,7 @@ def _view_cards(views: Sequence[ViewPictures], metrics: dict[str, Any]) -> str:
         f"{'; none outside the masks' if 'psnr_masked' in metrics else ''}</em></div>"
     )
     left_out = len(views) - len(pictured)
-    note = f" Pictures of {len(pictured)} of {count_words(len(views), 'view')}." if left_out else ""
+    note = f" Pictures of {len(pictured)} of {count_text(len(views), 'view')}." if left_out else ""
     photo = "photo"
     if metrics["mask_mode"] == "composite":
         photo = "photo over the background"
@@ -209,18 +209,18 @@ def _card(view: ViewPictures, number: int, photo: str) -> str:
     worth = headline_psnr(view.numbers)
     return (
         f'<article data-number="{number}" data-psnr="{"" if worth is None else f"{worth:.6f}"}" '
-        f'data-name="{name}"><h3>{name}</h3><p>{_numbers_words(view.numbers)}</p>'
+        f'data-name="{name}"><h3>{name}</h3><p>{_numbers_text(view.numbers)}</p>'
         f'<div class="triple">{figures}</div></article>'
     )
 
 
-def _numbers_words(numbers: dict[str, Any]) -> str:
+def _numbers_text(numbers: dict[str, Any]) -> str:
     parts = [
-        f"{psnr_name(numbers)} <b>{number_words(headline_psnr(numbers), 2)}</b>",
-        f"SSIM <b>{number_words(numbers.get('ssim'), 4)}</b>",
+        f"{psnr_name(numbers)} <b>{number_text(headline_psnr(numbers), 2)}</b>",
+        f"SSIM <b>{number_text(numbers.get('ssim'), 4)}</b>",
     ]
     if numbers.get("lpips") is not None:
-        parts.append(f"LPIPS <b>{number_words(numbers['lpips'], 4)}</b>")
+        parts.append(f"LPIPS <b>{number_text(numbers['lpips'], 4)}</b>")
     return " · ".join(parts)
 
 
@@ -245,7 +245,7 @@ def _view_table(views: Sequence[ViewPictures]) -> str:
 def _cell(numbers: dict[str, Any], metric: NamedMetric) -> str:
     reason = html.escape(str(numbers.get(f"{metric.key}_reason", "")), quote=True)
     hint = f' title="{reason}"' if reason else ""
-    return f"<td{hint}>{number_words(numbers.get(metric.key), metric.digits)}</td>"
+    return f"<td{hint}>{number_text(numbers.get(metric.key), metric.digits)}</td>"
 
 
 def _details(metrics: dict[str, Any], config: dict[str, dict[str, Any]]) -> str:
@@ -255,7 +255,7 @@ def _details(metrics: dict[str, Any], config: dict[str, dict[str, Any]]) -> str:
     names = metrics["test_views"]
     listed = "\n".join(names) if names else "none"
     parts.append(
-        f"<details><summary>Split: {count_words(len(metrics['train_views']), 'training view')}, "
+        f"<details><summary>Split: {count_text(len(metrics['train_views']), 'training view')}, "
         f"{len(names)} held out</summary><pre>{html.escape(listed)}</pre></details>"
     )
     parts += [_table(f"Options: {section}", values) for section, values in config.items()]
@@ -263,7 +263,7 @@ def _details(metrics: dict[str, Any], config: dict[str, dict[str, Any]]) -> str:
 
 
 def _machine_value(key: str, value: Any) -> Any:
-    return size_words(value) if key.endswith("_bytes") else value
+    return size_text(value) if key.endswith("_bytes") else value
 
 
 def _table(title: str, values: dict[str, Any]) -> str:

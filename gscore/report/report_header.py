@@ -7,7 +7,7 @@ from typing import Any
 
 from ..events import CONVERGED, FINISHED, TARGET, headline_psnr
 from ..metrics.named import NAMED_METRICS, NamedMetric
-from ..text_format import count_words, has_exposure_correction, number, size_words, time_words
+from ..text_format import count_text, has_exposure_correction, number, size_text, time_text
 
 TIMES = "\u00d7"
 _MASKED = "psnr_masked"
@@ -37,9 +37,9 @@ def head_html(title: str, metrics: dict[str, Any], *, preset: str, command: str)
         command: Shell command; may be empty.
     """
     machine = metrics["machine"]
-    ran = f"{machine['cpu']}, {count_words(machine['threads'], 'thread')}, {machine['isa']}"
+    ran = f"{machine['cpu']}, {count_text(machine['threads'], 'thread')}, {machine['isa']}"
     lines = [
-        _join(_photos(metrics), _split_words(metrics)),
+        _join(_photos(metrics), _split_text(metrics)),
         _join(preset, _date(metrics), ran, f"gscore {metrics['gscore']}"),
     ]
     shown = "".join(f'<p class="sub">{html.escape(line)}</p>' for line in lines)
@@ -64,19 +64,19 @@ def _date(metrics: dict[str, Any]) -> str:
 def _photos(metrics: dict[str, Any]) -> str:
     count = len(metrics["train_views"]) + len(metrics["test_views"])
     size = _picture_size(metrics)
-    return _comma(count_words(count, "photo"), size)
+    return _comma(count_text(count, "photo"), size)
 
 
-def _split_words(metrics: dict[str, Any]) -> str:
+def _split_text(metrics: dict[str, Any]) -> str:
     count, split = len(metrics["views"]), metrics["split"]
     if not count:
         return "no views measured: " + metrics.get("psnr_reason", "")
     if split == "test":
-        return f"measured on {count_words(count, 'held-out view')}"
+        return f"measured on {count_text(count, 'held-out view')}"
     if split == "all":
         held_out = len(metrics["test_views"])
-        return f"measured on all {count_words(count, 'view')}, {held_out} of them held out"
-    return f"measured on {count_words(count, 'training view')} (not held out, so not a test)"
+        return f"measured on all {count_text(count, 'view')}, {held_out} of them held out"
+    return f"measured on {count_text(count, 'training view')} (not held out, so not a test)"
 
 
 def _picture_size(metrics: dict[str, Any]) -> str:
@@ -131,13 +131,13 @@ def _work_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
     note = _comma(f"SH degree {metrics['sh_degree']}", models)
     yield "Splats", number(metrics["splats"]), "", note
     if metrics["train_seconds"] is not None:
-        yield "Training", time_words(metrics["train_seconds"]), "", _steps(metrics)
+        yield "Training", time_text(metrics["train_seconds"]), "", _steps(metrics)
     if metrics.get("fps") is not None:
         note = "median of the views"
         yield "Rendering", f"{metrics['fps']:.1f}", "fps", note
-    yield "Storage", size_words(metrics["storage_bytes"]), "", "PLY file"
+    yield "Storage", size_text(metrics["storage_bytes"]), "", "PLY file"
     if metrics["peak_memory_bytes"] is not None:
-        yield "Peak memory", size_words(metrics["peak_memory_bytes"]), "", "resident"
+        yield "Peak memory", size_text(metrics["peak_memory_bytes"]), "", "resident"
 
 
 def _steps(metrics: dict[str, Any]) -> str:
@@ -145,7 +145,7 @@ def _steps(metrics: dict[str, Any]) -> str:
         return ""
     reason = metrics.get("reason")
     return _comma(
-        count_words(metrics["steps"], "step"), _HOW_ENDED.get(reason, f"stopped: {reason}")
+        count_text(metrics["steps"], "step"), _HOW_ENDED.get(reason, f"stopped: {reason}")
     )
 
 

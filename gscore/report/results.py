@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig, TrainConfig
-from ..config_command import depth_command, preset_words, train_command
+from ..config_command import depth_command, preset_text, train_command
 from ..config_file import to_dict
 from ..io.runs import CAPTURE
 from ..metrics.summary import Metrics, write_metrics
@@ -59,7 +59,7 @@ def write_results(
         config["values of automatic options"] = resolved
     how = {}
     if trained is not None and run is not None:
-        how = {"preset": preset_words(*trained)}
+        how = {"preset": preset_text(*trained)}
         how["command"] = train_command(*trained, run, requested=metrics.course.asked)
         how["depth_command"] = depth_command(trained[0])
     report = Report(

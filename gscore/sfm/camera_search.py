@@ -14,7 +14,7 @@ from ..errors import DatasetError
 from ..events import SfmDone, SfmEstimated, Show, strict_json
 from ..io.runs import MADE_OF
 from ..raster import native_library
-from ..text_format import count_words
+from ..text_format import count_text
 from . import database, masks, photos, pycolmap_stages
 from .bundle_adjustment import AdjustedLens, adjust, is_stable
 from .database import failure_reason
@@ -104,7 +104,7 @@ class _Search:
             raise DatasetError(sentence)
         if unread:
             self._progress.warn(
-                f"{count_words(len(unread), 'photo')} of unsupported formats left out: "
+                f"{count_text(len(unread), 'photo')} of unsupported formats left out: "
                 f"{listing(unread, 3)}. To use them, {conversion_hint(unread)}."
             )
         self._stamps = [stamp(name, self._root / name) for name in names]  # before they are read

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..datasets.capture import listing
-from ..text_format import count_words
+from ..text_format import count_text
 from .pycolmap_thread import colmap
 
 
@@ -124,7 +124,7 @@ def failure_reason(found: Overlap, names: dict[str, str]) -> str:
         found: Match statistics of the photos.
         names: Names of the photos by alias.
     """
-    photos = count_words(len(found.features), "photo")
+    photos = count_text(len(found.features), "photo")
     median = int(np.median(found.features))
     if median < _FEW_FEATURES:
         return (
@@ -140,14 +140,14 @@ def failure_reason(found: Overlap, names: dict[str, str]) -> str:
         )
     if found.flat >= _MOSTLY_FLAT * found.pairs:
         return (
-            f"No cameras found: {found.flat} of the {count_words(found.pairs, 'pair')} of photos "
+            f"No cameras found: {found.flat} of the {count_text(found.pairs, 'pair')} of photos "
             "that overlap show no parallax: the camera turned on the spot, faced a flat wall, or "
             "did not move. Walk around the subject and take photos from different places."
         )
-    alone = f" {count_words(len(found.alone), 'photo matches', 'photos match')} no other: "
+    alone = f" {count_text(len(found.alone), 'photo matches', 'photos match')} no other: "
     alone = f"{alone}{listing([names[alias] for alias in found.alone], 3)}." if found.alone else ""
     return (
         f"No cameras found: the photos overlap too little. Of the {photos}, "
-        f"{count_words(found.pairs, 'pair matches', 'pairs match')}, which is not enough for a "
+        f"{count_text(found.pairs, 'pair matches', 'pairs match')}, which is not enough for a "
         f"model.{alone} Take more photos between the existing ones."
     )

@@ -7,7 +7,7 @@ from ..datasets.folder import Folder, masks_by_photos
 from ..datasets.masks import masks_inside
 from ..errors import Cancelled, DatasetError
 from ..io.images.read_image import is_scaled, read_mask, resize_mask, write_png
-from ..text_format import count_words
+from ..text_format import count_text
 from .photos import Photo
 
 
@@ -77,4 +77,4 @@ def write_masks(
     without = len(photos) - len(masks)
     if not without:
         return []
-    return [f"{count_words(without, 'photo has', 'photos have')} no mask: all pixels count."]
+    return [f"{count_text(without, 'photo has', 'photos have')} no mask: all pixels count."]

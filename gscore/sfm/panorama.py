@@ -9,7 +9,7 @@ import numpy as np
 from ..datasets.capture import listing
 from ..errors import ConfigError
 from ..io.colmap.camera_models import NO_PINHOLE
-from ..text_format import count_words
+from ..text_format import count_text
 from .search_request import USUAL_LENS, SearchRequest
 
 STATED, PARTIAL, HINTED = "stated", "partial", "hinted"
@@ -127,12 +127,12 @@ def refused_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
     """
     if parts := [name for name, how in photos.items() if how == PARTIAL]:
         return (
-            f"{count_words(len(parts), 'photo is a panorama', 'photos are panoramas')} of a part "
+            f"{count_text(len(parts), 'photo is a panorama', 'photos are panoramas')} of a part "
             f"of all directions (cylindrical or equirectangular, by XMP): {listing(parts, 3)}. No "
             "lens model fits them: leave them out."
         )
     names = [name for name, how in photos.items() if how == STATED]
-    what = count_words(len(names), "photo shows", "photos show")
+    what = count_text(len(names), "photo shows", "photos show")
     why = "by XMP or by the camera"
     excuse = (
         "If these are ordinary photos, remove that statement, as with `exiftool -XMP-GPano:all= "
@@ -141,7 +141,7 @@ def refused_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
     if not names and not _lens_is_given(request):
         kinds = (HINTED, SEEN, PLAIN) if _pixels_agree(list(photos.values())) else (HINTED,)
         names = [name for name, how in photos.items() if how in kinds]
-        what = count_words(len(names), "photo seems", "photos seem") + " to show"
+        what = count_text(len(names), "photo seems", "photos seem") + " to show"
         why = "by XMP, or because they are twice as wide as high and left and right edge meet"
         excuse = (
             "If they are ordinary photos, give `gscore sfm` their `--focal-length` in px or "
@@ -168,7 +168,7 @@ def possible_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str
     if _lens_is_given(request) or not names:
         return ""
     return (
-        f"{count_words(len(names), 'photo is', 'photos are')} twice as wide as high, as "
+        f"{count_text(len(names), 'photo is', 'photos are')} twice as wide as high, as "
         f"360-degree panoramas are: {listing(names, 3)}. If they show all directions, no search "
         f"can use them as they are. {_HOW}."
     )

@@ -13,7 +13,7 @@ from ..io.runs import SEARCH_RECORD
 from ..io.unsupported_formats import unread_cameras
 from ..json_text import parse_json
 from ..quoting import brief
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .heic import readable
 from .masks import mask_folder
 from .photos import list_photos, photo_folder
@@ -100,12 +100,12 @@ def photo_folder_warning(root: Path, names: Sequence[str], cameras: int) -> str:
         return sentence
     if (root / ".git").exists():
         return (
-            f"{root} is a git repository, so its {count_words(len(names), 'picture')} are hardly "
+            f"{root} is a git repository, so its {count_text(len(names), 'picture')} are hardly "
             "photos of one scene. Give the folder of the photos."
         )
     if cameras > max(_FEW_CAMERAS, len(names) / 2):
         return (
-            f"The {count_words(len(names), 'picture')} in {root} are of {number(cameras)} cameras "
+            f"The {count_text(len(names), 'picture')} in {root} are of {number(cameras)} cameras "
             "or sizes, which is typical of screenshots, not of photos of one scene. Give the "
             "folder of the photos."
         )

@@ -15,7 +15,7 @@ from ..errors import Cancelled, DatasetError, FormatError
 from ..io.images.pillow_images import load_complete, opened_picture
 from ..io.images.raw import RAW_ENDINGS
 from ..io.images.read_image import IMAGE_ENDINGS
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .heic import conversion_hint, is_heic
 from .panorama import panorama_of
 from .photo_quality import PhotoQuality, measure_quality
@@ -106,11 +106,11 @@ def check_photo_count(root: Path, names: list[str], unread: list[str]) -> None:
     other = ""
     if unread:
         other = (
-            f" {count_words(len(unread), 'photo is', 'photos are')} in an unsupported format "
+            f" {count_text(len(unread), 'photo is', 'photos are')} in an unsupported format "
             f"({listing(unread, 2)}): {conversion_hint(unread)}."
         )
     raise DatasetError(
-        f"{root} contains {count_words(len(names), 'photo') if names else 'no photos'}, but at "
+        f"{root} contains {count_text(len(names), 'photo') if names else 'no photos'}, but at "
         f"least {LEAST} that overlap are needed to find cameras.{other} Take 30 or more from "
         "different places."
     )
@@ -155,7 +155,7 @@ def read_photos(
         (broken if isinstance(found, str) else photos).append(found)
         on_photo(i + 1)
     if broken:
-        more = f" {count_words(len(broken), 'photo')} cannot be read." if len(broken) > 1 else ""
+        more = f" {count_text(len(broken), 'photo')} cannot be read." if len(broken) > 1 else ""
         raise DatasetError(f"{broken[0]}{more}")
     return photos
 
@@ -198,14 +198,14 @@ def one_of_each(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[str]
     kept = len(photos) - len(pairs)
     if kept < LEAST:
         raise DatasetError(
-            f"{number(len(pairs))} of the {count_words(len(photos), 'photo')} in {root} are copies "
+            f"{number(len(pairs))} of the {count_text(len(photos), 'photo')} in {root} are copies "
             f"of others, and only {kept} {'is' if kept == 1 else 'are'} left. Take photos from "
             "different places."
         )
     left_out = {first[copy].name for _, copy in pairs}
     named = [f"{first[copy].name} of {first[one].name}" for one, copy in pairs]
     return [photo for photo in photos if photo.name not in left_out], [
-        f"{count_words(len(pairs), 'photo shows', 'photos show')} the same picture as another and "
+        f"{count_text(len(pairs), 'photo shows', 'photos show')} the same picture as another and "
         f"{'is' if len(pairs) == 1 else 'are'} left out: {listing(named, 3)}."
     ]
 

@@ -7,7 +7,7 @@ from typing import Any
 from ..datasets.capture import listing
 from ..datasets.colmap_source import unplaced_photos_text
 from ..quoting import as_typed, brief
-from ..text_format import count_words, number, time_words
+from ..text_format import count_text, number, time_text
 from .gps_scale import Gps
 
 _BLURRED = 1.5
@@ -64,12 +64,12 @@ class SearchResult:
     def lines(self) -> list[str]:
         """Summary in text lines: quality, warnings and the next command."""
         return [
-            f"{self.output}: {self.registered} of {count_words(self.photos, 'photo')} have a "
-            f"camera, {count_words(self.points, 'point')}",
+            f"{self.output}: {self.registered} of {count_text(self.photos, 'photo')} have a "
+            f"camera, {count_text(self.points, 'point')}",
             f"  mean reprojection error {self.reprojection_px:.2f} px, each point seen in "
             f"{self.track_length:.1f} photos, "
-            f"{count_words(len(self.cameras), 'camera and lens', 'cameras and lenses')}, "
-            f"{time_words(self.seconds)}",
+            f"{count_text(len(self.cameras), 'camera and lens', 'cameras and lenses')}, "
+            f"{time_text(self.seconds)}",
             *([f"  {self.lens}"] if self.lens else []),
             *(
                 [f"  sizes are in metres{', and up is known' if self.up else ''}, by GPS in EXIF"]
@@ -84,12 +84,12 @@ class SearchResult:
         messages = unplaced_photos_text(self.models[1:], self.alone)
         if self.blurred:
             messages.append(
-                f"{count_words(len(self.blurred), 'photo is', 'photos are')} more blurred than the "
+                f"{count_text(len(self.blurred), 'photo is', 'photos are')} more blurred than the "
                 f"others: {listing(list(self.blurred))}. Without them splats become sharper."
             )
         if self.jumps:
             messages.append(
-                f"The exposure jumps in {count_words(len(self.jumps), 'photo')}: "
+                f"The exposure jumps in {count_text(len(self.jumps), 'photo')}: "
                 f"{listing(list(self.jumps))}. Lock it in the camera, or equalise the photos."
             )
         if self.reprojection_px > _BLURRED:
@@ -128,7 +128,7 @@ def camera_facts(model: Any) -> tuple[dict[str, Any], ...]:
 
 def attempt_text(best: int, photos: int, name: str) -> str:
     """Message before a further attempt."""
-    had = f"only {number(best)} of {count_words(photos, 'photo')}" if best else "no photo"
+    had = f"only {number(best)} of {count_text(photos, 'photo')}" if best else "no photo"
     return f"So far {had} got a camera. Trying again {name}."
 
 
@@ -160,7 +160,7 @@ def gps_text(gps: Gps, names: dict[str, str]) -> list[str]:
     """Messages on GPS outliers and on an unknown scale or up direction; `names` by alias."""
     sentences = []
     if gps.repeated:
-        what = count_words(gps.repeated, "photo has", "photos have")
+        what = count_text(gps.repeated, "photo has", "photos have")
         sentences.append(
             f"GPS in EXIF of {what} one position in common, as where a phone repeats a fix: it was "
             "not used for size and up."
@@ -175,7 +175,7 @@ def gps_text(gps: Gps, names: dict[str, str]) -> list[str]:
         outliers = [f"{brief(names[alias])} ({_length(off)})" for alias, off in gps.outliers[:5]]
         more = ", ..." if len(gps.outliers) > len(outliers) else ""
         sentences.append(
-            f"GPS in EXIF of {count_words(len(gps.outliers), 'photo')} is an outlier, and was not "
+            f"GPS in EXIF of {count_text(len(gps.outliers), 'photo')} is an outlier, and was not "
             f"used for scale and up direction: {', '.join(outliers)}{more}."
         )
     if gps.metres is not None and gps.up is None:

@@ -16,7 +16,7 @@ from ..io.lock import FolderLock
 from ..io.runs import SEARCH_RECORD
 from ..io.world_file import write_up
 from ..json_text import parse_json
-from ..text_format import count_words
+from ..text_format import count_text
 from .photo_folders import stamp
 from .photos import Photo
 
@@ -253,7 +253,7 @@ def _stamp(photo: Photo, path: Path) -> list[Any] | None:
 
 def _changed(names: list[str]) -> str:
     return (
-        f"{count_words(len(names), 'photo')} changed while the cameras were searched: "
+        f"{count_text(len(names), 'photo')} changed while the cameras were searched: "
         f"{listing(names, 3)}."
     )
 

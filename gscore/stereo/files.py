@@ -11,7 +11,7 @@ from ..depth.maps import CONFIDENCE, PNG_UNIT, MapFolder, stem
 from ..depth.origin import STEREO_RECORD, read_record, write_record
 from ..errors import ConfigError
 from ..io.images.read_image import write_png
-from ..text_format import count_words
+from ..text_format import count_text
 from .maps import StereoMap, StereoMaps
 
 _WHITE = 65535
@@ -27,7 +27,7 @@ def check_maps_folder(folder: Path, names: tuple[str, ...], *, overwrite: bool) 
     there = [name for name in names if maps.find(name) is not None]
     if there:
         raise ConfigError(
-            f"{folder} already contains depth maps of {count_words(len(there), 'view')}, which "
+            f"{folder} already contains depth maps of {count_text(len(there), 'view')}, which "
             "were not made by stereo. Give `--overwrite` to replace them, or another folder with "
             "`--depths`."
         )

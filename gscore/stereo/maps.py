@@ -12,7 +12,7 @@ from ..depth.observations import point_visibility
 from ..io.images.read_image import resize
 from ..raster.stereo_depth import Checked, StereoView, SweepResult, check, sweep
 from ..scene import PointCloud
-from ..text_format import count_words
+from ..text_format import count_text
 from .plan import ViewPlan, plan_views, planes_of
 
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)
@@ -141,7 +141,7 @@ def stereo_maps(
         Maps of the views with any depth; bit for bit equal for any number of threads.
     """
     if len(used) < FEWEST_VIEWS:
-        few = f"it needs at least {count_words(FEWEST_VIEWS, 'photo')}"
+        few = f"it needs at least {count_text(FEWEST_VIEWS, 'photo')}"
         return StereoMaps(maps={}, reason=few)
     subject = dataset.mask_mode == "composite"
     tracks = point_visibility(dataset)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..raster import _native
-from ..text_format import count_words
+from ..text_format import count_text
 from .case import EmptyTestError, Measure, case
 
 _LOWEST = -40.0
@@ -36,7 +36,7 @@ def exponential(full: bool) -> Iterator[Measure]:
         disorder = np.maximum(disorder, _disorder(y))
     if not worst > 0 or count < 1_000_000:
         raise EmptyTestError("nothing was measured")
-    yield Measure("relative error", float(worst), 2.5e-7, count_words(count, "value"))
+    yield Measure("relative error", float(worst), 2.5e-7, count_text(count, "value"))
     yield Measure("order, ulp", float(disorder), 1.0)
 
 

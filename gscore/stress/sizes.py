@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..raster import header
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from . import native, truth
 from .case import EmptyTestError, Measure, case
 from .compare import INTERIOR, gradient_measures, picture_measures, require_covered
@@ -32,7 +32,7 @@ def screen_filling(full: bool) -> Iterator[Measure]:
     tiles = _list_tiles(width, height)
     seen = int(drawn.stats["visible"])
     if seen < 900:
-        raise EmptyTestError(f"only {seen} of {count_words(count, 'splat')} fill the picture")
+        raise EmptyTestError(f"only {seen} of {count_text(count, 'splat')} fill the picture")
     # Opacity 0.0045 to 0.0055 with a cutoff of 0.0039: not every splat fills the whole picture.
     yield Measure(
         "entries beyond tiles x splats", max(0.0, drawn.stats["entries"] - tiles * seen), 0
@@ -83,7 +83,7 @@ def crowded_tile(full: bool) -> Iterator[Measure]:
             *picture_measures(drawn, true, most_band=0.999 if count > 10_000 else 0.5),
             *gradient_measures(drawn, true),
         ):
-            yield Measure(f"{count_words(count, 'splat')}, {m.what}", m.error, m.tolerance, m.note)
+            yield Measure(f"{count_text(count, 'splat')}, {m.what}", m.error, m.tolerance, m.note)
 
 
 @case("S16", "pictures of all sizes")

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..config import Strategy, TrainConfig
 from ..errors import GsError
-from ..text_format import count_words
+from ..text_format import count_text
 from .capture import ToyPhotos, moved, toy_photos, toy_splats
 from .case import EmptyTestError, Measure, case
 
@@ -102,7 +102,7 @@ def long_training(full: bool) -> Iterator[Measure]:
         ratios = np.exp(np.ptp(splats.scales, axis=1))
         opacity = 1 / (1 + np.exp(-splats.opacities.astype(np.float64)))
         note = (
-            f"{count_words(len(splats), 'splat')}, {best:.2f} dB; axes 1 : "
+            f"{count_text(len(splats), 'splat')}, {best:.2f} dB; axes 1 : "
             f"{np.median(ratios):.1f} in the median, "
             f"{np.quantile(ratios, 0.99):.0f} at 99 %; opacity {np.median(opacity):.2f}, "
             f"{(opacity > 0.99).mean():.0%} above 0.99"

@@ -10,7 +10,7 @@ from ..datasets.poses import axis_warnings, position_warnings
 from ..errors import DatasetError
 from ..formats import is_antialiased
 from ..metrics.photo_mismatch import photo_mismatch_warnings
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 from .trainer import Trainer
 
 _FAR_FROM_ORIGIN = 1e4
@@ -52,7 +52,7 @@ def _splat_warnings(trainer: Trainer) -> Iterator[str]:
     count = trainer.models.trained_count
     if config.region and config.start_splats and not trainer.steps and count < _FEW_IN_REGION:
         yield (
-            f"Only {count_words(count, 'splat')} of {config.start_splats} are in the region "
+            f"Only {count_text(count, 'splat')} of {config.start_splats} are in the region "
             f"{config.region}; gscore info prints the bounds of the splats."
         )
     if trainer.cut_degree > config.sh_degree:
@@ -88,12 +88,12 @@ def _empty_views(trainer: Trainer) -> Iterator[str]:
     if len(empty) == len(checked) and not any(map(trainer.renderer.shows_splats, views)):
         raise DatasetError(
             f"None of the {number(len(views))} training views shows any of the "
-            f"{count_words(trainer.splat_count, 'initial splat')}. Check that the cameras and the "
+            f"{count_text(trainer.splat_count, 'initial splat')}. Check that the cameras and the "
             "points, or the PLY of `--start-splats`, belong to one capture."
         )
     if empty:
         names = listing([trainer.photos.scene.cameras.names[i] for i in empty])
         yield (
-            f"{len(empty)} of {count_words(len(checked), 'checked training view')} show no splats "
+            f"{len(empty)} of {count_text(len(checked), 'checked training view')} show no splats "
             f"at the start and may stay empty: {names}."
         )

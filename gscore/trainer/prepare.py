@@ -25,13 +25,13 @@ from .depth.setup import DepthSetup, prepare_depth
 from .depth.stereo import StereoStart, stereo_start
 from .distributed.consistency import crc_of
 from .distributed.process_group import ProcessGroup
+from .distributed_trainer import DistributedTrainer
 from .guide.setup import GuideSetup, prepare_guide
 from .model.start_state import StartState
 from .model.training_frame import TrainingFrame
 from .region.region_box import RegionBox
 from .region.region_photos import RegionPhotos
 from .schedule.caps import cap_by_photos, expected_points
-from .team_trainer import TeamTrainer
 from .trainer import Trainer
 from .views.photo_poses import PoseCheck
 
@@ -110,7 +110,7 @@ def prepare(
     check: Callable[[Dataset], None] = lambda photos: None,
     emit: Callable[[Event], None],
     control: Control,
-    team: ProcessGroup | None = None,
+    group: ProcessGroup | None = None,
 ) -> Prepared:
     """Read the photos and create the trainer.
 
@@ -121,13 +121,13 @@ def prepare(
         check: Called with the capture before its photos are read; may raise.
         emit: Receives progress events.
         control: Cancels the preparation.
-        team: Process group of a distributed training; None: one process.
+        group: Process group of a distributed training; None: one process.
 
     Raises:
         GsError: the capture or the maps cannot be used, or memory is too small.
         Cancelled: `control` requested a stop.
     """
-    photos, region, splats = _read(config, data, start, control, team)
+    photos, region, splats = _read(config, data, start, control, group)
     requested, given = config, photos.scene.points.given
     limited = partial(
         cap_by_photos,
@@ -178,7 +178,11 @@ def prepare(
         )
         exposure, pose_check = decide_exposure(config, analysis), check_poses(config, analysis)
         analysis = replace(analysis, gains=exposure.gains, pose_check=pose_check)
-        trainer = Trainer(config, analysis) if team is None else TeamTrainer(config, analysis, team)
+        trainer = (
+            Trainer(config, analysis)
+            if group is None
+            else DistributedTrainer(config, analysis, group)
+        )
     return Prepared(
         trainer=trainer,
         warnings=warnings,
@@ -197,11 +201,11 @@ def _read(
     data: DataConfig,
     start: StartState,
     control: Control,
-    team: ProcessGroup | None,
+    group: ProcessGroup | None,
 ) -> tuple[Dataset, RegionBox | None, Splats | None]:
     """Read the capture without its photos; region box and start splats are in its local world."""
     region = None if config.region is None else RegionBox.read(config.region)
-    if region is not None and team is not None:
+    if region is not None and group is not None:
         raise ConfigError(
             "A region can only be trained by one process: start gscore train without torchrun."
         )

@@ -36,7 +36,7 @@ def train(
     overwrite: bool = False,
     start_checkpoint: Path | None = None,
     viewers: ViewerClients | None = None,
-    team: ProcessGroup | None = None,
+    group: ProcessGroup | None = None,
     agent: str = "",
 ) -> TrainResult:
     """Train splats from a capture and write them, their metrics and a report into a folder.
@@ -53,7 +53,7 @@ def train(
         overwrite: Replace another run in `output`; files that no training writes stay.
         start_checkpoint: Resume from this checkpoint of another folder.
         viewers: Viewer clients, whose frame requests are rendered between steps.
-        team: Process group of a distributed training, where this process is rank 0; the others
+        group: Process group of a distributed training, where this process is rank 0; the others
             call `run_worker`.
         agent: Identifier of the torchrun that restarts lost processes; kept in the folder until
             the run has ended, so that a restart resumes the run.
@@ -74,10 +74,10 @@ def train(
             emit(run_start.ended.event())
             return run_start.ended
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
-        if team:
+        if group:
             order = rank_commands.begin(run_start.state, to_dict(run_start.config), to_dict(data))
-            team.broadcast(order)
-        with all_ready(team):
+            group.broadcast(order)
+        with all_ready(group):
             found = prepare(
                 run_start.config,
                 data,
@@ -85,10 +85,10 @@ def train(
                 check=run_start.check,
                 emit=emit,
                 control=control,
-                team=team,
+                group=group,
             )
-        if team:
-            check_equal(team, found.facts())
+        if group:
+            check_equal(group, found.facts())
         with readable_memory_errors(), closing(found.trainer.engine):
             session = Session(
                 found,
@@ -117,8 +117,8 @@ def train(
                 session.warn(stereo.text, "stereo")
             with _kept_for(agent, folder) as end:
                 result = session.run()
-                if team and result.reason in ENDED:
-                    team.note_end()
+                if group and result.reason in ENDED:
+                    group.note_end()
                 end(result)
                 return result
 

@@ -17,7 +17,7 @@ from ..io.runs import check_replaceable, clear_run, results_in
 from ..io.sequences import FRAME_FOLDER, SEQUENCE_FILE, read_sequence
 from ..live.viewer_clients import ViewerClients
 from ..sequence_options import SequenceOptions
-from ..text_format import count_words
+from ..text_format import count_text
 from .distributed.consistency import all_ready
 from .distributed.process_group import ProcessGroup
 from .distributed.work_queue import WorkQueue
@@ -52,7 +52,7 @@ def train_sequence(
     overwrite: bool = False,
     viewers: ViewerClients | None = None,
     frame: int | None = None,
-    team: ProcessGroup | None = None,
+    group: ProcessGroup | None = None,
     agent: str = "",
 ) -> SequenceResult:
     """Train every frame into its own folder below `output`.
@@ -76,7 +76,7 @@ def train_sequence(
         frame: Train only the run with this frame number, from its keyframe up to the next, and
             resume it if it has begun. Other processes may train other runs into `output`
             meanwhile. None: all frames.
-        team: Process group whose ranks share the runs of frames. All ranks call this with the same
+        group: Process group whose ranks share the runs of frames. All ranks call this with the same
             arguments and reach the same `output`; only rank 0 returns all frames and emits
             `SequenceDone` for all.
         agent: Identifier of the torchrun that restarts lost processes, see `WorkQueue`.
@@ -99,9 +99,9 @@ def train_sequence(
         check_guides(_to_train(frames, options, frame, begun=resume, overwrite=overwrite))
         return _Sequence(config, data, output, options, frames, emit, viewers, writes=writes)
 
-    if team:
+    if group:
         return _train_distributed(
-            team, output, opened, control, resume=resume, overwrite=overwrite, agent=agent
+            group, output, opened, control, resume=resume, overwrite=overwrite, agent=agent
         )
     sequence = opened()
     runs = sequence.runs
@@ -287,7 +287,7 @@ def _to_train(
 
 
 def _train_distributed(
-    team: ProcessGroup,
+    group: ProcessGroup,
     output: Path,
     opened: Callable[[bool], _Sequence],
     control: Control,
@@ -297,11 +297,11 @@ def _train_distributed(
     agent: str,
 ) -> SequenceResult:
     """Train runs of frames in turn with the other ranks until none is left."""
-    shared = WorkQueue(team=team, output=output, agent=agent)
-    with all_ready(team):
-        sequence = opened(team.is_rank0)
-        idle = check_shareable(sequence.runs, team.size)
-        if team.is_rank0:
+    shared = WorkQueue(group=group, output=output, agent=agent)
+    with all_ready(group):
+        sequence = opened(group.is_rank0)
+        idle = check_shareable(sequence.runs, group.size)
+        if group.is_rank0:
             begun = shared.has_started
             resume, overwrite = resume or begun, overwrite and not begun
             _open(output, resume=resume, overwrite=overwrite, ours=begun)
@@ -332,7 +332,7 @@ def _open(output: Path, *, resume: bool, overwrite: bool, ours: bool = False) ->
         (output / SEQUENCE_FILE).unlink(missing_ok=True)
     elif not resume:
         raise ConfigError(
-            f"{output} contains another sequence ({count_words(len(begun), 'frame')} started); "
+            f"{output} contains another sequence ({count_text(len(begun), 'frame')} started); "
             "continue it with `--resume`, replace it with `--overwrite`, or choose another folder."
         )
 

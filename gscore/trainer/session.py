@@ -19,7 +19,7 @@ from ..live.viewer_protocol import FrameRequest
 from ..metrics import Evaluation, Lpips, LpipsNet
 from ..quoting import quoted
 from ..report import PictureCollector
-from ..text_format import count_words
+from ..text_format import count_text
 from .depth.report import DepthReport, measure_depth
 from .distributed.straggler_monitor import StragglerMonitor
 from .evaluation import Evaluator
@@ -98,7 +98,7 @@ class Session:
         self._unrecorded = 0.0
         """Seconds of steps whose results were not read."""
         self._has_diverged = False
-        self._waits = StragglerMonitor(trainer.team.hosts) if trainer.team else None
+        self._waits = StragglerMonitor(trainer.group.hosts) if trainer.group else None
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore the clock and the history of a checkpoint.
@@ -252,8 +252,8 @@ class Session:
                 "so far.",
                 "non_finite",
             )
-        team = self._trainer.team
-        if team and self._waits and (slow := self._waits.straggler_message(team.accounts[:, 1])):
+        group = self._trainer.group
+        if group and self._waits and (slow := self._waits.straggler_message(group.accounts[:, 1])):
             self.warn(slow, "slow_rank")
         if self._trainer.pruner.around.crowded and _CROWDED not in self._warnings:
             self.warn(_CROWDED, "crowded")
@@ -405,16 +405,16 @@ class Session:
         if self._has_diverged:
             self._rescue()
         trainer, reason = self._trainer, self._steering.reason
-        if trainer.team:
+        if trainer.group:
             trainer.collect()
             if reason:  # workers of a stopped run receive its exit code later
-                trainer.team.shutdown()
+                trainer.group.shutdown()
         finished, reason = bool(reason), reason or self._control.stop_reason
         self._run_control_commands()  # a snapshot requested just before the stop
         cleared = trainer.pruner.around.count
         if cleared > _MANY_CLEARED * trainer.models.trained_count:
             self.warn(
-                f"{count_words(cleared, 'splat was', 'splats were')} removed, closer to a camera "
+                f"{count_text(cleared, 'splat was', 'splats were')} removed, closer to a camera "
                 f"than {self._config.free_space:g} of its distance from the nearest points. If "
                 "there are objects so close, train with `--free-space 0`.",
                 "cleared",

@@ -43,7 +43,7 @@ class Trainer:
     `torch.set_num_threads(1)`, see `session`.
     """
 
-    team: ProcessGroup | None = None
+    group: ProcessGroup | None = None
     """Process group of a distributed training; None: one process."""
 
     def __init__(
@@ -129,7 +129,7 @@ class Trainer:
             self.photo_parameters,
             self.generator,
             mask_mode=photos.mask_mode,
-            team=self.team,
+            group=self.group,
         )
         self.pruner = start.pruner
         """Pruning in addition to that of the strategy."""

@@ -20,31 +20,31 @@ from .trainer import Trainer
 _WHERE = "options of rank 0"
 
 
-def run_worker(team: ProcessGroup, source: Path | None) -> bool:
+def run_worker(group: ProcessGroup, source: Path | None) -> bool:
     """Run the commands of rank 0 until it ends the training.
 
     Args:
-        team: Process group of the training.
+        group: Process group of the training.
         source: Path of the capture on this machine; None: the path on rank 0.
 
     Returns:
         Whether the training completed.
 
     Raises:
-        GsError: this rank failed; the others have been notified unless `team.notified` is False.
+        GsError: this rank failed; the others have been notified unless `group.notified` is False.
     """
     mmap_large_blocks()
-    order = team.receive()
+    order = group.receive()
     if order["do"] == rank_commands.END:
         return not order["failed"]
     with isolated_torch_state(), readable_memory_errors():
-        with all_ready(team):
-            found = _prepared(order, team, source)
-        check_equal(team, found.facts())
-        return _run_commands(team, found.trainer)
+        with all_ready(group):
+            found = _prepared(order, group, source)
+        check_equal(group, found.facts())
+        return _run_commands(group, found.trainer)
 
 
-def _prepared(order: dict[str, Any], team: ProcessGroup, source: Path | None) -> Prepared:
+def _prepared(order: dict[str, Any], group: ProcessGroup, source: Path | None) -> Prepared:
     data = from_dict(DataConfig, order["data"], where=_WHERE)
     config = from_dict(TrainConfig, order["config"], where=_WHERE)
     splats = None if config.start_splats is None else read_decoded(config.start_splats)
@@ -54,14 +54,14 @@ def _prepared(order: dict[str, Any], team: ProcessGroup, source: Path | None) ->
         StartState(**order["facts"], splats=splats),
         emit=lambda event: None,
         control=Control(),
-        team=team,
+        group=group,
     )
 
 
-def _run_commands(team: ProcessGroup, trainer: Trainer) -> bool:
+def _run_commands(group: ProcessGroup, trainer: Trainer) -> bool:
     """Run commands until rank 0 sends the end; returns whether the training completed."""
     while True:
-        order = team.receive()
+        order = group.receive()
         if order["do"] == rank_commands.END:
             return not order["failed"]
         if order["do"] == rank_commands.COLLECT:
@@ -69,7 +69,7 @@ def _run_commands(team: ProcessGroup, trainer: Trainer) -> bool:
             continue
         if order["do"] == rank_commands.RESTORE:
             trainer.release()
-            trainer.restore(order["state"], team.share(None))
+            trainer.restore(order["state"], group.share(None))
             continue
         if trainer.plan.iterations != order["iterations"]:
             trainer.replan(order["iterations"])

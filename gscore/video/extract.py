@@ -10,13 +10,13 @@ from ..control import Control
 from ..errors import Cancelled, DatasetError, FormatError
 from ..events import FramesDone, FramesProgress, Show, Warn
 from ..quoting import as_typed, brief
-from ..text_format import count_words, number, time_words
+from ..text_format import count_text, number, time_text
 from .frame_folder import FrameFolder
 from .frame_image import upright_rgb
 from .frame_selection import Choice, choose
 from .frame_survey import Survey, survey
 from .request import FEWEST_FRAMES, ExtractRequest
-from .source import VideoFacts, damage_words, opened_video
+from .source import VideoFacts, damage_text, opened_video
 
 _STILL = 0.02
 """Least camera motion of a usable video, share of the longer side."""
@@ -64,13 +64,13 @@ class Frames:
 
     def lines(self) -> list[str]:
         """The result as lines of text."""
-        count = count_words(len(self.names), "frame")
+        count = count_text(len(self.names), "frame")
         if self.found:
             return [f"{brief(self.folder)} already has the {count} of this video."]
         left = f"{number(self.blurred)} blurred and {number(self.repeated)} repeated left out"
         return [
             f"{count} of {number(self.total)} in {brief(self.folder)}, {self.width} x "
-            f"{self.height} px; {left}; {time_words(round(self.took))}.",
+            f"{self.height} px; {left}; {time_text(round(self.took))}.",
             "Next: " + as_typed("sfm", self.folder, "-o", "CAPTURE", "--matching", "sequential"),
         ]
 
@@ -133,7 +133,7 @@ class _Extraction:
                 on_frame=self._counted("looking at frames", facts.frames),
                 cancelled=self._stopping,
             )
-            if warning := damage_words(video, float(surveyed.seconds[-1])):
+            if warning := damage_text(video, float(surveyed.seconds[-1])):
                 self._warn(warning)
         choice = choose(surveyed, self._request.frames)
         self._check(surveyed, choice)
@@ -161,7 +161,7 @@ class _Extraction:
             )
         if len(choice.frames) < FEWEST_FRAMES:
             raise DatasetError(
-                f"Only {count_words(len(choice.frames), 'frame')} of {name} can be used: "
+                f"Only {count_text(len(choice.frames), 'frame')} of {name} can be used: "
                 f"{number(choice.blurred)} of {number(len(surveyed.seconds))} are blurred. Film "
                 "again, slower and with more light."
             )

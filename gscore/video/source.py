@@ -11,7 +11,7 @@ from ..errors import DatasetError, FormatError
 from ..extras import need
 from ..io.files import check_regular, is_file
 from ..quoting import brief
-from ..text_format import count_words, number
+from ..text_format import count_text, number
 
 _ENCRYPTED = ("encv", "drmi", "p608")
 """FourCC codes of encrypted streams, in place of the codec's."""
@@ -105,7 +105,7 @@ class Video:
     def _joined(self, size: tuple[int, int], before: int) -> DatasetError:
         facts = self.facts
         return DatasetError(
-            f"{brief(self._path)} joins videos of two sizes: {count_words(before, 'frame')} of "
+            f"{brief(self._path)} joins videos of two sizes: {count_text(before, 'frame')} of "
             f"{facts.width} x {facts.height} px, others of {size[0]} x {size[1]} px. Split it "
             "into files of one size, extract the frames of each, and give gscore sfm their folders."
         )
@@ -280,7 +280,7 @@ def _encrypted(path: Path) -> FormatError:
     )
 
 
-def damage_words(video: Video, last: float) -> str:
+def damage_text(video: Video, last: float) -> str:
     """Warning about damaged frames or a missing end; empty without any.
 
     Args:
@@ -294,7 +294,7 @@ def damage_words(video: Video, last: float) -> str:
             "short. The existing frames are used."
         )
     if video.damaged:
-        return f"{count_words(video.damaged, 'damaged frame')} left out."
+        return f"{count_text(video.damaged, 'damaged frame')} left out."
     return ""
 
 

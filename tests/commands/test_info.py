@@ -16,7 +16,7 @@ from gscore.io.lock import FolderLock
 from gscore.io.ply.splats import write_splats
 from gscore.io.runs import RUN_LOCK, checkpoint_path
 from gscore.io.sequences import SequenceIndex, write_sequence
-from gscore.text_format import time_words
+from gscore.text_format import time_text
 from tests.commands.conftest import STEPS
 
 
@@ -130,7 +130,7 @@ def test_run(gscore, run_folder, capture):
     assert facts["metrics"]["steps"] == STEPS and facts["model"]["splats"] == 60
     code, out, _ = gscore("info", folder)
     metrics = facts["metrics"]
-    took = f"{STEPS} steps in {time_words(metrics['train_seconds'])}"
+    took = f"{STEPS} steps in {time_text(metrics['train_seconds'])}"
     assert f"PSNR {metrics['psnr']:.2f}" in out and took in out and "60 splats" in out
     (folder / "point_cloud.ply").unlink()
     (folder / "metrics.json").unlink()

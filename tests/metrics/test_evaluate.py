@@ -12,7 +12,7 @@ from gscore.errors import ShapeError
 from gscore.events import headline_psnr
 from gscore.metrics import evaluate, headline, psnr, write_metrics
 from gscore.metrics.evaluate import target_picture
-from gscore.text_format import quality_words
+from gscore.text_format import quality_text
 
 
 class FakeLpips:
@@ -83,18 +83,18 @@ def test_ignored_pixels_do_not_count(fake_dataset):
     assert math.isnan(psnr(renders[0], pictures[0], mask=np.zeros_like(mask)))
     assert headline_psnr(result.mean) == result.mean["psnr_masked"]
     words = f"PSNR inside the masks {result.mean['psnr_masked']:.2f} dB ("
-    assert words in quality_words(result.mean)
+    assert words in quality_text(result.mean)
     assert second["psnr_masked"] == pytest.approx(second["psnr"])
     kept = np.abs(renders[0][10:] - pictures[0][10:] / 255).sum()
     assert first["lpips"] == pytest.approx(kept / (40 * 50 * 3))
     ignoring_nothing = evaluate(lambda i: renders[i], fake_dataset(pictures, [mask, None]), [0])
     assert ignoring_nothing.mean["psnr"] < first["psnr_masked"]
     assert headline_psnr(ignoring_nothing.mean) == ignoring_nothing.mean["psnr"]
-    assert "masks" not in quality_words(ignoring_nothing.mean)
+    assert "masks" not in quality_text(ignoring_nothing.mean)
     dataset.evaluated_part = "region"
     of_region = evaluate(lambda i: renders[i], dataset, [0, 1])
     for numbers in (of_region.mean, *of_region.views):
-        assert quality_words(numbers).startswith("PSNR inside the region ")
+        assert quality_text(numbers).startswith("PSNR inside the region ")
 
 
 def test_only_rendering_is_timed_and_warm(fake_dataset, monkeypatch):

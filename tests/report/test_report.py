@@ -30,7 +30,7 @@ from gscore.report.page import report_html
 from gscore.report.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
 from gscore.scene import Cameras, PointCloud, Scene
 from gscore.splats import Splats
-from gscore.text_format import size_words, time_words
+from gscore.text_format import size_text, time_text
 from tests.browser import page_after
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
@@ -427,12 +427,12 @@ def test_ticks(got, want):
 @pytest.mark.parametrize(
     ("got", "want"),
     [
-        (size_words(306_032), "306 kB"),
-        (size_words(None), "n/a"),
-        (size_words(46_460_816), "46.5 MB"),
-        (time_words(59.96), "60 s"),
-        (time_words(75), "1 min 15 s"),
-        (time_words(7265), "2 h 01 min"),
+        (size_text(306_032), "306 kB"),
+        (size_text(None), "n/a"),
+        (size_text(46_460_816), "46.5 MB"),
+        (time_text(59.96), "60 s"),
+        (time_text(75), "1 min 15 s"),
+        (time_text(7265), "2 h 01 min"),
         (short_number(187_342), "187 k"),
         (short_number(0.0512), "0.0512"),
         (short_number(1_234_567), "1.23 M"),

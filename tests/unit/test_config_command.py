@@ -13,7 +13,7 @@ from gscore.commands.args.data_options import with_data_options
 from gscore.commands.args.train_request import TrainRequest
 from gscore.commands.parser import Parser
 from gscore.config import Background, DataConfig, Skip, Strategy, Switch, TrainConfig
-from gscore.config_command import depth_command, preset_words, train_command
+from gscore.config_command import depth_command, preset_text, train_command
 from gscore.presets import PRESETS
 
 CAPTURE = Path("my photos/first")
@@ -122,8 +122,8 @@ def test_caps_by_photos_survive_the_command(limit: str, option: str, value: int)
     meant = replace(limited, **{limit: 0})
     for options in (limited, meant):
         assert parsed(train_command(data, options, Path("run"))) == (data, options)
-    assert preset_words(data, limited) == "preset high"
-    assert preset_words(data, meant) == "preset high, changed"
+    assert preset_text(data, limited) == "preset high"
+    assert preset_text(data, meant) == "preset high, changed"
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))
@@ -163,7 +163,7 @@ def test_capped_options_have_their_requested_values() -> None:
 def test_photos_of_a_width_that_no_option_gives_have_no_command() -> None:
     """Oracle: none of the presets has this width."""
     data, train = DataConfig(source=CAPTURE, max_width=777), TrainConfig()
-    assert train_command(data, train, Path("run")) == "" == preset_words(data, train)
+    assert train_command(data, train, Path("run")) == "" == preset_text(data, train)
 
 
 def test_an_offset_that_no_option_gives_has_no_command() -> None:
@@ -185,6 +185,6 @@ def test_a_split_on_the_command_line_replaces_an_offset() -> None:
 def test_a_preset_is_named_and_whether_it_was_changed() -> None:
     """Oracle: its own options, and another one."""
     data, train = PRESETS["preview"](CAPTURE)
-    assert preset_words(data, train) == "preset preview"
-    assert preset_words(data, replace(train, seed=3)) == "preset preview"
-    assert preset_words(data, replace(train, iterations=3)) == "preset preview, changed"
+    assert preset_text(data, train) == "preset preview"
+    assert preset_text(data, replace(train, seed=3)) == "preset preview"
+    assert preset_text(data, replace(train, iterations=3)) == "preset preview, changed"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gscore.text_format import count_words, number
+from gscore.text_format import count_text, number
 from tests.for_each import for_each
 
 PACKAGE = Path(__file__).parents[2] / "gscore"
@@ -21,13 +21,13 @@ _LARGE = re.compile(r" (splats|steps|points|threads|photos|cameras|frames)\b")
 )
 def test_counts_have_their_plural_and_commas(count: int, words: str) -> None:
     """Oracle: English."""
-    assert count_words(count, "view") == words
+    assert count_text(count, "view") == words
 
 
 def test_other_words_than_an_s() -> None:
     """Oracle: English."""
-    assert count_words(1, "photo is", "photos are") == "1 photo is"
-    assert count_words(1200, "photo is", "photos are") == "1,200 photos are"
+    assert count_text(1, "photo is", "photos are") == "1 photo is"
+    assert count_text(1200, "photo is", "photos are") == "1,200 photos are"
 
 
 def test_numbers() -> None:

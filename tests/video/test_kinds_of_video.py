@@ -16,7 +16,7 @@ from gscore.commands.video_info import video_facts
 from gscore.errors import FormatError
 from gscore.video import ExtractRequest, Frames, extract_frames
 from gscore.video.frame_image import to_screen
-from gscore.video.source import damage_words, opened_video
+from gscore.video.source import damage_text, opened_video
 
 from . import films
 
@@ -166,7 +166,7 @@ def test_flipped_bits_of_packet_headers_are_damage(
     try:
         with opened_video(tmp_path / "hurt.ts") as video:
             assert 1 < sum(1 for _ in video.frames()) < 45
-            assert "damaged frame" in damage_words(video, 1.5)
+            assert "damaged frame" in damage_text(video, 1.5)
     except FormatError as error:
         assert "can be decoded: it is damaged" in str(error)
 

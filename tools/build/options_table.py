@@ -47,7 +47,7 @@ def page() -> str:
 
 def _row(one: Option) -> str:
     name = f"`{one.name}`"
-    value = preset_values(one) or one.default_words
+    value = preset_values(one) or one.default_text
     shown = f"**{name}**" if one.basic else name
     cells = (shown, value, one.values, one.unit, one.text + effect_condition(one))
     return f"| {' | '.join(cells)} |\n"

@@ -49,16 +49,16 @@ def rank(network: Network, arguments: list[str]) -> int:
 
     collective, chance = ProcessGroup._collective, random.Random(0)
 
-    def slowly(team: ProcessGroup, call: Callable[[], Any]) -> Any:
+    def slowly(group: ProcessGroup, call: Callable[[], Any]) -> Any:
         def over_the_network() -> Any:
             pause = network.delay_ms / 1000
             pause += SENT_AGAIN if chance.random() < network.loss else 0.0
-            pause += (team.sent - paid[0]) * 8e-6 / network.mbit if network.mbit else 0.0
-            paid[0] = team.sent
+            pause += (group.sent - paid[0]) * 8e-6 / network.mbit if network.mbit else 0.0
+            paid[0] = group.sent
             time.sleep(pause)
             return call()
 
-        return collective(team, over_the_network)
+        return collective(group, over_the_network)
 
     paid = [0]
     ProcessGroup._collective = slowly

@@ -10,7 +10,7 @@ from ...errors import ConfigError
 from ...hold_out import SPLIT, parse_hold_out
 from ...option_marks import mark_option
 from ...options import Option, flag_of
-from .run_options import declare, help_words, passed_options
+from .run_options import declare, help_text, passed_options
 
 _MASKS = ("masks", "mask_mode", "invert_masks")
 HOLD_OUT = Option(
@@ -44,7 +44,7 @@ def add_mask_options(group: argparse._ActionsContainer) -> None:
 def add_split_options(group: argparse._ActionsContainer) -> None:
     """Declare the option that selects held-out views, and the four older ones it replaces."""
     action = group.add_argument(
-        HOLD_OUT.flag, type=_hold_out, metavar=HOLD_OUT.metavar, help=help_words(HOLD_OUT)
+        HOLD_OUT.flag, type=_hold_out, metavar=HOLD_OUT.metavar, help=help_text(HOLD_OUT)
     )
     vars(action)["declared"] = HOLD_OUT
     for name in SPLIT:

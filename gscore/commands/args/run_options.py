@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ...config import TrainConfig
-from ...options import Option, options_of, value_words
+from ...options import Option, options_of, value_text
 from ...presets import PRESETS
 from ...quoting import quoted
 from ...text_format import number
@@ -33,7 +33,7 @@ def declare(
     for name, one in options_of(cls).items():
         if name in names or not names:
             flags = [f"-{one.short}", one.flag] if one.short else [one.flag]
-            shown = help_words(one) if one.basic else argparse.SUPPRESS
+            shown = help_text(one) if one.basic else argparse.SUPPRESS
             action = group.add_argument(
                 *flags, dest=name, default=None, help=shown, **argument_facts(one)
             )
@@ -72,12 +72,12 @@ def passed_options(cls: type[Any], args: argparse.Namespace) -> dict[str, Any]:
     return given
 
 
-def help_words(one: Option) -> str:
+def help_text(one: Option) -> str:
     """The first sentence of an option's text with its default, for `--help`."""
     first = plain(one.text).partition(_SENTENCE_END)[0].removesuffix(".")
     if not first[1:2].isupper():  # CPU, PLY
         first = first[0].lower() + first[1:]
-    shown = preset_values(one) or one.default_words
+    shown = preset_values(one) or one.default_text
     return (f"{first} ({shown})" if shown else first).replace("%", "%%")
 
 
@@ -92,7 +92,7 @@ def preset_values(one: Option) -> str:
 
 
 def _shown(value: Any) -> str:
-    return number(value) if isinstance(value, int) else value_words(value)
+    return number(value) if isinstance(value, int) else value_text(value)
 
 
 def plain(text: str) -> str:

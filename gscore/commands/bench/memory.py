@@ -8,7 +8,7 @@ from ...bench.memory import MIN_STEPS, MemoryBench, bench_memory
 from ...errors import BackendError
 from ...metrics.machine import machine
 from ...raster import native_library
-from ...text_format import count_words, number
+from ...text_format import count_text, number
 from ..parser import add_threads_option
 from ..terminal.output import print_json
 from ..terminal.status import show_while, wrapped
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     check_numbers(args, 2, "views")
     check_numbers(args, MIN_STEPS, "steps")
     width, height = args.size
-    with show_while(sys.stderr, f"Training {count_words(args.splats, 'splat')}"):
+    with show_while(sys.stderr, f"Training {count_text(args.splats, 'splat')}"):
         found = bench_memory(
             splats=args.splats,
             views=args.views,
@@ -66,7 +66,7 @@ def _table(r: MemoryBench) -> str:
         f"  {number(round(bytes_ / 1e6)):>8} MB  {name}\n" for name, bytes_ in r.parts.items()
     )
     return (
-        f"{count_words(r.splats, 'splat')}, {count_words(r.views, 'view')} of {r.width} x "
-        f"{r.height} px, {count_words(r.steps, 'step')}\n"
+        f"{count_text(r.splats, 'splat')}, {count_text(r.views, 'view')} of {r.width} x "
+        f"{r.height} px, {count_text(r.steps, 'step')}\n"
         f"  estimated {r.forecast_bytes / 1e9:.2f} GB, used {r.peak_bytes / 1e9:.2f} GB\n{parts}"
     )

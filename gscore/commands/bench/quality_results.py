@@ -25,7 +25,7 @@ from ...io.files import atomic_write, read_bytes
 from ...json_text import parse_json
 from ...metrics.machine import machine
 from ...raster import native_library
-from ...text_format import number, number_words
+from ...text_format import number, number_text
 from .quality_plans import Cell
 
 Report = tuple[dict[str, dict[str, Summary]], list[Comparison]]
@@ -186,10 +186,10 @@ def _of_capture(name: str, variants: dict[str, Summary]) -> str:
         median, trimmed = summary.median, summary.trimmed
         cells = [label]
         for key in ("psnr", "psnr_cc"):
-            cells += [number_words(median[key], 2), number_words(trimmed[key], 2)]
-        cells.append(number_words(median["ssim"], 4))
-        cells += [number_words(median["lpips"], 4)] * with_lpips
-        cells += [number_words(summary.gap, 2), number(summary.splats), f"{summary.seconds:.1f}"]
+            cells += [number_text(median[key], 2), number_text(trimmed[key], 2)]
+        cells.append(number_text(median["ssim"], 4))
+        cells += [number_text(median["lpips"], 4)] * with_lpips
+        cells += [number_text(summary.gap, 2), number(summary.splats), f"{summary.seconds:.1f}"]
         cells.append(_worst(summary))
         lines.append(_row(cells))
     return "\n".join(lines)

@@ -10,7 +10,7 @@ from ...config import DataConfig
 from ...datasets import load_dataset
 from ...errors import ConfigError
 from ...formats import read_splats
-from ...text_format import count_words, number
+from ...text_format import count_text, number
 from ..parser import add_threads_option
 from .shared import check_numbers, for_each_isa
 
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     views = np.unique(np.linspace(0, len(cameras) - 1, count).round().astype(int)).tolist()
     for_each_isa(
         args,
-        count_words(len(splats), "splat"),
+        count_text(len(splats), "splat"),
         lambda: bench_raster(splats, cameras, views, repeats=args.repeats, threads=args.threads),
         _table,
     )
@@ -62,8 +62,8 @@ def run(args: argparse.Namespace) -> int:
 def _table(r: RasterBench) -> str:
     stages = "  ".join(f"{name} {ms:.2f}" for name, ms in r.stages_ms.items())
     return (
-        f"{r.isa}, {count_words(r.threads, 'thread')}, {count_words(r.splats, 'splat')}, "
-        f"{count_words(r.views, 'view')} of {r.width} x {r.height}\n"
+        f"{r.isa}, {count_text(r.threads, 'thread')}, {count_text(r.splats, 'splat')}, "
+        f"{count_text(r.views, 'view')} of {r.width} x {r.height}\n"
         f"  {r.gpairs_per_s:.2f} Gpair/s forward + backward blending "
         f"({r.gpairs_per_s_all_stages:.2f} with all stages), "
         f"forward {r.forward_gpairs_per_s:.2f}, backward {r.backward_gpairs_per_s:.2f}\n"

@@ -9,7 +9,7 @@ from ...bench.scaling import SIZES, SPLATS, VIEW_COUNTS, Scaling, bench_scaling
 from ...metrics.machine import cores, machine
 from ...quoting import quoted
 from ...raster import native_library
-from ...text_format import count_words
+from ...text_format import count_text
 from ..terminal.output import print_json
 from ..terminal.status import Rows, Status
 from .shared import check_numbers
@@ -78,11 +78,11 @@ def size(text: str) -> tuple[int, int]:
 def _row(quantity: str, row: dict[str, Any]) -> str:
     stages = "  ".join(f"{name} {ms:.1f}" for name, ms in row["raster_ms"].items())
     memory, cache = row["peak_memory_bytes"], row.get("cache_mb")
-    kept = "" if quantity != "views" else f", {count_words(row['views'], 'view')}"
+    kept = "" if quantity != "views" else f", {count_text(row['views'], 'view')}"
     kept += "" if cache is None else f", {cache} MB of photos kept"
     return (
-        f"{quantity}: {count_words(row['splats'], 'splat')}, {row['width']} x {row['height']} px, "
-        f"{count_words(row['threads'], 'thread')}{kept}: {row['step_ms']:.1f} ms, "
+        f"{quantity}: {count_text(row['splats'], 'splat')}, {row['width']} x {row['height']} px, "
+        f"{count_text(row['threads'], 'thread')}{kept}: {row['step_ms']:.1f} ms, "
         f"{row['pairs_per_pixel']:.0f} pairs per pixel, "
         f"{'-' if memory is None else round(memory / 1e6)} MB; {stages}"
     )

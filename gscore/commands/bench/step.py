@@ -9,7 +9,7 @@ from ...config import DataConfig, Skip, Strategy, TrainConfig
 from ...datasets import load_dataset
 from ...errors import ConfigError
 from ...formats import read_splats
-from ...text_format import count_words
+from ...text_format import count_text
 from ..args.data_options import add_data_options, with_data_options
 from ..parser import add_threads_option
 from .shared import check_numbers, for_each_isa
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     )
     for_each_isa(
         args,
-        count_words(args.steps, "step"),
+        count_text(args.steps, "step"),
         lambda: bench_step(
             photos,
             splats,
@@ -83,9 +83,9 @@ def _table(r: StepBench) -> str:
     stages = "  ".join(f"{name} {ms:.2f}" for name, ms in r.laps_ms.items())
     raster = "  ".join(f"{name} {ms:.2f}" for name, ms in r.raster_ms.items())
     return (
-        f"{r.isa}, {count_words(r.threads, 'thread')}, {count_words(r.splats, 'splat')}, "
-        f"{count_words(r.views, 'view')}, "
-        f"{r.width} x {r.height} px, {count_words(r.steps, 'step')}\n"
+        f"{r.isa}, {count_text(r.threads, 'thread')}, {count_text(r.splats, 'splat')}, "
+        f"{count_text(r.views, 'view')}, "
+        f"{r.width} x {r.height} px, {count_text(r.steps, 'step')}\n"
         f"  a step takes {r.step_ms:.2f} ms (median; mean {r.mean_ms:.2f}), "
         f"{100 * r.raster_share:.0f} % of it in the rasterizer; "
         f"{r.pairs_per_pixel:.1f} pairs per pixel\n"

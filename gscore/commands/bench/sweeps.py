@@ -16,7 +16,7 @@ from ...errors import ConfigError
 from ...io.files import atomic_write
 from ...report.curves import Series
 from ...report.figure import figure
-from ...text_format import count_words, number
+from ...text_format import count_text, number
 
 _QUANTITIES = ("splats", "widths", "iterations")
 
@@ -150,7 +150,7 @@ def _draw(
 ) -> None:
     def family(outcome: SizeOutcome) -> str:
         size = outcome.size
-        return f"{size.preset}, {size.width} px, {count_words(size.max_splats, 'splat')}"
+        return f"{size.preset}, {size.width} px, {count_text(size.max_splats, 'splat')}"
 
     series = [
         Series(label=label, points=sorted((o.seconds, o.psnr) for o in group), dots=True)

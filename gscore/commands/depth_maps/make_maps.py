@@ -25,11 +25,11 @@ from ...extras import need
 from ...io.output_paths import check_output_path
 from ...report.colormap import colorize
 from ...stereo import files, stereo_maps
-from ...text_format import count_words
+from ...text_format import count_text
 from ...trainer.depth.rule import coverage, decide
 from ..args.data_options import with_data_options
 from ..terminal.output import check_folder, check_replaced
-from .networks import network_path, network_words
+from .networks import network_path, network_text
 
 _MAKE = f"use `--method stereo`, which needs no network, or `--model FILE.onnx`. {NETWORK_HINT}."
 """Remedy for missing maps without a network."""
@@ -86,7 +86,7 @@ def make_maps(
     observed = observations(config, dataset)
     prediction = None
     if network is not None:
-        using = f"predicting with {network_words(network, dataset)}"
+        using = f"predicting with {network_text(network, dataset)}"
         show(DepthProgress(done=0, total=len(dataset), view="", eta_s=float("nan"), phase=using))
         prediction = predict_views(
             network,
@@ -184,7 +184,7 @@ def _finish(
     maps = [found.find(name) for name in dataset.names]
     if not any(maps):
         raise ConfigError(
-            f"{folder} has no depth map of any view (it has {count_words(len(found), 'map')}), and "
+            f"{folder} has no depth map of any view (it has {count_text(len(found), 'map')}), and "
             f"there is no network to predict them: {_MAKE}"
         )
     # Predicted maps contain inverse depth, also from networks with depth as output.
@@ -229,7 +229,7 @@ def _finish(
         done=done,
         alignment=alignment,
         network=network,
-        used=network_words(network, dataset) if network else "",
+        used=network_text(network, dataset) if network else "",
         warnings=warnings,
         shown=shown,
     )
@@ -288,7 +288,7 @@ class StopMessage:
 
     def __call__(self) -> str:
         return (
-            f"Stopped after {count_words(self.predicted, 'view')}; all written maps are complete. "
+            f"Stopped after {count_text(self.predicted, 'view')}; all written maps are complete. "
             "Run the same command again to continue."
         )
 

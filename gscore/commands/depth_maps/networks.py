@@ -10,7 +10,7 @@ from ...depth.network import Network, Normalization
 from ...errors import BackendError, ConfigError
 from ...events import DepthProgress, Show
 from ...quoting import brief
-from ...text_format import size_words
+from ...text_format import size_text
 from ..terminal.output import print_json
 
 
@@ -57,13 +57,13 @@ def list_models(args: argparse.Namespace) -> int:
         print_json({"models": rows})
         return 0
     for row in rows:
-        here = "on this machine" if row["file"] else f"{size_words(row['bytes'])} to download"
+        here = "on this machine" if row["file"] else f"{size_text(row['bytes'])} to download"
         print(f"{row['name']}  ({here}; licence {row['licence']}; input {row['input']})")
         print(f"    {row['page']}, weights of {row['source']}")
     return 0
 
 
-def network_words(network: Network, dataset: Dataset) -> str:
+def network_text(network: Network, dataset: Dataset) -> str:
     """Description of a network: detected family, input size and normalisation."""
     profile = network.profile
     width, height = network.input_size(*dataset.files[0].photo_size)

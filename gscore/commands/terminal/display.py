@@ -30,7 +30,7 @@ from ...events import (
     Warn,
     to_line,
 )
-from ...text_format import count_words, number, quality_words, size_words, time_words
+from ...text_format import count_text, number, quality_text, size_text, time_text
 from .status import Status, clock
 
 _STOPS = ("paused", "measuring")
@@ -178,8 +178,8 @@ def _texts(event: Event) -> Iterator[str]:
             yield estimate_text(event)
         case SfmEstimated():
             yield (
-                f"Finding the cameras of {count_words(event.photos, 'photo')}, which takes about "
-                f"{time_words(float(f'{event.seconds:.1g}'))} on an otherwise idle machine"
+                f"Finding the cameras of {count_text(event.photos, 'photo')}, which takes about "
+                f"{time_text(float(f'{event.seconds:.1g}'))} on an otherwise idle machine"
             )
         case Started() if event.step:
             # What was found of the photos was said when it began.
@@ -187,13 +187,13 @@ def _texts(event: Event) -> Iterator[str]:
             yield from filter(None, [event.decision("viewer")])
         case Started():
             yield (
-                f"{count_words(event.train_views, 'training view')}, "
-                f"{count_words(event.test_views, 'test view')}, "
+                f"{count_text(event.train_views, 'training view')}, "
+                f"{count_text(event.test_views, 'test view')}, "
                 f"{event.width} x {event.height} px"
             )
             yield (
-                f"{count_words(event.splats, 'splat')} to start with{_each(event)}; "
-                f"{count_words(event.threads, 'thread')}, {event.isa}"
+                f"{count_text(event.splats, 'splat')} to start with{_each(event)}; "
+                f"{count_text(event.threads, 'thread')}, {event.isa}"
             )
             yield from (decision.text for decision in event.decisions)
         case Warn():
@@ -204,10 +204,10 @@ def resumed_text(event: Started) -> str:
     """The step and remaining time of a resumed training, as text."""
     left = ""
     if math.isfinite(event.left_s):
-        left = f", about {time_words(max(round(event.left_s), 1))} of training left"
+        left = f", about {time_text(max(round(event.left_s), 1))} of training left"
     return (
         f"Resuming from step {number(event.step)} of {number(event.iterations)} with "
-        f"{count_words(event.splats, 'splat')}{left}; {count_words(event.threads, 'thread')}, "
+        f"{count_text(event.splats, 'splat')}{left}; {count_text(event.threads, 'thread')}, "
         f"{event.isa}"
     )
 
@@ -217,7 +217,7 @@ def _each(event: Started) -> str:
     if event.models == 1:
         return ""
     each = event.splats // event.models
-    return f", the same {number(each)} for each of {count_words(event.models, 'model')}"
+    return f", the same {number(each)} for each of {count_text(event.models, 'model')}"
 
 
 def progress_parts(event: Progress) -> list[str]:
@@ -225,7 +225,7 @@ def progress_parts(event: Progress) -> list[str]:
     if not event.splats:
         return [_capital(event.phase)]
     step = f"step {number(event.step)} of {number(event.iterations)}"
-    parts = [step, f"PSNR {event.psnr:.1f} dB", count_words(event.splats, "splat")]
+    parts = [step, f"PSNR {event.psnr:.1f} dB", count_text(event.splats, "splat")]
     if event.phase in _STOPS:
         return [event.phase, *parts]
     if event.steps_per_s:
@@ -235,7 +235,7 @@ def progress_parts(event: Progress) -> list[str]:
 
 def frame_text(event: FrameStarted) -> str:
     """One line on the next frame of a sequence."""
-    how = "complete already" if event.complete else count_words(event.iterations, "step")
+    how = "complete already" if event.complete else count_text(event.iterations, "step")
     how += ", from the previous frame" if event.start and not event.complete else ""
     return f"Frame {event.frame} ({event.place} of {event.frames}): {how}"
 
@@ -244,18 +244,18 @@ def eval_text(event: Eval) -> str:
     """One line on a measurement; empty for the PSNR of a stopping criterion."""
     if event.metrics.get("ssim") is None:
         return ""
-    return f"Step {number(event.step)}, {event.split} views: {quality_words(event.metrics)}"
+    return f"Step {number(event.step)}, {event.split} views: {quality_text(event.metrics)}"
 
 
 def estimate_text(event: Estimated) -> str:
     """Expected time and memory of a training, as text."""
-    text = f"About {time_words(max(round(event.seconds), 1))} of training"
+    text = f"About {time_text(max(round(event.seconds), 1))} of training"
     if event.reading_seconds > max(1.0, 0.1 * event.seconds):
-        text += f" after {time_words(round(event.reading_seconds))} of reading"
+        text += f" after {time_text(round(event.reading_seconds))} of reading"
     text += f" and {event.peak_bytes / 1e9:.1f} GB of memory, where nothing else runs"
     if event.photos_kept:
         return text
-    return f"{text}; {size_words(event.photo_bytes)} of photos are cached, the others read again"
+    return f"{text}; {size_text(event.photo_bytes)} of photos are cached, the others read again"
 
 
 def _capital(text: str) -> str:

@@ -10,7 +10,7 @@ from ...io.colmap.folder import has_model
 from ...io.colmap.model import ColmapCamera
 from ...io.images.read_image import read_info
 from ...scene import PointCloud
-from ...text_format import count_words
+from ...text_format import count_text
 from ..capture import Capture, View, listing
 from ..colmap_source import read_colmap
 from ..poses import pinhole_camera, rigid_matrix
@@ -77,14 +77,14 @@ def read_per_view(
     total = len(photos) + len(missing)
     if 2 * len(missing) > total or not photos:
         raise DatasetError(
-            f"Frame {frame} is missing in {len(missing)} of the {count_words(total, 'view')} in "
+            f"Frame {frame} is missing in {len(missing)} of the {count_text(total, 'view')} in "
             f"{path}: {listing(missing)}. Extract the frames of all videos."
         )
     names = {number: f"image_c_{number:03d}_f_{frame:06d}.png" for number in photos}
     capture = _with_cams(case, path, photos, names, soft)
     if not missing:
         return capture
-    warning = f"Frame {frame} is missing in {len(missing)} of the {count_words(total, 'view')}: "
+    warning = f"Frame {frame} is missing in {len(missing)} of the {count_text(total, 'view')}: "
     return replace(capture, warnings=(*capture.warnings, f"{warning}{listing(missing)}."))
 
 
@@ -98,9 +98,9 @@ def _with_cams(
         # Cameras that COLMAP could not place are skipped in the numbering of these files, so later
         # files would belong to other photos.
         raise DatasetError(
-            f"{case / 'cams'} has {count_words(len(cams), 'camera')}, numbers {min(cams)} to "
+            f"{case / 'cams'} has {count_text(len(cams), 'camera')}, numbers {min(cams)} to "
             f"{max(cams)}, but "
-            f"none for {len(without)} of the {count_words(len(photos), 'photo')} in {root}: "
+            f"none for {len(without)} of the {count_text(len(photos), 'photo')} in {root}: "
             f"{listing(without)}. "
             f"Number the camera files as the photos, or use another layout of the data set."
         )

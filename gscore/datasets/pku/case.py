@@ -10,7 +10,7 @@ from pathlib import Path
 from ...config import DataConfig
 from ...errors import ConfigError, DatasetError, GsError
 from ...scene import PointCloud
-from ...text_format import count_words
+from ...text_format import count_text
 from ..capture import Capture
 from ..colmap_source import read_colmap
 from ..rig import with_rig
@@ -106,7 +106,7 @@ def read_video(video: PkuVideo, config: DataConfig, *, photos_required: bool = T
         warnings += notes
     if frame_number is None and len(listed) > 1:
         warnings.append(
-            f"{video.case / layout} contains {count_words(len(listed), 'frame')}, {_span(listed)}; "
+            f"{video.case / layout} contains {count_text(len(listed), 'frame')}, {_span(listed)}; "
             f"using frame {frame}. Choose another with `--frame`."
         )
     return replace(capture, points=points, masks_are="composite", warnings=tuple(warnings))

@@ -12,7 +12,7 @@ from ...io.images.read_image import read_info
 from ...io.npy import read_npy
 from ...quoting import brief
 from ...scene import FARTHEST, PointCloud
-from ...text_format import count_words
+from ...text_format import count_text
 from ..capture import Capture, View, listing
 from ..poses import pinhole_camera, rigid_matrix
 from .photos import mattes, photo_folder_name, pictures_by_camera
@@ -39,7 +39,7 @@ def read_neus(
     # Matrices follow the order of the sorted photos, not their numbers.
     if len(photos) != len(projections):
         raise DatasetError(
-            f"{path / _FILE} has {count_words(len(projections), 'camera')}, {path / images} has "
+            f"{path / _FILE} has {count_text(len(projections), 'camera')}, {path / images} has "
             f"{len(photos)} "
             f"numbered photos ({listing([photo.name for photo in photos.values()])}). Copy the "
             f"frame again."

@@ -14,7 +14,7 @@ import numpy as np
 from ...errors import DatasetError, FormatError
 from ...io.files import read_bytes
 from ...io.npy import read_npy
-from ...text_format import count_words
+from ...text_format import count_text
 from ...transforms import invert_rigid
 from ..poses import rigid_matrix
 from .posed import PosedPhoto, PosedPhotos, brown_camera
@@ -44,7 +44,7 @@ def read_llff(path: Path, names: Sequence[str]) -> PosedPhotos:
         )
     if len(rows) != len(names):
         raise DatasetError(
-            f"{path} has {count_words(len(rows), 'pose')} for {count_words(len(names), 'photo')}, "
+            f"{path} has {count_text(len(rows), 'pose')} for {count_text(len(names), 'photo')}, "
             "without their names, so they cannot be matched. Keep only the photos that it was made "
             "from."
         )

@@ -20,7 +20,7 @@ from ...io.colmap.model import ColmapCamera
 from ...io.xml_text import Element, read_xml
 from ...quoting import quoted
 from ...scene import camera_centers
-from ...text_format import count_words
+from ...text_format import count_text
 from ...transforms import invert_rigid
 from ..poses import rigid_matrix
 from .posed import PosedPhoto, PosedPhotos, Size, brown_camera, colmap_camera, numbers
@@ -64,14 +64,14 @@ def read_metashape(path: Path) -> PosedPhotos:
         slaves = _slaves(chunk, every)
         without = len(every) - len(aligned) - slaves
         warnings.append(
-            f"{count_words(len(every) - len(used), 'camera')} of {path} left out: "
+            f"{count_text(len(every) - len(used), 'camera')} of {path} left out: "
             f"{without} not aligned, {len(aligned) - len(used)} not enabled"
             + (f", {slaves} slaves of a multi-camera rig" if slaves else "")
             + "."
         )
         if slaves:
             warnings.append(
-                f"{path} states no pose of {count_words(slaves, 'slave camera')}, which are "
+                f"{path} states no pose of {count_text(slaves, 'slave camera')}, which are "
                 "fixed to their masters. To use them, export the cameras in COLMAP's "
                 "format too, and give the folder with that model and the photos."
             )
@@ -82,7 +82,7 @@ def read_metashape(path: Path) -> PosedPhotos:
     if len(components) > 1:
         others = len(used) - components[largest]
         warnings.append(
-            f"{count_words(others, 'camera')} of {path} left out: they belong to other components "
+            f"{count_text(others, 'camera')} of {path} left out: they belong to other components "
             "than the largest, which are not placed. Align or merge them."
         )
         used = [camera for camera in used if camera.get("component_id", "") == largest]

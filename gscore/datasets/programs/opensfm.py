@@ -17,7 +17,7 @@ from ...io.files import read_bytes
 from ...json_text import parse_json
 from ...quoting import quoted
 from ...scene import PointCloud
-from ...text_format import count_words
+from ...text_format import count_text
 from ...transforms import quat_to_rotmat
 from .posed import PosedPhoto, PosedPhotos, brown_camera, colmap_camera, numbers
 
@@ -52,7 +52,7 @@ def read_opensfm(path: Path) -> PosedPhotos:
     others = sum(len(part["shots"]) for part in parts) - len(best["shots"])
     warnings = [] if not others else [
         f"{path} contains {len(parts)} reconstructions that OpenSfM could not join; using the "
-        f"largest with {count_words(len(best['shots']), 'photo')}, leaving out {others}."
+        f"largest with {count_text(len(best['shots']), 'photo')}, leaving out {others}."
     ]  # fmt: skip
     cameras = {name: _camera(f"{path}: camera {quoted(name)}", best["cameras"][name])
                for name in {_camera_of(path, key, shot) for key, shot in best["shots"].items()}

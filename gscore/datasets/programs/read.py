@@ -13,7 +13,7 @@ from ...io.colmap.folder import is_safe_name
 from ...io.images.read_image import IMAGE_ENDINGS, read_info
 from ...io.ply.points import read_point_cloud
 from ...scene import PointCloud, camera_centers
-from ...text_format import count_words
+from ...text_format import count_text
 from ..capture import Capture, View, listing, repeated
 from ..folder import is_marked_mask, masks_by_photos, same_name
 from . import metashape, realityscan
@@ -128,7 +128,7 @@ def read_program(
     missing = [s.name for s, file in zip(listed.photos, files, strict=True) if file is None]
     warnings = (
         [
-            f"{count_words(len(found.others), 'further camera file')} in {found.root} not read: "
+            f"{count_text(len(found.others), 'further camera file')} in {found.root} not read: "
             f"{listing([path.name for path in found.others])}; {found.path.name} is."
         ]
         if found.others
@@ -164,7 +164,7 @@ def _missing_warnings(
     """
     if not count or (photos_required and 2 * len(missing) > count):
         raise DatasetError(
-            f"{len(missing)} of the {count_words(count, 'photo')} of {found.path} are missing in "
+            f"{len(missing)} of the {count_text(count, 'photo')} of {found.path} are missing in "
             f"{photos.root}: {listing(missing)}. Put them there, or give their folder with "
             "`--images`."
         )
@@ -172,7 +172,7 @@ def _missing_warnings(
         return []
     rest = f"; going on with the other {count - len(missing)}" if photos_required else ""
     return [
-        f"{len(missing)} of the {count_words(count, 'photo')} of {found.path} are missing in "
+        f"{len(missing)} of the {count_text(count, 'photo')} of {found.path} are missing in "
         f"{photos.root}: {listing(missing)}{rest}."
     ]
 
@@ -196,7 +196,7 @@ def _rotation_warnings(found: ProgramFile, views: list[View]) -> list[str]:
     if not turned:
         return []
     return [
-        f"EXIF rotates {count_words(len(turned), 'photo')} by 90 degrees ({listing(turned)}), but "
+        f"EXIF rotates {count_text(len(turned), 'photo')} by 90 degrees ({listing(turned)}), but "
         f"{found.path} does not state whether its cameras include the rotation; they are used as "
         "stored. If that is wrong, save the photos rotated, and align them again."
     ]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from ...errors import GsError
-from ...text_format import count_words
+from ...text_format import count_text
 
 if TYPE_CHECKING:
     from .model import CpuModel
@@ -21,5 +21,5 @@ def assert_finite(model: "CpuModel", loss: float, *, step: int, view: str) -> No
         if bad:
             raise GsError(
                 f"Step {step}, view {view}: the gradient of {name} is not finite for {bad} of "
-                f"{count_words(len(model), 'splat')}."
+                f"{count_text(len(model), 'splat')}."
             )

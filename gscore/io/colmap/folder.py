@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import DatasetError, FormatError
 from ...quoting import quoted
 from ...scene import FARTHEST, FOCAL_RANGE, PointCloud, is_focal
-from ...text_format import count_words
+from ...text_format import count_text
 from ..files import LONGEST_NAME, LONGEST_PATH, atomic_write, is_unnameable
 from ..images.raw import RAW_ENDINGS
 from ..images.read_image import IMAGE_ENDINGS
@@ -70,7 +70,7 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
             others = ", ".join(f"{m.name} ({_count_images(m)})" for m in numbered if m != best)
             return best, (
                 f"{root} has {len(numbered)} models that COLMAP could not join; using "
-                f"{best.name} with {count_words(_count_images(best), 'image')}, leaving out "
+                f"{best.name} with {count_text(_count_images(best), 'image')}, leaving out "
                 f"{others}.",
             )
         if has_model(root):
@@ -345,7 +345,7 @@ def _relative(path: Path, images: list[ColmapImage]) -> tuple[list[ColmapImage],
         )
     first = next(iter(parts))
     warning = (
-        f"{count_words(len(parts), 'image has an absolute name', 'images have absolute names')}; "
+        f"{count_text(len(parts), 'image has an absolute name', 'images have absolute names')}; "
         f"gscore uses the path below their folder, {quoted(names[first])} for "
         f"{quoted(images[first].name)}."
     )

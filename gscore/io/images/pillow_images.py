@@ -15,7 +15,7 @@ from typing import Any
 
 from ...errors import DatasetError, FormatError, GsError
 from ...extras import need
-from ...text_format import count_words, number
+from ...text_format import count_text, number
 from ..files import check_regular, open_regular
 from ..system_memory import available_memory_bytes, total_memory_bytes
 from .image_header import ORIENTATION, read_header
@@ -124,7 +124,7 @@ def _opened(path: Path) -> Any:
         stated = _STATED.search(str(error))
         if stated is None:
             raise
-        _check_count(path, int(stated[1]), count_words(int(stated[1]), "pixel"))
+        _check_count(path, int(stated[1]), count_text(int(stated[1]), "pixel"))
     with _without_limit():
         return pil.open(_source(path), formats=PICTURE_FORMATS)
 

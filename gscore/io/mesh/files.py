@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import DatasetError, FormatError
 from ...quoting import brief, quoted
-from ...text_format import count_words, number
+from ...text_format import count_text, number
 from ..files import atomic_write, open_regular, read_bytes, reason
 from ..ply.elements import read_elements
 
@@ -46,7 +46,7 @@ def checked_mesh(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> Tri
     """
     if len(triangles) == 0:
         raise FormatError(
-            f"{path} has no faces ({count_words(len(vertices), 'vertex', 'vertices')}). Export a "
+            f"{path} has no faces ({count_text(len(vertices), 'vertex', 'vertices')}). Export a "
             "mesh with faces; a point cloud has none."
         )
     check_count(path, len(triangles))
@@ -64,7 +64,7 @@ def checked_mesh(path: Path, vertices: np.ndarray, triangles: np.ndarray) -> Tri
     wrong = np.flatnonzero(used & ~good)
     if len(wrong):
         raise FormatError(
-            f"{path}: {count_words(len(wrong), 'vertex is', 'vertices are')} not finite or larger "
+            f"{path}: {count_text(len(wrong), 'vertex is', 'vertices are')} not finite or larger "
             f"than {_LARGEST:g}, the first one number {wrong[0]} (counted from 0): "
             f"{vertices[wrong[0]].tolist()}. "
             "Clean the mesh up and export it again."

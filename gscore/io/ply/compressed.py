@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import FormatError
 from ...sh import rgb_to_sh0
 from ...smallest_three import with_largest
-from ...text_format import count_words
+from ...text_format import count_text
 from ..splat_rows import LOGIT_OF_BYTE
 from .elements import columns
 
@@ -51,8 +51,8 @@ def decompress(path: Path, elements: dict[str, np.ndarray]) -> dict[str, np.ndar
     missing += [n for n in need + colors * has_colors if not _has(chunk, n, "iuf")]
     if missing or len(chunk) != -(-count // CHUNK):
         raise FormatError(
-            f"{path} is a damaged compressed splat PLY: {count_words(len(chunk), 'chunk')} for "
-            f"{count_words(count, 'splat')} "
+            f"{path} is a damaged compressed splat PLY: {count_text(len(chunk), 'chunk')} for "
+            f"{count_text(count, 'splat')} "
             f"(expected {-(-count // CHUNK)}), missing properties: {', '.join(missing) or 'none'}. "
             f"Export it again."
         )

@@ -9,7 +9,7 @@ from ...control import Control
 from ...datasets import Dataset
 from ...errors import Cancelled, DatasetError
 from ...events import Estimated, Event, Progress
-from ...text_format import count_words
+from ...text_format import count_text
 from ..estimate.forecast import Estimate, check_fits, estimate
 from .photo_visit import PhotoFacts, visit_photos
 
@@ -141,7 +141,7 @@ def check_masks(photos: Dataset, facts: PhotoFacts) -> list[str]:
     empty = [photos.names[i] for i, top in found.items() if top == 0]
     dark = [photos.names[i] for i, top in found.items() if 0 < top < _DARK_MASK]
     if empty and len(empty) == len(photos.train):
-        views = count_words(len(empty), "training view")
+        views = count_text(len(empty), "training view")
         if any(photos.files[i].mask_inverted for i in photos.train):
             raise DatasetError(
                 f"The masks of all {views} in {photos.source} are white, so inverted they leave "
@@ -154,10 +154,10 @@ def check_masks(photos: Dataset, facts: PhotoFacts) -> list[str]:
         )
     warnings = []
     if empty:
-        views = count_words(len(empty), "training view")
+        views = count_text(len(empty), "training view")
         warnings.append(f"The masks of {views} are black, for example {empty[0]}.")
     if dark:
-        views = count_words(len(dark), "training view")
+        views = count_text(len(dark), "training view")
         warnings.append(
             f"The masks of {views} are nearly black, for example {dark[0]}: no pixel reaches "
             f"{_DARK_MASK} of 255, so these views have almost no weight. White pixels are trained; "

@@ -7,7 +7,7 @@ from typing import Any
 from ...config import TrainConfig
 from ...errors import DatasetError
 from ...events import Decision
-from ...text_format import count_words, number
+from ...text_format import count_text, number
 from ..model.checkpoint_schema import as_float
 from ..photos.view_sampler import Photos
 from ..schedule.caps import max_splats_per_model, model_count
@@ -104,7 +104,7 @@ class PhotoRules:
         photos; `trained` and `frozen`: numbers of splats."""
         text = _IN_CELL if self.block else ""
         if self.region and self.given:
-            count = count_words(trained, "splat")
+            count = count_text(trained, "splat")
             text = f"{count} in the region; {number(frozen)} around it are frozen."
         elif self.region:
             text = "Only pixels that show the region are trained."

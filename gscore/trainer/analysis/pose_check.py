@@ -7,7 +7,7 @@ import numpy as np
 from ...config import Switch, TrainConfig
 from ...datasets.tracks import Tracks
 from ...events import Decision
-from ...text_format import count_words
+from ...text_format import count_text
 from ..photos.view_sampler import Photos
 from ..views.photo_poses import PoseCheck
 from .analysis import Analysis
@@ -48,7 +48,7 @@ def check_poses(config: TrainConfig, analysis: Analysis) -> PoseCheck:
     better = _realign(photos, observed, errors, viewmats, bad)
     left = len(bad) - better
     why = (
-        f"{count_words(len(bad), 'training camera misses its', 'training cameras miss their')} "
+        f"{count_text(len(bad), 'training camera misses its', 'training cameras miss their')} "
         f"points (median of all {fact}): {better} realigned to them"
     )
     learns = forced or left > _DOUBT * len(photos.train)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...config import Switch
 from ...scene import Scene
-from ...text_format import count_words, number
+from ...text_format import count_text, number
 
 DENSE_VIEWS = 30
 """Median number of training views of a point from which photos alone determine the geometry."""
@@ -35,7 +35,7 @@ class Coverage:
 
     def __str__(self) -> str:
         return (
-            f"{count_words(self.views, 'training view')}, {self.views_of_point:.0f} of them on a "
+            f"{count_text(self.views, 'training view')}, {self.views_of_point:.0f} of them on a "
             f"median point, {number(round(self.points_in_view))} points in a median view"
         )
 
@@ -80,4 +80,4 @@ def decide(mode: Switch, facts: Coverage, *, usable: int) -> tuple[bool, str]:
             f"The capture is dense ({facts}), so the photos determine the geometry and depth is "
             f"not used; `--depth-mode on` uses it anyway."
         )
-    return True, f"Depth supervises {count_words(usable, 'training view')} ({facts})."
+    return True, f"Depth supervises {count_text(usable, 'training view')} ({facts})."

@@ -12,7 +12,7 @@ from ...depth import load_priors
 from ...errors import ConfigError
 from ...events import Decision
 from ...scene import PointCloud
-from ...text_format import count_words, number
+from ...text_format import count_text, number
 from ..schedule.caps import MOST_ADDED, SPLATS_A_POINT
 from .loss import with_weights
 from .points import depth_points
@@ -90,7 +90,7 @@ def prepare_depth(
     resolved = with_weights(config, facts.views_of_point)
     weights = (resolved.depth_weight, resolved.depth_weight_final) if supervises else (0.0, 0.0)
     if supervises:
-        why += f" {_weight_words(*weights)}"
+        why += f" {_weight_text(*weights)}"
         if config.start_splats is not None and config.depth_points > 0:
             warnings.append(
                 "No points are added from depth maps (depth_points), because the run starts from "
@@ -103,7 +103,7 @@ def prepare_depth(
         known = photos.scene.points
         points = known.with_more(added)
         among = "random ones" if known.made_up else f"{number(len(known))} of SfM"
-        count = count_words(len(added), "point was", "points were")
+        count = count_text(len(added), "point was", "points were")
         why += f" {count} added from the maps to {among}."
     return DepthSetup(
         targets=DepthTargets(priors.views, train=photos.train, views=facts.views_of_point),
@@ -123,7 +123,7 @@ def depth_option_set(config: TrainConfig) -> str:
     return f"`--depth-points {config.depth_points}`" if config.depth_points > 0 else ""
 
 
-def _weight_words(first: float, last: float) -> str:
+def _weight_text(first: float, last: float) -> str:
     if first == last:
         return f"The depth loss has a weight of {first:.3g}."
     return f"The depth loss has a weight of {first:.3g} at first and {last:.3g} at the end."

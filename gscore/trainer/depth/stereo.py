@@ -8,7 +8,7 @@ from ...datasets import Dataset
 from ...events import Decision
 from ...scene import PointCloud
 from ...stereo import dense_points, stereo_maps
-from ...text_format import count_words, number
+from ...text_format import count_text, number
 from ..photos.view_sampler import evenly_spaced
 from ..schedule.caps import max_stereo_points
 
@@ -76,7 +76,7 @@ def stereo_start(
         known=found.known,
         decision=Decision(
             "stereo",
-            f"{count_words(len(added), 'stereo point')} "
+            f"{count_text(len(added), 'stereo point')} "
             + (
                 f"were added to {number(given)} of the capture."
                 if given

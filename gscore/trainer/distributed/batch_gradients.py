@@ -21,9 +21,9 @@ class BatchGradients:
     when shN takes a step; until then they differ between ranks.
     """
 
-    def __init__(self, team: ProcessGroup) -> None:
-        self._team = team
-        self._sums = RowSums(team)
+    def __init__(self, group: ProcessGroup) -> None:
+        self._group = group
+        self._sums = RowSums(group)
         self.complete = False
         """True if rank 0 has the accumulated gradients of all ranks; equal on all ranks."""
         self._others: list[Tensor] = []
@@ -44,7 +44,7 @@ class BatchGradients:
             photos: Number of photos in this batch; ranks from this number on send no rows.
         """
         self._visible = radii > 0
-        if self._team.rank >= photos:
+        if self._group.rank >= photos:
             self._visible.zero_()
         if len(self._accumulated) == len(radii):
             self._accumulated |= self._visible
@@ -60,7 +60,7 @@ class BatchGradients:
 
         Where there are fewer `photos` than ranks, the remaining ranks render another rank's photo
         and discard its shN gradient."""
-        if self._team.rank < photos:
+        if self._group.rank < photos:
             return model.grads
         return model.grads | {"shN": torch.zeros_like(model.grads["shN"])}
 
@@ -100,8 +100,8 @@ class BatchGradients:
         parts = self._sums(self._rows, tables, all_sizes=self._all_sizes, threads=threads)
         # The sum of two numbers does not depend on their order, so with two ranks each keeps its
         # own rows and adds the other's, unless it rendered the other's photo.
-        if self._team.size == 2 and self._team.rank < photos:
-            parts = [parts[1 - self._team.rank]]
+        if self._group.size == 2 and self._group.rank < photos:
+            parts = [parts[1 - self._group.rank]]
         else:
             for table in tables:
                 table.data.zero_()
@@ -127,8 +127,8 @@ class BatchGradients:
         rows = self._accumulated.nonzero().flatten()
         table = Table(grad, adds=True)
         parts = self._sums(self._sums.sorted(rows), [table], threads=threads)
-        if self._team.size == 2:
-            parts = [parts[1 - self._team.rank]]
+        if self._group.size == 2:
+            parts = [parts[1 - self._group.rank]]
         else:
             grad.zero_()
         for part in parts:
@@ -146,7 +146,7 @@ class BatchGradients:
 
     def collect(self, model: CpuModel) -> None:
         """Gather the accumulated gradients on rank 0; all ranks call this unless `complete`."""
-        self._others = self._team.to_first(model.grads["shN"])
+        self._others = self._group.to_first(model.grads["shN"])
         self.complete = True
 
     def forget(self) -> None:

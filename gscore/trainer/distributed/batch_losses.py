@@ -13,11 +13,11 @@ class OtherRankError(DatasetError):
     """Another rank cannot read its photo; all ranks raise an error in this step."""
 
 
-def fail(team: ProcessGroup, error: GsError) -> None:
+def fail(group: ProcessGroup, error: GsError) -> None:
     """Notify the other ranks that this rank cannot read its photo."""
-    _gather(team, [1.0, 0.0, 0.0, 0.0, 0.0], [0] * team.size)
-    team.texts(str(error))
-    team.notified = True
+    _gather(group, [1.0, 0.0, 0.0, 0.0, 0.0], [0] * group.size)
+    group.texts(str(error))
+    group.notified = True
 
 
 class BatchLosses(NamedTuple):
@@ -34,7 +34,7 @@ class BatchLosses(NamedTuple):
 
 
 def of_all(
-    team: ProcessGroup,
+    group: ProcessGroup,
     value: float,
     mse: float,
     *,
@@ -46,7 +46,7 @@ def of_all(
     """Exchange the losses of a batch between ranks.
 
     Args:
-        team: Process group; all ranks must call this.
+        group: Process group; all ranks must call this.
         value: The loss of this rank's photo.
         mse: Its mean squared error.
         cost: Rendering cost in any unit, equal on any machine.
@@ -58,15 +58,15 @@ def of_all(
         OtherRankError: a rank cannot read its photo (`fail`).
         GsError: the marks differ.
     """
-    found, all_sizes = _gather(team, [0.0, value, mse, cost, mark], sizes)
+    found, all_sizes = _gather(group, [0.0, value, mse, cost, mark], sizes)
     missing, values, errors, costs, marks = found.T
     if missing.any():
-        rank, texts = int(missing.argmax()), team.texts("")
-        team.notified = True
+        rank, texts = int(missing.argmax()), group.texts("")
+        group.notified = True
         raise OtherRankError(f"Rank {rank}: {texts[rank]}")
     if (marks != mark).any() or (marks != marks[0]).any():
         rank = int((marks != marks[0]).argmax())
-        team.notified = True
+        group.notified = True
         raise GsError(
             f"Rank {rank} has other splats than rank 0 after the same steps, because its machine "
             "computes differently. Resume with `--resume` on machines of one kind, or with "
@@ -81,9 +81,9 @@ def of_all(
 
 
 def _gather(
-    team: ProcessGroup, mine: Sequence[float], sizes: Sequence[int]
+    group: ProcessGroup, mine: Sequence[float], sizes: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gather [size, 5] `mine` and [size, size] `sizes` of all ranks; updates `team.accounts`."""
-    found = team.all_gather([*mine, *sizes, *team.account])
-    values, sized, team.accounts = np.split(found, [len(mine), len(mine) + team.size], axis=1)
+    """Gather [size, 5] `mine` and [size, size] `sizes` of all ranks; updates `group.accounts`."""
+    found = group.all_gather([*mine, *sizes, *group.account])
+    values, sized, group.accounts = np.split(found, [len(mine), len(mine) + group.size], axis=1)
     return values, sized

@@ -27,27 +27,27 @@ def versions() -> dict[str, Any]:
     }
 
 
-def check_equal(team: ProcessGroup, mine: Mapping[str, Any]) -> None:
+def check_equal(group: ProcessGroup, mine: Mapping[str, Any]) -> None:
     """Compare JSON values by name between ranks.
 
     Raises:
         ConfigError: a rank differs from rank 0; raised on all ranks.
     """
-    first, *others = _all_facts(team, {"facts": dict(mine)})
+    first, *others = _all_facts(group, {"facts": dict(mine)})
     for rank, other in enumerate(others, 1):
         ours, theirs = first["facts"], other["facts"]
         for name in sorted(ours.keys() | theirs.keys()):
             if ours.get(name) != theirs.get(name):
-                team.notified = True
+                group.notified = True
                 raise ConfigError(
-                    f"{_name(team, rank)} differs from rank 0 ({team.hosts[0]}) in "
+                    f"{_name(group, rank)} differs from rank 0 ({group.hosts[0]}) in "
                     f"{name}: {_shown(theirs, name)} there, {_shown(ours, name)} here. All ranks "
                     "need the same options, versions and photos."
                 )
 
 
 @contextmanager
-def all_ready(team: ProcessGroup | None) -> Iterator[None]:
+def all_ready(group: ProcessGroup | None) -> Iterator[None]:
     """Context that all ranks enter, and that fails on all of them if it fails on one.
 
     Raises:
@@ -58,21 +58,21 @@ def all_ready(team: ProcessGroup | None) -> Iterator[None]:
     try:
         yield
     except Exception as failure:
-        if team is None:
+        if group is None:
             raise
         error = failure
-    if team is None:
+    if group is None:
         return
     all_facts = _all_facts(
-        team, {"error": "" if error is None else str(error) or type(error).__name__}
+        group, {"error": "" if error is None else str(error) or type(error).__name__}
     )
     if error is not None:
-        team.notified = True
+        group.notified = True
         raise error
     for rank, other in enumerate(all_facts):
         if other["error"]:
-            team.notified = True
-            raise DatasetError(f"{_name(team, rank)}: {other['error']}")
+            group.notified = True
+            raise DatasetError(f"{_name(group, rank)}: {other['error']}")
 
 
 def crc_of(tensors: Mapping[str, torch.Tensor]) -> int:
@@ -84,12 +84,12 @@ def crc_of(tensors: Mapping[str, torch.Tensor]) -> int:
     return found
 
 
-def _all_facts(team: ProcessGroup, mine: dict[str, Any]) -> list[dict[str, Any]]:
-    return [parse_json(found) for found in team.texts(json.dumps(mine, default=str))]
+def _all_facts(group: ProcessGroup, mine: dict[str, Any]) -> list[dict[str, Any]]:
+    return [parse_json(found) for found in group.texts(json.dumps(mine, default=str))]
 
 
-def _name(team: ProcessGroup, rank: int) -> str:
-    return f"Rank {rank} ({team.hosts[rank]})"
+def _name(group: ProcessGroup, rank: int) -> str:
+    return f"Rank {rank} ({group.hosts[rank]})"
 
 
 def _shown(facts: dict[str, Any], name: str) -> str:

@@ -34,9 +34,9 @@ class SharedModel(CpuModel):
 class DataParallelEngine(CpuEngine):
     """CPU engine of one rank: gradients are averaged over the photos of all ranks."""
 
-    def __init__(self, team: ProcessGroup, *, threads: int = 0) -> None:
+    def __init__(self, group: ProcessGroup, *, threads: int = 0) -> None:
         super().__init__(threads=threads)
-        self._team = team
+        self._group = group
 
     def _new(
         self,
@@ -45,11 +45,11 @@ class DataParallelEngine(CpuEngine):
         moments: Mapping[str, Moments] | None = None,
     ) -> SharedModel:
         model = SharedModel(tensors, moments, counters=counters, threads=self._threads)
-        model.batch = BatchGradients(self._team)
+        model.batch = BatchGradients(self._group)
         return model
 
     def _accumulated(self, saved: Mapping[str, torch.Tensor]) -> torch.Tensor | None:
-        return accumulated_of(saved, self._team.rank, self._team.size)
+        return accumulated_of(saved, self._group.rank, self._group.size)
 
     def step(self, model: CpuModel, request: StepRequest) -> base.Pending:
         """Take a step with the photos of all ranks.
@@ -61,7 +61,7 @@ class DataParallelEngine(CpuEngine):
         batch, count = model.batch, 1 + len(request.others)
         drawn = self._draw_step(model, request)
         found = batch_losses.of_all(
-            self._team,
+            self._group,
             drawn.loss.value,
             drawn.loss.mse,
             cost=self._rasterizer.stats()["entries"],
@@ -89,7 +89,7 @@ class DataParallelEngine(CpuEngine):
         v_means2d = self._backward(request, drawn, batch.into(model, count))
         slopes = numbers.slopes
         if request.learn_gain or request.learn_pose:
-            slopes = self._team.all_gather(self._slopes_of(request, drawn.loss))
+            slopes = self._group.all_gather(self._slopes_of(request, drawn.loss))
         counters = batch.counters(model)
         self._observe(request, counters, v_means2d)
         radii = batch.add_up(model, counters=counters, photos=count, threads=self._threads)

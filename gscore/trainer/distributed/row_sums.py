@@ -30,15 +30,15 @@ class SortedRows(NamedTuple):
 class RowSums:
     """Sums of sparse rows of large tables over ranks; keeps its memory between calls."""
 
-    def __init__(self, team: ProcessGroup) -> None:
-        self._team = team
+    def __init__(self, group: ProcessGroup) -> None:
+        self._group = group
         self._mine, self._given, self._sums, self._own, self._all = (
             ScratchBuffer() for _ in range(5)
         )
 
     def sorted(self, rows: Tensor) -> "SortedRows":
         """Sort this rank's rows, [M] int64 and unique, by the rank that adds them."""
-        rank, size = self._team.rank, self._team.size
+        rank, size = self._group.rank, self._group.size
         if size == 2:
             return SortedRows(rows, [0 if other == rank else len(rows) for other in range(size)])
         owner = rows % size
@@ -66,13 +66,13 @@ class RowSums:
             `raster.row_packing.unpack_rows`: added in order they are the sums. Equal on all ranks,
             and valid until the next call.
         """
-        team, size = self._team, self._team.size
+        group, size = self._group, self._group.size
         width = 1 + widths_of([table.data for table in tables])
         packed = self._mine.of(len(mine.rows), width)
         pack_rows(tables, mine.rows, packed, threads=threads)
         if size == 2:
-            return team.rows(packed, self._given, all_sizes=all_sizes)
-        given = team.all_to_all(packed, mine.sizes, self._given, all_sizes=all_sizes)
+            return group.rows(packed, self._given, all_sizes=all_sizes)
+        given = group.all_to_all(packed, mine.sizes, self._given, all_sizes=all_sizes)
         places = [part[:, 0] // size for part in given]
         # Rows need not be sorted.
         count = max((int(at.max()) + 1 for at in places if len(at)), default=0)
@@ -85,5 +85,5 @@ class RowSums:
         at = had.nonzero().flatten()
         own = self._own.of(len(at), width)
         pack_rows([Table(sums)], at, own, threads=threads)
-        own[:, 0] = at * size + team.rank
-        return team.rows(own, self._all)
+        own[:, 0] = at * size + group.rank
+        return group.rows(own, self._all)

@@ -23,7 +23,7 @@ _PATIENCE = 10.0
 class WorkQueue:
     """Shared job queue of a process group."""
 
-    team: ProcessGroup
+    group: ProcessGroup
     output: Path
     """A folder that all ranks reach."""
     agent: str
@@ -59,54 +59,54 @@ class WorkQueue:
         Raises:
             GsError: this rank's error, that of rank 0, or on rank 0 that of another, with its name.
         """
-        team, failure, reason = self.team, None, FINISHED
+        group, failure, reason = self.group, None, FINISHED
         with self._kept() as keep:
             self._check_folder()
-            team.broadcast({"resume": resume})
-            resume = resume if team.is_rank0 else bool(team.receive()["resume"])
+            group.broadcast({"resume": resume})
+            resume = resume if group.is_rank0 else bool(group.receive()["resume"])
             try:
                 reason = work(self._turns(count), resume)
             except Cancelled:
                 reason = "stopped"
             except Exception as error:
                 failure = error
-            reasons = team.texts(reason)
+            reasons = group.texts(reason)
             try:
                 close()
             except GsError as error:
                 failure = failure or error
-            with all_ready(team):
+            with all_ready(group):
                 if failure is not None:
                     raise failure
-            if team.is_rank0 and all(each == FINISHED for each in reasons):
-                team.note_end()
+            if group.is_rank0 and all(each == FINISHED for each in reasons):
+                group.note_end()
             keep.ended = True
         return next((each for each in reasons if each != FINISHED), FINISHED)
 
     def _turns(self, count: int) -> Iterator[int]:
-        while (turn := self.team.take_turn()) < count:
+        while (turn := self.group.take_turn()) < count:
             yield turn
 
     @contextmanager
     def _kept(self) -> Iterator["_Keep"]:
         """Keep the torchrun identifier in the folder until the work has ended or left no files."""
         keep = _Keep()
-        with all_ready(self.team):
-            if self.team.is_rank0:
+        with all_ready(self.group):
+            if self.group.is_rank0:
                 atomic_write(self.output / AGENT, self.agent.encode())
         try:
             yield keep
         finally:
             left = any(path.name != AGENT for path in self.output.glob("*"))
-            if self.team.is_rank0 and (keep.ended or not left):
+            if self.group.is_rank0 and (keep.ended or not left):
                 (self.output / AGENT).unlink(missing_ok=True)
                 with contextlib.suppress(OSError):
                     self.output.rmdir()  # only an empty folder can be removed
 
     def _check_folder(self) -> None:
         """Raise ConfigError naming a rank that cannot read the folder of rank 0."""
-        agents = self.team.texts(self.agent)
-        with all_ready(self.team):
+        agents = self.group.texts(self.agent)
+        with all_ready(self.group):
             if not self._appears(agents[0]):
                 raise ConfigError(
                     f"{brief(self.output)} is not the folder in which rank 0 writes. All ranks "

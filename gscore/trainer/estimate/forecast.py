@@ -9,7 +9,7 @@ from ...config import TrainConfig
 from ...engine.cpu.pace import machine_pace
 from ...errors import GsError
 from ...metrics.lpips import lpips_file, named_net
-from ...text_format import count_words
+from ...text_format import count_text
 from ..schedule.caps import config_where_photos_agree, expected_model_count
 from ..schedule.plan import Plan
 from .cost import Cost, reading_seconds
@@ -204,7 +204,7 @@ def check_fits(found: Estimate, config: TrainConfig) -> None:
     if found.fits or found.free_bytes is None:
         return
     raise GsError(
-        f"Training {count_words(config.max_splats, 'splat')} needs about "
+        f"Training {count_text(config.max_splats, 'splat')} needs about "
         f"{(found.peak_bytes - RUNTIME) / 1e9:.1f} "
         f"GB of memory, but {found.free_bytes / 1e9:.1f} GB are free; {found.advice}."
     )

@@ -138,7 +138,7 @@ class RunOutputs:
             evals=evals,
             models=trainer.plan.models if trainer.plan.models > 1 else None,
             depth=None if depth is None else depth.numbers,
-            ranks=_of_ranks(trainer.team),
+            ranks=_of_ranks(trainer.group),
             decisions=decisions,
             asked=dict(requested or {}) or None,
             **(photo_parameters or {}),
@@ -221,15 +221,15 @@ def _resolved(trainer: Trainer) -> dict[str, Any]:
     return values | {f"{name}_lr": rate for name, rate in values.pop("rates").items()}
 
 
-def _of_ranks(team: ProcessGroup | None) -> dict[str, Any] | None:
+def _of_ranks(group: ProcessGroup | None) -> dict[str, Any] | None:
     """Return mean traffic and times of a batch by rank, on rank 0; None: a single process."""
-    if team is None or team.batches < 2:
+    if group is None or group.batches < 2:
         return None
-    before = team.batches - 1  # the accounts cover all batches but the last
-    sent, worked, waited = (team.accounts / before).T.tolist()
+    before = group.batches - 1  # the accounts cover all batches but the last
+    sent, worked, waited = (group.accounts / before).T.tolist()
     return {
-        "count": team.size,
-        "batches": team.batches,
+        "count": group.size,
+        "batches": group.batches,
         "sent_bytes_per_batch": [round(n) for n in sent],
         "worked_seconds_per_batch": worked,
         "waited_seconds_per_batch": waited,

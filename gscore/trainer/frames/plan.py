@@ -9,7 +9,7 @@ from ...datasets.frames import SequenceFrame, of_frame
 from ...errors import ConfigError
 from ...option_marks import mark_option
 from ...sequence_options import SequenceOptions
-from ...text_format import count_words
+from ...text_format import count_text
 from ..files.run_folder import RunFolder
 
 PER_FRAME = ("guide_surface", "guide_free")
@@ -107,7 +107,7 @@ def check_shareable(runs: Sequence[range], processes: int) -> str:
         return ""
     return (
         f"There are {len(runs)} runs of frames for {processes} processes, so "
-        f"{count_words(processes - len(runs), 'process has', 'processes have')} no work. A "
+        f"{count_text(processes - len(runs), 'process has', 'processes have')} no work. A "
         "smaller `--keyframe-every` makes more runs."
     )
 

@@ -14,7 +14,7 @@ from ...errors import ConfigError
 from ...events import Decision
 from ...io.mesh.files import TriangleMesh, read_mesh
 from ...scene import offset_between
-from ...text_format import count_words
+from ...text_format import count_text
 from ..depth.rule import coverage
 from ..depth.targets import DepthTargets
 from .mesh_support import (
@@ -107,7 +107,7 @@ def _message(
     what = "Surface mesh" if role == "surface" else "Free-space mesh"
     return (
         f"{what} {path.name} covers {covered / pixels:.0%} of the pixels of "
-        f"{count_words(len(shown), 'training photo')}; {support}."
+        f"{count_text(len(shown), 'training photo')}; {support}."
     )
 
 
@@ -130,7 +130,7 @@ def _unseen(path: Path, mesh: TriangleMesh, photos: Dataset) -> str:
     z = [corners @ cameras.viewmats[i, 2, :3] + cameras.viewmats[i, 2, 3] for i in photos.train]
     where = "behind all cameras" if max(map(np.max, z)) <= 0 else "outside all their frames"
     return (
-        f"{path}: none of {count_words(len(photos.train), 'training photo')} shows the mesh, which "
+        f"{path}: none of {count_text(len(photos.train), 'training photo')} shows the mesh, which "
         f"is {where}. Its bounds are {_place(corners.min(axis=0))} to "
         f"{_place(corners.max(axis=0))}, those of the cameras "
         f"{_place(cameras.centers.min(axis=0))} to {_place(cameras.centers.max(axis=0))}. It must "

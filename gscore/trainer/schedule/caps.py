@@ -5,7 +5,7 @@ from dataclasses import replace
 from ...config import Stereo, TrainConfig
 from ...datasets.points import RANDOM_POINTS
 from ...events import Decision
-from ...text_format import count_words, number
+from ...text_format import count_text, number
 
 MOST_ADDED = 10_000
 """Most points that are added automatically."""
@@ -176,7 +176,7 @@ def cap_by_photos(
         The options, and the decision with one sentence per cap that applied; None without caps.
     """
     subject = mask_mode == "composite"
-    reasons, of_photos = [], count_words(photos, "photo")
+    reasons, of_photos = [], count_text(photos, "photo")
     drops = drops_splats_of_subject(config, mask_mode=mask_mode, known=known)
     each = config.steps_a_photo * (2 if subject and not drops else 1)
     given, steps = config.iterations, max(each * photos, _FEWEST_STEPS, taken)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ...errors import GsError
-from ...text_format import count_words
+from ...text_format import count_text
 from ..model.checkpoint_schema import as_int
 from .step_result import StepResult
 
@@ -32,7 +32,7 @@ class StepCounts:
         if self.skipped >= _MAX_SKIPPED:
             raise GsError(
                 f"Training diverged: the loss was not finite for "
-                f"{count_words(_MAX_SKIPPED, 'step')} in a row, the last one at step "
+                f"{count_text(_MAX_SKIPPED, 'step')} in a row, the last one at step "
                 f"{result.step}. Lower the learning rates; `--detect-anomaly` finds the first "
                 "number that is not finite."
             )

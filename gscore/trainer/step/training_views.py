@@ -54,14 +54,14 @@ class ViewBatcher:
         generator: torch.Generator,
         *,
         mask_mode: str,
-        team: ProcessGroup | None,
+        group: ProcessGroup | None,
     ) -> None:
         """Views come from `renderer` in the order of `sampler`, which `generator` shuffles."""
         self._sampler = sampler
         self._renderer = renderer
         self._photo_parameters = photo_parameters
         self._generator = generator
-        self._team = team
+        self._group = group
         self.mask_mode = mask_mode
         """Use of the masks, as `Dataset.mask_mode`."""
         self._background = config.background
@@ -69,7 +69,7 @@ class ViewBatcher:
             composite = mask_mode == "composite"
             self._background = Background.RANDOM if composite else Background.BLACK
         self._costs: dict[int, float] = {}
-        """Last rendering cost of each view in a team; equal on all ranks."""
+        """Last rendering cost of each view in a process group; equal on all ranks."""
         self.factor = math.inf
         """Divisor of the photos' sides in the last step."""
 
@@ -81,7 +81,7 @@ class ViewBatcher:
         """
         batches = self._next_views(photos, models)
         # A rank without a view in a batch renders another rank's view and discards the result.
-        place = min(self._team.rank, photos - 1) if self._team else 0
+        place = min(self._group.rank, photos - 1) if self._group else 0
         # An extended run does not return to smaller photos.
         self.factor = min(self.factor, plan.factor_at(step))
         try:
@@ -91,8 +91,8 @@ class ViewBatcher:
             ]
         except GsError as error:  # a checkpoint stays resumable
             self.put_back(photos)
-            if self._team:
-                batch_losses.fail(self._team, error)
+            if self._group:
+                batch_losses.fail(self._group, error)
             raise
         return [
             TrainingView(
@@ -147,12 +147,12 @@ class ViewBatcher:
         self._costs = dict(as_measurements("costs", state.get("costs", [])))
 
     def _next_views(self, count: int, models: int) -> list[list[int]]:
-        """Views of a batch for each model; in a team, photos of similar cost."""
+        """Views of a batch for each model; in a process group, photos of similar cost."""
         rows, sampler = [], self._sampler
         for missing in range(count, 0, -1):
-            if self._team and sampler.through:
+            if self._group and sampler.through:
                 sampler.begin(self._generator)
-                size = self._team.size
+                size = self._group.size
                 sampler.order = batches_of_equal_cost(
                     sampler.order, self._costs, size, first=missing % size
                 )
@@ -162,7 +162,7 @@ class ViewBatcher:
 
     def _upcoming(self, models: int) -> list[int]:
         """Next views of this rank, as far as the order is known."""
-        rank, size = (self._team.rank, self._team.size) if self._team else (0, 1)
+        rank, size = (self._group.rank, self._group.size) if self._group else (0, 1)
         batches = self._sampler.upcoming(AHEAD * size, models)[rank::size]
         return [view for views in batches for view in views]
 

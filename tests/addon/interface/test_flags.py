@@ -9,7 +9,7 @@ import pytest
 import addon
 from addon.core import GsError
 from addon.interface.base_operator import BaseOperator, ConfirmMixin
-from addon.interface.option_labels import panel_words
+from addon.interface.option_labels import panel_text
 from addon.training.run_state import read_event
 from gscore.events import Failed, Warn, to_line
 
@@ -38,7 +38,7 @@ def test_names_of_panels(scene: bpy.types.Scene, said: str, shown: str) -> None:
     assert scene.gscore.bl_rna.properties["depth_mode"].name == "Use Depth"
     assert scene.gscore.bl_rna.properties["max_splats"].name == "Max Splats"
     assert scene.gscore.bl_rna.properties["resolution"].name == "Photo Size"
-    assert panel_words(said).startswith(shown)
+    assert panel_text(said).startswith(shown)
 
 
 def test_warnings_and_failures_of_a_process(scene: bpy.types.Scene) -> None:
@@ -77,7 +77,7 @@ def test_errors_of_operators(scene: bpy.types.Scene, error: Exception, shown: st
 
 def test_no_error_of_gscore_is_shown_as_it_is() -> None:
     """Oracle: the syntax trees of all files. Handlers of GsError, or of all exceptions, convert it
-    to text by `error_words` only; only code without panels uses the error's own text."""
+    to text by `error_text` only; only code without panels uses the error's own text."""
     found = {
         path.relative_to(ADDON).as_posix()
         for path in sorted(ADDON.rglob("*.py"))

@@ -25,7 +25,7 @@ def test_files_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     series = find_series(tmp_path)
     assert (series.name, _numbers(series)) == ("take2_#.ply", [1, 2, 3, 10, 11])
     assert (series.stride, series.slots, series.gaps) == (1, 11, 6)
-    assert series.gap_words() == (
+    assert series.gap_text() == (
         "Frames 4, 5, 6, 7, 8 and 1 more are missing; the one before is shown."
     )
     assert series.at(5).number == 3
@@ -36,7 +36,7 @@ def test_every_fifth_frame_has_no_gaps(tmp_path: Path) -> None:
     _touch(*(tmp_path / f"f{n:03d}.spz" for n in (0, 5, 15, 20)))
     series = find_series(tmp_path)
     assert (series.stride, series.slots, series.gaps) == (5, 5, 1)
-    assert "Frame 10 is missing" in series.gap_words()
+    assert "Frame 10 is missing" in series.gap_text()
 
 
 def test_times_of_a_clock_are_no_count(tmp_path: Path) -> None:

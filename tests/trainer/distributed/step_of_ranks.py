@@ -9,7 +9,7 @@ from gscore.config import TrainConfig
 from gscore.stress.capture import toy_photos
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.distributed.process_group import ProcessGroup
-from gscore.trainer.team_trainer import TeamTrainer
+from gscore.trainer.distributed_trainer import DistributedTrainer
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(iterations=60, max_splats=300, sh_degree=1, sh_every=1, shN_every=2, threads=1)
@@ -43,11 +43,11 @@ def main() -> int:
     """0: the mean of the gradients of each photo, and the sum of the counts and of the gradients of
     shN, accumulated over many photos, to the bit."""
     torch.set_num_threads(1)
-    with ProcessGroup() as team:
-        trainer = TeamTrainer(CONFIG, Analysis(photos=toy_photos()), team=team)
+    with ProcessGroup() as group:
+        trainer = DistributedTrainer(CONFIG, Analysis(photos=toy_photos()), group=group)
         trainer.models.widen_sh(1)
-        if not team.is_rank0:
-            team.receive()
+        if not group.is_rank0:
+            group.receive()
         together = trained_on(trainer)
         assert trainer.steps == 2
         first, second = (alone(index) for index in trainer.sampler.order[:2])

@@ -24,18 +24,18 @@ def of_rank(rank: int) -> tuple[np.ndarray, np.ndarray]:
 
 def main() -> int:
     """0: equal to the loop to the bit, also where one rank or all ranks have no rows."""
-    with ProcessGroup() as team:
-        sums_of = RowSums(team)
-        silent_ones = (), (team.size - 1,), tuple(range(team.size))
+    with ProcessGroup() as group:
+        sums_of = RowSums(group)
+        silent_ones = (), (group.size - 1,), tuple(range(group.size))
         for silent, known in itertools.product(silent_ones, (False, True)):
             table, had = np.zeros((ROWS, WIDTH), np.float32), np.zeros(ROWS, bool)
-            for rank in range(team.size):
+            for rank in range(group.size):
                 rows, values = of_rank(rank)
                 if rank not in silent:
                     table[rows] += values
                     had[rows] = True
-            rows, values = of_rank(team.rank)
-            if team.rank in silent:
+            rows, values = of_rank(group.rank)
+            if group.rank in silent:
                 rows, values = rows[:0], values[:0]
             mine = np.full((ROWS, WIDTH), np.nan, np.float32)  # unrequested rows are not read
             mine[rows] = values
@@ -43,7 +43,7 @@ def main() -> int:
             sums = [torch.zeros_like(part) for part in parts]
             found = np.zeros(ROWS, bool)
             have = sums_of.sorted(torch.from_numpy(rows))
-            all_sizes = team.all_gather(have.sizes) if known else None
+            all_sizes = group.all_gather(have.sizes) if known else None
             for piece in sums_of(have, list(map(Table, parts)), all_sizes=all_sizes):
                 unpack_rows([Table(sum_, adds=True) for sum_ in sums], piece)
                 found[piece[:, 0].numpy()] = True

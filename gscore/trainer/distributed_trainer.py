@@ -1,4 +1,4 @@
-"""Team trainer: a trainer on each of several ranks, with one photo per rank and step."""
+"""Distributed trainer: a trainer on each of several ranks, with one photo per rank and step."""
 
 from typing import Any
 
@@ -20,25 +20,25 @@ from .step.training_views import TrainingView
 from .trainer import Trainer
 
 
-class TeamTrainer(Trainer):
+class DistributedTrainer(Trainer):
     """Trainer of one rank. R ranks render R different views in one step, and `steps` rises by R.
 
     Rank 0 broadcasts each step, collection and restore; the workers then call the same method.
     """
 
-    team: ProcessGroup
+    group: ProcessGroup
 
-    def __init__(self, config: TrainConfig, analysis: Analysis, team: ProcessGroup) -> None:
+    def __init__(self, config: TrainConfig, analysis: Analysis, group: ProcessGroup) -> None:
         """Start as `Trainer`; each rank has a trainer."""
-        self.team = team
-        self._engine = DataParallelEngine(team, threads=config.threads)
+        self.group = group
+        self._engine = DataParallelEngine(group, threads=config.threads)
         super().__init__(config, analysis, self._engine)
 
     def advance(self) -> list[StepResult]:
         """Take a step with all ranks; errors are those of `Trainer.advance`, and RankLostError if
         another process is gone."""
-        self.team.broadcast(rank_commands.take_step(self.plan.iterations, self.rate_factor))
-        with self.team.stepping():
+        self.group.broadcast(rank_commands.take_step(self.plan.iterations, self.rate_factor))
+        with self.group.stepping():
             return self._advance(self._photos_at_once())
 
     def _draw_views(self, step: int, count: int) -> list[TrainingView]:
@@ -63,7 +63,7 @@ class TeamTrainer(Trainer):
     def collect(self) -> None:
         """Collect on rank 0 the state that only other ranks have; called on rank 0."""
         if not self._engine.collected(self.models.models):
-            self.team.broadcast(rank_commands.collect())
+            self.group.broadcast(rank_commands.collect())
             self._collect_now()
 
     def _collect_now(self) -> None:
@@ -71,14 +71,14 @@ class TeamTrainer(Trainer):
         self._engine.collect(self.models.models)
 
     def _send_restored(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
-        if self.team.is_rank0:
-            self.team.broadcast(rank_commands.restore(state))
-            self.team.share(tensors)
+        if self.group.is_rank0:
+            self.group.broadcast(rank_commands.restore(state))
+            self.group.share(tensors)
 
     def _photos_at_once(self) -> int:
         plan, config = self.plan, self.config
         return batch_size(
-            self.team.size,
+            self.group.size,
             self.steps,
             every=(
                 *(plan.refine_every, plan.reset_every, plan.kept_every),
