@@ -19,7 +19,7 @@ from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
-from tests.true_priors import true_priors
+from tests.exact_depth_maps import exact_depth_maps
 
 SPLATS = toy_splats(9, count=2500)
 SIZE = 96
@@ -61,7 +61,7 @@ def masked(photos: Any) -> tuple[Any, DepthTargets]:
         view = render(SPLATS, cameras.Ks[i], cameras.viewmats[i], SIZE, SIZE)
         masks.append((np.clip(view.alpha, 0, 1) * 255 + 0.5).astype(np.uint8))
     composite = replace(photos, masks=masks, mask_mode="composite")
-    priors = true_priors(photos, SPLATS, unaligned=(1, 4))
+    priors = exact_depth_maps(photos, SPLATS, unaligned=(1, 4))
     return composite, DepthTargets(priors, train=photos.train, views=6)
 
 

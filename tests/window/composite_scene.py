@@ -19,7 +19,7 @@ addon_utils.enable("addon", default_set=True, persistent=True)
 
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tests.addon.mesh_scenes import paint_world, plane  # noqa: E402
-from tools.window.desk import ScriptRunner, clear, write_results  # noqa: E402
+from tools.window.window_script import ScriptRunner, clear, write_results  # noqa: E402
 
 SIZE, WORLD = (120, 90), (0.3, 0.5, 0.9)
 seen: dict = {"log": []}

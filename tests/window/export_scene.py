@@ -24,7 +24,7 @@ from addon.splats import exporting, objects  # noqa: E402
 from addon.splats.file_operators import ExportSplats  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tests.addon.calls import export_splats  # noqa: E402
-from tools.window.desk import ScriptRunner, area, clear, write_results  # noqa: E402
+from tools.window.window_script import ScriptRunner, area, clear, write_results  # noqa: E402
 
 seen: dict = {"log": []}
 

@@ -22,7 +22,7 @@ from addon.live import draw_handler  # noqa: E402
 from addon.live.card import Card  # noqa: E402
 from addon.nodes import display  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import (  # noqa: E402
+from tools.window.window_script import (  # noqa: E402
     ScriptRunner,
     area,
     at_rest,

@@ -24,7 +24,15 @@ from addon.cameras import camera_path, camera_path_import, export_colmap, import
 from addon.cameras.objects import cameras_of, points_of  # noqa: E402
 from addon.interface import incremental_operator  # noqa: E402
 from tests.window.blocking import Held  # noqa: E402
-from tools.window.desk import ScriptRunner, area, clear, save_screenshot, send, space, write_results  # noqa: E402
+from tools.window.window_script import (  # noqa: E402
+    ScriptRunner,
+    area,
+    clear,
+    save_screenshot,
+    send,
+    space,
+    write_results,
+)
 
 STUDIO = FOLDER / "studio"
 KINDS = ("objects", "cameras", "meshes", "collections", "images", "actions")

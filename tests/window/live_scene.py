@@ -25,7 +25,7 @@ from addon.live import draw_handler, level  # noqa: E402
 from addon.live.card import Card, Shot  # noqa: E402
 from addon.render import viewport_copies  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import (  # noqa: E402
+from tools.window.window_script import (  # noqa: E402
     ScriptRunner,
     area,
     at_rest,

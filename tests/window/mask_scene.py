@@ -18,7 +18,7 @@ import bpy  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from addon.interface.sidebar import TAB  # noqa: E402
-from tools.window.desk import ScriptRunner, clear, write_results  # noqa: E402
+from tools.window.window_script import ScriptRunner, clear, write_results  # noqa: E402
 
 CAPTURE = ROOT / "examples" / "studio"
 seen: dict = {"log": []}

@@ -19,7 +19,7 @@ from mathutils import Matrix  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import (  # noqa: E402
+from tools.window.window_script import (  # noqa: E402
     ScriptRunner,
     area,
     at_rest,

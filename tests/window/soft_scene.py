@@ -19,7 +19,7 @@ from mathutils import Vector  # noqa: E402
 addon_utils.enable("addon", default_set=True, persistent=True)
 
 from tests.addon import splat_scenes as lab  # noqa: E402
-from tools.window.desk import ScriptRunner, clear, write_results  # noqa: E402
+from tools.window.window_script import ScriptRunner, clear, write_results  # noqa: E402
 
 SIZE = 200, 200
 seen: dict = {"log": []}

@@ -28,7 +28,7 @@ from addon.splats import objects, select_operators  # noqa: E402
 from tests.addon import splat_scenes as lab  # noqa: E402
 from tests.addon.calls import import_capture  # noqa: E402
 from tests.window.blocking import Held  # noqa: E402
-from tools.window.desk import ScriptRunner, area, clear, save_screenshot, write_results  # noqa: E402
+from tools.window.window_script import ScriptRunner, area, clear, save_screenshot, write_results  # noqa: E402
 
 seen: dict = {"log": []}
 COUNT = 3000

@@ -27,7 +27,7 @@ from addon.error_maps.measure_errors import job_of as errors_of  # noqa: E402
 from addon.process import poll_timer  # noqa: E402
 from addon.region_training.train_region import job_of as region_of  # noqa: E402
 from addon.training.start_training import job_of as training_of  # noqa: E402
-from tools.window.desk import (  # noqa: E402
+from tools.window.window_script import (  # noqa: E402
     ScriptRunner,
     area,
     at_rest,

@@ -27,7 +27,7 @@ from addon.core import read_splats  # noqa: E402
 from addon.live import card, depths, draw_handler, texture_upload  # noqa: E402
 from addon.live.program import QUADS  # noqa: E402
 from addon.splats import objects  # noqa: E402
-from tools.window import desk  # noqa: E402
+from tools.window import window_script  # noqa: E402
 
 REQUEST = json.loads((FOLDER / "asked.json").read_text())
 seen: dict[str, Any] = {"rows": []}
@@ -121,7 +121,9 @@ class _Batch:
 def alone() -> None:
     """Maximise the 3D view."""
     window = bpy.context.window_manager.windows[0]
-    with bpy.context.temp_override(window=window, area=desk.area(), region=desk.region()):
+    with bpy.context.temp_override(
+        window=window, area=window_script.area(), region=window_script.region()
+    ):
         bpy.ops.screen.screen_full_area(use_hide_panels=True)
 
 
@@ -130,7 +132,7 @@ def add_splats() -> None:
     splats = read_splats(FOLDER / "splats.ply")
     objects.create(splats, "splats", collection=bpy.context.scene.collection)
     middle = np.median(splats.means, axis=0)
-    view = desk.space().region_3d
+    view = window_script.space().region_3d
     view.view_perspective, view.view_location, view.view_rotation = "PERSP", middle, FIRST
     away = float(np.median(np.linalg.norm(splats.means - middle, axis=1)))
     view.view_distance = 3.0 * away
@@ -141,55 +143,55 @@ def add_splats() -> None:
 def turn(steps: int) -> Iterator[object]:
     """Orbit once, with one redraw per step."""
     for k in range(steps):
-        desk.space().region_3d.view_rotation = (
+        window_script.space().region_3d.view_rotation = (
             Quaternion((0, 0, 1), 2 * np.pi * (k + 1) / steps) @ FIRST
         )
-        desk.area().tag_redraw()
+        window_script.area().tag_redraw()
         yield 0.0
 
 
 def drag(steps: int) -> Iterator[object]:
     """Drag a filter's limit, with one redraw per step and histograms in the view."""
-    bpy.context.window_manager.gscore_histograms = desk.space().show_gizmo = True
+    bpy.context.window_manager.gscore_histograms = window_script.space().show_gizmo = True
     ob = bpy.data.objects["splats"]
     for k in range(steps):
         ob.gscore.opacity_min = 0.5 * (k + 1) / steps
-        desk.area().tag_redraw()
+        window_script.area().tag_redraw()
         yield 0.0
-    bpy.context.window_manager.gscore_histograms = desk.space().show_gizmo = False
+    bpy.context.window_manager.gscore_histograms = window_script.space().show_gizmo = False
 
 
 def redraw() -> Iterator[object]:
     """Redraw the same view repeatedly."""
     for _ in range(STILL_REDRAWS):
-        desk.area().tag_redraw()
+        window_script.area().tag_redraw()
         yield 0.0
 
 
 def is_exact() -> bool:
     """Whether the view shows the engine's picture."""
-    return desk.region().as_pointer() in draw_handler.viewport.EXACT
+    return window_script.region().as_pointer() in draw_handler.viewport.EXACT
 
 
 def story() -> Iterator[object]:
     """Measure without splats, then with each shading: turning, and at rest."""
-    desk.clear()
+    window_script.clear()
     meter = Meter()
     alone()
-    desk.space().region_3d.view_rotation = FIRST
+    window_script.space().region_3d.view_rotation = FIRST
     yield 0.5
     yield from measured("no splats", meter, lambda: True)
     add_splats()
     yield 0.5
-    yield from measured("Solid", meter, desk.at_rest)
+    yield from measured("Solid", meter, window_script.at_rest)
     meter.redraws.clear()
     yield from drag(REQUEST["steps"])
     note("Solid, filter dragged", meter)
     bpy.data.objects["splats"].gscore.opacity_min = 0.0
-    yield desk.at_rest
+    yield window_script.at_rest
     bpy.context.scene.render.engine = "GSCORE_SPLATS"
     bpy.context.scene.view_settings.view_transform = "Standard"  # others are not drawn live
-    desk.space().shading.type = "RENDERED"
+    window_script.space().shading.type = "RENDERED"
     yield 0.5
     yield from measured("Rendered", meter, is_exact)
 
@@ -220,10 +222,10 @@ def note(what: str, meter: Meter, *, summed: bool = False) -> None:
 
 def end(problem: str) -> None:
     """Write the results and quit Blender."""
-    shown = desk.region()
+    shown = window_script.region()
     seen.update(problem=problem, blender=bpy.app.version_string, size=[shown.width, shown.height])
     (FOLDER / "seen.json").write_text(json.dumps(seen))
     bpy.ops.wm.quit_blender()
 
 
-desk.ScriptRunner(story(), end)
+window_script.ScriptRunner(story(), end)

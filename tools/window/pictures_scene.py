@@ -41,7 +41,7 @@ from addon.sfm import find_cameras  # noqa: E402
 from addon.trainer_python import setup  # noqa: E402
 from addon.training.run_state import RunState  # noqa: E402
 from addon.training.start_training import job_of  # noqa: E402
-from tools.window.desk import (  # noqa: E402
+from tools.window.window_script import (  # noqa: E402
     ScriptRunner,
     area,
     at_rest,

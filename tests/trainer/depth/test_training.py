@@ -20,8 +20,8 @@ from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
+from tests.exact_depth_maps import exact_depth_maps
 from tests.trainer.short_run import CONFIG
-from tests.true_priors import true_priors
 
 EVERYTHING = replace(CONFIG, drop_rate=0.3, alpha_weight=0.1, coarse_factor=2.0)
 
@@ -42,7 +42,7 @@ def masked(make_photos: Callable[..., Any], known_splats: Any) -> Any:
 def targets(photos: Any, known_splats: Any) -> DepthTargets:
     """Exact depth of the toy capture, two views not aligned."""
     return DepthTargets(
-        true_priors(photos, known_splats, unaligned=(1, 4)), train=photos.train, views=8
+        exact_depth_maps(photos, known_splats, unaligned=(1, 4)), train=photos.train, views=8
     )
 
 
@@ -128,7 +128,7 @@ def test_weights_scale_the_gradients_and_terms_add_up(
         return plain(self, *args, **options)
 
     monkeypatch.setattr(TrainingRasterizer, "gradients", watched)
-    targets = DepthTargets(true_priors(masked, known_splats), train=masked.train, views=8)
+    targets = DepthTargets(exact_depth_maps(masked, known_splats), train=masked.train, views=8)
     for depth, alpha in ((1.0, 0.0), (0.25, 0.0), (0.0, 0.5), (0.25, 0.5)):
         config = replace(CONFIG, depth_weight=depth, depth_weight_final=depth, depth_warmup=0.0)
         run(Trainer(replace(config, alpha_weight=alpha), Analysis(photos=masked, depth=targets)), 1)
@@ -146,7 +146,7 @@ def test_depth_makes_depth_better(make_photos: Callable[..., Any], known_splats:
     rng = np.random.default_rng(0)
     colors = photos.scene.points.colors
     points = PointCloud(points=rng.uniform(-1.5, 1.5, (len(colors), 3)), colors=colors)
-    truth = true_priors(photos, known_splats)
+    truth = exact_depth_maps(photos, known_splats)
     config = TrainConfig(iterations=400, max_splats=400, sh_degree=0, depth_weight_final=0.1)
     errors = []
     for depth in (None, DepthTargets(truth, train=photos.train, views=8)):
@@ -195,7 +195,7 @@ def test_other_depths_cannot_go_on(
     checkpoint.save(path, run(Trainer(CONFIG, Analysis(photos=photos, depth=targets)), 2), {})
     found = checkpoint.load(path)
     checkpoint.check_compatible(found, CONFIG, photos)
-    other = DepthTargets(true_priors(photos, known_splats), train=photos.train, views=8)
+    other = DepthTargets(exact_depth_maps(photos, known_splats), train=photos.train, views=8)
     with pytest.raises(ConfigError, match="other depth maps"):
         checkpoint.check_same_inputs(found, Trainer(CONFIG, Analysis(photos=photos, depth=other)))
     with pytest.raises(ConfigError, match="with depth maps"):

@@ -32,8 +32,8 @@ from gscore.trainer.guide.setup import GuideSetup, prepare_guide
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 from gscore.transforms import Similarity
+from tests.exact_depth_maps import exact_depth_maps
 from tests.trainer.short_run import CONFIG
-from tests.true_priors import true_priors
 
 
 def wall(path: Path, offset: float = 0.0, half: float = 0.8) -> Path:
@@ -371,7 +371,7 @@ def test_a_run_says_what_guides_it_and_goes_on(
 def test_maps_and_a_guide_count_both(dataset: Dataset, known_splats: Splats, mesh: Path) -> None:
     """Oracle: the loss of the photo and of either term alone, summed."""
     guide = prepare_guide(TrainConfig(guide_surface=mesh), dataset, tracks_of(dataset))
-    maps = DepthTargets(true_priors(dataset, known_splats), train=dataset.train, views=8)
+    maps = DepthTargets(exact_depth_maps(dataset, known_splats), train=dataset.train, views=8)
     config = replace(CONFIG, depth_warmup=0.0)
     found = {
         (bool(depth), given is guide): Trainer(

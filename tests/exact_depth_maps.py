@@ -8,7 +8,9 @@ from gscore.depth import DepthPrior
 from gscore.raster.api import render
 
 
-def true_priors(photos: Any, splats: Any, *, unaligned: tuple[int, ...] = ()) -> list[DepthPrior]:
+def exact_depth_maps(
+    photos: Any, splats: Any, *, unaligned: tuple[int, ...] = ()
+) -> list[DepthPrior]:
     """Inverse depth of known splats, where they are nearly opaque; some as an affine of it."""
     cameras, priors = photos.scene.cameras, []
     for i in range(len(cameras.names)):
