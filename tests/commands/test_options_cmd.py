@@ -57,7 +57,7 @@ def test_a_word_finds_by_group_and_by_text(capsys: pytest.CaptureFixture[str]) -
     assert rates[0] == "means_lr" and {"lr_boost", "pose_lr_final"} < set(rates)
     assert main(["options", "ensemble"]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "mention 'ensemble' too: iterations, splats_a_photo." in " ".join(out.split())
+    assert "mention 'ensemble' too: iterations." in " ".join(out.split())
     assert main(["options", "seed"]) == 0
     out = capsys.readouterr().out
     assert "seed = 0 (0 to 9223372036854775807): Random seed" in " ".join(out.split())

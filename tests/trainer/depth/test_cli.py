@@ -193,7 +193,7 @@ def test_maps_that_are_not_wanted_are_no_warning(deep: Path, tmp_path: Path) -> 
         (["--depth-mode", "on"], "--depths"),
         (["--depth-points", "10"], "--depths"),
         (["-d", "nowhere"], "nowhere"),
-        (["-d", "depths", "--depth-weight", "-2"], "depth_weight must be 0 to 1e+09"),
+        (["-d", "depths", "--depth-weight", "-2"], "depth_weight must be auto, or 0 to 1e+09"),
         (["--drop-rate", "1"], "drop_rate must be 0 to less than 1, got 1"),
     ],
 )

@@ -146,10 +146,10 @@ def test_a_run_stops_and_goes_on(
     whole = train(config, data, tmp_path / "whole")
 
     class Changing(prepare_module.Trainer):
-        def step(self) -> object:
+        def advance(self) -> object:
             if self.steps == 20:
                 change(photo_of(root))
-            return super().step()
+            return super().advance()
 
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
