@@ -51,6 +51,11 @@ def exact() -> bool:
     return region().as_pointer() in draw_handler.viewport.EXACT
 
 
+def live() -> bool:
+    """True if the view has drawn splats live, for which Blender compiles programs first."""
+    return draw_handler.view_of(region()) is not None
+
+
 def called(operator: object, **given: object) -> None:
     """Call an operator in the view of the window."""
     window = bpy.context.window_manager.windows[0]
@@ -80,6 +85,11 @@ def regions(scene: bpy.types.Scene) -> Iterator[object]:
     yield 0.5
     screenshot("region")
     still, level.STILL = level.STILL, 1e9
+    for step in range(100):  # each redraw of a moving view compiles one program
+        if live():
+            break
+        view.view_rotation = Quaternion((0, 0, 1), 0.01 + step / 1e4)
+        yield 0.1
     view.view_rotation = Quaternion((0, 0, 1), 0.01)
     yield 1.0
     seen["moving"] = draw_handler.view_of(region()).level.moving
