@@ -167,8 +167,7 @@ class ModelRenderer:
 
     def _exposed(self, index: int, view: Frustum, background: Color) -> np.ndarray:
         """Render `view`, the view of photo `index` at any size, with the photo's gain."""
-        gains = self._photo_parameters.all_gains()
-        gain = None if gains is None else torch.from_numpy(gains[index].astype(np.float32))
+        gain = self._photo_parameters.gain_of(index)
         picture = self._draw(view, self.background_before_gain(background, gain)).rgb
         if gain is not None:
             picture *= gain.numpy()

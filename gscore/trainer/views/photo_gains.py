@@ -35,10 +35,15 @@ class PhotoGains:
         `train` are used."""
         self.train = list(train)
         """Training views."""
+        self._trained = frozenset(train)
         self._value = np.zeros_like(log_gains)
         self._value[self.train] = log_gains[self.train] @ np.linalg.inv(_BASIS)
         self._adam = PhotoAdam(len(log_gains), 3)
         self._centre()
+
+    def __contains__(self, index: int) -> bool:
+        """Return whether view `index` is a training view."""
+        return index in self._trained
 
     @property
     def log_gains(self) -> np.ndarray:

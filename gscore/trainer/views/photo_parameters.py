@@ -37,8 +37,13 @@ class PhotoParameters:
         """Poses of the training cameras; None: those of the capture."""
 
     def gain_of(self, index: int) -> torch.Tensor | None:
-        """Gain of training photo `index`, [3] float32; None: no gains."""
-        return None if self.gains is None else self.gains.of(index)
+        """Gain of photo `index`, [3] float32, predicted if it is held out; None: no gains."""
+        if self.gains is None:
+            return None
+        if index in self.gains:
+            return self.gains.of(index)
+        predicted = self._held_out.predict(self.gains.log_gains)[index]
+        return torch.from_numpy(np.exp(predicted).astype(np.float32))
 
     def all_gains(self) -> np.ndarray | None:
         """Gains of all photos, [V, 3] float64, those of held-out ones predicted; None: no gains."""
