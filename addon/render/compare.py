@@ -139,11 +139,10 @@ class Comparing:
             return False
 
         rendered = picture.draw(model, self._view, self._options, stop=unwanted)
-        shown, gain = rendered.rgb, self._gain()
+        gain = self._gain()
         if gain is not None:
-            rest = np.float32(self._options.background) * (1 - rendered.alpha[..., None])
-            shown = (shown - rest) * gain.astype(np.float32) + rest
-        return _compared(np.clip(shown, 0, 1), target, check, exposed=gain is not None)
+            rendered = rendered.exposed(gain, self._options.background)
+        return _compared(np.clip(rendered.rgb, 0, 1), target, check, exposed=gain is not None)
 
     def _gain(self) -> np.ndarray | None:
         """Exposure gain of the photo, [3], in the run of the splats; None: unknown."""

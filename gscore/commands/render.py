@@ -5,7 +5,6 @@ import math
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -286,7 +285,7 @@ class _Work:
     ) -> None:
         self.shots = shots
         self._model, self._options, self._status = model, options, status
-        self._gains = gains.astype(np.float32)
+        self._gains = gains
         self._seconds: list[float] = []
 
     @property
@@ -302,16 +301,10 @@ class _Work:
             size = int(shots.widths[i]), int(shots.heights[i])
             rendered = self._model.draw(shots.Ks[i], shots.viewmats[i], *size, **self._options)
             self._seconds.append(time.perf_counter() - began)
-            yield self._exposed(rendered, self._gains[i])
+            if (self._gains[i] != 1).any():
+                rendered = rendered.exposed(self._gains[i], self._options["background"])
+            yield rendered
             progress(i + 1, name)
-
-    def _exposed(self, rendered: Rendered, gain: np.ndarray) -> Rendered:
-        """The picture with the splats multiplied by a gain [3]; the background stays."""
-        if (gain == 1).all():
-            return rendered
-        background = np.array(self._options["background"], np.float32)
-        rest = background * (1 - rendered.alpha[..., None])
-        return replace(rendered, rgb=(rendered.rgb - rest) * gain + rest)
 
 
 def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:

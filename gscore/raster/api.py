@@ -1,7 +1,7 @@
 """Rasterizer API with only numpy and the native library, for Blender and scripts."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,12 @@ class Rendered:
     """[H, W], z at which transmittance falls to 0.5; world units, 0 where it never does."""
     visible: int
     """Number of splats in the picture."""
+
+    def exposed(self, gain: np.ndarray, background: tuple[float, float, float]) -> "Rendered":
+        """Return the picture with the splats multiplied by a gain, [3]; `background`, over which it
+        was rendered, stays."""
+        rest = np.array(background, np.float32) * (1 - self.alpha[..., None])
+        return replace(self, rgb=(self.rgb - rest) * gain.astype(np.float32) + rest)
 
 
 def render(
