@@ -29,7 +29,7 @@ import numpy as np
 from gscore.bench.quality import COMPARED
 from gscore.io.images.read_image import resize, write_png
 from gscore.io.ply.splats import read_ply
-from gscore.presets import PRESETS
+from gscore.presets import RECIPES
 from gscore.raster.api import render
 from gscore.report.colormap import colorize
 
@@ -98,7 +98,7 @@ def _arguments() -> argparse.Namespace:
         default=["none", "stereo", "mono", "exact"],
     )
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--preset", choices=tuple(PRESETS), default="preview")
+    parser.add_argument("--preset", choices=tuple(RECIPES), default="preview")
     parser.add_argument(
         "--width", type=int, default=0, help="of the photos, pixels; 0: the preset's"
     )

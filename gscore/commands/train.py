@@ -11,7 +11,7 @@ from ..control import Control
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.output_paths import check_output_path
 from ..io.runs import other_files_in_run
-from ..presets import PRESETS
+from ..presets import RECIPES
 from ..quoting import as_typed
 from ..text_format import (
     colour_text,
@@ -61,8 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--preset",
-        choices=tuple(PRESETS),
-        help="quality level: sets --iterations, --max-splats, --sh-degree and photo width (normal)",
+        choices=tuple(RECIPES),
+        help="level (normal) of steps, splats, --sh-degree and photo width; 3dgs: the published "
+        "recipe",
     )
     parser.add_argument(
         "--config",

@@ -22,7 +22,7 @@ from typing import Any
 import pytest
 
 from gscore.commands import main
-from gscore.presets import PRESETS
+from gscore.presets import PRESETS, RECIPES
 from tests.depth.conftest import midas
 from tests.docs.small_studio import ROOT, write_small_studio, write_small_video
 
@@ -108,8 +108,9 @@ def page_folder(prepared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.chdir(folder)
     for name in ("GSCORE_DATA", "GSCORE_LPIPS"):
         monkeypatch.delenv(name, raising=False)
-    for name, make in list(PRESETS.items()):
-        monkeypatch.setitem(PRESETS, name, _shortened(make))
+    for presets in (PRESETS, RECIPES):
+        for name, make in list(presets.items()):
+            monkeypatch.setitem(presets, name, _shortened(make))
     yield folder
 
 

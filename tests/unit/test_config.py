@@ -15,7 +15,7 @@ from gscore.config import Background, DataConfig, Strategy, TrainConfig, checked
 from gscore.config_file import REMOVED, config_json, differences, from_dict, load_config, to_dict
 from gscore.errors import ConfigError
 from gscore.options import flag_of
-from gscore.presets import PRESETS
+from gscore.presets import RECIPES
 from gscore.video import ExtractRequest
 
 ODD = TrainConfig(
@@ -29,10 +29,10 @@ ODD = TrainConfig(
 )
 
 
-@pytest.mark.parametrize("preset", list(PRESETS))
+@pytest.mark.parametrize("preset", list(RECIPES))
 def test_presets_survive_a_file(preset: str, tmp_path: Path) -> None:
     """Oracle: the dataclasses are equal."""
-    data, train = PRESETS[preset](tmp_path / "capture")
+    data, train = RECIPES[preset](tmp_path / "capture")
     path = tmp_path / "config.json"
     path.write_text(config_json(data, train))
     assert load_config(path) == (data, train)
@@ -184,7 +184,7 @@ def test_minus_one_is_as_is_under_every_preset() -> None:
     option."""
     parser = argparse.ArgumentParser()
     add_data_options(parser)
-    for make in PRESETS.values():
+    for make in RECIPES.values():
         data, _ = make(Path("in"))
         assert with_data_options(data, parser.parse_args(["-r", "-1"])).max_width == 1600
         assert with_data_options(data, parser.parse_args([])) == data

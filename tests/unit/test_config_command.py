@@ -14,7 +14,7 @@ from gscore.commands.args.train_request import TrainRequest
 from gscore.commands.parser import Parser
 from gscore.config import Background, DataConfig, Skip, Strategy, Switch, TrainConfig
 from gscore.config_command import depth_command, preset_text, train_command
-from gscore.presets import PRESETS
+from gscore.presets import RECIPES
 
 CAPTURE = Path("my photos/first")
 ODD = {
@@ -42,11 +42,11 @@ def parsed(command: str) -> tuple[DataConfig, TrainConfig]:
     return TrainRequest.of(parser.parse_args(words)).configs()
 
 
-@pytest.mark.parametrize("preset", list(PRESETS))
+@pytest.mark.parametrize("preset", list(RECIPES))
 @pytest.mark.parametrize("options", [{}, ODD])
 def test_a_training_command_gives_its_options_back(preset: str, options: dict) -> None:
     """Oracle: equality after a round trip, with every kind of value."""
-    data, train = PRESETS[preset](CAPTURE)
+    data, train = RECIPES[preset](CAPTURE)
     train = replace(train, **options)
     command = train_command(data, train, Path("out/my run"))
     assert parsed(command) == (data, train)
@@ -70,7 +70,7 @@ def test_a_training_command_gives_its_options_back(preset: str, options: dict) -
 )
 def test_a_capture_is_read_as_before(changes: dict, words: list[str] | None) -> None:
     """Oracle: equality after a round trip, and the words a user would type."""
-    data, train = PRESETS["draft"](CAPTURE)
+    data, train = RECIPES["draft"](CAPTURE)
     data = replace(data, **changes)
     command = train_command(data, train, Path("run"))
     assert parsed(command) == (data, train)
@@ -99,14 +99,14 @@ def test_maps_are_made_for_the_same_split(changes: dict, words: list[str]) -> No
 
 def test_the_rule_that_wins_is_given_alone() -> None:
     """Oracle: the rules of DataConfig; the command line takes one of them."""
-    data = replace(PRESETS["draft"](CAPTURE)[0], eval=True, test_every=5, test_last=2)
+    data = replace(RECIPES["draft"](CAPTURE)[0], eval=True, test_every=5, test_last=2)
     again, _ = parsed(train_command(data, TrainConfig(), Path("run")))
     assert (again.test_last, again.eval) == (2, True)
 
 
 def test_a_budget_takes_the_place_of_steps() -> None:
     """Oracle: the parser, which refuses both."""
-    data, train = PRESETS["normal"](CAPTURE)
+    data, train = RECIPES["normal"](CAPTURE)
     train = replace(train, time_budget=9.5, iterations=123)
     assert parsed(train_command(data, train, Path("run")))[1].time_budget == 9.5
 
@@ -117,7 +117,7 @@ def test_a_budget_takes_the_place_of_steps() -> None:
 )
 def test_caps_by_photos_survive_the_command(limit: str, option: str, value: int) -> None:
     """Oracle: equality after a round trip, with the limit and without; the preset is unchanged."""
-    data, train = PRESETS["high"](CAPTURE)
+    data, train = RECIPES["high"](CAPTURE)
     limited = replace(train, **{option: value})
     meant = replace(limited, **{limit: 0})
     for options in (limited, meant):
@@ -126,7 +126,7 @@ def test_caps_by_photos_survive_the_command(limit: str, option: str, value: int)
     assert preset_text(data, meant) == "preset high, changed"
 
 
-@pytest.mark.parametrize("preset", list(PRESETS))
+@pytest.mark.parametrize("preset", list(RECIPES))
 @pytest.mark.parametrize(
     "words",
     [
@@ -150,7 +150,7 @@ def test_a_command_has_what_was_typed(preset: str, words: str) -> None:
 
 def test_capped_options_have_their_requested_values() -> None:
     """Oracle: the requested number; another number set on purpose is kept."""
-    data, train = PRESETS["high"](CAPTURE)
+    data, train = RECIPES["high"](CAPTURE)
     limited = replace(train, iterations=4160, max_splats=312_000)
     asked = {"iterations": train.iterations, "max_splats": train.max_splats}
     command = train_command(data, limited, Path("run"), requested=asked)
@@ -168,7 +168,7 @@ def test_photos_of_a_width_that_no_option_gives_have_no_command() -> None:
 
 def test_an_offset_that_no_option_gives_has_no_command() -> None:
     """Oracle: the split of a run from Python; without held-out views the offset has no effect."""
-    data, train = PRESETS["draft"](CAPTURE)
+    data, train = RECIPES["draft"](CAPTURE)
     data = replace(data, test_offset=3)
     assert train_command(replace(data, eval=True), train, Path("run")) == ""
     assert train_command(data, train, Path("run")) != ""
@@ -184,7 +184,16 @@ def test_a_split_on_the_command_line_replaces_an_offset() -> None:
 
 def test_a_preset_is_named_and_whether_it_was_changed() -> None:
     """Oracle: its own options, and another one."""
-    data, train = PRESETS["preview"](CAPTURE)
+    data, train = RECIPES["preview"](CAPTURE)
     assert preset_text(data, train) == "preset preview"
     assert preset_text(data, replace(train, seed=3)) == "preset preview"
     assert preset_text(data, replace(train, iterations=3)) == "preset preview, changed"
+
+
+def test_presets_of_one_width_are_distinct() -> None:
+    """Oracle: the names of two presets whose photos are as wide, each with an option changed."""
+    for name in ("high", "3dgs"):
+        data, train = RECIPES[name](CAPTURE)
+        assert data.max_width == 1600
+        assert preset_text(data, replace(train, seed=3)) == f"preset {name}"
+        assert preset_text(data, replace(train, iterations=90_000)) == f"preset {name}, changed"

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from gscore.io.colmap.folder import ColmapModel, read_model
-from gscore.presets import PRESETS
+from gscore.presets import RECIPES
 from gscore.sfm import SearchRequest, find_cameras
 from gscore.sfm.search_request import MAPPERS
 from gscore.trainer.run import train
@@ -45,7 +45,7 @@ def distances(found: np.ndarray, given: np.ndarray) -> np.ndarray:
 
 def psnr_by_view(capture: Path, preset: str, seed: int, offset: int) -> dict[str, float]:
     """PSNR of the held-out views after a training, dB, by name."""
-    data, config = PRESETS[preset](capture)
+    data, config = RECIPES[preset](capture)
     # SfM copies no masks, so neither training may use masks.
     data = replace(data, eval=True, test_offset=offset, mask_mode="none")
     with tempfile.TemporaryDirectory() as folder:
@@ -75,7 +75,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("captures", type=Path, nargs="+")
     parser.add_argument("--mapper", choices=MAPPERS, default="auto")
-    parser.add_argument("--preset", choices=tuple(PRESETS))
+    parser.add_argument("--preset", choices=tuple(RECIPES))
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--offsets", type=int, nargs="+", default=[0])
     args = parser.parse_args()

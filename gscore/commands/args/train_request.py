@@ -11,7 +11,7 @@ from ...errors import ConfigError
 from ...events import Show, Warn
 from ...io.runs import options_of_run
 from ...live_options import LiveOptions
-from ...presets import PRESETS
+from ...presets import RECIPES
 from ...quoting import brief
 from ..terminal.run_job import OutputOptions
 from .data_options import given_data
@@ -110,7 +110,7 @@ class TrainRequest:
                 check_free(self.output)  # a run that has just begun has written nothing yet
                 raise ConfigError(f"{self.output} contains no run to resume; leave out `--resume`.")
         if self.preset and stored:
-            data, config = PRESETS[self.preset](options_of_run(stored)[0].source)
+            data, config = RECIPES[self.preset](options_of_run(stored)[0].source)
         elif stored:
             # The checkpoint of a resumed run has the same options, and warns of them.
             found = options_of_run(stored) if self.resume else options_of_run(stored, warn=warn)
@@ -119,7 +119,7 @@ class TrainRequest:
         elif source is None:
             raise ConfigError("No capture was given: `gscore train SOURCE -o OUTPUT`.")
         else:
-            data, config = PRESETS[self.preset or "normal"](source)
+            data, config = RECIPES[self.preset or "normal"](source)
         data, config = replace(data, **self.data), replace(config, **self.train)
         if "iterations" in self.train and config.time_budget > 0:
             raise ConfigError(

@@ -11,7 +11,7 @@ from ...bench.quality import train_scored
 from ...config import DataConfig
 from ...io.output_paths import check_output_path
 from ...metrics import Lpips, LpipsNet, find_lpips
-from ...presets import PRESETS
+from ...presets import RECIPES
 from ...trainer.schedule.caps import cap_by_photos
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="start again and replace any results.json",
     )
-    parser.add_argument("--preset", choices=tuple(PRESETS), default="draft")
+    parser.add_argument("--preset", choices=tuple(RECIPES), default="draft")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument(
         "--offsets", nargs="+", type=int, default=[0, 3, 5], metavar="N",

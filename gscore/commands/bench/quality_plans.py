@@ -9,7 +9,7 @@ from ...bench.time_error import Variant
 from ...bench.training import open_sizes
 from ...config import DataConfig
 from ...errors import ConfigError
-from ...presets import PRESETS
+from ...presets import RECIPES
 from ...quoting import quoted
 from .shared import changed, named_sources, training_configs
 
@@ -59,10 +59,10 @@ def variants_of(args: argparse.Namespace) -> list[QualityRequest]:
 def _request(args: argparse.Namespace, label: str, changes: Sequence[str]) -> QualityRequest:
     presets = [part.removeprefix("preset=") for part in changes if part.startswith("preset=")]
     for preset in presets:
-        if preset not in PRESETS:
+        if preset not in RECIPES:
             raise ConfigError(
                 f"`--compare {label}`: there is no preset {quoted(preset)}; there are: "
-                f"{', '.join(PRESETS)}."
+                f"{', '.join(RECIPES)}."
             )
     rest = tuple(part for part in changes if not part.startswith("preset="))
     return QualityRequest(label=label, preset=[args.preset, *presets][-1], changes=rest)

@@ -13,7 +13,7 @@ from ...errors import ConfigError
 from ...json_text import parse_json
 from ...metrics.machine import machine
 from ...option_marks import mark_option
-from ...presets import PRESETS
+from ...presets import RECIPES
 from ...quoting import brief, quoted
 from ...raster import native_library
 from ...text_format import number
@@ -59,7 +59,7 @@ def training_configs(
     args: argparse.Namespace, source: Path, preset: str
 ) -> tuple[DataConfig, TrainConfig]:
     """Preset `preset` for `source` with the given options; some views are always held out."""
-    data, train = PRESETS[preset](source)
+    data, train = RECIPES[preset](source)
     data = with_data_options(data, args)
     if not data.eval:
         data = replace(data, eval=True, test_every=_EVERY)

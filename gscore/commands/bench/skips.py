@@ -9,7 +9,7 @@ from ...bench.skips import SkipRow, bench_skips
 from ...bench.training import load_for_bench
 from ...config import Skip
 from ...metrics.machine import machine
-from ...presets import PRESETS
+from ...presets import RECIPES
 from ...raster import native_library
 from ..terminal.output import print_json
 from ..terminal.status import Rows, Status
@@ -19,7 +19,7 @@ from .shared import add_training_options, training_configs
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("source", type=Path, help="capture")
-    parser.add_argument("--preset", choices=tuple(PRESETS), default="preview")
+    parser.add_argument("--preset", choices=tuple(RECIPES), default="preview")
     parser.add_argument(
         "--skips", nargs="+", choices=tuple(Skip), default=tuple(Skip), metavar="SKIP",
         help="skips to measure (all): " + ", ".join(Skip),

@@ -9,7 +9,7 @@ from pathlib import Path
 from ...bench.time_error import Curve, measure_variant
 from ...config import DataConfig, Skip
 from ...io.output_paths import check_output_path
-from ...presets import PRESETS
+from ...presets import RECIPES
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
 from .curve_figures import figure_files, table, write_curves
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="replace a results.json and figures that gscore did not write",
     )
-    parser.add_argument("--presets", nargs="+", choices=tuple(PRESETS), default=["preview"])
+    parser.add_argument("--presets", nargs="+", choices=tuple(RECIPES), default=["preview"])
     parser.add_argument(
         "--ablations",
         nargs="*",
