@@ -3,6 +3,7 @@
 import argparse
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,37 +22,24 @@ from ..report.compare_page import PairPictures, names_of, write_comparison
 from ..report.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
 from ..text_format import count_text
 from .args.model_argument import ModelArgument, open_model
-from .parser import add_threads_option
+from .parser import add_option, add_result_options, add_threads_option
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Counted, Status, wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument(
-        "first",
-        metavar="RUN_A",
-        type=Path,
-        help="folder of a run, or the output of gscore eval",
-    )
-    parser.add_argument(
-        "second", metavar="RUN_B", type=Path, help="another run on the same capture"
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, default=Path("compare.html"), help="page (compare.html)"
-    )
-    parser.add_argument(
-        "-s",
-        "--source",
-        type=Path,
-        help="current folder of the capture; default: as recorded by the runs",
+    option = partial(add_option, parser)
+    option("first RUN_A", "folder of a run, or the output of gscore eval", Path)
+    option("second RUN_B", "another run on the same capture", Path)
+    option("-o, --output OUTPUT", "page (compare.html)", Path, default=Path("compare.html"))
+    option(
+        "-s, --source SOURCE",
+        "current folder of the capture; default: as recorded by the runs",
+        Path,
     )
     add_threads_option(parser)
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace a page that gscore did not write"
-    )
-    parser.add_argument("--json", action="store_true", help="the differences as JSON on stdout")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_result_options(parser, replaced="a page")
 
 
 def run(args: argparse.Namespace) -> int:

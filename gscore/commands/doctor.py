@@ -6,6 +6,7 @@ import platform
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from ..sh import rgb_to_sh0
 from ..shared_constants import ALPHA_MIN, EPS2D
 from ..splats import Splats
 from ..text_format import count_text, size_text
+from .parser import add_option
 from .terminal.output import print_json
 from .terminal.status import show_while, wrapped
 
@@ -64,7 +66,8 @@ _PARTS = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    option = partial(add_option, parser)
+    option("--json", "one JSON object on stdout")
 
 
 def run(args: argparse.Namespace) -> int:

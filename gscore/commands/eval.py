@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +33,9 @@ from ..scene import Cameras
 from ..text_format import colour_text, count_text, number, psnr_name, quality_text, stopped_text
 from .args.data_options import add_data_options, with_data_options
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
-from .parser import add_threads_option
+from .parser import add_option, add_threads_option
 from .terminal.output import check_folder, check_replaced, print_json
-from .terminal.run_job import OutputOptions, run_job
+from .terminal.run_job import OutputOptions, add_output_options, run_job
 from .terminal.status import wrapped
 
 _STOPPED = "Stopped; nothing was written."
@@ -42,52 +43,36 @@ _STOPPED = "Stopped; nothing was written."
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
+    option = partial(add_option, parser)
     add_model_argument(parser)
-    parser.add_argument("-s", "--source", type=Path, help="capture; default: that of the training")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        help="folder for metrics.json and report.html; default: the run's",
+    option("-s, --source SOURCE", "capture; default: that of the training", Path)
+    option(
+        "-o, --output OUTPUT", "folder for metrics.json and report.html; default: the run's", Path
     )
-    parser.add_argument(
+    option(
         "--split",
+        "views to measure; default: test if there are test views, else all",
         choices=("test", "train", "all"),
-        help="views to measure; default: test if there are test views, else all",
     )
-    parser.add_argument(
-        "--lpips",
-        type=Path,
-        metavar="NETWORK",
-        help="LPIPS network (perceptual metric): an ONNX file, or alex, vgg or squeeze; default: "
+    option(
+        "--lpips NETWORK",
+        "LPIPS network (perceptual metric): an ONNX file, or alex, vgg or squeeze; default: "
         "not measured",
+        Path,
     )
-    parser.add_argument(
+    option(
         "--lpips-download",
-        action="store_true",
-        help="download the weights of a named --lpips network if torch's cache lacks them",
+        "download the weights of a named --lpips network if torch's cache lacks them",
     )
-    parser.add_argument(
-        "--overwrite",
-        action="store_true",
-        help="replace a metrics.json or report.html that gscore did not write",
-    )
-    parser.add_argument(
-        "--error-map",
-        type=Path,
-        metavar="FILE",
-        help="also write the splats coloured by their error, from black (low) to pale yellow "
-        "(high)",
+    option("--overwrite", "replace a metrics.json or report.html that gscore did not write")
+    option(
+        "--error-map FILE",
+        "also write the splats coloured by their error, from black (low) to pale yellow (high)",
+        Path,
     )
     add_threads_option(parser)
-    parser.add_argument(
-        "--json", action="store_true", help="the results as JSON at the end of stdout"
-    )
-    parser.add_argument("--quiet", action="store_true", help="no progress")
-    parser.add_argument(
-        "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
-    )
     add_data_options(parser)
+    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -2,12 +2,14 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 
 from ..errors import DatasetError
 from ..io.output_paths import check_output_path
 from ..video import ExtractRequest, extract_frames
 from ..video.request import FRAME_FORMATS
+from .parser import add_option
 from .terminal.output import check_folder, print_json
 from .terminal.run_job import OutputOptions, add_output_options, run_job
 from .terminal.status import wrapped
@@ -15,32 +17,23 @@ from .terminal.status import wrapped
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("video", type=Path, help="video in any format of FFmpeg")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="FOLDER",
-        help="new or empty folder for the frames",
-    )
-    parser.add_argument(
-        "--frames",
-        type=int,
+    option = partial(add_option, parser)
+    option("video", "video in any format of FFmpeg", Path)
+    option("-o, --output FOLDER", "new or empty folder for the frames", Path, required=True)
+    option(
+        "--frames N",
+        "maximum number of frames; default: one per 5 %% of image motion, 30 to 300",
+        int,
         default=0,
-        metavar="N",
-        help="maximum number of frames; default: one per 5 %% of image motion, 30 to 300",
     )
-    parser.add_argument(
+    option(
         "--format",
+        "jpg, quality 97 without chroma subsampling, or png (jpg)",
         choices=FRAME_FORMATS,
         default="jpg",
-        help="jpg, quality 97 without chroma subsampling, or png (jpg)",
     )
-    parser.add_argument(
-        "--overwrite",
-        action="store_true",
-        help="replace frames that gscore wrote from another video or with other options",
+    option(
+        "--overwrite", "replace frames that gscore wrote from another video or with other options"
     )
     add_output_options(parser)
 

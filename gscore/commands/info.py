@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ from ..video import is_video
 from .args.data_options import add_mask_options, with_data_options
 from .args.model_argument import ModelArgument, find_splats, open_model
 from .lod import lod_facts, lod_text
+from .parser import add_option
 from .photo_folder_info import photos_facts, photos_text
 from .terminal.output import print_json
 from .terminal.status import wrapped
@@ -46,16 +48,11 @@ _EXPONENT = 350.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument(
-        "path",
-        type=Path,
-        help="folder of a capture, photos or a run; a video; or a splat file",
-    )
-    parser.add_argument(
-        "-i", "--images", default="images", help="folder of the photos inside the capture"
-    )
+    option = partial(add_option, parser)
+    option("path", "folder of a capture, photos or a run; a video; or a splat file", Path)
+    option("-i, --images IMAGES", "folder of the photos inside the capture", default="images")
     add_mask_options(parser)
-    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    option("--json", "one JSON object on stdout")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,26 +26,17 @@ from .args.model_argument import (
     trained_antialiased,
     trained_near,
 )
+from .parser import add_option, add_result_options
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("model", type=Path, help="folder of a run, or a splat file")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="OUT.lod",
-        help="output file, for gscore render",
-    )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace a file that gscore did not write"
-    )
-    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
+    option = partial(add_option, parser)
+    option("model", "folder of a run, or a splat file", Path)
+    option("-o, --output OUT.lod", "output file, for gscore render", Path, required=True)
+    add_result_options(parser, replaced="a file")
 
 
 def run(args: argparse.Namespace) -> int:

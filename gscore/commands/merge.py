@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from ..blocks.merge_splats import TrainedBlock, check_complete, merge_blocks
@@ -18,6 +19,7 @@ from ..io.runs import is_run, read_run
 from ..quoting import as_typed, brief
 from ..text_format import count_text, number
 from .args.model_argument import ModelArgument, open_model
+from .parser import add_option, add_result_options
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
 
@@ -27,28 +29,15 @@ _FREE = ("seed", "threads", "cache_mb", "checkpoint_seconds", "preview_seconds",
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument(
-        "runs",
-        nargs="+",
-        type=Path,
-        metavar="RUN",
-        help="folders of the runs, or one folder that contains them",
+    option = partial(add_option, parser)
+    option("runs RUN...", "folders of the runs, or one folder that contains them", Path)
+    option("-o, --output OUTPUT", "splat file to write, such as merged.ply", Path, required=True)
+    option(
+        "--blocks BLOCKS",
+        "folder of the blocks, for runs that do not record it; default: as recorded by the runs",
+        Path,
     )
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, help="splat file to write, such as merged.ply"
-    )
-    parser.add_argument(
-        "--blocks",
-        type=Path,
-        metavar="BLOCKS",
-        help="folder of the blocks, for runs that do not record it; default: as recorded by the "
-        "runs",
-    )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace a file that gscore did not write"
-    )
-    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_result_options(parser, replaced="a file")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Iterator
+from functools import partial
 from itertools import groupby
 from typing import Any
 
@@ -17,17 +18,16 @@ from .args.data_options import HOLD_OUT
 from .args.option_names_3dgs import ALIASES
 from .args.run_options import plain, preset_values
 from .args.unused_options import reason_of
-from .parser import nearest
+from .parser import add_option, nearest
 from .terminal.output import print_json
 from .terminal.status import wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument(
-        "word", nargs="?", help="word to search for in names and groups, or else in the texts"
-    )
-    parser.add_argument("--json", action="store_true", help="all properties as JSON")
+    option = partial(add_option, parser)
+    option("word?", "word to search for in names and groups, or else in the texts")
+    option("--json", "all properties as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

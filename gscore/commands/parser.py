@@ -4,7 +4,7 @@ import argparse
 import difflib
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -31,10 +31,51 @@ def sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
 
 
+def add_option(
+    group: argparse._ActionsContainer,
+    usage: str,
+    text: str | None = None,
+    kind: Callable[[str], Any] | None = None,
+    **facts: Any,
+) -> None:
+    """Declare an option or argument by its usage, as in a help page.
+
+    Args:
+        group: A parser, or a group of one.
+        usage: The names, then those of the values: `-o, --output FILE`, `source`. `...` at the end
+            takes one or more values, `*` any number, `?` at most one. An option without values
+            and choices is a switch.
+        text: The help.
+        kind: Converts a value; else the type of a numeric default.
+        facts: Further arguments of argparse's `add_argument`.
+    """
+    words = usage.removesuffix("...").rstrip("*?").split()
+    names = [word.rstrip(",") for word in words if word.startswith("-")] or words[:1]
+    values = words[len(names) :]
+    if usage[-1] in ".*?":
+        facts["nargs"] = "+" if usage[-1] == "." else usage[-1]
+    elif len(values) > 1:
+        facts["nargs"] = len(values)
+    if values:
+        facts["metavar"] = values[0] if len(values) == 1 else tuple(values)
+    elif usage.startswith("-") and not (kind or facts.keys() & {"action", "choices"}):
+        facts["action"] = "store_true"
+    if kind or isinstance(facts.get("default"), int | float):
+        facts["type"] = kind or type(facts["default"])
+    group.add_argument(*names, help=text, **facts)
+
+
 def add_threads_option(parser: argparse.ArgumentParser) -> None:
     """Declare `--threads`, for verbs without training options."""
-    help_text = "CPU threads; auto: all cores (auto)"
-    parser.add_argument("--threads", type=_threads, default=0, metavar="N", help=help_text)
+    add_option(parser, "--threads N", "CPU threads; auto: all cores (auto)", _threads, default=0)
+
+
+def add_result_options(parser: argparse.ArgumentParser, *, replaced: str = "") -> None:
+    """Declare `--json`, `--quiet`, and `--overwrite` if the verb replaces files: which ones."""
+    if replaced:
+        add_option(parser, "--overwrite", f"replace {replaced} that gscore did not write")
+    add_option(parser, "--json", "the result as JSON on stdout")
+    add_option(parser, "--quiet", "no progress")
 
 
 def _threads(text: str) -> int:

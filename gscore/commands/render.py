@@ -5,6 +5,7 @@ import math
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from ..scene import Cameras
 from ..text_format import count_text
 from .args.lod_argument import LodArgument
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
-from .parser import add_threads_option
+from .parser import add_option, add_result_options, add_threads_option
 from .pictures.exposures import exposure_gains
 from .pictures.render_cameras import FPS, PATHS, find_shots
 from .pictures.stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
@@ -51,112 +52,72 @@ _DEPTH_STEPS = 60_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
+    option = partial(add_option, parser)
     add_model_argument(parser)
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        help="folder for pictures, a .png, or an .mp4",
-    )
+    option("-o, --output OUTPUT", "folder for pictures, a .png, or an .mp4", Path, required=True)
+    add_threads_option(parser)
+    add_result_options(parser, replaced="files")
     group = parser.add_argument_group("cameras")
-    group.add_argument(
-        "-s",
-        "--cameras",
-        "--source",
+    option = partial(add_option, group)
+    option(
+        "-s, --cameras, --source CAMERAS",
+        "capture folder or cameras.json; default: the run's",
+        Path,
         dest="cameras",
-        type=Path,
-        help="capture folder or cameras.json; default: the run's",
     )
-    which = group.add_mutually_exclusive_group()
-    which.add_argument(
-        "--view",
-        nargs="+",
-        action="extend",
-        metavar="NAME",
-        help="views to render, by name or number",
-    )
-    which.add_argument("--all", action="store_true", help="all views (the default for stills)")
-    which.add_argument("--test", action="store_true", help="the held-out views of the run")
-    which.add_argument(
-        "--path",
-        metavar="{orbit,spline,FILE}",
-        help="camera path: orbit, spline through all cameras, or a file such as cameras.json "
+    which = partial(add_option, group.add_mutually_exclusive_group())
+    which("--view NAME...", "views to render, by name or number", action="extend")
+    which("--all", "all views (the default for stills)")
+    which("--test", "the held-out views of the run")
+    which(
+        "--path {orbit,spline,FILE}",
+        "camera path: orbit, spline through all cameras, or a file such as cameras.json "
         "(a video: orbit)",
     )
-    group.add_argument(
-        "--frames",
-        type=int,
-        help="number of pictures along the path (8 s; spline: longer with many cameras)",
+    option(
+        "--frames FRAMES",
+        "number of pictures along the path (8 s; spline: longer with many cameras)",
+        int,
     )
-    group.add_argument(
-        "--fps", type=float, help=f"frames per second (as in the path's file, else {FPS:g})"
-    )
-    group.add_argument(
-        "-r",
-        "--resolution",
-        type=float,
-        default=-1,
-        help="photo size: divisor 2, 4 or 8, or width in pixels; -1: as in the training, or that "
+    option("--fps FPS", f"frames per second (as in the path's file, else {FPS:g})", float)
+    option(
+        "-r, --resolution RESOLUTION",
+        "photo size: divisor 2, 4 or 8, or width in pixels; -1: as in the training, or that "
         "of the cameras (-1)",
+        float,
+        default=-1,
     )
-    group = parser.add_argument_group("picture")
-    group.add_argument(
-        "--background",
-        type=_color,
-        metavar="COLOR",
-        help="background colour: black, white or r,g,b from 0 to 1",
-    )
-    group.add_argument(
-        "--exposure",
-        metavar="{even,photo,NAME}",
-        help="exposure: even, of the nearest photo, or of one by name or number (views: photo, "
+    option = partial(add_option, parser.add_argument_group("picture"))
+    option("--background COLOR", "background colour: black, white or r,g,b from 0 to 1", _color)
+    option(
+        "--exposure {even,photo,NAME}",
+        "exposure: even, of the nearest photo, or of one by name or number (views: photo, "
         "path: even)",
     )
-    group.add_argument(
-        "--transparent", action="store_true", help="PNG with alpha, without background"
+    option("--transparent", "PNG with alpha, without background")
+    option(
+        "--depth", "also write depth maps: 16-bit grey, or exact float32", choices=("png", "npy")
     )
-    group.add_argument(
-        "--depth",
-        choices=("png", "npy"),
-        help="also write depth maps: 16-bit grey, or exact float32",
-    )
-    group.add_argument(
-        "--sh-degree",
-        type=int,
-        metavar="N",
-        help="degree of view-dependent colour; 0: none (the model's)",
-    )
-    group.add_argument(
-        "--near",
-        type=float,
-        metavar="X",
-        help="near plane, world units; nearer splats are not rendered",
-    )
-    group.add_argument(
+    option("--sh-degree N", "degree of view-dependent colour; 0: none (the model's)", int)
+    option("--near X", "near plane, world units; nearer splats are not rendered", float)
+    option(
         "--antialias",
+        "opacity compensation of splats smaller than a pixel; default: as in the training",
         action=argparse.BooleanOptionalAction,
-        help="opacity compensation of splats smaller than a pixel; default: as in the training",
     )
-    group = parser.add_argument_group("levels of detail, for files by gscore lod")
-    group.add_argument(
-        "--lod-px",
-        type=float,
-        metavar="PX",
-        help=f"tolerance of coarser levels in pixels; 0: finest everywhere ({LOD_PX:g})",
+    option = partial(
+        add_option, parser.add_argument_group("levels of detail, for files by gscore lod")
     )
-    group.add_argument(
-        "--lod-splats",
-        type=int,
-        metavar="N",
-        help="maximum number of splats per picture, met by coarser levels (no limit)",
+    option(
+        "--lod-px PX",
+        f"tolerance of coarser levels in pixels; 0: finest everywhere ({LOD_PX:g})",
+        float,
     )
-    add_threads_option(parser)
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace files that gscore did not write"
+    option(
+        "--lod-splats N",
+        "maximum number of splats per picture, met by coarser levels (no limit)",
+        int,
     )
-    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
 def run(args: argparse.Namespace) -> int:

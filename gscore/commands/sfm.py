@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 
 from ..control import Control
@@ -12,81 +13,61 @@ from ..sfm import SearchRequest, SearchResult, find_cameras
 from ..sfm.photo_sources import photos_from
 from ..sfm.search_request import MAPPERS, MATCHERS
 from ..video import is_video
-from .parser import add_threads_option
+from .parser import add_option, add_threads_option
 from .terminal.output import check_folder, print_json
-from .terminal.run_job import OutputOptions, Show, run_job
+from .terminal.run_job import OutputOptions, Show, add_output_options, run_job
 from .terminal.status import wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument(
-        "source",
-        type=Path,
-        nargs="+",
-        help="folder of photos, with sub-folders; or videos, whose sharp frames are written to "
+    option = partial(add_option, parser)
+    option(
+        "source...",
+        "folder of photos, with sub-folders; or videos, whose sharp frames are written to "
         "CAPTURE/images",
+        Path,
     )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="CAPTURE",
-        help="capture: a new folder with links to the photos, or the parent of the photo folder "
+    option(
+        "-o, --output CAPTURE",
+        "capture: a new folder with links to the photos, or the parent of the photo folder "
         "`images`",
+        Path,
+        required=True,
     )
-    parser.add_argument(
+    option(
         "--matching",
+        "pairs to match: all, or neighbours by name; auto: all up to 120 photos, else by "
+        "content too (auto)",
         choices=MATCHERS,
         default="auto",
-        help="pairs to match: all, or neighbours by name; auto: all up to 120 photos, else by "
-        "content too (auto)",
     )
-    parser.add_argument(
+    option(
         "--mapper",
+        "poses all together, or photo by photo; auto: global, incremental if many photos get "
+        "none (auto)",
         choices=MAPPERS,
         default="auto",
-        help="poses all together, or photo by photo; auto: global, incremental if many photos get "
-        "none (auto)",
     )
-    parser.add_argument(
-        "--camera-model",
+    option(
+        "--camera-model NAME",
+        "lens model by COLMAP's name, such as OPENCV or OPENCV_FISHEYE (SIMPLE_RADIAL)",
         default="SIMPLE_RADIAL",
-        metavar="NAME",
-        help="lens model by COLMAP's name, such as OPENCV or OPENCV_FISHEYE (SIMPLE_RADIAL)",
     )
-    parser.add_argument(
-        "--focal-length",
-        type=float,
-        default=0.0,
-        metavar="PX",
-        help="known focal length in pixels of the photos; refined where the matches determine it"
+    option(
+        "--focal-length PX",
+        "known focal length in pixels of the photos; refined where the matches determine it"
         " (from EXIF)",
+        default=0.0,
     )
-    parser.add_argument(
-        "--frames",
-        type=int,
-        default=0,
-        metavar="N",
-        help="maximum number of frames of a video (by motion, 30 to 300)",
-    )
-    masks = parser.add_argument_group("masks", "Masked pixels give no features.")
-    masks.add_argument(
-        "--masks", type=Path, metavar="DIR", help="folder of masks (masks, if it exists)"
-    )
-    masks.add_argument("--no-masks", action="store_true", help="use whole photos, without masks")
-    masks.add_argument(
-        "--invert-masks", action="store_true", help="masks are white where pixels are ignored"
-    )
+    option("--frames N", "maximum number of frames of a video (by motion, 30 to 300)", default=0)
+    group = parser.add_argument_group("masks", "Masked pixels give no features.")
+    option = partial(add_option, group)
+    option("--masks DIR", "folder of masks (masks, if it exists)", Path)
+    option("--no-masks", "use whole photos, without masks")
+    option("--invert-masks", "masks are white where pixels are ignored")
     add_threads_option(parser)
-    parser.add_argument(
-        "--json", action="store_true", help="the results as JSON at the end of stdout"
-    )
-    parser.add_argument(
-        "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
-    )
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    add_output_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 
 from ..blocks.block_cells import MARGIN, SHARE
@@ -12,43 +13,35 @@ from ..quoting import as_typed
 from ..text_format import count_text, number
 from .args.data_options import add_split_options, with_data_options
 from .args.run_options import declare
+from .parser import add_option, add_result_options
 from .terminal.output import check_folder, print_json
 from .terminal.status import Counted, Status, wrapped
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("source", type=Path, help="capture: a folder of photos with cameras")
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="BLOCKS",
-        help="new folder for the blocks",
-    )
-    parser.add_argument("--blocks", type=int, required=True, metavar="N", help="number of blocks")
-    parser.add_argument(
-        "--margin",
-        type=float,
-        default=MARGIN,
-        metavar="SHARE",
-        help=f"margin around the cell of a block when its photos are selected, as a share of its "
+    option = partial(add_option, parser)
+    option("source", "capture: a folder of photos with cameras", Path)
+    option("-o, --output BLOCKS", "new folder for the blocks", Path, required=True)
+    option("--blocks N", "number of blocks", int, required=True)
+    option(
+        "--margin SHARE",
+        f"margin around the cell of a block when its photos are selected, as a share of its "
         f"extent ({MARGIN:g})",
+        float,
+        default=MARGIN,
     )
-    parser.add_argument(
-        "--share",
-        type=float,
-        default=SHARE,
-        metavar="SHARE",
-        help=f"minimum share of a photo inside the block ({SHARE:g}); higher: fewer photos, less "
+    option(
+        "--share SHARE",
+        f"minimum share of a photo inside the block ({SHARE:g}); higher: fewer photos, less "
         "work, lower quality",
+        float,
+        default=SHARE,
     )
     group = parser.add_argument_group("capture")
     declare(group, DataConfig, names=("images", "masks"))
     add_split_options(group)
-    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_result_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -2,30 +2,21 @@
 
 import argparse
 import sys
+from functools import partial
 
 from ..raster import native_library
 from ..stress import Outcome, run_cases, select
+from .parser import add_option
 from .terminal.output import print_json
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument(
-        "--json", action="store_true", help="JSON list on stdout, one object per test"
-    )
-    parser.add_argument(
-        "--only",
-        metavar="NAME",
-        action="append",
-        default=[],
-        help="run only tests whose names contain this",
-    )
-    parser.add_argument("--isa", help="instruction set; `all` runs each one available (the best)")
-    parser.add_argument(
-        "--full",
-        action="store_true",
-        help="also run the long tests: five minutes to half an hour",
-    )
+    option = partial(add_option, parser)
+    option("--json", "JSON list on stdout, one object per test")
+    option("--only NAME", "run only tests whose names contain this", action="append", default=[])
+    option("--isa ISA", "instruction set; `all` runs each one available (the best)")
+    option("--full", "also run the long tests: five minutes to half an hour")
 
 
 def run(args: argparse.Namespace) -> int:

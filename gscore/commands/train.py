@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +28,7 @@ from .args.train_request import TrainRequest
 from .args.viewer_options import add_live_options, check_live_options, viewer_clients_of
 from .block_runs import train_blocks, wants_blocks
 from .find_cameras import is_finding, with_cameras
+from .parser import add_option
 from .terminal.output import check_folder, first_few, print_json
 from .terminal.run_job import STOPPED, add_output_options, run_job
 from .terminal.status import wrapped
@@ -46,56 +48,33 @@ _HOW = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The options of `gscore train`."""
-    parser.add_argument(
-        "source",
-        nargs="?",
-        type=Path,
-        help="capture: a folder of photos with a COLMAP model; or photos alone or a video, whose"
+    option = partial(add_option, parser)
+    option(
+        "source?",
+        "capture: a folder of photos with a COLMAP model; or photos alone or a video, whose"
         " cameras are found first",
+        Path,
     )
-    parser.add_argument(
-        "-s", "--source", "--source-path", dest="source_option", type=Path, help=argparse.SUPPRESS
+    option(
+        "-s, --source, --source-path SOURCE_OPTION", argparse.SUPPRESS, Path, dest="source_option"
     )
-    parser.add_argument(
-        "-o", "-m", "--output", "--model-path", required=True, type=Path, help="folder for results"
-    )
-    parser.add_argument(
+    option("-o, -m, --output, --model-path OUTPUT", "folder for results", Path, required=True)
+    option(
         "--preset",
+        "level (normal) of steps, splats, --sh-degree and photo width; 3dgs: the published recipe",
         choices=tuple(RECIPES),
-        help="level (normal) of steps, splats, --sh-degree and photo width; 3dgs: the published "
-        "recipe",
     )
-    parser.add_argument(
-        "--config",
-        type=Path,
-        metavar="FILE.json",
-        help="config.json of another run, whose options are used",
+    option("--config FILE.json", "config.json of another run, whose options are used", Path)
+    which = partial(add_option, parser.add_mutually_exclusive_group())
+    which("--resume", "continue from the last checkpoint in the output folder")
+    which("--overwrite", "replace another run in the output folder; other files stay")
+    which("--start-checkpoint FILE", "continue from this checkpoint", Path)
+    option(
+        "--block N",
+        "train only this block of a folder made by gscore split; default: all in turn",
+        int,
     )
-    existing = parser.add_mutually_exclusive_group()
-    existing.add_argument(
-        "--resume",
-        action="store_true",
-        help="continue from the last checkpoint in the output folder",
-    )
-    existing.add_argument(
-        "--overwrite",
-        action="store_true",
-        help="replace another run in the output folder; other files stay",
-    )
-    existing.add_argument(
-        "--start-checkpoint", type=Path, metavar="FILE", help="continue from this checkpoint"
-    )
-    parser.add_argument(
-        "--block",
-        type=int,
-        metavar="N",
-        help="train only this block of a folder made by gscore split; default: all in turn",
-    )
-    parser.add_argument(
-        "--no-sfm",
-        action="store_true",
-        help="fail on photos without cameras instead of finding the cameras first",
-    )
+    option("--no-sfm", "fail on photos without cameras instead of finding the cameras first")
     add_data_options(parser)
     declare(parser.add_argument_group("depth maps"), DataConfig, names=("depths", "depth_align"))
     group = parser.add_argument_group(
@@ -106,9 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     declare(group, DataConfig, names=("eval",))
     declare(group, TrainConfig)
     add_live_options(group)
-    group.add_argument(
-        "--set", action=Set, metavar="NAME=VALUE", help="set an option by name; repeatable"
-    )
+    add_option(group, "--set NAME=VALUE", "set an option by name; repeatable", action=Set)
     add_output_options(parser)
     add_3dgs_names(parser)
 

@@ -3,6 +3,7 @@
 import argparse
 import math
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from ..report.html_parts import PAGE, link_page
 from ..splats import Splats
 from ..text_format import count_text, number, size_text
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
-from .parser import add_threads_option
+from .parser import add_option, add_result_options, add_threads_option
 from .pictures.page_views import PageViews, find_views
 from .terminal.output import check_folder, check_replaced, print_json
 from .terminal.status import Status, wrapped
@@ -31,34 +32,21 @@ _MANY = 1_500_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
+    option = partial(add_option, parser)
     add_model_argument(parser)
-    parser.add_argument(
-        "-o", "--output", type=Path, help=f"page, an .html file; default: {PAGE} of the run"
-    )
-    parser.add_argument(
-        "-s",
-        "--source",
-        "--cameras",
+    option("-o, --output OUTPUT", f"page, an .html file; default: {PAGE} of the run", Path)
+    option(
+        "-s, --source, --cameras SOURCE",
+        "capture folder, or a cameras.json, without photos; default: the run's",
+        Path,
         dest="source",
-        type=Path,
-        help="capture folder, or a cameras.json, without photos; default: the run's",
     )
-    parser.add_argument(
-        "--photos",
-        type=int,
-        default=40,
-        metavar="N",
-        help="number of photos on the page, evenly spaced; 0: none (40)",
+    option(
+        "--photos N", "number of photos on the page, evenly spaced; 0: none (40)", int, default=40
     )
-    parser.add_argument(
-        "--title", help="title of the page; default: the name of the capture or file"
-    )
+    option("--title TITLE", "title of the page; default: the name of the capture or file")
     add_threads_option(parser)
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace a file that gscore did not write"
-    )
-    parser.add_argument("--json", action="store_true", help="the result as JSON on stdout")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
+    add_result_options(parser, replaced="a file")
 
 
 def run(args: argparse.Namespace) -> int:

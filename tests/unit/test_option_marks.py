@@ -21,7 +21,10 @@ TREES = {
     if "--" in (text := path.read_text(encoding="utf-8"))
 }
 """Syntax trees of the files with flags."""
-HELP = {"add_argument", "add_argument_group", "add_parser", "Option", "option", "Row"}
+HELP = {
+    *("add_argument", "add_argument_group", "add_parser", "add_option", "Option", "option"),
+    *("which", "Row"),
+}
 """Calls whose texts are help of the command line."""
 TORCHRUN = {"--master-addr", "--master-port", "--rdzv-endpoint", "--max-restarts"}
 FLAG = re.compile(r"""(?<![\w/`"-])--[A-Za-z][\w-]*""")
@@ -78,9 +81,10 @@ def test_each_marked_option_is_a_flag() -> None:
         for _, text in _messages(tree):
             marked |= set(re.findall(r"`(--[\w{}-]+)(?: [^`]*)?`", text))
         declared |= {
-            text
+            flag
             for node in ast.walk(tree)
-            if isinstance(node, ast.Constant) and re.fullmatch(r"--[\w-]+", text := str(node.value))
+            if isinstance(node, ast.Constant) and str(node.value).startswith("-")
+            for flag in re.findall(r"(?:^|, )(--[\w-]+)", str(node.value))
         }
     declared |= {f"--no-{flag[2:]}" for flag in declared}
     assert len(marked) > 50 and marked <= declared, marked - declared

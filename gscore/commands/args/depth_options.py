@@ -1,94 +1,77 @@
 """The options of `gscore depth`."""
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from ...depth.maps import DepthKind
 from ...depth.network import Normalization
 from ...depth.params import DEPTH_FOLDER
-from ..parser import add_threads_option
+from ..parser import add_option, add_threads_option
+from ..terminal.run_job import add_output_options
 from .data_options import add_mask_options, add_split_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("source", type=Path, nargs="?", help="capture: photos with a COLMAP model")
-    parser.add_argument(
-        "--model",
-        metavar="NETWORK",
-        help="depth network: an ONNX file, or a name of --list-models; without it, existing maps"
+    option = partial(add_option, parser)
+    option("source?", "capture: photos with a COLMAP model", Path)
+    option(
+        "--model NETWORK",
+        "depth network: an ONNX file, or a name of --list-models; without it, existing maps"
         " are aligned",
     )
-    parser.add_argument(
-        "--download",
-        action="store_true",
-        help="download the named network if it is not on this machine",
-    )
-    parser.add_argument(
-        "--list-models",
-        action="store_true",
-        help="list the named networks with size, licence and local availability",
-    )
-    parser.add_argument(
+    option("--download", "download the named network if it is not on this machine")
+    option("--list-models", "list the named networks with size, licence and local availability")
+    option(
         "--method",
+        "source of the maps: a network (--model), or stereo, with depths that other photos confirm",
         choices=("network", "stereo"),
-        help="source of the maps: a network (--model), or stereo, with depths that other photos "
-        "confirm",
     )
-    parser.add_argument(
-        "-d",
-        "--depths",
-        default=DEPTH_FOLDER,
-        metavar="DIR",
-        help="folder of the depth maps inside SOURCE (depths)",
+    option(
+        "-d, --depths DIR", "folder of the depth maps inside SOURCE (depths)", default=DEPTH_FOLDER
     )
-    parser.add_argument(
+    option(
         "--align",
+        "fit of the maps to the SfM points: robust against outliers, or official as in the "
+        "3DGS tools (robust)",
         choices=("robust", "official"),
         default="robust",
-        help="fit of the maps to the SfM points: robust against outliers, or official as in the "
-        "3DGS tools (robust)",
     )
-    parser.add_argument(
+    option(
         "--kind",
-        type=DepthKind,
+        "meaning of larger numbers in maps: nearer (inverse) or farther (depth); auto: from "
+        "the points",
+        DepthKind,
         choices=tuple(DepthKind),
         default=DepthKind.AUTO,
-        help="meaning of larger numbers in maps: nearer (inverse) or farther (depth); auto: from "
-        "the points",
     )
-    parser.add_argument(
+    option(
         "--normalization",
-        type=Normalization,
+        "input normalisation of the network; auto: from its file",
+        Normalization,
         choices=tuple(Normalization),
         default=Normalization.AUTO,
-        help="input normalisation of the network; auto: from its file",
     )
-    parser.add_argument(
-        "--input-size",
-        type=int,
+    option(
+        "--input-size N",
+        "shorter side of the network's input in pixels, if the network accepts any size",
         default=0,
-        metavar="N",
-        help="shorter side of the network's input in pixels, if the network accepts any size",
     )
-    parser.add_argument(
+    option(
         "--overwrite",
-        action="store_true",
-        help="predict existing maps again, and replace a depth_params.json or contact sheet of "
+        "predict existing maps again, and replace a depth_params.json or contact sheet of "
         "another program",
     )
-    parser.add_argument(
+    option(
         "--check",
-        action="store_true",
-        help="list the maps that a training would use, and why it would not use the others; "
+        "list the maps that a training would use, and why it would not use the others; "
         "write nothing",
     )
-    parser.add_argument(
-        "-i", "--images", default="images", help="folder of the photos inside SOURCE"
-    )
+    option("-i, --images IMAGES", "folder of the photos inside SOURCE", default="images")
     masks = parser.add_argument_group("masks", "With composite, masked pixels have no depth.")
     add_mask_options(masks)
-    parser.add_argument("--frame", type=int, metavar="N", help="frame of a multi-view video")
+    option("--frame N", "frame of a multi-view video", int)
     held_out = parser.add_argument_group(
         "test views",
         "Maps of held-out photos are fitted to their own points only and do not influence other "
@@ -96,10 +79,4 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_split_options(held_out)
     add_threads_option(parser)
-    parser.add_argument(
-        "--json", action="store_true", help="the results as JSON at the end of stdout"
-    )
-    parser.add_argument(
-        "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
-    )
-    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    add_output_options(parser)

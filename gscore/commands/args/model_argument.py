@@ -24,6 +24,7 @@ from ...quoting import as_typed, brief
 from ...raster.api import Rendered, render, render_camera
 from ...scene import Cameras, splat_near
 from ...splats import Splats
+from ..parser import add_option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,9 +149,9 @@ def trained_near(
 
 def add_model_argument(parser: argparse.ArgumentParser) -> None:
     """Declare the model as the first argument, or as `-m` of the 3DGS tools."""
-    parser.add_argument("model", nargs="?", type=Path, help="folder of a run, or a splat file")
-    parser.add_argument(
-        "-m", "--model-path", dest="model_option", type=Path, help=argparse.SUPPRESS
+    add_option(parser, "model?", "folder of a run, or a splat file", Path)
+    add_option(
+        parser, "-m, --model-path MODEL_OPTION", argparse.SUPPRESS, Path, dest="model_option"
     )
 
 

@@ -3,7 +3,7 @@
 import argparse
 from importlib import import_module
 
-from ..parser import sentence
+from ..parser import add_option, sentence
 
 WHAT = {
     "raster": "forward and backward passes of the rasterizer",
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for name, text in WHAT.items():
         one = what.add_parser(name, help=text, description=sentence(text), allow_abbrev=False)
         _module(name).add_arguments(one)
-        one.add_argument("--json", action="store_true", help="the result as JSON on stdout")
+        add_option(one, "--json", "the result as JSON on stdout")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -3,13 +3,14 @@
 import argparse
 import sys
 from dataclasses import asdict
+from functools import partial
 
 from ...bench.memory import MIN_STEPS, MemoryBench, bench_memory
 from ...errors import BackendError
 from ...metrics.machine import machine
 from ...raster import native_library
 from ...text_format import count_text, number
-from ..parser import add_threads_option
+from ..parser import add_option, add_threads_option
 from ..terminal.output import print_json
 from ..terminal.status import show_while, wrapped
 from .scaling import size
@@ -18,20 +19,11 @@ from .shared import check_numbers
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "--splats", type=int, default=1_000_000, help="number of splats, SH degree 3"
-    )
-    parser.add_argument("--views", type=int, default=100, help="number of photos (100)")
-    parser.add_argument(
-        "--size",
-        type=size,
-        default=(1216, 832),
-        metavar="WxH",
-        help="size of the photos (1216x832)",
-    )
-    parser.add_argument(
-        "--steps", type=int, default=40, help=f"number of steps, at least {MIN_STEPS} (40)"
-    )
+    option = partial(add_option, parser)
+    option("--splats SPLATS", "number of splats, SH degree 3", int, default=1_000_000)
+    option("--views VIEWS", "number of photos (100)", int, default=100)
+    option("--size WxH", "size of the photos (1216x832)", size, default=(1216, 832))
+    option("--steps STEPS", f"number of steps, at least {MIN_STEPS} (40)", int, default=40)
     add_threads_option(parser)
 
 

@@ -13,6 +13,7 @@ from ...io.output_paths import check_output_path
 from ...metrics import Lpips, LpipsNet, find_lpips
 from ...presets import RECIPES
 from ...trainer.schedule.caps import cap_by_photos
+from ..parser import add_option
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
 from .quality_plans import Cell, cells_of, variants_of
@@ -22,32 +23,31 @@ from .shared import Ticker, add_training_options, check_numbers
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("sources", nargs="+", type=Path, metavar="CAPTURE", help="captures")
-    parser.add_argument(
-        "-o", "--output", required=True, type=Path,
-        help="folder for results.json; an interrupted run continues from there",
-    )  # fmt: skip
-    parser.add_argument(
-        "--overwrite",
-        action="store_true",
-        help="start again and replace any results.json",
+    option = partial(add_option, parser)
+    option("sources CAPTURE...", "captures", Path)
+    option(
+        "-o, --output OUTPUT",
+        "folder for results.json; an interrupted run continues from there",
+        Path,
+        required=True,
     )
-    parser.add_argument("--preset", choices=tuple(RECIPES), default="draft")
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    parser.add_argument(
-        "--offsets", nargs="+", type=int, default=[0, 3, 5], metavar="N",
-        help="offsets of the held-out views: every 8th from the N-th, counted from 0; one "
-        "training each",
-    )  # fmt: skip
-    parser.add_argument(
-        "--compare", nargs="*", default=(), metavar="NAME=CHANGES",
-        help="also train with these changes, joined by commas: a strategy (mcmc), a disabled "
+    option("--overwrite", "start again and replace any results.json")
+    option("--preset", choices=tuple(RECIPES), default="draft")
+    option("--seeds SEEDS...", kind=int, default=[0, 1, 2])
+    option(
+        "--offsets N...",
+        "offsets of the held-out views: every 8th from the N-th, counted from 0; one training each",
+        int,
+        default=[0, 3, 5],
+    )
+    option(
+        "--compare NAME=CHANGES*",
+        "also train with these changes, joined by commas: a strategy (mcmc), a disabled "
         "skip, an option of gscore.TrainConfig (free-space=0), another preset "
         "(preset=normal)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--lpips", type=Path, metavar="NETWORK", help="as for gscore eval; without it, not measured"
+        default=(),
     )
+    option("--lpips NETWORK", "as for gscore eval; without it, not measured", Path)
     add_training_options(parser)
 
 

@@ -1,6 +1,7 @@
 """`gscore bench raster`: time of the rasterizer alone."""
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,30 +12,25 @@ from ...datasets import load_dataset
 from ...errors import ConfigError
 from ...formats import read_splats
 from ...text_format import count_text, number
-from ..parser import add_threads_option
+from ..parser import add_option, add_threads_option
 from .shared import check_numbers, for_each_isa
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("--ply", type=Path, help="splat file; default: a synthetic cloud")
-    parser.add_argument("--cameras", type=Path, help="capture of the training")
-    parser.add_argument("--views", type=int, default=6, help="number of views, evenly spaced (6)")
-    parser.add_argument(
-        "--repeats", type=int, default=5, help="passes per view; the fastest counts"
-    )
-    parser.add_argument("--splats", type=int, default=100_000, help="size of the synthetic cloud")
-    parser.add_argument("--width", type=int, default=640, help="width of the synthetic view, px")
-    parser.add_argument("--height", type=int, default=360, help="height of the synthetic view, px")
-    parser.add_argument(
-        "-r",
-        "--resolution",
-        type=float,
-        default=-1,
-        help="size of the photos, as in `gscore train`",
+    option = partial(add_option, parser)
+    option("--ply PLY", "splat file; default: a synthetic cloud", Path)
+    option("--cameras CAMERAS", "capture of the training", Path)
+    option("--views VIEWS", "number of views, evenly spaced (6)", int, default=6)
+    option("--repeats REPEATS", "passes per view; the fastest counts", int, default=5)
+    option("--splats SPLATS", "size of the synthetic cloud", int, default=100_000)
+    option("--width WIDTH", "width of the synthetic view, px", int, default=640)
+    option("--height HEIGHT", "height of the synthetic view, px", int, default=360)
+    option(
+        "-r, --resolution RESOLUTION", "size of the photos, as in `gscore train`", float, default=-1
     )
     add_threads_option(parser)
-    parser.add_argument("--isa", help="instruction set; `all` measures each one available")
+    option("--isa ISA", "instruction set; `all` measures each one available")
 
 
 def run(args: argparse.Namespace) -> int:

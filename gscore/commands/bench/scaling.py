@@ -3,6 +3,7 @@
 import argparse
 import sys
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from ...bench.scaling import SIZES, SPLATS, VIEW_COUNTS, Scaling, bench_scaling
@@ -10,6 +11,7 @@ from ...metrics.machine import cores, machine
 from ...quoting import quoted
 from ...raster import native_library
 from ...text_format import count_text
+from ..parser import add_option
 from ..terminal.output import print_json
 from ..terminal.status import Rows, Status
 from .shared import check_numbers
@@ -17,25 +19,13 @@ from .shared import check_numbers
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--splats", nargs="*", type=int, default=SPLATS, help="numbers of splats")
-    parser.add_argument(
-        "--sizes",
-        nargs="*",
-        type=size,
-        default=SIZES,
-        metavar="WxH",
-        help="sizes of the picture, px",
-    )
-    parser.add_argument(
-        "--threads", nargs="*", type=int, help="numbers of threads; default: 1 to all cores"
-    )
-    parser.add_argument(
-        "--views", nargs="*", type=int, default=VIEW_COUNTS, help="numbers of photos"
-    )
-    parser.add_argument(
-        "--cloud", type=int, default=100_000, help="number of splats while other quantities vary"
-    )
-    parser.add_argument("--steps", type=int, default=20, help="steps per point (20)")
+    option = partial(add_option, parser)
+    option("--splats SPLATS*", "numbers of splats", int, default=SPLATS)
+    option("--sizes WxH*", "sizes of the picture, px", size, default=SIZES)
+    option("--threads THREADS*", "numbers of threads; default: 1 to all cores", int)
+    option("--views VIEWS*", "numbers of photos", int, default=VIEW_COUNTS)
+    option("--cloud CLOUD", "number of splats while other quantities vary", int, default=100_000)
+    option("--steps STEPS", "steps per point (20)", int, default=20)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -4,6 +4,7 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from ...raster import native_library
 from ...text_format import number
 from ...trainer.files.checkpoint import FREE
 from ..args.data_options import add_data_options, with_data_options
-from ..parser import add_threads_option
+from ..parser import add_option, add_threads_option
 from ..terminal.output import print_json
 from ..terminal.status import Status, show_while, wrapped
 
@@ -29,13 +30,10 @@ _EVERY = 8
 
 def add_training_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options that change a preset, and those of the capture."""
-    parser.add_argument(
-        "--iterations", type=int, help="number of training steps; default: the preset's"
-    )
-    parser.add_argument(
-        "--max-splats", type=int, help="cap of the number of splats; default: the preset's"
-    )
-    parser.add_argument("--strategy", choices=tuple(Strategy), help="densification strategy")
+    option = partial(add_option, parser)
+    option("--iterations ITERATIONS", "number of training steps; default: the preset's", int)
+    option("--max-splats MAX_SPLATS", "cap of the number of splats; default: the preset's", int)
+    option("--strategy", "densification strategy", choices=tuple(Strategy))
     add_threads_option(parser)
     add_data_options(parser)
 

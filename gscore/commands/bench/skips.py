@@ -3,6 +3,7 @@
 import argparse
 import sys
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 from ...bench.skips import SkipRow, bench_skips
@@ -11,6 +12,7 @@ from ...config import Skip
 from ...metrics.machine import machine
 from ...presets import RECIPES
 from ...raster import native_library
+from ..parser import add_option
 from ..terminal.output import print_json
 from ..terminal.status import Rows, Status
 from .shared import add_training_options, training_configs
@@ -18,12 +20,15 @@ from .shared import add_training_options, training_configs
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("source", type=Path, help="capture")
-    parser.add_argument("--preset", choices=tuple(RECIPES), default="preview")
-    parser.add_argument(
-        "--skips", nargs="+", choices=tuple(Skip), default=tuple(Skip), metavar="SKIP",
-        help="skips to measure (all): " + ", ".join(Skip),
-    )  # fmt: skip
+    option = partial(add_option, parser)
+    option("source", "capture", Path)
+    option("--preset", choices=tuple(RECIPES), default="preview")
+    option(
+        "--skips SKIP...",
+        "skips to measure (all): " + ", ".join(Skip),
+        choices=tuple(Skip),
+        default=tuple(Skip),
+    )
     add_training_options(parser)
 
 

@@ -1,6 +1,7 @@
 """`gscore bench step`: time of a training step and of its parts."""
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from ...bench.step import StepBench, bench_step
@@ -11,34 +12,29 @@ from ...errors import ConfigError
 from ...formats import read_splats
 from ...text_format import count_text
 from ..args.data_options import add_data_options, with_data_options
-from ..parser import add_threads_option
+from ..parser import add_option, add_threads_option
 from .shared import check_numbers, for_each_isa
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "source",
-        nargs="?",
-        type=Path,
-        help="capture of the splats in --ply; default: a synthetic one",
-    )
-    parser.add_argument("--ply", type=Path, help="splat file trained on SOURCE; requires SOURCE")
-    parser.add_argument("--steps", type=int, default=60, help="number of measured steps (60)")
-    parser.add_argument("--splats", type=int, default=100_000, help="size of the synthetic cloud")
-    parser.add_argument("--width", type=int, default=640, help="width of the synthetic views, px")
-    parser.add_argument("--height", type=int, default=360, help="height of the synthetic views, px")
-    parser.add_argument("--strategy", choices=tuple(Strategy), default=Strategy.DEFAULT)
+    option = partial(add_option, parser)
+    option("source?", "capture of the splats in --ply; default: a synthetic one", Path)
+    option("--ply PLY", "splat file trained on SOURCE; requires SOURCE", Path)
+    option("--steps STEPS", "number of measured steps (60)", int, default=60)
+    option("--splats SPLATS", "size of the synthetic cloud", int, default=100_000)
+    option("--width WIDTH", "width of the synthetic views, px", int, default=640)
+    option("--height HEIGHT", "height of the synthetic views, px", int, default=360)
+    option("--strategy", choices=tuple(Strategy), default=Strategy.DEFAULT)
     skips = [skip.value for skip in Skip]
-    parser.add_argument("--without", nargs="+", choices=skips, default=(), metavar="SKIP")
+    option("--without SKIP...", choices=skips, default=())
     add_threads_option(parser)
-    parser.add_argument(
-        "--cache-mb",
-        type=int,
-        metavar="MB",
-        help="memory for decoded photos of SOURCE; others are decoded at each use (all)",
+    option(
+        "--cache-mb MB",
+        "memory for decoded photos of SOURCE; others are decoded at each use (all)",
+        int,
     )
-    parser.add_argument("--isa", help="instruction set; `all` measures each one available")
+    option("--isa ISA", "instruction set; `all` measures each one available")
     add_data_options(parser)
 
 

@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from ...io.files import atomic_write
 from ...report.curves import Series
 from ...report.figure import figure
 from ...text_format import count_text, number
+from ..parser import add_option
 
 _QUANTITIES = ("splats", "widths", "iterations")
 
@@ -28,15 +30,10 @@ def add_sweep_options(parser: argparse.ArgumentParser) -> None:
         "Also train all combinations of these, measured on the largest photos among them, and "
         "mark the Pareto front; values not given are the preset's.",
     )
-    group.add_argument(
-        "--sweep-splats", nargs="+", type=int, metavar="N", help="caps of the number of splats"
-    )
-    group.add_argument(
-        "--sweep-widths", nargs="+", type=int, metavar="PX", help="widths of the photos"
-    )
-    group.add_argument(
-        "--sweep-iterations", nargs="+", type=int, metavar="N", help="numbers of steps"
-    )
+    option = partial(add_option, group)
+    option("--sweep-splats N...", "caps of the number of splats", int)
+    option("--sweep-widths PX...", "widths of the photos", int)
+    option("--sweep-iterations N...", "numbers of steps", int)
 
 
 def check_sweeps(args: argparse.Namespace) -> None:

@@ -4,12 +4,14 @@ import argparse
 import statistics
 import sys
 from collections import deque
+from functools import partial
 from pathlib import Path
 
 from ...bench.time_error import Curve, measure_variant
 from ...config import DataConfig, Skip
 from ...io.output_paths import check_output_path
 from ...presets import RECIPES
+from ..parser import add_option
 from ..terminal.output import check_folder, check_replaced
 from ..terminal.status import Status
 from .curve_figures import figure_files, table, write_curves
@@ -20,28 +22,20 @@ from .sweeps import add_sweep_options, check_sweeps, sizes_file, train_sizes
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("sources", nargs="+", type=Path, metavar="SOURCE", help="captures")
-    parser.add_argument("-o", "--output", required=True, type=Path, help="folder for the results")
-    parser.add_argument(
-        "--overwrite",
-        action="store_true",
-        help="replace a results.json and figures that gscore did not write",
-    )
-    parser.add_argument("--presets", nargs="+", choices=tuple(RECIPES), default=["preview"])
-    parser.add_argument(
-        "--ablations",
-        nargs="*",
-        default=(),
-        metavar="NAME",
-        help="also train each preset with this change: a strategy (mcmc), a disabled skip ("
+    option = partial(add_option, parser)
+    option("sources SOURCE...", "captures", Path)
+    option("-o, --output OUTPUT", "folder for the results", Path, required=True)
+    option("--overwrite", "replace a results.json and figures that gscore did not write")
+    option("--presets...", choices=tuple(RECIPES), default=["preview"])
+    option(
+        "--ablations NAME*",
+        "also train each preset with this change: a strategy (mcmc), a disabled skip ("
         + ", ".join(Skip)
         + "), an option of gscore.TrainConfig (free-space=0), or several with commas",
+        default=(),
     )
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
-    parser.add_argument(
-        "--peers", nargs="*", type=Path, default=(), metavar="FILE.json",
-        help="curves of other programs, see docs/metrics.md",
-    )  # fmt: skip
+    option("--seeds SEEDS...", kind=int, default=[0, 1, 2])
+    option("--peers FILE.json*", "curves of other programs, see docs/metrics.md", Path, default=())
     add_sweep_options(parser)
     add_training_options(parser)
 

@@ -4,11 +4,13 @@ import argparse
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 from ...control import Control, listen
 from ...errors import Cancelled
 from ...events import Failed, Show
+from ..parser import add_option
 from .display import JsonLines, Lines, Silent
 from .interrupt import interrupts
 
@@ -20,14 +22,10 @@ EXIT_WITHOUT_RESULT = 3
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
     """Declare the output options."""
-    group = parser.add_argument_group("output")
-    group.add_argument("--quiet", action="store_true", help="print errors only")
-    group.add_argument(
-        "--events", choices=("jsonl",), help="events as JSON lines on stdout, commands on stdin"
-    )
-    group.add_argument(
-        "--json", action="store_true", help="the results as JSON at the end of stdout"
-    )
+    option = partial(add_option, parser.add_argument_group("output"))
+    option("--quiet", "print errors only")
+    option("--events", "events as JSON lines on stdout, commands on stdin", choices=("jsonl",))
+    option("--json", "the results as JSON at the end of stdout")
 
 
 @dataclass(frozen=True, kw_only=True)
