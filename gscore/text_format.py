@@ -58,9 +58,10 @@ def quality_text(metrics: Mapping[str, Any]) -> str:
 
 
 def colour_text(metrics: Mapping[str, Any]) -> str:
-    """Colour-corrected PSNR, to append to `quality_text`; empty: not measured."""
-    worth = metrics.get("psnr_cc")
-    return "" if worth is None else f", colour-corrected PSNR {worth:.2f} dB"
+    """Colour-corrected metrics, to append to `quality_text`; empty: not measured."""
+    digits = {"psnr_cc": "PSNR {:.2f} dB", "ssim_cc": "SSIM {:.4f}", "lpips_cc": "LPIPS {:.4f}"}
+    parts = [form.format(metrics[k]) for k, form in digits.items() if metrics.get(k) is not None]
+    return f"; colour-corrected {', '.join(parts)}" if parts else ""
 
 
 def stopped_text(metrics: Mapping[str, Any], iterations: int = 0) -> str:

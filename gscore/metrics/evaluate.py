@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import ShapeError
 from ..events import MASKED_OF
-from .image import EMPTY_MASK, image_metrics
+from .image import EMPTY_MASK, colour_corrected, image_metrics
 from .lpips import Lpips
 from .lpips_net import SHORTEST_SIDE, LpipsNet
 from .named import NAMED_METRICS
@@ -150,16 +150,18 @@ def _put_lpips(
     lpips: Lpips | LpipsNet | None,
     reason: str,
 ) -> None:
-    values["lpips"] = None
+    values["lpips"] = values["lpips_cc"] = None
     if lpips is None:
-        values["lpips_reason"] = reason or "not requested"
+        values["lpips_reason"] = values["lpips_cc_reason"] = reason or "not requested"
         return
     if min(target.shape[:2]) < SHORTEST_SIDE:
-        values["lpips_reason"] = f"needs {SHORTEST_SIDE} x {SHORTEST_SIDE} pixels"
-    elif weights is None:
-        values["lpips"] = lpips(picture, target)
+        small = f"needs {SHORTEST_SIDE} x {SHORTEST_SIDE} pixels"
+        values["lpips_reason"] = values["lpips_cc_reason"] = small
     else:
-        values["lpips"] = lpips(*masked_pair(picture, target, weights))
+        shown = {"lpips": picture, "lpips_cc": colour_corrected(picture, target, mask=weights)}
+        for key, one in shown.items():
+            pair = (one, target) if weights is None else masked_pair(one, target, weights)
+            values[key] = lpips(*pair)
     values[lpips.key] = values["lpips"]
 
 
@@ -183,7 +185,8 @@ def _means(views: list[dict[str, Any]], lpips: Lpips | LpipsNet | None) -> dict[
         else:
             lacking = next((view for view in views if view.get(key) is None), {})
             why = lacking.get(key + "_reason", "no mask")
-            where = f" (view {lacking['name']})" if key != "lpips" and lacking else ""
+            whole = key.startswith("lpips") or not lacking  # the reason is that of all views
+            where = "" if whole else f" (view {lacking['name']})"
             mean[key] = None
             mean[key + "_reason"] = why + where if views else "no view to score"
     if lpips is not None:

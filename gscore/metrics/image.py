@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import ShapeError
 from ..extras import need
 from ..shared_constants import SSIM_C1, SSIM_C2, SSIM_SIGMA, SSIM_WINDOW
-from .colour_fit import corrected_mse
+from .colour_fit import corrected_mse, fit_colours
 
 EMPTY_MASK = "the mask leaves no pixel"
 """Reason for a completely masked view."""
@@ -97,6 +97,32 @@ def psnr_cc(image: Any, target: Any, *, mask: np.ndarray | None = None) -> float
     weight = None if mask is None else _mask_weight(mask, a.shape)[:, :, 0]
     mse = corrected_mse(_planar(a), _planar(b), weight)
     return math.nan if mse is None else _decibels(mse)
+
+
+def colour_corrected(image: Any, target: Any, *, mask: np.ndarray | None = None) -> np.ndarray:
+    """The picture with the colours of the target, for metrics of structure: a gain >= 0 and an
+    offset per channel, fitted by least squares, clamped to [0, 1].
+
+    One fit to the whole picture, because a seam between halves, as in `psnr_cc`, would count as
+    structure; SSIM and LPIPS respond little to such a fit anyway.
+
+    Args:
+        image, target: [H, W, 3] float in [0, 1] or uint8.
+        mask: [H, W] float in [0, 1] or uint8: weights of the fit, or None.
+
+    Returns:
+        [H, W, 3] float64; `image` if all weights are 0.
+    """
+    a, b = _pair(image, target)
+    return _corrected(a, b, None if mask is None else _mask_weight(mask, a.shape))
+
+
+def _corrected(a: np.ndarray, b: np.ndarray, weight: np.ndarray | None) -> np.ndarray:
+    if weight is not None and not weight.any():
+        return a
+    weights = None if weight is None else weight[:, :, 0]
+    gain, offset = fit_colours(_planar(a), _planar(b), weights)
+    return np.clip(a * gain + offset, 0.0, 1.0)
 
 
 def _gaussian_window() -> np.ndarray:
@@ -230,9 +256,9 @@ def image_metrics(image: Any, target: Any, *, mask: np.ndarray | None = None) ->
             do not count as perfect.
 
     Returns:
-        psnr, psnr_u8, psnr_cc (of unmasked pixels, see `psnr_cc`), ssim, ssim_valid, d_ssim,
-        ms_ssim and, with a mask, psnr_masked. A missing value is None, with its reason in
-        `<key>_reason`.
+        psnr, psnr_u8, psnr_cc (of unmasked pixels, see `psnr_cc`), ssim, ssim_cc (of the picture
+        of `colour_corrected`), ssim_valid, d_ssim, ms_ssim and, with a mask, psnr_masked. A missing
+        value is None, with its reason in `<key>_reason`.
 
     Raises:
         ShapeError: Sizes differ or values are not finite.
@@ -240,16 +266,18 @@ def image_metrics(image: Any, target: Any, *, mask: np.ndarray | None = None) ->
     a, b = _pair(image, target)
     values: dict[str, Any] = {}
     _put_psnr_cc(values, a, b, mask)
-    if mask is not None:
-        weight = _mask_weight(mask, a.shape)
+    weight = None if mask is None else _mask_weight(mask, a.shape)
+    corrected = _corrected(a, b, weight)
+    if weight is not None:
         _put_psnr(values, "psnr_masked", _masked_mse(a, b, weight))
-        a, b = a * weight, b * weight
+        a, b, corrected = a * weight, b * weight, corrected * weight
     _put_psnr(values, "psnr", float(np.mean((a - b) ** 2)))
     _put_psnr(values, "psnr_u8", float(np.mean((_to_levels(a) - _to_levels(b)) ** 2)))
-    a, b = _planar(a), _planar(b)
+    corrected, a, b = _planar(corrected), _planar(a), _planar(b)
     luminance, contrast = _ssim_terms(a, b)
     similarity = luminance * contrast
     values["ssim"] = float(similarity.mean())
+    values["ssim_cc"] = float(np.multiply(*_ssim_terms(corrected, b)).mean())
     values["d_ssim"] = (1.0 - values["ssim"]) / 2.0
     side = min(a.shape[1:])
     size = f"the picture is {a.shape[2]} x {a.shape[1]} pixels"

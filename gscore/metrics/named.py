@@ -63,6 +63,13 @@ NAMED_METRICS = (
         definition="11 \u00d7 11 window, sigma 1.5, zero padding: the convention of the 3DGS code",
     ),
     NamedMetric(
+        "ssim_cc",
+        "SSIM colour-corrected",
+        4,
+        definition="after gain and offset per channel, fitted to the whole picture; decides where "
+        "exposure or white balance differs from photo to photo",
+    ),
+    NamedMetric(
         "ssim_valid",
         "SSIM valid",
         4,
@@ -82,6 +89,12 @@ NAMED_METRICS = (
         4,
         note="net: {net}, lower is better",
         definition="network {net}, inputs in [-1, 1]; values of other networks cannot be compared",
+    ),
+    NamedMetric(
+        "lpips_cc",
+        "LPIPS colour-corrected",
+        4,
+        definition="network {net}, of the pictures of the colour-corrected SSIM",
     ),
 )
 """All metrics in the order of tables. `{net}` is replaced by the network of LPIPS."""

@@ -90,9 +90,10 @@ class Metrics:
     """Path of the splats, if metrics.json is not in the folder of their run; else empty."""
 
     def content(self) -> dict[str, Any]:
-        """Contents of the file: means first (psnr, psnr_u8, psnr_cc, ssim, ssim_valid, d_ssim,
-        ms_ssim, lpips, lpips_net, lpips_<net>, fps), then model, training, split, machine, views,
-        curves and depth. An unknown value is None, with its reason in `<key>_reason`."""
+        """Contents of the file: means first (psnr, psnr_u8, psnr_cc, ssim, ssim_cc, ssim_valid,
+        d_ssim, ms_ssim, lpips, lpips_cc, lpips_net, lpips_<net>, fps), then model, training, split,
+        machine, views, curves and depth. An unknown value is None, with its reason in
+        `<key>_reason`."""
         course = self.course
         content = {
             **self.evaluation.mean,

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from gscore.metrics import evaluate, image_metrics, psnr, psnr_cc
+from gscore.metrics import evaluate, image_metrics, psnr, psnr_cc, ssim
 from gscore.metrics.colour_fit import fit_colours
+from gscore.metrics.image import colour_corrected
 
 
 def twin(image, target, weight):
@@ -105,6 +106,45 @@ def test_a_fit_never_loses_on_its_own_pixels():
             after = (weight * (image * gain + offset - target) ** 2).sum(axis=(0, 1))
             assert (after <= before + 1e-12).all() and (gain >= 0).all(), kind
             assert ("flat" not in kind) or (gain == 1).all()
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_structure_is_measured_of_the_corrected_picture(fake_dataset, wave_pair, masked):
+    """Oracle: SSIM and a fake LPIPS of the picture corrected by numpy's `lstsq` over its unmasked
+    pixels; another exposure of the render changes neither."""
+    image, target = wave_pair(40, 60)
+    mask = np.full((40, 60), 255, np.uint8)
+    mask[:, :20] = 0 if masked else 255
+    weight = mask[:, :, None] / 255
+    corrected = np.empty_like(image)
+    for c in range(3):
+        known = image[..., c][mask > 0]
+        design = np.stack([known, np.ones_like(known)], axis=1)
+        (gain, offset), *_ = np.linalg.lstsq(design, target[..., c][mask > 0], rcond=None)
+        corrected[..., c] = np.clip(gain * image[..., c] + offset, 0, 1)
+    assert colour_corrected(image, target, mask=mask) == pytest.approx(corrected)
+    want = ssim(corrected * weight, target * weight)
+    assert image_metrics(image, target, mask=mask)["ssim_cc"] == pytest.approx(want)
+    darker = image * [0.7, 0.4, 0.9] + [0.2, 0.05, 0.0]
+    found = image_metrics(darker, target, mask=mask)
+    assert found["ssim_cc"] == pytest.approx(want) and found["ssim"] < found["ssim_cc"] - 0.01
+
+    def network(a, b):
+        return float(np.abs(a - b).mean())
+
+    network.key, network.net = "lpips_fake", "fake"
+    data = fake_dataset([np.rint(target * 255).astype(np.uint8)], [mask], "ignore")
+    mean = evaluate(lambda i: darker, data, [0], lpips=network).mean
+    assert mean["lpips_cc"] == pytest.approx(network(corrected * weight, target * weight), abs=4e-3)
+    assert mean["lpips"] == mean["lpips_fake"] > mean["lpips_cc"] + 0.01
+
+
+def test_a_masked_view_keeps_its_colours():
+    """Oracle: the picture itself, as no pixel counts."""
+    image, target = np.random.default_rng(0).uniform(0, 1, (2, 12, 12, 3))
+    empty = np.zeros((12, 12), np.uint8)
+    np.testing.assert_array_equal(colour_corrected(image, target, mask=empty), image)
+    assert image_metrics(image, target, mask=empty)["ssim_cc"] == pytest.approx(1)
 
 
 def test_a_flat_half_does_not_spoil_the_other(wave_pair):

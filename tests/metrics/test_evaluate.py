@@ -50,7 +50,8 @@ def test_without_lpips_the_reason_is_kept(fake_dataset):
     result = evaluate(
         lambda i: np.zeros((40, 50, 3)), fake_dataset(photos(1)), [0], lpips_reason="no file"
     )
-    assert result.mean["lpips"] is None and result.mean["lpips_reason"] == "no file"
+    for key in ("lpips", "lpips_cc"):
+        assert result.mean[key] is None and result.mean[f"{key}_reason"] == "no file"
     assert result.mean["lpips_net"] is None
 
 
