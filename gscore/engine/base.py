@@ -5,15 +5,18 @@ photos of a step, and all memory for rendering and gradients. All arrays of the 
 a column is one parameter or counter of all splats.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import Enum, auto
+from enum import Enum, StrEnum, auto
+from types import MappingProxyType
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from ..choices import Skip
 from ..raster.request import Frustum
+from ..splats import PARAMETERS
 
 Columns = Mapping[str, np.ndarray]
 """Columns by name, [N, ...] float32."""
@@ -51,7 +54,8 @@ class RowEdit:
     keep: np.ndarray | None = None
     """[K] int64: rows that stay, in their new order; None: all."""
     morton: bool = False
-    """True: the rows that stay are sorted along a Morton curve through their means instead."""
+    """True: the rows that stay may be sorted along a Morton curve through their means, so that
+    neighbours are close in memory."""
     parents: np.ndarray | None = None
     """[A] int64: rows that are copied to the end, without moments and counts; None: none."""
     changes: Columns = field(default_factory=dict)
@@ -72,9 +76,9 @@ _COUNTER_KEYS = {
 """Names of counters in checkpoints, where they differ."""
 
 
-def counter_key(name: str) -> str:
-    """Return the key of a counter in a checkpoint."""
-    return f"row/{_COUNTER_KEYS.get(name, name)}"
+def column_key(name: str) -> str:
+    """Return the key of a parameter or counter in a checkpoint."""
+    return f"param/{name}" if name in PARAMETERS else f"row/{_COUNTER_KEYS.get(name, name)}"
 
 
 def counters_of(saved: Mapping[str, T]) -> dict[str, T]:
@@ -87,18 +91,17 @@ def counters_of(saved: Mapping[str, T]) -> dict[str, T]:
 class EngineModel(Protocol):
     """N splats on the device of an engine: parameters, Adam moments and counters.
 
-    Nothing else writes to them. Row numbers change in `edit` only.
+    Nothing else writes to them. Row numbers change in `edit` only. Methods with a body are for
+    models that derive from this class and have no faster way.
     """
+
+    adam_steps: dict[str, int]
+    """Adam steps that each parameter has taken."""
 
     @property
     def sh_degree(self) -> int:
         """Degree of the SH coefficients stored, 0 to 3."""
-        ...
-
-    @property
-    def adam_steps(self) -> Mapping[str, int]:
-        """Adam steps that each parameter has taken."""
-        ...
+        return math.isqrt(self.widths["shN"][0] + 1) - 1
 
     @property
     def widths(self) -> Mapping[str, tuple[int, ...]]:
@@ -113,7 +116,7 @@ class EngineModel(Protocol):
 
     def gather(self, name: str, rows: np.ndarray) -> np.ndarray:
         """Return some rows, [M] int64, of a column."""
-        ...
+        return self.column(name)[rows]
 
     def edit(self, edit: RowEdit) -> None:
         """Apply an edit to parameters, moments and counters."""
@@ -134,30 +137,23 @@ class EngineModel(Protocol):
         """
         ...
 
-    def apply_min_scale(self, views: Iterable[Frustum], pixels: float) -> None:
-        """Raise scales to at least `pixels` (standard deviation) of the nearest of `views` that has
-        the splat in its frame (Yu et al. 2024, Mip-Splatting, section 4.2)."""
-        ...
-
     def part(self, begin: int, end: int) -> Columns:
         """Return the raw parameters of the rows from `begin` to `end`, after all pending steps;
         valid until the next step."""
-        ...
+        return {name: self.column(name)[begin:end] for name in PARAMETERS}
 
     def finish(self) -> None:
         """Apply all pending steps and free what only further steps need; it can still be drawn."""
-        ...
 
     def drop_moments(self) -> None:
         """Free the moments and gradients of a model that is about to be replaced."""
-        ...
 
     def save(self) -> Columns:
         """Return all that the next step depends on but `adam_steps`; no copies.
 
-        Names are those of checkpoints: param/, m1/ and m2/ before the name of a parameter,
-        `counter_key` of a counter, gathered/shN (accumulated gradients) and drift [256] float64
-        (factors of the pending steps of shN).
+        Names are those of checkpoints: `column_key` of a column, m1/ and m2/ before the name of a
+        parameter, gathered/shN for `ShUpdate.ACCUMULATE`, and of an engine whose rows skip steps
+        drift [256] float64 (factors of the pending steps of shN).
         """
         ...
 
@@ -199,6 +195,20 @@ class TermKind(Enum):
     """Mean absolute difference of opacity and a `composite` mask."""
     SEE_THROUGH = auto()
     """Mean transmittance, weighted by the mask."""
+
+
+class Feature(StrEnum):
+    """Feature that an engine may lack, in the words of the message that refuses a training."""
+
+    PICTURE_TERMS = "losses of depth maps and guide meshes (`--depths`, `--guide-surface`)"
+    FROZEN = "frozen splats around a region (`--region`)"
+    ANOMALIES = "the search for the first number that is not finite (`--detect-anomaly`)"
+    MASKS = "masks (`--mask-mode`)"
+    DROPOUT = "dropout of splats (`--set drop_rate=0`)"
+    NOISE = "noise and regularisers of splats (`--strategy mcmc`)"
+    GAINS = "exposure gains of photos (`--exposure`)"
+    POSES = "refined camera poses (`--set refine_poses=off`)"
+    CONTRIBUTIONS = "pruning by contribution (`--set prune_share=0`)"
 
 
 class TermGradients(NamedTuple):
@@ -287,18 +297,18 @@ class StepNumbers(NamedTuple):
     loss: float
     mse: float
     """Mean squared error of the unmasked pixels, before the step."""
-    slopes: np.ndarray
+    slopes: np.ndarray = np.zeros((1, 19))
     """[P, 19] float64, per photo of the step: derivatives of the loss in ln gain of R, G, B, and in
     the 16 entries of the pose matrix; zeros where not requested."""
-    bad_rows: int
+    bad_rows: int = 0
     """Splats with gradients that were not finite, which were ignored."""
-    lost_rows: int
+    lost_rows: int = 0
     """Runaway splats that were reset."""
-    skipped: bool
+    skipped: bool = False
     """True: the update was skipped, because the loss was not finite or came from runaways."""
-    seconds: Mapping[str, float]
+    seconds: Mapping[str, float] = MappingProxyType({})
     """Seconds by stage, in their order."""
-    raster: Mapping[str, float]
+    raster: Mapping[str, float] = MappingProxyType({})
     """Counts and milliseconds of the rasterizer (gs_stats)."""
     costs: tuple[float, ...] = ()
     """Rendering cost of each photo of the step, any unit; empty: one photo."""
@@ -331,14 +341,10 @@ class EngineInfo:
     """CPU threads of its kernels; 0: none."""
     terms: frozenset[TermKind] = frozenset(TermKind)
     """Loss terms that it computes."""
-    picture_terms: bool = True
-    """It hands inverse depth and opacity to `StepRequest.picture_term`."""
-    frozen: bool = True
-    """It draws frozen splats."""
+    features: frozenset[Feature] = frozenset(Feature)
+    """Features that it has."""
     skips: frozenset[Skip] = frozenset()
     """Those of `ENGINE_SKIPS` that it can disable."""
-    finds_anomalies: bool = False
-    """It knows `StepRequest.check_finite`."""
     cost: CostModel
 
 
@@ -374,20 +380,18 @@ Model = TypeVar("Model", bound=EngineModel)
 
 
 class Engine(Protocol[Model]):
-    """A device with models of one type in training."""
+    """A device with models of one type in training. Methods with a body are for engines that
+    derive from this class."""
 
-    in_flight: int
+    in_flight: int = 0
     """Steps that may be requested before the result of the first is read."""
-
-    @property
-    def info(self) -> EngineInfo:
-        """Identity and capabilities."""
-        ...
+    info: EngineInfo
+    """Identity and capabilities."""
 
     def pace(self) -> float:
         """Measure the time of a step relative to `EngineInfo.cost` under the current load, within a
         tenth of a second."""
-        ...
+        return 1.0
 
     def model(
         self, columns: Columns, *, counters: Sequence[str] = (), frozen: Columns | None = None
@@ -425,14 +429,10 @@ class Engine(Protocol[Model]):
         inverse_depth: bool = False,
         scaling: float = 1.0,
     ) -> DrawnPicture:
-        """Draw the current models, merged if several; changes no bit of the training.
+        """Draw the current models, by `merge_models` if several; changes no bit of the training.
 
         `scaling`: factor of all standard deviations.
         """
-        ...
-
-    def merged(self, models: Sequence[Model]) -> Columns:
-        """Return the raw parameters of the current models as one; valid until the next step."""
         ...
 
     def contributions(
@@ -455,8 +455,6 @@ class Engine(Protocol[Model]):
 
     def release(self) -> None:
         """Free the memory of steps, which the next one allocates again."""
-        ...
 
     def close(self) -> None:
         """Free the device; nothing is called afterwards. Calls after the first do nothing."""
-        ...

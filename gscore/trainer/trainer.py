@@ -92,15 +92,15 @@ class Trainer:
         held_out = HeldOutGains(given.names, given.centers, photos.train, stops=stops)
         self.photo_parameters = PhotoParameters(config, analysis.gains, poses, held_out)
         """Optimised exposure gains and camera poses of the photos."""
-        region = analysis.region
-        self.region = None if region is None else region.in_training(self.frame.similarity)
+        self.region = analysis.region and analysis.region.in_training(self.frame.similarity)
         """The region box, training frame; its start splats are kept inside."""
         start = training_start(
             config, analysis, self.frame, self.plan, cameras, count=self.rules.points
         )
         self.engine = CpuEngine(threads=config.threads) if engine is None else engine
         """Computes the steps."""
-        check_engine(self.engine.info, config, self._terms, frozen=start.frozen is not None)
+        drops, frozen = self.rules.drop_rate > 0, start.frozen is not None
+        check_engine(self.engine.info, config, analysis, self._terms, drops=drops, frozen=frozen)
         self.models = ModelSet(
             self.engine,
             self.frame.similarity,
@@ -119,7 +119,7 @@ class Trainer:
             self.engine,
             lambda: self.models.models,
             cache=analysis.photo_cache,
-            region=start.frozen is not None,
+            region=frozen,
         )
         """Renderer of the current model."""
         self.view_batcher = ViewBatcher(

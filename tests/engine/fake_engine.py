@@ -12,12 +12,14 @@ from gscore.engine.base import (
     Contribution,
     CostModel,
     DrawnPicture,
+    Engine,
     EngineInfo,
+    EngineModel,
     RowEdit,
     StepNumbers,
     StepPhoto,
     StepRequest,
-    counter_key,
+    column_key,
     counters_of,
 )
 from gscore.raster.request import Frustum
@@ -26,7 +28,7 @@ from gscore.splats import PARAMETERS, SH_REST_BY_DEGREE
 PENDING_SIZE = 256
 
 
-class FakeModel:
+class FakeModel(EngineModel):
     """Parameters, moments and counters in numpy; the moments count the steps of each row."""
 
     def __init__(
@@ -46,18 +48,11 @@ class FakeModel:
         return len(self.params["means"])
 
     @property
-    def sh_degree(self) -> int:
-        return round((self.params["shN"].shape[1] + 1) ** 0.5) - 1
-
-    @property
     def widths(self) -> dict[str, tuple[int, ...]]:
         return {name: column.shape[1:] for name, column in (self.params | self.rows).items()}
 
     def column(self, name: str) -> np.ndarray:
         return (self.params | self.rows)[name].copy()
-
-    def gather(self, name: str, rows: np.ndarray) -> np.ndarray:
-        return self.column(name)[rows]
 
     def edit(self, edit: RowEdit) -> None:
         columns = self.params | self.rows
@@ -95,12 +90,6 @@ class FakeModel:
         self.params["opacities"][bad] = -20
         return int(bad.sum())
 
-    def apply_min_scale(self, views: Iterable[Frustum], pixels: float) -> None:
-        np.maximum(self.params["scales"], -9, out=self.params["scales"])
-
-    def part(self, begin: int, end: int) -> Columns:
-        return {name: column[begin:end] for name, column in self.params.items()}
-
     def finish(self) -> None:
         self.drop_moments()
 
@@ -112,11 +101,11 @@ class FakeModel:
         last = max((request.step for request in self.engine.requests), default=0)
         self.engine.lost |= self.engine.faults.get(last) is Fault.LOST_WHEN_SAVED
         self.engine.check_present()
-        out = {f"param/{name}": p for name, p in self.params.items()}
+        out = {column_key(name): p for name, p in self.params.items()}
         out |= {f"m1/{name}": m for name, m in self.first.items()}
         out |= {f"m2/{name}": m for name, m in self.second.items()}
         out |= {"gathered/shN": np.zeros_like(self.params["shN"]), "drift": np.zeros(PENDING_SIZE)}
-        return out | {counter_key(name): counter for name, counter in self.rows.items()}
+        return out | {column_key(name): counter for name, counter in self.rows.items()}
 
 
 class Fault(StrEnum):
@@ -157,7 +146,7 @@ class Answer:
         return self.numbers._replace(step=step - (fault is Fault.OTHER_STEP))
 
 
-class FakeEngine:
+class FakeEngine(Engine[FakeModel]):
     """A step adds its rate to all parameters; pictures have the mean colour of the splats."""
 
     def __init__(self, in_flight: int = 0, faults: Mapping[int, Fault] | None = None) -> None:
@@ -169,7 +158,6 @@ class FakeEngine:
             numerics="fake",
             threads=1,
             skips=ENGINE_SKIPS,
-            finds_anomalies=True,
             cost=CostModel(step=1e-6, pixel=0, splat=0, number=0),
         )
         self.photos: dict[int, StepPhoto] = {}
@@ -253,9 +241,6 @@ class FakeEngine:
         rgb = np.full((*size, 3), self._color(models), np.float32)
         return DrawnPicture(rgb, np.ones(size, np.float32), np.ones(size, np.float32))
 
-    def merged(self, models: Sequence[FakeModel]) -> Columns:
-        return {name: np.concatenate([m.params[name] for m in models]) for name in PARAMETERS}
-
     def contributions(
         self, model: FakeModel, views: Iterable[tuple[Frustum, StepPhoto]], *, antialias: bool
     ) -> Iterator[Contribution]:
@@ -273,12 +258,6 @@ class FakeEngine:
         antialias: bool,
     ) -> np.ndarray:
         return np.zeros((4, 4), np.float32)
-
-    def release(self) -> None:
-        pass
-
-    def pace(self) -> float:
-        return 1.0
 
     def close(self) -> None:
         self.closed = True

@@ -3,9 +3,10 @@
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from gscore.config import Skip, TrainConfig
+from gscore.config import Skip, Strategy, TrainConfig
 from gscore.engine.base import EngineInfo, TermKind
 from gscore.engine.cpu.engine import CpuEngine
 from gscore.errors import ConfigError
@@ -15,6 +16,8 @@ from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.step.engine_check import check_engine
 from gscore.trainer.step.loss_terms import LossTerms
 from gscore.trainer.trainer import Trainer
+from gscore.trainer.views.photo_gains import PhotoGains
+from gscore.trainer.views.photo_poses import PoseCheck
 from tests.engine.fake_engine import FakeEngine
 from tests.trainer.short_run import CONFIG
 
@@ -29,23 +32,29 @@ class _Targets:
     unit = views = 1.0
 
 
+NONE = {"features": frozenset()}
 LACKS: list[tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = [
     ({"terms": frozenset({TermKind.L1, TermKind.SSIM})}, {}, {}, "the loss term mask alpha"),
-    ({"picture_terms": False}, {}, {"depth": _Targets()}, "losses of depth maps and guide meshes"),
-    ({"frozen": False}, {}, {"frozen": True}, r"frozen splats around a region \(`--region`\)"),
-    (
-        {"finds_anomalies": False},
-        {"detect_anomaly": True},
-        {},
-        r"`--detect-anomaly`",
-    ),
+    (NONE, {}, {"depth": _Targets()}, "losses of depth maps and guide meshes"),
+    (NONE, {}, {"frozen": True}, r"frozen splats around a region \(`--region`\)"),
+    (NONE, {"detect_anomaly": True}, {}, r"`--detect-anomaly`"),
+    (NONE, {}, {"mask_mode": "ignore"}, "masks"),
+    (NONE, {}, {"drops": True}, "dropout of splats"),
+    (NONE, {"strategy": Strategy.MCMC}, {}, r"`--strategy mcmc`"),
+    (NONE, {}, {"gains": True}, "exposure gains"),
+    (NONE, {}, {"poses": True}, "refined camera poses"),
+    (NONE, {"prune_share": 0.2}, {}, "pruning by contribution"),
     ({"skips": frozenset()}, {"without": (Skip.ZERO_TILE,)}, {}, "skip zero-tile"),
 ]
 
 
 @pytest.mark.parametrize(("lack", "options", "parts", "words"), LACKS)
 def test_what_an_engine_lacks_is_refused_by_name(
-    lack: dict[str, Any], options: dict[str, Any], parts: dict[str, Any], words: str
+    photos: ToyPhotos,
+    lack: dict[str, Any],
+    options: dict[str, Any],
+    parts: dict[str, Any],
+    words: str,
 ) -> None:
     """Oracle: the sentence; an engine that has it is accepted, and so are trainings without."""
     whole = FakeEngine().info
@@ -53,26 +62,32 @@ def test_what_an_engine_lacks_is_refused_by_name(
     config = replace(CONFIG, alpha_weight=0.1, **options)
     plain = replace(CONFIG, alpha_weight=0.0)
     terms = terms_of(config, depth=parts.get("depth"))
-    frozen = parts.get("frozen", False)
+    which = {name: parts.get(name, False) for name in ("drops", "frozen")}
+    empty = Analysis(photos=photos)
+    analysis = Analysis(
+        photos=replace(photos, mask_mode=parts.get("mask_mode", "none")),
+        gains=PhotoGains([0], np.zeros((1, 3))) if "gains" in parts else None,
+        pose_check=PoseCheck(viewmats=np.zeros((8, 4, 4)) if "poses" in parts else None),
+    )
     with pytest.raises(ConfigError, match=f"The engine fake cannot compute .*{words}"):
-        check_engine(less, config, terms, frozen=frozen)
-    check_engine(whole, config, terms, frozen=frozen)
-    check_engine(less, plain, terms_of(plain), frozen=False)
+        check_engine(less, config, analysis, terms, **which)
+    check_engine(whole, config, analysis, terms, **which)
+    check_engine(less, plain, empty, terms_of(plain), drops=False, frozen=False)
 
 
 def test_a_trainer_asks_its_engine(photos: ToyPhotos) -> None:
     """Oracle: the error before any model is created."""
     engine = FakeEngine()
-    engine.info = replace(engine.info, finds_anomalies=False)
+    engine.info = replace(engine.info, features=frozenset())
     with pytest.raises(ConfigError, match="--detect-anomaly"):
         Trainer(replace(CONFIG, detect_anomaly=True), Analysis(photos=photos), engine)
     assert not engine.requests
 
 
-def test_the_cpu_computes_everything() -> None:
+def test_the_cpu_computes_everything(photos: ToyPhotos) -> None:
     """Oracle: its info, with every skip and term; the library's instruction set."""
     info = CpuEngine(threads=3).info
     config = replace(CONFIG, detect_anomaly=True, without=tuple(Skip))
-    check_engine(info, config, terms_of(config), frozen=True)
+    check_engine(info, config, Analysis(photos=photos), terms_of(config), drops=True, frozen=True)
     assert info.threads == 3 and info.terms == frozenset(TermKind)
     assert CpuEngine().pace() > 0

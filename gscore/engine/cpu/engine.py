@@ -26,10 +26,10 @@ from ...raster.training_rasterizer import TrainingRasterizer
 from ...splats import PARAMETERS
 from .. import base
 from ..base import ABSURD_MSE, Color, Columns, Contribution, StepNumbers, StepPhoto, StepRequest
+from ..ensemble import merge_models
 from ..stage_timer import StageTimer
 from . import finite_check
 from .dropout import drop_splats
-from .ensemble import merge_models
 from .frozen_rasterizer import FrozenRasterizer
 from .loss import LossAndGradients, StepLoss
 from .mcmc import add_noise, add_regularisers
@@ -66,14 +66,20 @@ class DrawnStep:
     timer: StageTimer
 
 
-class CpuEngine:
+class CpuEngine(base.Engine[CpuModel]):
     """Engine that computes on the CPU, in one workspace; a step is done when it returns."""
-
-    in_flight = 0
 
     def __init__(self, *, threads: int = 0) -> None:
         """`threads`: 0: all cores; results do not depend on it."""
         self._threads = threads
+        self.info = base.EngineInfo(
+            name="cpu",
+            numerics=native_library.isa(),
+            threads=threads or native_library.default_threads(),
+            skips=base.ENGINE_SKIPS,
+            cost=COST,
+        )
+        """Identity and capabilities."""
         self._rasterizer = TrainingRasterizer()
         self._loss = StepLoss(threads)
         self._photos: dict[int, StepPhoto] = {}
@@ -82,18 +88,6 @@ class CpuEngine:
         """Gradients of the splats in `pose_gradient`, which are not used; kept between steps."""
         self._merged: tuple[list[Mapping[str, torch.Tensor]], dict[str, torch.Tensor]] | None = None
         """Parameters of the models that were merged last, and of their merged model."""
-
-    @property
-    def info(self) -> base.EngineInfo:
-        """Identity and capabilities."""
-        return base.EngineInfo(
-            name="cpu",
-            numerics=native_library.isa(),
-            threads=self._threads or native_library.default_threads(),
-            skips=base.ENGINE_SKIPS,
-            finds_anomalies=True,
-            cost=COST,
-        )
 
     def pace(self) -> float:
         """Measure the pace, see `Engine.pace`."""
@@ -293,10 +287,6 @@ class CpuEngine:
         depth = None if drawn.inverse_depth is None else drawn.inverse_depth.numpy()
         return base.DrawnPicture(drawn.rgb.numpy(), drawn.alpha.numpy(), depth)
 
-    def merged(self, models: Sequence[CpuModel]) -> dict[str, np.ndarray]:
-        """Return the raw parameters of the models as one, see `Engine.merged`."""
-        return {name: tensor.numpy() for name, tensor in self._splats(models).items()}
-
     def contributions(
         self, model: CpuModel, views: Iterable[tuple[Frustum, StepPhoto]], *, antialias: bool
     ) -> Iterator[Contribution]:
@@ -347,7 +337,8 @@ class CpuEngine:
             return parts[0]
         before, merged = self._merged or ([], {})
         if len(before) != len(parts) or any(a is not b for a, b in zip(before, parts, strict=True)):
-            merged = merge_models(parts)
+            arrays = [{name: t.numpy() for name, t in part.items()} for part in parts]
+            merged = {name: torch.from_numpy(a) for name, a in merge_models(arrays).items()}
             self._merged = list(parts), merged
         return merged
 

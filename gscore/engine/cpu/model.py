@@ -1,7 +1,7 @@
 """CPU model: parameters, Adam moments and per-splat counters, kept in the same rows."""
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -12,8 +12,8 @@ from ...raster import adam
 from ...raster.memory import zeros
 from ...raster.request import Frustum
 from ...splats import PARAMETERS, SH_REST_BY_DEGREE
-from ..base import RowEdit, ShUpdate, counter_key
-from . import filter3d, sanitize
+from ..base import EngineModel, RowEdit, ShUpdate, column_key
+from . import sanitize
 from .row_order import morton_order
 
 _VISIBLE, _PENDING = "shN_visible", "shN_pending"
@@ -32,7 +32,7 @@ class Moments(NamedTuple):
     """Accumulated gradients for the next step; None: zeros."""
 
 
-class CpuModel:
+class CpuModel(EngineModel):
     """N splats with their parameters, gradients, Adam moments and counters (`EngineModel`).
 
     SH coefficients are stored up to the degree in use.
@@ -67,7 +67,7 @@ class CpuModel:
         self.factors = zeros(adam.PENDING_SIZE, dtype=torch.float64)
         """Factor of the pending update of a shN row, by number of skipped steps."""
         self._moments: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
-        self._steps: dict[str, int] = dict.fromkeys(PARAMETERS, 0)
+        self.adam_steps = dict.fromkeys(PARAMETERS, 0)
         self._rates: dict[str, float] = dict.fromkeys(PARAMETERS, 0.0)
         self._synced: dict[str, torch.Tensor] | None = None
         for name in PARAMETERS:
@@ -81,19 +81,9 @@ class CpuModel:
     def __len__(self) -> int:
         return len(self.params["means"])
 
-    @property
-    def sh_degree(self) -> int:
-        """Degree of the SH coefficients stored, 0 to 3."""
-        return round((self.params["shN"].shape[1] + 1) ** 0.5) - 1
-
     def moments(self, name: str) -> tuple[torch.Tensor, torch.Tensor]:
         """First and second moment of a parameter, same shape."""
         return self._moments[name]
-
-    @property
-    def adam_steps(self) -> dict[str, int]:
-        """Adam steps that each parameter has taken."""
-        return dict(self._steps)
 
     def part(self, begin: int, end: int) -> dict[str, np.ndarray]:
         """Return the raw parameters of some rows, see `EngineModel.part`."""
@@ -108,13 +98,13 @@ class CpuModel:
         """Return all that the next step depends on, see `EngineModel.save`."""
         out: dict[str, torch.Tensor] = {}
         for name, p in self.params.items():
-            out[f"param/{name}"] = p
+            out[column_key(name)] = p
             if name in self._moments:
                 out[f"m1/{name}"], out[f"m2/{name}"] = self._moments[name]
         if "shN" in self.grads:
             out[ACCUMULATED] = self.grads["shN"]
         out["drift"] = self.factors
-        out |= {counter_key(name): counter for name, counter in self.rows.items()}
+        out |= {column_key(name): counter for name, counter in self.rows.items()}
         return {name: t.numpy() for name, t in out.items()}
 
     def replace(
@@ -134,7 +124,7 @@ class CpuModel:
         self.params[name] = value.detach().contiguous()
         self._moments[name] = moment1.contiguous(), moment2.contiguous()
         self.grads[name] = torch.zeros_like(value) if grad is None else grad.contiguous()
-        self._steps[name] = self._steps[name] if steps is None else steps
+        self.adam_steps[name] = self.adam_steps[name] if steps is None else steps
         self._synced = None
 
     @property
@@ -182,10 +172,6 @@ class CpuModel:
     def clamp_runaways(self, extent: float) -> int:
         """Reset runaway rows and clamp saturated parameters; returns the number of reset rows."""
         return sanitize.clamp_runaways(self, extent=extent)
-
-    def apply_min_scale(self, views: Iterable[Frustum], pixels: float) -> None:
-        """Raise scales to at least `pixels` of the nearest photo."""
-        filter3d.apply_min_scale(self, views, pixels)
 
     def _tensor(self, name: str) -> torch.Tensor:
         return self.params[name] if name in self.params else self.rows[name]
@@ -270,7 +256,7 @@ class CpuModel:
             if does is ShUpdate.OFF or self.params[name].numel() == 0:
                 continue
             at_once = 1 if name == "shN" else photos
-            self._steps[name] += at_once if does is ShUpdate.STEP else 0
+            self.adam_steps[name] += at_once if does is ShUpdate.STEP else 0
             slots.append(self._slot(name, wait=does is ShUpdate.ACCUMULATE, photos=at_once))
         self._synced = None
         return adam.step(slots, radii, threads=self._threads)
@@ -336,7 +322,7 @@ class CpuModel:
             first[rows],
             second[rows],
             rate=self._rates[name],
-            step=self._steps[name],
+            step=self.adam_steps[name],
             skips=skips,
             photos=photos,
         )

@@ -50,14 +50,8 @@ class Photos(Protocol):
 def training_camera(
     viewmat: np.ndarray, K: np.ndarray, width: int, height: int, near: float
 ) -> Frustum:
-    """Return a camera in the training frame, [4, 4] and [3, 3] float64, as float32 tensors."""
-    return Frustum(
-        torch.from_numpy(viewmat.astype(np.float32)),
-        torch.from_numpy(K.astype(np.float32)),
-        width,
-        height,
-        near,
-    )
+    """Return a camera in the training frame, [4, 4] and [3, 3] float64, in float32."""
+    return Frustum(viewmat.astype(np.float32), K.astype(np.float32), width, height, near)
 
 
 def evenly_spaced(indices: Sequence[int], most: int) -> list[int]:

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 
 from ...engine.base import Columns, Engine, EngineModel
-from ...engine.cpu.ensemble import divide_opacities
+from ...engine.ensemble import divide_opacities, merge_models
 from ...formats.joined import joined
 from ...splats import PARAMETERS, Splats
 from ...transforms import Similarity
@@ -87,8 +87,7 @@ class ModelSet:
 
     def splats(self) -> Splats:
         """Return the current splats in COLMAP world units; frozen ones first."""
-        merged = self._engine.merged(self.models)
-        return self._whole({name: p.copy() for name, p in merged.items()})
+        return self._whole({name: p.copy() for name, p in self._merged().items()})
 
     def parts(self) -> Iterator[Splats]:
         """Yield the rows of `splats` in parts, which are valid until the next step."""
@@ -97,8 +96,7 @@ class ModelSet:
         for model in self.models:
             for at in range(0, len(model), _ROWS_A_PART):
                 part = dict(model.part(at, at + _ROWS_A_PART))
-                opacities = torch.from_numpy(part["opacities"])
-                part["opacities"] = divide_opacities(opacities, len(self.members)).numpy()
+                part["opacities"] = divide_opacities(part["opacities"], len(self.members))
                 yield self.in_world(part)
 
     def finish(self) -> Splats:
@@ -107,7 +105,7 @@ class ModelSet:
         self._engine.release()
         for model in self.models:
             model.finish()
-        return self._whole(self._engine.merged(self.models))
+        return self._whole(self._merged())
 
     def drop_moments(self) -> None:
         """Free the state that `restore` replaces; only `restore` may be called next."""
@@ -153,6 +151,9 @@ class ModelSet:
     def in_world(self, params: Columns) -> Splats:
         """Raw parameters as splats in COLMAP world units."""
         return self._similarity.splats_from_training(Splats(**params))
+
+    def _merged(self) -> Columns:
+        return merge_models([model.part(0, len(model)) for model in self.models])
 
     def _whole(self, params: Columns) -> Splats:
         """Frozen splats followed by the trained ones, COLMAP world."""

@@ -12,6 +12,7 @@ from ..model.ensemble_member import EnsembleMember
 from ..region.region_box import RegionBox
 from ..schedule.plan import Plan
 from ..strategy import Change, Policy
+from ..strategy.min_scale import min_scale_edit
 from ..strategy.pruning import Pruner
 from ..views.model_renderer import ModelRenderer
 from .step_queue import engine_errors
@@ -120,7 +121,7 @@ class StepEdits:
         lost_rows = model.clamp_runaways(self._extent) if step % SANITIZE_EVERY == 0 else 0
         if self._config.finest > 0 and plan.prunes_free_space_at(step):
             views = map(self._renderer.view, self._view_batcher.indices)
-            model.apply_min_scale(views, self._config.finest)
+            model.edit(min_scale_edit(model.column, views, self._config.finest))
         return change + pruned, lost_rows
 
     def _apply(self, model: EngineModel, edits: Iterable[RowEdit]) -> Change:

@@ -136,7 +136,7 @@ class ModelRenderer:
         view = self.view(index)
         factor = min(_CHECK_FACTOR, view.width, view.height)
         width, height = view.width // factor, view.height // factor
-        K = view.K / view.K.new_tensor([[factor], [factor], [1]])
+        K = np.asarray(view.K) / np.array([[factor], [factor], [1]], np.float32)
         small = replace(view, K=K, width=width, height=height)
         return bool((self._draw(small).alpha > 0).any())
 

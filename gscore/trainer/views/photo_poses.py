@@ -67,9 +67,9 @@ class PhotoPoses:
         """[V, 4, 4] float64, world to camera; do not write to it."""
         return self._viewmats
 
-    def of(self, index: int) -> torch.Tensor:
+    def of(self, index: int) -> np.ndarray:
         """Pose of view `index`, world to camera, [4, 4] float32."""
-        return torch.from_numpy(self._viewmats[index].astype(np.float32))
+        return self._viewmats[index].astype(np.float32)
 
     def learn(self, index: int, v_viewmat: torch.Tensor, rate: float) -> None:
         """Adam step for the pose of one photo, in its tangent space.

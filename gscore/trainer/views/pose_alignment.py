@@ -1,9 +1,9 @@
 """Pose alignment: optimisation of a camera pose for trained splats to match a photo."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-import torch
 
 from ...raster.request import Frustum
 from .photo_adam import PhotoAdam, rate_at
@@ -16,7 +16,7 @@ _RATES = 2e-3, 5e-5
 
 def align_pose(
     gradient: Callable[[Frustum], np.ndarray], view: Frustum, *, unit: float
-) -> torch.Tensor:
+) -> np.ndarray:
     """Return the camera pose, [4, 4] float32, that minimises the photo's loss for fixed splats.
 
     Args:
@@ -25,16 +25,11 @@ def align_pose(
         unit: Translation equivalent to a rotation by 1 rad, world units of the view.
     """
     adam, scale = PhotoAdam(1, 6), np.repeat([1.0, unit], 3)
-    pose = view.viewmat.numpy().astype(np.float64)
+    pose = np.asarray(view.viewmat, np.float64)
     for step in range(_STEPS):
-        v_viewmat = gradient(_from(view, pose)).astype(np.float64)
+        v_viewmat = gradient(replace(view, viewmat=pose.astype(np.float32))).astype(np.float64)
         grad = pose_gradient(pose, v_viewmat) * scale
         if not np.isfinite(grad).all():
             break
         pose = moved_pose(pose, adam.step(0, grad, rate_at(*_RATES, step / _STEPS)) * scale)
-    return _from(view, pose).viewmat  # pyright: ignore[reportReturnType]
-
-
-def _from(view: Frustum, pose: np.ndarray) -> Frustum:
-    viewmat = torch.from_numpy(pose.astype(np.float32))
-    return Frustum(viewmat, view.K, view.width, view.height, view.near, view.far)
+    return pose.astype(np.float32)

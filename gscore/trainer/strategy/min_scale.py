@@ -1,4 +1,4 @@
-"""3D filter: minimum scale of splats by the sampling rate of the photos (Mip-Splatting).
+"""Minimum scale of splats by the sampling rate of the photos: the 3D filter of Mip-Splatting.
 
 The photos do not constrain a splat thinner than a pixel of every photo, because the rasterizer
 widens it to half a pixel; a closer view would show the arbitrary thickness.
@@ -6,16 +6,14 @@ widens it to half a pixel; a closer view would show the arbitrary thickness.
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
+from ...engine.base import RowEdit
 from ...raster.memory import empty, ones, zeros
 from ...raster.request import Frustum
-
-if TYPE_CHECKING:
-    from .model import CpuModel
+from .base import Read
 
 _MARGIN = 0.15
 """Margin around a photo, relative to its sides, from which splats may still reach into it."""
@@ -48,18 +46,17 @@ def sampling_rates(means: torch.Tensor, views: Iterable[Frustum]) -> torch.Tenso
     return rates
 
 
-def apply_min_scale(model: "CpuModel", views: Iterable[Frustum], pixels: float) -> None:
-    """Raise scales to at least `pixels` of the nearest photo.
+def min_scale_edit(read: Read, views: Iterable[Frustum], pixels: float) -> RowEdit:
+    """Return the edit that raises scales to at least `pixels` of the nearest photo.
 
     Args:
-        model: Changed in place; the number of rows stays.
+        read: Returns columns.
         views: Training views at full photo size.
         pixels: Standard deviation, above 0.
     """
-    rates = sampling_rates(model.params["means"], views)
+    rates = sampling_rates(torch.from_numpy(read("means")), views)
     floor = math.log(pixels) - torch.log(rates)
-    scales = model.params["scales"]
     # Without a photo there is no limit; log 0 would make it infinite.
     floor.masked_fill_(rates == 0, -math.inf)
-    torch.maximum(scales, floor[:, None], out=scales)
-    model.replace("scales", scales, *model.moments("scales"), grad=model.grads["scales"])
+    scales = torch.maximum(torch.from_numpy(read("scales")), floor[:, None])
+    return RowEdit(values={"scales": scales.numpy()})

@@ -6,24 +6,28 @@ from functools import cache
 import numpy as np
 import torch
 
-from ...shared_constants import ALPHA_MIN
-from ...splats import PARAMETERS
+from ..shared_constants import ALPHA_MIN
+from ..splats import PARAMETERS
+from .base import Columns
 
 _TOP, _NODES = 1 - 1e-6, 20_001
 """Last opacity in the table, and number of opacities."""
 
 
-def merge_models(models: Sequence[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
+def merge_models(models: Sequence[Columns]) -> Columns:
     """Return the raw parameters of one model that renders as the mean of several.
 
     Args:
-        models: Raw parameters of each model, as in `Splats`, with equal SH degree.
+        models: Raw parameters of each model, as in `Splats`, with equal SH degree; one model is
+            returned unchanged.
     """
-    merged = {name: torch.cat([model[name] for model in models]) for name in PARAMETERS}
+    if len(models) == 1:
+        return models[0]
+    merged = {name: np.concatenate([model[name] for model in models]) for name in PARAMETERS}
     return merged | {"opacities": divide_opacities(merged["opacities"], len(models))}
 
 
-def divide_opacities(opacities: torch.Tensor, models: int) -> torch.Tensor:
+def divide_opacities(opacities: np.ndarray, models: int) -> np.ndarray:
     """Reduce opacities so that coinciding splats of several `models` absorb as much light as one.
 
     A splat of opacity o is drawn where alpha = o exp(-r^2 / 2) is 1/255 or more. Its optical depth
@@ -42,12 +46,13 @@ def divide_opacities(opacities: torch.Tensor, models: int) -> torch.Tensor:
     if models == 1:
         return opacities
     shared = _shared(models)
-    o = torch.sigmoid(opacities.double())  # float32 bits depend on the split into parts
+    logits = torch.from_numpy(opacities)
+    o = torch.sigmoid(logits.double())  # float32 bits depend on the split into parts
     at = (o - ALPHA_MIN) * ((_NODES - 1) / (_TOP - ALPHA_MIN))
     at = torch.nan_to_num(at).clamp(0, _NODES - 1.01)
     before, share = at.long(), at.frac()
     found = torch.lerp(shared[before], shared[before + 1], share)
-    return torch.where(o > ALPHA_MIN, torch.logit(found).float(), opacities)
+    return torch.where(o > ALPHA_MIN, torch.logit(found).float(), logits).numpy()
 
 
 @cache

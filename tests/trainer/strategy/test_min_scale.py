@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from gscore.config import DataConfig, TrainConfig
-from gscore.engine.cpu.filter3d import apply_min_scale, sampling_rates
 from gscore.engine.cpu.model import CpuModel
 from gscore.io.ply.splats import read_ply
 from gscore.raster.request import Frustum
 from gscore.trainer.run import train
+from gscore.trainer.strategy.min_scale import min_scale_edit, sampling_rates
 
 PIXELS = 2.0
 SHORT = TrainConfig(
@@ -77,7 +77,7 @@ def test_only_axes_that_are_too_short_change(model: CpuModel) -> None:
     """Oracle: max(axis, pixels / rate) in float64; splats outside all photos, and all else,
     stay."""
     before = {name: p.clone() for name, p in model.params.items()}
-    apply_min_scale(model, views(), PIXELS)
+    model.edit(min_scale_edit(model.column, views(), PIXELS))
     rates = np.array([rate_of(place, views()) for place in before["means"].double().numpy()])
     axes = np.exp(before["scales"].double().numpy())
     with np.errstate(divide="ignore"):
@@ -92,7 +92,7 @@ def test_only_axes_that_are_too_short_change(model: CpuModel) -> None:
 def test_no_splats_and_no_views_are_no_error(model: CpuModel) -> None:
     """Oracle: unchanged splats."""
     before = model.params["scales"].clone()
-    apply_min_scale(model, [], PIXELS)
+    model.edit(min_scale_edit(model.column, [], PIXELS))
     assert torch.equal(before, model.params["scales"])
     assert sampling_rates(torch.zeros(0, 3), views()).shape == (0,)
 
