@@ -4,6 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from .events import ENDED, MASKED_OF, headline_psnr
+from .quoting import brief
+
+_LISTED = 5
+"""Most names in a sentence."""
 
 
 def number_text(value: float | None, digits: int) -> str:
@@ -62,6 +66,28 @@ def colour_text(metrics: Mapping[str, Any]) -> str:
     digits = {"psnr_cc": "PSNR {:.2f} dB", "ssim_cc": "SSIM {:.4f}", "lpips_cc": "LPIPS {:.4f}"}
     parts = [form.format(metrics[k]) for k, form in digits.items() if metrics.get(k) is not None]
     return f"; colour-corrected {', '.join(parts)}" if parts else ""
+
+
+def worst_view_text(metrics: Mapping[str, Any]) -> str:
+    """The worst covered view and the views that are not covered, as sentences; empty: not measured.
+
+    Args:
+        metrics: Content of a metrics.json.
+    """
+    found = metrics.get("worst_view") or {}
+    forms = {"psnr_cc": "PSNR {:.2f} dB", "ssim_cc": "SSIM {:.4f}"}
+    parts = [
+        f"{form.format(worst['value'])} ({brief(worst['view'])})"
+        for key, form in forms.items()
+        if (worst := found.get(key))
+    ]
+    text = f"Worst view, colour-corrected: {', '.join(parts)}." if parts else ""
+    if left_out := metrics.get("not_covered"):
+        names = ", ".join(map(brief, left_out[:_LISTED]))
+        names += " and others" if len(left_out) > _LISTED else ""
+        count = count_text(len(left_out), "view is", "views are")
+        text += f" {count} not counted here, as training photos show less than 90 %: {names}."
+    return text.strip()
 
 
 def stopped_text(metrics: Mapping[str, Any], iterations: int = 0) -> str:

@@ -21,6 +21,7 @@ from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.output_paths import check_output_path
 from ..io.ply.comments import near_comment, stated_near
 from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
+from ..metrics.coverage import coverage, state_coverage
 from ..metrics.photo_mismatch import photo_mismatch_warnings
 from ..metrics.splat_errors import SplatErrors
 from ..quoting import as_typed, brief
@@ -30,7 +31,15 @@ from ..report import PictureCollector, cameras_section, splat_histograms, write_
 from ..report.colormap import brightest, error_map
 from ..report.html_parts import link_page
 from ..scene import Cameras
-from ..text_format import colour_text, count_text, number, psnr_name, quality_text, stopped_text
+from ..text_format import (
+    colour_text,
+    count_text,
+    number,
+    psnr_name,
+    quality_text,
+    stopped_text,
+    worst_view_text,
+)
 from .args.data_options import add_data_options, with_data_options
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_option, add_threads_option
@@ -153,6 +162,9 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         background=model.background,
         on_view=_Views(model, cameras, indices, pictures, errors, show, control),
     )
+    if split == "test":
+        how = {"near": model.near, "antialias": model.antialias, "threads": args.threads}
+        state_coverage(evaluation, coverage(model.splats, cameras, dataset, **how))
     warnings += photo_mismatch_warnings(
         headline_psnr(evaluation.mean), f"The splats of {brief(str(model.path))}"
     )
@@ -377,6 +389,8 @@ def _summary(metrics: dict[str, Any], output: Path) -> str:
     why = metrics.get("psnr_masked_reason") or metrics.get("psnr_reason", "")
     worth = quality_text(metrics) or f"no PSNR ({why})"
     text = f"{views}: {worth}{colour_text(metrics)}\n"
+    if worst := worst_view_text(metrics):
+        text += f"{worst}\n"
     text += f"Results: {output / 'metrics.json'}, {output / 'report.html'}"
     if "error_map" in metrics:
         text += f"\nError map: {metrics['error_map']}, brightest from an error of "

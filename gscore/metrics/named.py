@@ -96,5 +96,6 @@ NAMED_METRICS = (
         4,
         definition="network {net}, of the pictures of the colour-corrected SSIM",
     ),
+    NamedMetric("coverage", "shown by two photos", 2, averaged=False),
 )
 """All metrics in the order of tables. `{net}` is replaced by the network of LPIPS."""

@@ -7,7 +7,14 @@ from typing import Any
 
 from ..events import CONVERGED, FINISHED, TARGET, headline_psnr
 from ..metrics.named import NAMED_METRICS, NamedMetric
-from ..text_format import count_text, has_exposure_correction, number, size_text, time_text
+from ..text_format import (
+    count_text,
+    has_exposure_correction,
+    number,
+    size_text,
+    time_text,
+    worst_view_text,
+)
 
 TIMES = "\u00d7"
 _MASKED = "psnr_masked"
@@ -101,7 +108,9 @@ def tiles_html(metrics: dict[str, Any]) -> str:
         and metrics.get(f"{metric.key}_reason")
         and metrics["views"]
     ]
-    line = f'<p class="hint">Not measured: {html.escape("; ".join(absent))}.</p>' if absent else ""
+    lines = [f"Not measured: {'; '.join(absent)}."] if absent else []
+    lines += [text] if (text := worst_view_text(metrics)) else []
+    line = "".join(f'<p class="hint">{html.escape(text)}</p>' for text in lines)
     return f'<section><dl class="tiles">{cells}</dl>{line}</section>\n'
 
 

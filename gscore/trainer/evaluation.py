@@ -8,8 +8,10 @@ import numpy as np
 
 from ..errors import Cancelled
 from ..metrics import Evaluation, Lpips, LpipsNet, evaluate
+from ..metrics.coverage import coverage, state_coverage
 from ..metrics.image import psnr
 from ..report import PictureCollector
+from ..splats import Splats
 from .trainer import Trainer
 
 _TRAIN_VIEWS_SHOWN = 8
@@ -86,6 +88,22 @@ class Evaluator:
             each = [value for v in found.views if (value := v["psnr_aligned"]) is not None]
             found.mean["psnr_aligned"] = math.fsum(each) / len(each) if each else None
         return found
+
+    def state_coverage(self, found: Evaluation, splats: Splats) -> None:
+        """Add to an evaluation of held-out views which of them the training photos cover, by the
+        final `splats`."""
+        if self.split != "test":
+            return
+        trainer = self._trainer
+        shares = coverage(
+            splats,
+            trainer.photos.scene.cameras,
+            trainer.photos,
+            near=trainer.frame.world_near,
+            antialias=trainer.config.antialias,
+            threads=trainer.config.threads,
+        )
+        state_coverage(found, shares)
 
     @property
     def _aligns(self) -> bool:

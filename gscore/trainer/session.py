@@ -429,6 +429,8 @@ class Session:
         self._emit(Saved(step=trainer.steps, path=str(self._folder.point_cloud)))
         collector = PictureCollector(count=len(self._evaluator.indices))
         evaluation = None if self._control.stopping else self._evaluate(collector)
+        if evaluation:
+            self._evaluator.state_coverage(evaluation, splats)
         metrics = self._results.write_summary(
             evaluation,
             evaluator=self._evaluator,

@@ -39,8 +39,10 @@ def test_a_perfect_run(gscore, run_folder, capture):
     assert f"{facts['psnr']:.2f}" in page and capture.name in page
 
 
-def test_color_shift_is_distinguished(gscore, run_folder, splats):
-    """Oracle: a darker model: the splats' colours times 0.8 over black, so the render times 0.8."""
+def test_color_shift_is_distinguished(gscore, run_folder, splats, monkeypatch):
+    """Oracle: a darker model: the splats' colours times 0.8 over black, so the render times 0.8.
+    Photos 80 degrees apart cover little of each other's background, so all views count here."""
+    monkeypatch.setattr("gscore.metrics.coverage.COVERED", 0.0)
     darker = replace(splats, sh0=splats.sh0 * 0.8 - 0.1 / SH_C0, shN=splats.shN * 0.8)
     folder = run_folder(splats=darker)
     code, out, _ = gscore("eval", folder, "--json")
@@ -50,6 +52,19 @@ def test_color_shift_is_distinguished(gscore, run_folder, splats):
     assert facts["psnr_cc"] == pytest.approx(np.mean([v["psnr_cc"] for v in views]))
     _, out, _ = gscore("eval", folder)
     assert f"colour-corrected PSNR {facts['psnr_cc']:.2f} dB" in " ".join(out.split())
+    assert facts["not_covered"] == [] and all(view["coverage"] < 0.9 for view in views)
+    worst = min((v["psnr_cc"], v["name"]) for v in views)
+    assert facts["worst_view"]["psnr_cc"] == {"view": worst[1], "value": worst[0]}
+    words = f"Worst view, colour-corrected: PSNR {worst[0]:.2f} dB ({worst[1]})"
+    assert words in " ".join(out.split())
+    assert words in (folder / "report.html").read_text()
+
+
+def test_coverage_is_that_of_held_out_views(gscore, run_folder):
+    """Oracle: no coverage of views that the training saw."""
+    folder = run_folder()
+    code, out, _ = gscore("eval", folder, "--split", "all", "-o", folder / "all", "--json")
+    assert code == 0 and "worst_view" not in json.loads(out.splitlines()[-1])
 
 
 def test_training_facts_are_kept(gscore, run_folder):
