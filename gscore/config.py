@@ -593,8 +593,8 @@ class TrainConfig:
     free_space: float = _refinement_option(
         0.4,
         "Remove splats closer to a camera than this share of its distance to the 10th nearest "
-        "SfM point, at every `refine_every`-th and the last step. 0, or fewer than 500 points: "
-        "no removal.",
+        "SfM point, and those between cameras that no photo nearby shows. 0, or fewer than 500 "
+        "points: no removal.",
         range=Range(high=1, below=True),
     )
     hidden_share: float = _refinement_option(

@@ -17,6 +17,7 @@ BOTTOM = {
     "errors",
     "_version",
     "splats",
+    "camera_neighbours",
     "scene",
     "sequence_options",
     "quoting",

@@ -40,8 +40,8 @@ _CHECKPOINTS_KEPT = 2
 _PAUSE = 0.02
 """Seconds between polls of the viewer clients after the last step."""
 _CROWDED = (
-    "Many splats are closer to a camera than the points of the capture suggest. They are kept, as "
-    "with `--free-space 0`."
+    "Many splats are closer to a camera, or to a place between two, than the points of the capture "
+    "suggest. They are kept, as with `--free-space 0`."
 )
 _FILLED = (
     "More than a fifth of the splats are in front of the mesh of `--guide-free`, so they are kept. "
@@ -255,9 +255,10 @@ class Session:
         group = self._trainer.group
         if group and self._waits and (slow := self._waits.straggler_message(group.accounts[:, 1])):
             self.warn(slow, "slow_rank")
-        if self._trainer.pruner.around.crowded and _CROWDED not in self._warnings:
+        pruner = self._trainer.pruner
+        if (pruner.around.crowded or pruner.path.crowded) and _CROWDED not in self._warnings:
             self.warn(_CROWDED, "crowded")
-        if self._trainer.pruner.guided.crowded and _FILLED not in self._warnings:
+        if pruner.guided.crowded and _FILLED not in self._warnings:
             self.warn(_FILLED, "crowded")
         lost = self._trainer.counts.lost_rows - sum(one.lost_rows for one in later)
         if any(lost - result.lost_rows < limit <= lost for limit in _WARN_LOST_ROWS):

@@ -53,12 +53,12 @@ def training_start(
     if analysis.region is not None and start is not None:
         start, frozen = split_frozen(start, analysis.region, config, frame)
     cloud = photos.scene.points if analysis.points is None else analysis.points
-    first, free_space = initial_splats(
+    first, (around, path) = initial_splats(
         config, photos, frame, plan, cameras, cloud, start=start, count=count
     )
     guided = None
     if analysis.guide.free:
         guided = MeshFreeSpace(analysis.guide.free, photos.scene.cameras, frame.similarity)
-    pruner = Pruner(config, free_space, masks_hide=photos.mask_mode == "ignore", guided=guided)
+    pruner = Pruner(config, around, path, masks_hide=photos.mask_mode == "ignore", guided=guided)
     cut_degree = max(0 if start is None else start.sh_degree, first.sh_degree)
     return TrainingStart(first, frozen, pruner, cut_degree)

@@ -12,6 +12,7 @@ from ..model.training_frame import TrainingFrame
 from ..photos.sky import sky_splats
 from ..photos.view_sampler import Photos
 from ..schedule.plan import Plan
+from .free_path import FreePath
 from .free_space import FreeSpace
 
 
@@ -25,8 +26,8 @@ def initial_splats(
     *,
     start: Splats | None,
     count: int,
-) -> tuple[Splats, FreeSpace]:
-    """Create the initial splats and the free space around cameras, in the training frame.
+) -> tuple[Splats, tuple[FreeSpace, FreePath]]:
+    """Create the initial splats and the free space at and between cameras, in the training frame.
 
     Both use the same k-d tree of the points, which for many points is larger than a model.
 
@@ -45,14 +46,14 @@ def initial_splats(
     """
     cloud = replace(cloud, points=frame.similarity.points_to_training(cloud.points))
     near = NearestPoints(cloud.points, queries=count)
-    free_space = FreeSpace(
-        cameras.centers[list(photos.train)],
-        None if cloud.made_up else near,
-        share=config.free_space,
+    surfaces, train = None if cloud.made_up else near, list(photos.train)
+    free = (
+        FreeSpace(cameras.centers[train], surfaces, share=config.free_space),
+        FreePath(cameras, train, surfaces, share=config.free_space),
     )
     if start is not None:
-        return splats_from_start(start, config, frame), free_space
+        return splats_from_start(start, config, frame), free
     sky = sky_splats(config, photos, cameras, cloud.points)
     most = max(plan.max_splats - (0 if sky is None else len(sky)), 1)
     first = splats_from_cloud(cloud, near, plan, frame, most=most, seed=config.seed)
-    return first if sky is None else joined([first, sky]), free_space
+    return first if sky is None else joined([first, sky]), free

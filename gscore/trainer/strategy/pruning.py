@@ -62,7 +62,8 @@ class Pruner:
     def __init__(
         self,
         config: TrainConfig,
-        free_space: Space,
+        around: Space,
+        path: Space,
         *,
         masks_hide: bool,
         guided: Space | None = None,
@@ -71,22 +72,25 @@ class Pruner:
 
         Args:
             config: The options.
-            free_space: Free space around cameras.
+            around: Free space around cameras.
+            path: Free space between cameras.
             masks_hide: Whether masks exclude pixels from the loss.
             guided: Free space of a guide mesh.
         """
         self._config = config
         self._masks_hide = masks_hide
-        self.around = Emptied(free_space)
+        self.around = Emptied(around)
         """Free space around cameras."""
+        self.path = Emptied(path)
+        """Free space between cameras."""
         self.guided = Emptied(guided)
         """Free space in front of a guide mesh."""
 
     def prune_free_space(self, read: Read, plan: Plan, step: int) -> Iterator[RowEdit]:
-        """Remove splats in free space: around cameras and in front of a guide mesh."""
+        """Remove splats in free space: at and between cameras, in front of a guide mesh."""
         if not plan.prunes_free_space_at(step):
             return
-        for space in (self.around, self.guided):
+        for space in (self.around, self.path, self.guided):
             rows = space.due(torch.from_numpy(read("means")))
             if rows is not None:
                 yield RowEdit(keep=np.flatnonzero(~rows.numpy()))
@@ -130,6 +134,8 @@ class Pruner:
         return {
             "cleared": self.around.count,
             "crowded": self.around.crowded,
+            "path_cleared": self.path.count,
+            "path_crowded": self.path.crowded,
             "guide_cleared": self.guided.count,
             "guide_crowded": self.guided.crowded,
         }
@@ -141,4 +147,5 @@ class Pruner:
             ValueError, KeyError: they are invalid.
         """
         self.around.restore(state, "cleared", "crowded")
+        self.path.restore(state, "path_cleared", "path_crowded")
         self.guided.restore(state, "guide_cleared", "guide_crowded")

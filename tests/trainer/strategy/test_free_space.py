@@ -192,7 +192,7 @@ def test_many_pruned_splats_warn(
     capture: Path, known: Any, known_splats: Splats, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: a warning with a remedy for 8 of 158 splats."""
-    monkeypatch.setattr(free_space, "_FEWEST_POINTS", 100)
+    monkeypatch.setattr(free_space, "FEWEST_POINTS", 100)
     write_splats(tmp_path / "walls.ply", with_walls(known_splats, known))
     config = replace(CONFIG, start_splats=tmp_path / "walls.ply", max_splats=158)
     (reported,) = warnings_of(config, capture, tmp_path / "run")
