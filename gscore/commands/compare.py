@@ -23,8 +23,8 @@ from ..report.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
 from ..text_format import count_text
 from .args.model_argument import ModelArgument, open_model
 from .parser import add_option, add_result_options, add_threads_option
-from .terminal.output import check_folder, check_replaced, print_json
-from .terminal.status import Counted, Status, wrapped
+from .terminal.output import check_folder, check_replaced, print_result, print_warnings
+from .terminal.status import Counted, Status
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,12 +47,10 @@ def run(args: argparse.Namespace) -> int:
     _check_output(args.output, overwrite=args.overwrite)
     with Status(sys.stderr, quiet=args.quiet) as status:
         comparison = _compare(args, status)
-    if args.json:
-        print_json(comparison.content() | {"output": str(args.output)})
-        return 0
-    for sentence in comparison.warnings:
-        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
-    print(wrapped(_summary(comparison, args.output), sys.stdout))
+    if not args.json:
+        print_warnings(comparison.warnings)
+    facts = comparison.content() | {"output": str(args.output)}
+    print_result(facts, _summary(comparison, args.output), json=args.json)
     return 0
 
 
@@ -181,7 +179,7 @@ def _pictures(
     return found
 
 
-def _summary(comparison: RunComparison, output: Path) -> str:
+def _summary(comparison: RunComparison, output: Path) -> list[str]:
     first, second = (run.label for run in comparison.runs)
     views, names = count_text(len(comparison.pairs), "view"), names_of(comparison)
     lines = [f"{views} measured in both {first} and {second}:"]
@@ -191,4 +189,4 @@ def _summary(comparison: RunComparison, output: Path) -> str:
     for run, names in zip(comparison.runs, comparison.only_in, strict=True):
         if names:
             lines.append(f"  {count_text(len(names), 'view')} measured only in {run.label}")
-    return "\n".join([*lines, f"Page: {output}"])
+    return [*lines, f"Page: {output}"]

@@ -28,8 +28,8 @@ from .args.convert_options import add_arguments as add_arguments
 from .args.model_argument import ModelArgument, find_splats, open_model
 from .pictures.before_after import picture_loss, some_view, write_before_after
 from .pictures.render_cameras import captured_cameras, view_index
-from .terminal.output import check_folder, check_replaced, print_json
-from .terminal.status import Status, wrapped
+from .terminal.output import check_folder, check_replaced, print_result, print_warnings
+from .terminal.status import Status
 
 _EXACT = "ply"
 """The lossless format."""
@@ -45,12 +45,8 @@ def run(args: argparse.Namespace) -> int:
     _check_output(args)
     with Status(sys.stderr, quiet=args.quiet) as status:
         facts = _convert(args, request, status)
-    for sentence in facts["warnings"]:
-        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
-    if args.json:
-        print_json(facts)
-    else:
-        print(wrapped(_summary(facts), sys.stdout))
+    print_warnings(facts["warnings"])
+    print_result(facts, [_summary(facts)], json=args.json)
     return 0
 
 

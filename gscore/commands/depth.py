@@ -1,7 +1,7 @@
 """`gscore depth`: prediction of depth maps, alignment with a capture's points, contact sheet."""
 
 import argparse
-import sys
+from functools import partial
 from typing import Any
 
 from ..depth.catalogue import known, network_names
@@ -12,9 +12,7 @@ from ..text_format import count_text
 from .args.depth_options import add_arguments as add_arguments
 from .depth_maps.make_maps import DepthResult, StopMessage, make_maps
 from .depth_maps.networks import list_models
-from .terminal.output import print_json
-from .terminal.run_job import OutputOptions, run_job
-from .terminal.status import wrapped
+from .terminal.run_job import OutputOptions, run_verb
 
 
 def run(args: argparse.Namespace) -> int:
@@ -38,18 +36,13 @@ def run(args: argparse.Namespace) -> int:
             f"`--method network` needs a network: `--model FILE.onnx`. {NETWORK_HINT}."
         )
     message = StopMessage()
-    result, code = run_job(
+    return run_verb(
         OutputOptions.of(args),
         lambda show, control: make_maps(args, show, control, message),
+        facts=partial(facts_of, args),
+        lines=partial(result_lines, args),
         stopped=message,
     )
-    if result is None:
-        return code
-    if args.json:
-        print_json(facts_of(args, result))
-    elif not (args.events or args.quiet):
-        print_result(args, result)
-    return code
 
 
 def _check_stereo(args: argparse.Namespace) -> None:
@@ -121,8 +114,8 @@ def _rule(args: argparse.Namespace) -> str:
     return "auto" if args.check else args.align
 
 
-def print_result(args: argparse.Namespace, result: DepthResult) -> None:
-    """Print the result as text."""
+def result_lines(args: argparse.Namespace, result: DepthResult) -> list[str]:
+    """The result as lines of text."""
     done = result.done
     what = "depth" if result.alignment.kind is DepthKind.DEPTH else "inverse depth"
     lines = [_table_text(done.table)]
@@ -142,4 +135,4 @@ def print_result(args: argparse.Namespace, result: DepthResult) -> None:
                 "the photos shows their quality."
             )
         lines.append(f"{count_text(result.shown, 'view')} on {done.sheet}")
-    print(wrapped("\n".join([*lines, done.why]), sys.stdout))
+    return [*lines, done.why]

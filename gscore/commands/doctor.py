@@ -21,8 +21,8 @@ from ..shared_constants import ALPHA_MIN, EPS2D
 from ..splats import Splats
 from ..text_format import count_text, size_text
 from .parser import add_option
-from .terminal.output import print_json
-from .terminal.status import show_while, wrapped
+from .terminal.output import print_result
+from .terminal.status import show_while
 
 _LITTLE_MEMORY = 2_000_000_000
 _TOLERANCE = 1e-5
@@ -74,10 +74,7 @@ def run(args: argparse.Namespace) -> int:
     """Check and print; exit code 0 if this machine can train, 2 if a required part is missing."""
     with show_while(sys.stderr, "Checking the packages"):
         facts = _facts()
-    if args.json:
-        print_json(facts)
-    else:
-        print(wrapped(_text(facts), sys.stdout))
+    print_result(facts, [_text(facts)], json=args.json)
     return 0 if facts["can_train"] else 2
 
 

@@ -1,7 +1,6 @@
 """`gscore eval`: metrics of trained splats against the photos of a capture."""
 
 import argparse
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -43,9 +42,8 @@ from ..text_format import (
 from .args.data_options import add_data_options, with_data_options
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_option, add_threads_option
-from .terminal.output import check_folder, check_replaced, print_json
+from .terminal.output import check_folder, check_replaced, print_result, print_warnings
 from .terminal.run_job import OutputOptions, add_output_options, run_job
-from .terminal.status import wrapped
 
 _STOPPED = "Stopped; nothing was written."
 
@@ -81,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_threads_option(parser)
     add_data_options(parser)
-    add_output_options(parser)
+    add_output_options(parser, quiet="no progress")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -94,10 +92,8 @@ def run(args: argparse.Namespace) -> int:
     if result is None:
         return code
     content, output = result
-    if args.json:
-        print_json(headline(content) | {"output": str(output)})
-    elif not args.events:
-        print(wrapped(_summary(content, output), sys.stdout))
+    facts = headline(content) | {"output": str(output)}
+    print_result(facts, [_summary(content, output)], json=args.json, quiet=bool(args.events))
     return code
 
 
@@ -197,10 +193,10 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         histograms=splat_histograms([model.splats]),
     )
     link_page(output)
-    for sentence in warnings:
-        if args.quiet and not args.events:  # --quiet hides only progress
-            print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
-        else:
+    if args.quiet and not args.events:  # --quiet hides only progress
+        print_warnings(warnings)
+    else:
+        for sentence in warnings:
             show(Warn(message=sentence))
     views = {view["name"]: headline_psnr(view) for view in content["views"]}
     show(EvalDone(split=split, path=str(output), views=views, **mapped))

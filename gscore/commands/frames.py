@@ -1,18 +1,17 @@
 """`gscore frames`: sharp frames of a video, written as photos."""
 
 import argparse
-import sys
 from functools import partial
 from pathlib import Path
 
 from ..errors import DatasetError
 from ..io.output_paths import check_output_path
 from ..video import ExtractRequest, extract_frames
+from ..video.extract import Frames
 from ..video.request import FRAME_FORMATS
 from .parser import add_option
-from .terminal.output import check_folder, print_json
-from .terminal.run_job import OutputOptions, add_output_options, run_job
-from .terminal.status import wrapped
+from .terminal.output import check_folder
+from .terminal.run_job import OutputOptions, add_output_options, run_verb
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -50,17 +49,12 @@ def run(args: argparse.Namespace) -> int:
     )
     check_output_path(request.output)
     check_folder(request.output)
-    frames, code = run_job(
+    return run_verb(
         OutputOptions.of(args),
         lambda show, control: extract_frames(
             request, on_event=show, control=control, overwrite=args.overwrite
         ),
+        facts=Frames.facts,
+        lines=Frames.lines,
         stopped=lambda: "Stopped; nothing was written.",
     )
-    if frames is None:
-        return code
-    if args.json:
-        print_json(frames.facts())
-    elif not (args.events or args.quiet):
-        print(wrapped("\n".join(frames.lines()), sys.stdout))
-    return code

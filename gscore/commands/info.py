@@ -1,7 +1,6 @@
 """`gscore info`: summary of a capture, photos, a video, a splat file or a run."""
 
 import argparse
-import sys
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -38,8 +37,7 @@ from .args.model_argument import ModelArgument, find_splats, open_model
 from .lod import lod_facts, lod_text
 from .parser import add_option
 from .photo_folder_info import photos_facts, photos_text
-from .terminal.output import print_json
-from .terminal.status import wrapped
+from .terminal.output import print_result
 from .video_info import video_facts, video_text
 
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -82,10 +80,7 @@ def run(args: argparse.Namespace) -> int:
         facts = photos_facts(path, with_data_options(DataConfig(source=path), args))
     else:
         facts = _capture_facts(path, args)
-    if args.json:
-        print_json(facts)
-    else:
-        print(wrapped(_text(facts), sys.stdout))
+    print_result(facts, [_text(facts)], json=args.json)
     return 0
 
 

@@ -27,8 +27,8 @@ from .args.model_argument import (
     trained_near,
 )
 from .parser import add_option, add_result_options
-from .terminal.output import check_folder, check_replaced, print_json
-from .terminal.status import Status, wrapped
+from .terminal.output import check_folder, check_replaced, print_result, print_warnings
+from .terminal.status import Status
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,13 +65,9 @@ def run(args: argparse.Namespace) -> int:
             measured=measured_levels,
         )
     result = lod_facts(args.output, index) | {"warnings": list(dict.fromkeys(warnings))}
-    if args.json:
-        print_json(result)
-        return 0
-    for sentence in result["warnings"]:
-        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
-    if not args.quiet:
-        print(wrapped("\n".join(lod_text(result)), sys.stdout))
+    if not args.json:
+        print_warnings(result["warnings"])
+    print_result(result, lod_text(result), json=args.json, quiet=args.quiet)
     return 0
 
 

@@ -20,8 +20,8 @@ from ..quoting import as_typed, brief
 from ..text_format import count_text, number
 from .args.model_argument import ModelArgument, open_model
 from .parser import add_option, add_result_options
-from .terminal.output import check_folder, check_replaced, print_json
-from .terminal.status import Status, wrapped
+from .terminal.output import check_folder, check_replaced, print_result, print_warnings
+from .terminal.status import Status
 
 _FREE = ("seed", "threads", "cache_mb", "checkpoint_seconds", "preview_seconds", "snapshot_every")
 """Options that may differ between blocks without a warning."""
@@ -76,23 +76,19 @@ def run(args: argparse.Namespace) -> int:
     warnings += written.notes
     order = sorted(range(len(runs)), key=lambda i: records[i].index)
     trained = [len(models[i].splats) for i in order]
-    if args.json:
-        blocks = [
-            {"run": str(runs[i]), "splats": count, "kept": kept}
-            for i, count, kept in zip(order, trained, merged.kept, strict=True)
-        ]
-        facts = {"output": str(args.output), "splats": len(merged.splats), "blocks": blocks}
-        print_json(facts | {"warnings": warnings})
-        return 0
-    for sentence in warnings:
-        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+    blocks = [
+        {"run": str(runs[i]), "splats": count, "kept": kept}
+        for i, count, kept in zip(order, trained, merged.kept, strict=True)
+    ]
+    facts = {"output": str(args.output), "splats": len(merged.splats), "blocks": blocks}
+    if not args.json:
+        print_warnings(warnings)
     lines = [
         f"  block {records[i].index}: {number(kept)} of {count_text(count, 'splat')}"
         for i, count, kept in zip(order, trained, merged.kept, strict=True)
     ]
     head = f"{brief(args.output)}: {count_text(len(merged.splats), 'splat')} of"
-    if not args.quiet:
-        print(wrapped("\n".join([head, *lines]), sys.stdout))
+    print_result(facts | {"warnings": warnings}, [head, *lines], json=args.json, quiet=args.quiet)
     return 0
 
 

@@ -29,8 +29,15 @@ from .pictures.exposures import exposure_gains
 from .pictures.render_cameras import FPS, PATHS, find_shots
 from .pictures.stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .pictures.video import need_video, write_video
-from .terminal.output import check_folder, check_replaced, is_ours, other_files, print_json
-from .terminal.status import Counted, Status, wrapped
+from .terminal.output import (
+    check_folder,
+    check_replaced,
+    is_ours,
+    other_files,
+    print_result,
+    print_warnings,
+)
+from .terminal.status import Counted, Status
 
 _COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 _WRITTEN = (".mp4", ".png")
@@ -127,10 +134,7 @@ def run(args: argparse.Namespace) -> int:
     check_folder(args.output.parent if _is_file(args.output) else args.output)
     with Status(sys.stderr, quiet=args.quiet) as status:
         result = _render(args, status, is_video=is_video)
-    if args.json:
-        print_json(result)
-    else:
-        print(wrapped(_summary(args, result), sys.stdout))
+    print_result(result, [_summary(args, result)], json=args.json)
     return 0
 
 
@@ -150,9 +154,8 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
             check_separate(args.output.parent, data)
         else:
             check_output_path(args.output, data)
-    for sentence in model.warnings:
-        status.clear()
-        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+    status.clear()
+    print_warnings(model.warnings)
     found = find_shots(args, model, is_video=is_video)
     if found.why:
         status.print_line(found.why)

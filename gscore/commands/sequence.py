@@ -1,7 +1,6 @@
 """`gscore sequence`: training of a multi-view video, each frame from the previous splats."""
 
 import argparse
-import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +17,8 @@ from . import train as train_command
 from .args.run_options import declare, passed_options
 from .args.train_request import TrainRequest
 from .args.viewer_options import viewer_clients_of
-from .terminal.output import check_folder, other_files, print_json
-from .terminal.run_job import run_job
-from .terminal.status import wrapped
+from .terminal.output import check_folder, other_files
+from .terminal.run_job import run_verb
 from .terminal.torchrun_launch import under_torchrun
 from .torchrun import agent, train_in_turn
 
@@ -68,19 +66,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(request: TrainRequest, given: dict[str, Any], group: "ProcessGroup | None") -> int:
-    shown = request.shown
-    result, code = run_job(
-        shown, lambda show, control: _train(request, given, show, control, group)
+    return run_verb(
+        request.shown,
+        lambda show, control: _train(request, given, show, control, group),
+        facts=_facts,
+        lines=_summary,
     )
-    if result is None:
-        return code
-    if shown.json:
-        facts = result.headline | {"reason": result.reason, "output": str(request.output)}
-        facts["per_frame"] = [frame.to_dict(result.output) for frame in result.frames]
-        print_json(facts)
-    elif not shown.is_silent:
-        print(wrapped(_summary(result), sys.stdout))
-    return code
 
 
 def _train(
@@ -133,7 +124,12 @@ def _check(request: TrainRequest, show: Show, group: "ProcessGroup | None") -> N
         show(Warn(message=f"{output} contains other files, which are kept: {others}"))
 
 
-def _summary(result: "SequenceResult") -> str:
+def _facts(result: "SequenceResult") -> dict[str, Any]:
+    facts = result.headline | {"reason": result.reason, "output": str(result.output)}
+    return facts | {"per_frame": [frame.to_dict(result.output) for frame in result.frames]}
+
+
+def _summary(result: "SequenceResult") -> list[str]:
     numbers = result.headline
     how = "Finished" if result.reason == "finished" else f"Stopped ({result.reason})"
     lines = [
@@ -147,4 +143,4 @@ def _summary(result: "SequenceResult") -> str:
     lines.append(f"Results: {output / SEQUENCE_FILE}, {output / 'frame_*' / 'point_cloud.ply'}")
     if result.reason != "finished":
         lines.append(f"To continue: {as_typed('sequence', '-o', result.output, '--resume')}")
-    return "\n".join(lines)
+    return lines

@@ -1,7 +1,6 @@
 """`gscore sfm`: structure from motion of photos or a video, written as a capture."""
 
 import argparse
-import sys
 from functools import partial
 from pathlib import Path
 
@@ -14,9 +13,8 @@ from ..sfm.photo_sources import photos_from
 from ..sfm.search_request import MAPPERS, MATCHERS
 from ..video import is_video
 from .parser import add_option, add_threads_option
-from .terminal.output import check_folder, print_json
-from .terminal.run_job import OutputOptions, Show, add_output_options, run_job
-from .terminal.status import wrapped
+from .terminal.output import check_folder
+from .terminal.run_job import OutputOptions, Show, add_output_options, run_verb
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -89,18 +87,13 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"`--frames` is for videos; {names} is not a video.")
     check_output_path(request.output)
     check_folder(request.output)
-    found, code = run_job(
+    return run_verb(
         OutputOptions.of(args),
         lambda show, control: _find(request, args, show, control),
+        facts=SearchResult.facts,
+        lines=SearchResult.lines,
         stopped=lambda: "Stopped; the same command continues from here.",
     )
-    if found is None:
-        return code
-    if args.json:
-        print_json(found.facts())
-    elif not (args.events or args.quiet):
-        print(wrapped("\n".join(found.lines()), sys.stdout))
-    return code
 
 
 def _find(

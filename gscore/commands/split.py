@@ -14,8 +14,8 @@ from ..text_format import count_text, number
 from .args.data_options import add_split_options, with_data_options
 from .args.run_options import declare
 from .parser import add_option, add_result_options
-from .terminal.output import check_folder, print_json
-from .terminal.status import Counted, Status, wrapped
+from .terminal.output import check_folder, print_result, print_warnings
+from .terminal.status import Counted, Status
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,13 +55,9 @@ def run(args: argparse.Namespace) -> int:
         cut = cut_capture(data, args.blocks, margin=args.margin, share=args.share)
         counted = Counted(status, sum(len(block.views) for block in cut.blocks), "photo")
         write_blocks(cut, args.output, counted)
-    if args.json:
-        print_json(_facts(cut, args))
-        return 0
-    for sentence in cut.warnings:
-        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
-    if not args.quiet:
-        print(wrapped("\n".join(_lines(cut, args.output)), sys.stdout))
+    if not args.json:
+        print_warnings(cut.warnings)
+    print_result(_facts(cut, args), _lines(cut, args.output), json=args.json, quiet=args.quiet)
     return 0
 
 

@@ -1,7 +1,6 @@
 """`gscore train`: training with the option names of 3DGS, and its results."""
 
 import argparse
-import sys
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -30,9 +29,8 @@ from .args.viewer_options import add_live_options, check_live_options, viewer_cl
 from .block_runs import train_blocks, wants_blocks
 from .find_cameras import is_finding, with_cameras
 from .parser import add_option
-from .terminal.output import check_folder, first_few, print_json
-from .terminal.run_job import STOPPED, add_output_options, run_job
-from .terminal.status import wrapped
+from .terminal.output import check_folder, first_few
+from .terminal.run_job import STOPPED, add_output_options, run_verb
 from .terminal.torchrun_launch import under_torchrun
 from .torchrun import agent, train_distributed
 
@@ -100,21 +98,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(request: TrainRequest, group: "ProcessGroup | None") -> int:
-    shown = request.shown
-    done, code = run_job(
-        shown,
+    return run_verb(
+        request.shown,
         lambda show, control: _train(request, show, control, group),
+        facts=lambda done: (
+            done[0].headline | {"reason": done[0].reason, "output": str(request.output)}
+        ),
+        lines=lambda done: _summary(*done),
         stopped=lambda: _stopped(request.output),
     )
-    if done is None:
-        return code
-    result, config = done
-    if shown.json:
-        numbers = result.headline | {"reason": result.reason, "output": str(request.output)}
-        print_json(numbers)
-    elif not shown.is_silent:
-        print(wrapped(_summary(result, config), sys.stdout))
-    return code
 
 
 def _train(
@@ -169,10 +161,10 @@ def _stopped(output: Path) -> str:
     return STOPPED
 
 
-def _summary(result: "TrainResult", config: TrainConfig) -> str:
+def _summary(result: "TrainResult", config: TrainConfig) -> list[str]:
     metrics = result.metrics
     if result.ended_before:
-        return _nothing_to_do(result)
+        return [_nothing_to_do(result)]
     how = _HOW.get(result.reason, f"Stopped ({result.reason})")
     if result.reason == FINISHED and config.time_budget:
         how = "Used the time budget"
@@ -200,7 +192,7 @@ def _summary(result: "TrainResult", config: TrainConfig) -> str:
         lines.append(f"To continue: {as_typed('train', '-o', output, '--resume')}")
     made = "orbit.mp4" if find_spec("av") else "pictures"
     lines.append(f"To render it: {as_typed('render', output, '-o', output / made)}")
-    return "\n".join(lines)
+    return lines
 
 
 def _nothing_to_do(result: "TrainResult") -> str:

@@ -23,8 +23,8 @@ from ..text_format import count_text, number, size_text
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_option, add_result_options, add_threads_option
 from .pictures.page_views import PageViews, find_views
-from .terminal.output import check_folder, check_replaced, print_json
-from .terminal.status import Status, wrapped
+from .terminal.output import check_folder, check_replaced, print_result, print_warnings
+from .terminal.status import Status
 
 _MANY = 1_500_000
 """Splats beyond which integrated graphics cards draw fewer than 30 frames per second."""
@@ -56,10 +56,7 @@ def run(args: argparse.Namespace) -> int:
         model = open_model(model_path(args))
         output = _output(args, model)
         result = _write(args, model, output, status)
-    if args.json:
-        print_json(result)
-    else:
-        print(wrapped(_summary(result), sys.stdout))
+    print_result(result, [_summary(result)], json=args.json)
     return 0
 
 
@@ -105,9 +102,8 @@ def _write(
             f"{number(packed.head['count'])} splats are slow on a laptop; reduce them first with "
             f"gscore convert --count {_MANY}."
         )
-    for sentence in warnings:
-        status.clear()
-        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+    status.clear()
+    print_warnings(warnings)
     title = args.title or _title(model)
     size = write_page(output, _page(title, model, packed, views))
     if output.name == PAGE and output.parent == model.run:

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import sys
 import zipfile
 from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from ...io.lod_index import KIND
 from ...io.ply.splats import header_comments
 from ...json_text import parse_json
 from ...quoting import brief
+from .status import wrapped
 
 _NAMELESS = (".spz", ".splat", ".usd", ".usda", ".usdc", ".usdz", ".bin")
 """Endings of formats without comments."""
@@ -24,6 +26,20 @@ _NAMELESS = (".spz", ".splat", ".usd", ".usda", ".usdc", ".usdz", ".bin")
 def print_json(content: Any) -> None:
     """One line of strict JSON on stdout."""
     print(strict_json(content), flush=True)
+
+
+def print_warnings(sentences: Iterable[str]) -> None:
+    """Each warning on stderr, wrapped."""
+    for sentence in sentences:
+        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
+
+
+def print_result(facts: Any, lines: Sequence[str], *, json: bool, quiet: bool = False) -> None:
+    """The result of a verb on stdout: `facts` as JSON, else the lines of text unless `quiet`."""
+    if json:
+        print_json(facts)
+    elif not quiet:
+        print(wrapped("\n".join(lines), sys.stdout))
 
 
 def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:

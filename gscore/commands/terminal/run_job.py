@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from ...control import Control, listen
 from ...errors import Cancelled
@@ -13,6 +13,7 @@ from ...events import Failed, Show
 from ..parser import add_option
 from .display import JsonLines, Lines, Silent
 from .interrupt import interrupts
+from .output import print_result
 
 Result = TypeVar("Result")
 STOPPED = "Stopped before the first step; nothing was written."
@@ -20,10 +21,12 @@ EXIT_WITHOUT_RESULT = 3
 """Exit code of work that was stopped before a result, other than by a signal."""
 
 
-def add_output_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the output options."""
+def add_output_options(
+    parser: argparse.ArgumentParser, *, quiet: str = "print errors only"
+) -> None:
+    """Declare the output options; `quiet`: what `--quiet` does."""
     option = partial(add_option, parser.add_argument_group("output"))
-    option("--quiet", "print errors only")
+    option("--quiet", quiet)
     option("--events", "events as JSON lines on stdout, commands on stdin", choices=("jsonl",))
     option("--json", "the results as JSON at the end of stdout")
 
@@ -82,6 +85,21 @@ def run_job(
             if not shown.events:
                 show(Failed(message=str(error)))  # ends the progress line
             raise
+
+
+def run_verb(
+    shown: OutputOptions,
+    work: Callable[[Show, Control], Result],
+    *,
+    facts: Callable[[Result], Any],
+    lines: Callable[[Result], list[str]],
+    stopped: Callable[[], str] = lambda: STOPPED,
+) -> int:
+    """Run `work` as `run_job`, print its result as JSON or text, and return the exit code."""
+    result, code = run_job(shown, work, stopped=stopped)
+    if result is not None and (shown.json or not shown.is_silent):
+        print_result(facts(result), [] if shown.json else lines(result), json=shown.json)
+    return code
 
 
 def _display(shown: OutputOptions, control: Control) -> Show:
