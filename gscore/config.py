@@ -23,18 +23,18 @@ _MASK_MODES = ("auto", "composite", "ignore", "none")
 _DEPTH_ALIGNMENTS = ("auto", "official", "robust", "none")
 
 _capture_option = partial(option, group="capture")
-_depth_option = partial(option, group="depth")
+_depth_option = partial(option, group="depth", when="depth")
 _run_option = partial(option, group="run")
 _colour_option = partial(option, group="colour")
 _loss_option = partial(option, group="loss")
 _rate_option = partial(option, group="learning rates")
 _start_option = partial(option, group="start")
 _guide_option = partial(option, group="guides")
-_pose_option = partial(option, group="poses")
+_pose_option = partial(option, group="poses", when="poses")
 _photo_option = partial(option, group="photos")
 _refinement_option = partial(option, group="refinement")
-_mcmc_option = partial(option, group="mcmc")
-_result_option = partial(option, group="results")
+_mcmc_option = partial(option, group="mcmc", when="mcmc")
+_result_option = partial(option, group="results", free=True)
 """`option` for the headings of the option list."""
 
 
@@ -98,7 +98,6 @@ class DataConfig:
         "the SfM points; `none`: already aligned; `auto`: depth_params.json if it agrees with "
         "the points, else `robust`.",
         choices=_DEPTH_ALIGNMENTS,
-        when="depth",
     )
     resolution: float = _capture_option(
         -1,
@@ -133,7 +132,7 @@ class DataConfig:
     frame: int | None = _capture_option(
         None,
         "Frame number to read from a multi-view video; default: the first.",
-        metavar="N",
+        range=None,
         basic=True,
     )
     rig: Path | None = _capture_option(
@@ -163,7 +162,6 @@ class TrainConfig:
         "model takes a photo per step.",
         range=Range(low=1, high=_MOST),
         unit="steps",
-        metavar="N",
         basic=True,
         free=True,
     )
@@ -172,7 +170,6 @@ class TrainConfig:
         "Training time that replaces `iterations`; 0: off. Excludes reading, measuring and "
         "writing. Schedules adapt to the time, so the run is not reproducible bit for bit.",
         unit="s",
-        metavar="SECONDS",
         basic=True,
         free=True,
     )
@@ -181,7 +178,6 @@ class TrainConfig:
         "Stop when the mean PSNR of the held-out photos (else of the training photos) reaches "
         "this; 0: off.",
         unit="dB",
-        metavar="DB",
         basic=True,
         free=True,
     )
@@ -200,7 +196,6 @@ class TrainConfig:
         "Python set 0.",
         range=Range(high=_MOST),
         unit="steps",
-        metavar="N",
         free=True,
     )
     splats_a_photo: int = _run_option(
@@ -210,7 +205,6 @@ class TrainConfig:
         "0.",
         range=Range(high=_MOST),
         unit="splats",
-        metavar="N",
         free=True,
     )
     max_splats: int = _run_option(
@@ -218,7 +212,6 @@ class TrainConfig:
         "Limit of the number of splats. Memory and time grow with it.",
         range=Range(low=1, high=_MOST),
         unit="splats",
-        metavar="N",
         basic=True,
     )
     ensemble: int = _run_option(
@@ -247,7 +240,6 @@ class TrainConfig:
         3,
         "Degree of view-dependent colour, 0 to 3; 0: no view dependence.",
         range=Range(high=3),
-        metavar="N",
         basic=True,
     )
     sh_every: int = _colour_option(
@@ -255,7 +247,6 @@ class TrainConfig:
         "Steps between two SH degrees; `auto`: 1000, or fewer so that all are active by half of "
         "the run.",
         auto=0,
-        range=Range(),
         unit="steps",
         when="bands",
     )
@@ -264,7 +255,6 @@ class TrainConfig:
         "Random seed; the same seed gives the same bits. For the same capture and options, with "
         "any number of threads.",
         range=Range(high=_LARGEST_SEED),
-        metavar="N",
         basic=True,
     )
     threads: int = _run_option(
@@ -272,7 +262,6 @@ class TrainConfig:
         "CPU threads; `auto`: one per core that this process may use.",
         auto=0,
         range=Range(high=_MOST_THREADS),
-        metavar="N",
         basic=True,
         free=True,
     )
@@ -400,27 +389,23 @@ class TrainConfig:
         "number of training views that show a median point, where more than 6 do.",
         auto=-1,
         range=Range(high=LARGEST, also=-1),
-        when="depth",
     )
     depth_weight_final: float = _depth_option(
         -1.0,
         "Final weight of the depth loss, exponential in between; `auto`: the initial weight.",
         auto=-1,
         range=Range(high=LARGEST, also=-1),
-        when="depth",
     )
     depth_warmup: float = _depth_option(
         0.02,
         "Share of the run over which the depth loss rises from 0 to its full weight.",
         range=Range(high=1),
         unit="share of the run",
-        when="depth",
     )
     depth_pearson: float = _depth_option(
         0.5,
         "Weight of 1 - Pearson correlation for views with an unaligned map, as a share of "
         "`depth_weight`; 0: no depth loss for them.",
-        when="depth",
     )
     depth_points: int = _depth_option(
         -1,
@@ -429,7 +414,6 @@ class TrainConfig:
         auto=-1,
         range=Range(low=-1),
         unit="points",
-        when="depth",
     )
     guide_surface: Path | None = _guide_option(
         None,
@@ -466,13 +450,12 @@ class TrainConfig:
         Switch.AUTO,
         "Pose refinement: optimise the training camera poses; `auto`: if the points of the "
         "capture contradict them. Held-out cameras stay.",
+        when="",
     )
     pose_lr: float = _pose_option(
-        1e-3, "Initial learning rate of poses, in radians and shares of the extent.", when="poses"
+        1e-3, "Initial learning rate of poses, in radians and shares of the extent."
     )
-    pose_lr_final: float = _pose_option(
-        1e-5, "Final learning rate of poses; exponential decay.", when="poses"
-    )
+    pose_lr_final: float = _pose_option(1e-5, "Final learning rate of poses; exponential decay.")
     drop_rate: float = _loss_option(
         0.0,
         "Dropout: share of splats left out of a step at random, rising from 0 to this at the "
@@ -524,7 +507,6 @@ class TrainConfig:
         0,
         "First step that may add or remove splats; `auto`: 500, earlier in short runs.",
         auto=0,
-        range=Range(),
         unit="steps",
     )
     refine_stop: int = _refinement_option(
@@ -532,14 +514,12 @@ class TrainConfig:
         "Last step that may add or remove splats; `auto`: half of the run; 4/5 or shortly after "
         "full-size photos with `grow_with_photos`; 5/6 with mcmc.",
         auto=0,
-        range=Range(),
         unit="steps",
     )
     refine_every: int = _refinement_option(
         0,
         "Steps between two refinements; `auto`: 100, fewer in short runs.",
         auto=0,
-        range=Range(),
         unit="steps",
     )
     reset_every: int = _refinement_option(
@@ -609,17 +589,12 @@ class TrainConfig:
         "`mcmc`: splats added per refinement, as a share of the current number; `auto`: 0.05, more "
         "in runs that would not reach `max_splats`.",
         auto=0,
-        when="mcmc",
     )
     mcmc_noise: float = _mcmc_option(
-        5e5, "`mcmc`: noise on positions, in units of their learning rate.", when="mcmc"
+        5e5, "`mcmc`: noise on positions, in units of their learning rate."
     )
-    opacity_reg: float = _mcmc_option(
-        0.01, "`mcmc`: weight of the mean opacity in the loss.", when="mcmc"
-    )
-    scale_reg: float = _mcmc_option(
-        0.01, "`mcmc`: weight of the mean scale in the loss.", when="mcmc"
-    )
+    opacity_reg: float = _mcmc_option(0.01, "`mcmc`: weight of the mean opacity in the loss.")
+    scale_reg: float = _mcmc_option(0.01, "`mcmc`: weight of the mean scale in the loss.")
     test_iterations: tuple[int, ...] = _result_option(
         (),
         "Steps at which the test views are measured; always also at the end.",
@@ -627,7 +602,6 @@ class TrainConfig:
         unit="steps",
         metavar="STEP",
         when="steps",
-        free=True,
     )
     save_iterations: tuple[int, ...] = _result_option(
         (),
@@ -636,7 +610,6 @@ class TrainConfig:
         unit="steps",
         metavar="STEP",
         when="steps",
-        free=True,
     )
     checkpoint_iterations: tuple[int, ...] = _result_option(
         (),
@@ -645,39 +618,29 @@ class TrainConfig:
         unit="steps",
         metavar="STEP",
         when="steps",
-        free=True,
     )
     cache_mb: int = _result_option(
         0,
         "Memory for decoded photos in megabytes; photos beyond it are decoded again at each "
         "use. `auto`: all, or what fits. The result is the same.",
         auto=0,
-        range=Range(),
         unit="MB",
-        metavar="MB",
-        free=True,
     )
     checkpoint_seconds: float = _result_option(
         300.0,
         "Training time between two checkpoints; 0: only at the end. The last two are kept, and "
         "up to two more for the watchdog.",
         unit="s",
-        metavar="SECONDS",
-        free=True,
     )
     preview_seconds: float = _result_option(
         0.0,
         "Training time between two pictures of one view in OUT/previews; 0: none.",
         unit="s",
-        metavar="SECONDS",
-        free=True,
     )
     snapshot_every: int = _result_option(
         0,
         "Steps between two PLYs in OUT/snapshots, the last two are kept; 0: only on request.",
-        range=Range(),
         unit="steps",
-        free=True,
     )
     lpips: Path | None = _result_option(
         None,
@@ -685,18 +648,15 @@ class TrainConfig:
         "package lpips. Default: not measured.",
         metavar="NETWORK",
         basic=True,
-        free=True,
     )
     watchdog: bool = _result_option(
         True,
         "On divergence, return to the last good checkpoint with lower learning rates, a few "
         "times. Without periodic checkpoints (`checkpoint_seconds` 0): stop with an error.",
-        free=True,
     )
     detect_anomaly: bool = _result_option(
         False,
         "Stop with an error at the first non-finite number, with its origin; slow.",
-        free=True,
     )
 
     def __post_init__(self) -> None:

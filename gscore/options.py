@@ -65,13 +65,14 @@ class Option:
     group: str
     """Heading in the option list."""
     range: Range | None = None
+    """By default at least 0; of a float also at most `LARGEST`."""
     unit: str = ""
     auto: float | None = None
     """Number that stands for a value selected automatically; also read as `auto` or None."""
     choices: tuple[str, ...] = ()
     """Allowed values; empty: any of this kind."""
     metavar: str = ""
-    """Placeholder of the value in `--help`."""
+    """Placeholder of the value in `--help`; empty: by unit and kind."""
     short: str = ""
     """One-letter flag."""
     basic: bool = False
@@ -181,6 +182,8 @@ def _of_type(hint: Any) -> dict[str, Any]:
         facts["choices"] = tuple(kind)
     elif kind is float:
         facts["range"] = Range(high=LARGEST)
+    elif kind is int:
+        facts["range"] = Range()
     return facts
 
 

@@ -22,7 +22,6 @@ class SequenceOptions:
         0,
         "Steps of each later frame; 0: a quarter of the first frame's. The time budget of a later "
         "frame is a quarter too.",
-        range=Range(),
         unit="steps",
         basic=True,
     )
@@ -36,7 +35,6 @@ class SequenceOptions:
         0,
         "Frames between two keyframes, which are trained like the first; 0: the first only. "
         "Intervals between keyframes are independent, so several processes can train them.",
-        range=Range(),
         unit="frames",
         basic=True,
     )

@@ -19,6 +19,9 @@ _ON_OR_OFF = {
     **dict.fromkeys(("off", "false", "no", "0"), False),
 }
 
+_METAVARS = {"s": "SECONDS", "dB": "DB", "MB": "MB"}
+"""Placeholders of values by their unit."""
+
 
 def declare(
     group: argparse._ActionsContainer, cls: type[Any], *, names: Collection[str] = ()
@@ -50,7 +53,8 @@ def argument_facts(one: Option) -> dict[str, Any]:
     if one.choices:
         facts["choices"] = one.choices
     if one.metavar or not one.choices:
-        facts["metavar"] = one.metavar or ("N" if one.kind is int else "X")
+        plain = _METAVARS.get(one.unit, "N" if one.kind is int else "X")
+        facts["metavar"] = one.metavar or plain
     return facts
 
 
