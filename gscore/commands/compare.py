@@ -18,7 +18,8 @@ from ..io.metrics_file import read_metrics
 from ..metrics.comparison import ComparedRun, RunComparison, compare_runs
 from ..metrics.evaluate import target_picture
 from ..quoting import brief
-from ..report.compare_page import PairPictures, names_of, write_comparison
+from ..report.compare_page import PairPictures, comparison_html, names_of
+from ..report.html_parts import write_html
 from ..report.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
 from ..text_format import count_text
 from .args.model_argument import ModelArgument, open_model
@@ -76,7 +77,7 @@ def _compare(args: argparse.Namespace, status: Status) -> RunComparison:
     dataset = load_dataset(data)
     pictures = _pictures(comparison, models, dataset, args.threads, status)
     title = data.source.resolve().name
-    write_comparison(args.output, comparison, pictures, title=title)
+    write_html(args.output, comparison_html(comparison, pictures, title=title))
     return comparison
 
 

@@ -2,6 +2,6 @@
 
 from .cameras_plan import cameras_section
 from .histograms import splat_histograms
-from .page import Report, write_report
+from .page import Report, report_html
 from .pictures import PictureCollector
 from .results import write_results

@@ -3,13 +3,12 @@
 import html
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from ..metrics.comparison import HIGHER_IS_BETTER, RunComparison, ViewPair
 from ..text_format import count_text, number, number_text, size_text, time_text
 from .curves import Series, clean_points, legend, line_chart
-from .html_parts import AXES, html_page, switch, warnings_html, write_html
+from .html_parts import AXES, html_page, switch, warnings_html
 
 _DIGITS = {"psnr": 2, "ssim": 4, "lpips": 4}
 _AXES = (("step", "steps"), ("elapsed_s", "s"))
@@ -27,27 +26,16 @@ class PairPictures:
     photo: str
 
 
-def write_comparison(
-    path: Path, comparison: RunComparison, pictures: Sequence[PairPictures], *, title: str
-) -> None:
-    """Write the page completely or not at all.
-
-    Args:
-        path: The HTML file.
-        comparison: Content of the page.
-        pictures: Pictures of all pairs or some.
-        title: Usually the name of the capture.
-
-    Raises:
-        GsError: the file cannot be written.
-    """
-    write_html(path, comparison_html(comparison, pictures, title=title))
-
-
 def comparison_html(
     comparison: RunComparison, pictures: Sequence[PairPictures], *, title: str
 ) -> str:
-    """The page as HTML."""
+    """The page as HTML.
+
+    Args:
+        comparison: Content of the page.
+        pictures: Pictures of all pairs or some.
+        title: Usually the name of the capture.
+    """
     body = "".join(
         (
             _head(comparison, title),

@@ -4,7 +4,6 @@ import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
 from .histograms import Histogram, histograms_html
-from .html_parts import AXES, SEAM, html_page, switch, warnings_html, write_html
+from .html_parts import AXES, SEAM, html_page, switch, warnings_html
 from .pictures import ERROR_GAIN, ViewPictures
 from .report_header import EXPOSED, TIMES, head_html, meaning_html, tiles_html
 
@@ -46,19 +45,6 @@ class Report:
     """Histograms of the splats."""
     config: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Option values by section."""
-
-
-def write_report(path: Path, report: Report) -> None:
-    """Write the report of a run completely or not at all.
-
-    Args:
-        path: The HTML file.
-        report: Content of the page.
-
-    Raises:
-        GsError: The file cannot be written.
-    """
-    write_html(path, report_html(report))
 
 
 def report_html(report: Report) -> str:

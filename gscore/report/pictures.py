@@ -49,7 +49,7 @@ class PictureCollector:
     count: int
     """Expected number of views; determines which get pictures, and their size."""
     views: list[ViewPictures] = field(default_factory=list)
-    """Input of `write_report`, in the order of the views."""
+    """`Report.views`, in the order of the views."""
 
     def __call__(
         self,

@@ -12,7 +12,8 @@ from ..metrics.summary import Metrics, write_metrics
 from .cameras_plan import CamerasSection, made_of
 from .depth import DepthSection
 from .histograms import Histogram
-from .page import Report, write_report
+from .html_parts import write_html
+from .page import Report, report_html
 from .pictures import ViewPictures
 
 
@@ -73,7 +74,7 @@ def write_results(
         config=config,
         **how,
     )
-    write_report(folder / "report.html", report)
+    write_html(folder / "report.html", report_html(report))
     # The last file: its existence shows to a resumed run that all others exist.
     write_metrics(folder / "metrics.json", content)
     return content

@@ -8,7 +8,8 @@ import pytest
 
 from gscore.errors import ConfigError
 from gscore.metrics.comparison import ComparedRun, compare_runs
-from gscore.report.compare_page import PairPictures, comparison_html, write_comparison
+from gscore.report.compare_page import PairPictures, comparison_html
+from gscore.report.html_parts import write_html
 from gscore.report.pictures import data_uri
 from tests.browser import page_after
 
@@ -137,7 +138,7 @@ def test_the_slider_moves_and_sides_change(
 ) -> None:
     """Oracle: Chromium, in a wide and in a narrow window; nothing is wider than the window."""
     path = tmp_path / "compare.html"
-    write_comparison(path, compare_runs(*pair), pictures(), title="x")
+    write_html(path, comparison_html(compare_runs(*pair), pictures(), title="x"))
     act = """
       const range = document.querySelector(".slider input");
       range.value = 25;

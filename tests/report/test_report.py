@@ -15,7 +15,7 @@ from PIL import Image
 from gscore.errors import GsError
 from gscore.events import Decision
 from gscore.metrics import headline
-from gscore.report import PictureCollector, Report, cameras_section, splat_histograms, write_report
+from gscore.report import PictureCollector, Report, cameras_section, splat_histograms
 from gscore.report.colormap import colorize
 from gscore.report.curves import (
     Series,
@@ -26,6 +26,7 @@ from gscore.report.curves import (
     short_number,
 )
 from gscore.report.html_parts import PAGE, link_page
+from gscore.report.html_parts import write_html
 from gscore.report.page import report_html
 from gscore.report.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
 from gscore.scene import Cameras, PointCloud, Scene
@@ -91,7 +92,7 @@ def run(metrics_dict):
 def test_page_is_whole_and_alone(run, tmp_path):
     """Oracle: an HTML parser; nothing but data URIs is referred to."""
     path = tmp_path / "report.html"
-    write_report(path, run())
+    write_html(path, report_html(run()))
     text = path.read_text(encoding="utf-8")
     page = Page(text)
     assert len(page.links) == 3 and all(x.startswith("data:image/jpeg;base64,") for x in page.links)
@@ -103,7 +104,7 @@ def test_page_is_whole_and_alone(run, tmp_path):
 def test_splat_page_next_to_the_report_is_linked(run, tmp_path):
     """Oracle: an HTML parser; once, however often it is asked for; a foreign report stays."""
     report = tmp_path / "report.html"
-    write_report(report, run())
+    write_html(report, report_html(run()))
     before = report.read_text()
     assert not link_page(tmp_path) and report.read_text() == before
     (tmp_path / PAGE).write_text("x")
@@ -448,7 +449,7 @@ def test_a_folder_that_cannot_be_written_is_an_error(run, tmp_path):
     """Oracle: the path in the message, no file left behind."""
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(GsError, match="report"):
-        write_report(tmp_path / "file" / "report.html", run())
+        write_html(tmp_path / "file" / "report.html", report_html(run()))
 
 
 def test_colour_corrected_psnr_is_shown_and_explained(run):
@@ -487,7 +488,7 @@ def test_scripts_of_a_page_with_plans_run_to_their_end(run, tmp_path):
         histograms=splat_histograms([splats]),
     )
     path = tmp_path / "report.html"
-    write_report(path, report)
+    write_html(path, report_html(report))
     assert "wedge scored" in path.read_text() and "Anisotropy" in path.read_text()
     act = 'document.querySelector("img.photo").click();'
     viewer = page_after(path, act=act).partition('<div id="viewer"')[2]

@@ -242,7 +242,7 @@ def test_a_run_killed_before_its_report_writes_it_later(
         raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr(results, "write_report", killed)
+        patch.setattr(results, "write_html", killed)
         with pytest.raises(Killed):
             train(CONFIG, data_of(capture), tmp_path)
     assert (tmp_path / "point_cloud.ply").is_file()
