@@ -65,7 +65,7 @@ class Option:
     group: str
     """Heading in the option list."""
     range: Range | None = None
-    """By default at least 0; of a float also at most `LARGEST`."""
+    """Allowed numbers; by default at least 0, of a float also at most `LARGEST`."""
     unit: str = ""
     auto: float | None = None
     """Number that stands for a value selected automatically; also read as `auto` or None."""

@@ -24,10 +24,8 @@ from ..extras import install_hint, missing, package_facts
 from ..quoting import brief, quoted
 from .parser import Parser, UsageExit, nearest, sentence
 from .terminal.display import JsonLines
-from .terminal.interrupt import Interrupt, interrupts
+from .terminal.interrupt import Interrupt, interrupts, is_worker, safe_streams
 from .terminal.status import show_while, wrapped
-from .terminal.streams import safe_streams
-from .terminal.torchrun_launch import is_worker
 
 VERBS = {
     "frames": "choose sharp frames of a video for a folder of photos",

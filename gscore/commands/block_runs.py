@@ -10,7 +10,7 @@ from ..io.runs import checkpoints_in, results_in
 from ..quoting import brief
 from ..text_format import count_text
 from .args.train_request import TrainRequest
-from .terminal.torchrun_launch import under_torchrun
+from .terminal.interrupt import under_torchrun
 from .torchrun import agent, train_distributed, train_in_turn
 
 if TYPE_CHECKING:

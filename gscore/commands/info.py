@@ -36,9 +36,8 @@ from .args.data_options import add_mask_options, with_data_options
 from .args.model_argument import ModelArgument, find_splats, open_model
 from .lod import lod_facts, lod_text
 from .parser import add_option
-from .photo_folder_info import photos_facts, photos_text
+from .photo_folder_info import photos_facts, photos_text, video_facts, video_text
 from .terminal.output import print_result
-from .video_info import video_facts, video_text
 
 _QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 _EXPONENT = 350.0

@@ -22,11 +22,15 @@ from ..quoting import as_typed, brief, quoted
 from ..raster.api import Rendered
 from ..scene import Cameras
 from ..text_format import count_text
-from .args.lod_argument import LodArgument
-from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
+from .args.model_argument import (
+    LodArgument,
+    ModelArgument,
+    add_model_argument,
+    model_path,
+    open_model,
+)
 from .parser import add_option, add_result_options, add_threads_option
-from .pictures.exposures import exposure_gains
-from .pictures.render_cameras import FPS, PATHS, find_shots
+from .pictures.render_cameras import FPS, PATHS, exposure_gains, find_shots
 from .pictures.stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .pictures.video import need_video, write_video
 from .terminal.output import (

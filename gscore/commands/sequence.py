@@ -17,9 +17,9 @@ from . import train as train_command
 from .args.run_options import declare, passed_options
 from .args.train_request import TrainRequest
 from .args.viewer_options import viewer_clients_of
+from .terminal.interrupt import under_torchrun
 from .terminal.output import check_folder, other_files
 from .terminal.run_job import run_verb
-from .terminal.torchrun_launch import under_torchrun
 from .torchrun import agent, train_in_turn
 
 if TYPE_CHECKING:

@@ -11,9 +11,8 @@ from ..io.runs import AGENT, checkpoints_in
 from ..live_options import LiveOptions
 from ..metrics.machine import cores
 from .args.train_request import TrainRequest
-from .terminal.interrupt import interrupts
+from .terminal.interrupt import interrupts, under_torchrun
 from .terminal.run_job import OutputOptions
-from .terminal.torchrun_launch import under_torchrun
 
 if TYPE_CHECKING:
     from ..trainer.distributed.process_group import ProcessGroup

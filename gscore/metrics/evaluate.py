@@ -12,8 +12,7 @@ import numpy as np
 from ..errors import ShapeError
 from ..events import MASKED_OF
 from .image import EMPTY_MASK, colour_corrected, image_metrics
-from .lpips import Lpips
-from .lpips_net import SHORTEST_SIDE, LpipsNet
+from .lpips import SHORTEST_SIDE, Lpips, LpipsNet
 from .named import NAMED_METRICS
 
 _AVERAGED = tuple(metric.key for metric in NAMED_METRICS if metric.averaged)

@@ -10,8 +10,7 @@ from ..video.frame_folder import FrameFolder
 from .photo_folders import is_photo_folder, photos_of, same_photos
 from .photos import photo_folder
 from .search_request import SearchRequest
-from .staging import has_heic, staged_photos
-from .video_frames import IMAGES, frames_request, of_frames
+from .staging import IMAGES, frames_request, has_heic, of_frames, staged_photos
 
 
 @dataclass(frozen=True)

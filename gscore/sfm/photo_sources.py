@@ -11,8 +11,7 @@ from ..errors import DatasetError
 from ..events import Event
 from ..video import is_video
 from .search_request import SearchRequest
-from .staging import is_staged, remove_empty, stage_photos
-from .video_frames import IMAGES, with_frames
+from .staging import IMAGES, is_staged, remove_empty, stage_photos, with_frames
 from .workspace import check_without_cameras
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from ..errors import BackendError
 from . import native, truth
 from .case import EmptyTestError, Measure, case
+from .chain import five_point, relative
 from .compare import picture_measures, require_covered
-from .derivatives import five_point, relative
 from .scenes import SplatScene, draw_scene
 
 _NEAR = 0.01

@@ -1,16 +1,13 @@
 """Catalogue of stress cases: imports each module with cases, and sorts `case.CASES`."""
 
 from . import (
-    antialias,
     cameras,
     chain,
     depth,
     exponential,
     extreme_input,
     files,
-    harmonics,
     optimizer,
-    order,
     pictures,
     sizes,
     ssim,

@@ -1,13 +1,21 @@
-"""S3 to S6, pictures: float32 pictures and gradients compared to the float64 reference."""
+"""S3 to S6, S24 and S25, pictures: float32 compared to the float64 reference; spherical harmonics,
+opacity compensation of splats far below a pixel."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from . import native, truth
 from .case import EmptyTestError, Measure, case
-from .compare import gradient_measures, picture_measures, require_covered, row_errors
+from .compare import (
+    different_bits,
+    gradient_measures,
+    picture_measures,
+    require_covered,
+    row_errors,
+)
 from .scenes import SplatScene, draw_scene
 from .truth import Truth
 
@@ -116,3 +124,85 @@ def needles(full: bool) -> Iterator[Measure]:
         drawn = native.draw(scene, native.random_weights(scene, 0))
         require_covered(drawn.pictures["alpha"])
         yield Measure(f"{pixels:.0e} px long, not finite", float(not drawn.finite()), 0)
+
+
+def _seen_by(scene: SplatScene, others: SplatScene) -> SplatScene:
+    """Splats in camera coordinates, moved to the world of `scene`."""
+    means = (others.means - scene.viewmat[:3, 3]) @ scene.viewmat[:3, :3]
+    return others.with_row(slice(None), means=means)
+
+
+@lru_cache(maxsize=8)
+def _dots(low: float, high: float, logits: tuple[float, float]) -> tuple[SplatScene, Truth]:
+    scene = draw_scene(
+        2500, count=1500, width=32, height=28, sigma_px=(low, high), logits=logits, sh_degree=0
+    )
+    back = draw_scene(2503, count=40, width=32, height=28, sh_degree=0, posed=False)
+    scene = scene.joined(_seen_by(scene, back))
+    return scene, truth.reference_truth(scene, antialias=True)
+
+
+@case("S25", "anti-aliased dots")
+def dots(full: bool) -> Iterator[Measure]:
+    """Oracle: the reference, whose gradient passes through the factor above its floor."""
+    for name, low, high in (("0.15 to 0.6 px", 0.15, 0.6), ("1e-3 to 0.5 px", 1e-3, 0.5)):
+        # Splats with high opacity, and a backdrop that fills the picture.
+        scene, true = _dots(low, high, (3.0, 6.0))
+        drawn = native.draw(scene, true.weights, antialias=True)
+        factor = true.projected["opacities"] * (1 + np.exp(-scene.opacities.astype(np.float64)))
+        if not (factor[factor > 0] < 0.5).any():
+            raise EmptyTestError("nothing is compensated")
+        for m in (*picture_measures(drawn, true), *gradient_measures(drawn, true)):
+            yield Measure(f"{name}, {m.what}", m.error, m.tolerance, m.note)
+        yield Measure("numbers not finite", float(not drawn.finite()), 0)
+    tiny = draw_scene(
+        2501, count=400, width=32, height=28, sigma_px=(1e-9, 1e-4), logits=(5.0, 9.0)
+    )
+    big = draw_scene(2502, count=60, width=32, height=28, posed=False)
+    floor = tiny.joined(_seen_by(tiny, big))
+    drawn = native.draw(floor, native.random_weights(floor, 1), antialias=True)
+    yield Measure("numbers not finite", float(not drawn.finite()), 0)
+
+
+def _around(seed: int) -> SplatScene:
+    """Splats in all viewing directions, including the poles of the harmonics."""
+    scene = draw_scene(seed, count=40, width=32, height=28, sh_degree=4)
+    rotation = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+    rotation *= np.sign(np.linalg.det(rotation))
+    axes = np.eye(3)[seed % 3] * (1 if seed % 2 else -1)
+    # A camera at the origin along a world axis: the middle of the picture is a pole.
+    view = np.eye(4, dtype=np.float32)
+    other = np.roll(axes, 1)
+    view[:3, :3] = np.stack([other, np.cross(axes, other), axes]).astype(np.float32)
+    cam = scene.means @ scene.viewmat[:3, :3].T + scene.viewmat[:3, 3]
+    cam[0] = [0, 0, 2.5]
+    means = (cam @ view[:3, :3]).astype(np.float32)
+    return replace(scene, means=means, viewmat=view)
+
+
+@case("S24", "spherical harmonics")
+def harmonics(full: bool) -> Iterator[Measure]:
+    """Oracle: the reference; truncated coefficients, bit for bit, for lower degrees."""
+    clamped = 0
+    for seed in range(2400, 2406):
+        scene = _around(seed)
+        for degree in range(5):
+            true = truth.reference_truth(scene, sh_degree=degree, weigh=("rgb",))
+            drawn = native.draw(scene, true.weights, sh_degree=degree)
+            seen = (drawn.radii > 0) & (true.projected["depths"] > 0)
+            colors = true.projected["colors"][seen]
+            clamped += int((colors == 0).sum())
+            error = np.abs(drawn.projected["colors"][seen] - colors) / np.maximum(1, colors)
+            if seen.sum() < 20 or not drawn.radii[0]:
+                raise EmptyTestError("too few splats, or none at the pole, are visible")
+            yield Measure("colours", float(error.max()), 1e-6)
+            yield from picture_measures(drawn, true)
+            yield from gradient_measures(drawn, true)
+            rest = (degree + 1) ** 2 - 1
+            less = replace(scene, shN=scene.shN[:, :rest])
+            short = native.draw(less, true.weights)
+            changed = different_bits(drawn.pictures, short.pictures)
+            above = np.count_nonzero(drawn.gradients["shN"][:, rest:])
+            yield Measure("a lower degree is a prefix, bits changed", float(changed + above), 0)
+    if clamped < 5:
+        raise EmptyTestError("no colour is clamped at zero")

@@ -13,7 +13,7 @@ from gscore.io.lod_file import HEADER_BYTES, is_lod_file, open_lod_file
 from gscore.io.ply.splats import read_ply, read_ply_parts, write_splats
 from gscore.lod import groups
 from gscore.lod.build import LodFacts, build_lod
-from gscore.lod.chunk_selection import choose_chunks
+from gscore.lod.lod_renderer import choose_chunks
 from gscore.raster.request import Frustum
 from gscore.splats import PARAMETERS
 

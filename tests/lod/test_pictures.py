@@ -8,8 +8,7 @@ import pytest
 from gscore.errors import FormatError
 from gscore.io.lod_file import HEADER_BYTES
 from gscore.io.ply.splats import read_ply
-from gscore.lod.chunk_selection import choose_chunks
-from gscore.lod.lod_renderer import LodModel
+from gscore.lod.lod_renderer import LodModel, choose_chunks
 from gscore.metrics.image import psnr
 from gscore.raster.api import render
 from gscore.raster.request import Frustum

@@ -18,7 +18,7 @@ import torch
 from gscore.commands import main
 from gscore.errors import BackendError, ConfigError, GsError, ShapeError
 from gscore.metrics import Lpips, LpipsNet, find_lpips
-from gscore.metrics.lpips_net import NETS, weights_file
+from gscore.metrics.lpips import NETS, weights_file
 
 DATA = os.environ.get("GSCORE_DATA", "")
 REAL = Path(DATA) / "models" / "lpips_squeeze"

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from gscore.raster import reference
 from gscore.raster.request import Frustum
-from gscore.stress import derivatives, scenes
+from gscore.stress import chain, scenes
 from tests.isas import isa  # noqa: F401
 
 PARAMETERS = ("means", "quats", "scales", "opacities", "sh0", "shN")
@@ -101,9 +101,9 @@ def draw_scene(seed: int, **options: Any) -> RasterScene:
 def find_smooth_scene(
     seed: int, *, edit: Callable[[RasterScene], RasterScene] | None = None, **options: Any
 ) -> RasterScene:
-    """`gscore.stress.derivatives.smooth_scene` as tensors; `edit` changes each scene drawn."""
+    """`gscore.stress.chain.smooth_scene` as tensors; `edit` changes each scene drawn."""
     change = None if edit is None else lambda scene: to_numpy(edit(to_torch(scene)))
-    return to_torch(derivatives.smooth_scene(seed, edit=change, **options))
+    return to_torch(chain.smooth_scene(seed, edit=change, **options))
 
 
 def numerical_gradient(

@@ -25,8 +25,7 @@ from gscore.report.curves import (
     nice_ticks,
     short_number,
 )
-from gscore.report.html_parts import PAGE, link_page
-from gscore.report.html_parts import write_html
+from gscore.report.html_parts import PAGE, link_page, write_html
 from gscore.report.page import report_html
 from gscore.report.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
 from gscore.scene import Cameras, PointCloud, Scene

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from gscore.commands.terminal.interrupt import Interrupt
-from gscore.commands.terminal.streams import SafeStream, safe_streams
+from gscore.commands.terminal.interrupt import Interrupt, SafeStream, safe_streams
 
 
 def test_closed_pipe_is_reported_once() -> None:

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from gscore.errors import Cancelled
-from gscore.video.camera_motion import AccumulatedMotion
 from gscore.video.frame_selection import choose
-from gscore.video.frame_survey import Survey, survey
+from gscore.video.frame_survey import AccumulatedMotion, Survey, survey
 from gscore.video.source import opened_video
 
 from . import films

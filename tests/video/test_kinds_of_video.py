@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from gscore.commands import main
-from gscore.commands.video_info import video_facts
+from gscore.commands.photo_folder_info import video_facts
 from gscore.errors import FormatError
 from gscore.video import ExtractRequest, Frames, extract_frames
 from gscore.video.frame_image import to_screen

@@ -1,4 +1,4 @@
-"""Model argument of verbs: a splat file, or the folder of a run with its options."""
+"""Model argument of verbs: a splat file, the folder of a run with its options, or an LOD file."""
 
 import argparse
 import re
@@ -20,6 +20,7 @@ from ...io.ply.comments import stated_near
 from ...io.ply.splats import header_comments
 from ...io.runs import options_of_run
 from ...io.unsupported_formats import describe_unsupported
+from ...lod.lod_renderer import LodModel
 from ...quoting import as_typed, brief
 from ...raster.api import Rendered, render, render_camera
 from ...scene import Cameras, splat_near
@@ -237,3 +238,72 @@ def find_run(file: Path) -> Path | None:
     if file.parent.name == "snapshots":
         folders.append(file.parent.parent)
     return next((f for f in folders if (f / "config.json").is_file()), None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LodArgument:
+    """A file of levels of detail, with the interface of `ModelArgument`."""
+
+    model: LodModel
+    lod_px: float
+    """Allowed error, px."""
+    most: int | None
+    """Maximum number of rendered splats; None: no limit."""
+    run: None = None
+    data: DataConfig | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.model.file.path
+
+    @property
+    def antialias(self) -> bool:
+        """Whether it was trained with opacity compensation."""
+        return self.model.index.antialias
+
+    @property
+    def background(self) -> tuple[float, float, float]:
+        """Background colour in measurements."""
+        return self.model.index.background
+
+    @property
+    def near(self) -> float:
+        """Near plane of the training, world units."""
+        return self.model.index.near
+
+    @property
+    def cameras(self) -> Cameras | None:
+        """Cameras of its run; None: not known."""
+        return self.model.index.cameras
+
+    @property
+    def origin(self) -> np.ndarray | None:
+        """Local origin of its means, as `Cameras.origin`."""
+        return self.model.index.origin
+
+    def world_of(self, cameras: Cameras) -> Cameras:
+        """Cameras of its capture, moved to the world of its splats."""
+        return cameras.of_splats(self.origin)
+
+    @property
+    def count(self) -> int:
+        """Splats of the finest level."""
+        return self.model.index.levels[0].splats
+
+    def draw(
+        self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, **how: Any
+    ) -> Rendered:
+        """Render a picture, as `LodModel.render`."""
+        return self.model.render(
+            K, viewmat, width, height, lod_px=self.lod_px, most=self.most, **how
+        )
+
+    def drawn(self) -> dict[str, Any]:
+        """Splats and chunks of the last picture, as JSON values."""
+        chosen = self.model.chosen
+        if chosen is None:
+            return {}
+        levels = chosen.by_level(len(self.model.index.levels))
+        return {"splats_drawn": chosen.splats, "chunks_by_level": levels, "lod_px": chosen.pixels}

@@ -19,9 +19,8 @@ from ...text_format import count_text, number
 from ..files import check_regular, open_regular
 from ..system_memory import available_memory_bytes, total_memory_bytes
 from .image_header import ORIENTATION, read_header
-from .jpeg_scan import with_end_marker
 from .raw import full_size_page, is_raw, raw_info, read_raw
-from .truncated_images import truncation_reason
+from .truncated_images import truncation_reason, with_end_marker
 
 PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "TGA", "PPM")
 """Supported formats, by Pillow's names. Every picture is opened with this list, because Pillow

@@ -5,13 +5,14 @@ way: a PNG with fewer rows than its header states becomes black at the bottom, a
 uncompressed TIFF shows the bytes that follow.
 """
 
+import re
 import struct
 import zlib
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..files import open_regular
-from .jpeg_scan import missing_blocks
+from ..files import open_regular, read_bytes
 
 _PIECE = 1 << 20
 """Bytes decompressed at a time."""
@@ -102,3 +103,135 @@ def _tiff(image: Any) -> str:
     whole *= image.height
     there = sum(stated)
     return f"it is cut short, {there} of {whole} bytes of its pixels are there" * (there < whole)
+
+
+_FRAMES = frozenset({0xC0, 0xC1})
+"""Frames of one sequential scan; others (progressive, lossless) are not counted."""
+_OTHER_FRAMES = frozenset(range(0xC2, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_NEXT_MARKER = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]", re.DOTALL)
+_RESTART = re.compile(rb"\xff[\xd0-\xd7]")
+_END = b"\xff\xd9"
+_CODE = 16
+"""Most bits of a code."""
+
+
+@dataclass(kw_only=True)
+class _Jpeg:
+    size: tuple[int, int] = (0, 0)
+    sampling: dict[int, tuple[int, int]] = field(default_factory=dict)
+    """Blocks per MCU across and down, by component."""
+    tables: dict[int, list[int]] = field(default_factory=dict)
+    """Lookup table by class (DC 0, AC 16) plus number: 256 length + value for each next 16 bits."""
+    interval: int = 0
+    """MCUs between restart markers; 0: no markers."""
+
+
+def missing_blocks(path: Path) -> int:
+    """Number of MCUs missing at the end of a JPEG of one sequential scan; 0 if it is complete or of
+    another kind."""
+    try:
+        return _missing(read_bytes(path))
+    except (IndexError, KeyError, struct.error):  # a damaged header is left to the decoder
+        return 0
+
+
+def with_end_marker(path: Path) -> bytes | None:
+    """Bytes of a JPEG of one sequential scan that lacks only its end marker (EOI), with the marker
+    added; None for every other file."""
+    raw = read_bytes(path).rstrip(b"\xff")
+    try:
+        at = raw.rindex(b"\xff\xda")  # a byte 0xff within a scan is followed by 0 or a restart
+        whole = not _NEXT_MARKER.search(raw, at + 2) and _missing(raw) == 0
+    except (IndexError, KeyError, ValueError, struct.error):
+        return None
+    return raw + _END if whole and _is_counted(raw) else None
+
+
+def _is_counted(raw: bytes) -> bool:
+    """True if missing blocks of the last scan would be detected."""
+    return _missing(raw[: raw.rindex(b"\xff\xda") + 16]) > 0
+
+
+def _missing(raw: bytes) -> int:
+    jpeg, at = _Jpeg(), 2
+    while True:
+        while raw[at + 1] == 0xFF:
+            at += 1
+        marker = raw[at + 1]
+        (length,) = struct.unpack_from(">H", raw, at + 2)
+        body, at = raw[at + 4 : at + 2 + length], at + 2 + length
+        if marker in _OTHER_FRAMES or marker == 0xD9:
+            return 0
+        if marker == 0xDA:
+            return _missing_in_scan(jpeg, body, raw, at)
+        if marker in _FRAMES:
+            height, width, count = struct.unpack_from(">xHHB", body)
+            jpeg.size = width, height
+            parts = struct.iter_unpack("BBB", body[6 : 6 + 3 * count])
+            jpeg.sampling = {number: (ratio >> 4, ratio & 15) for number, ratio, _ in parts}
+        elif marker == 0xC4:
+            _read_tables(body, jpeg.tables)
+        elif marker == 0xDD:
+            (jpeg.interval,) = struct.unpack(">H", body)
+
+
+def _read_tables(body: bytes, tables: dict[int, list[int]]) -> None:
+    at = 0
+    while at < len(body):
+        counts, value_at = body[at + 1 : at + 17], at + 17
+        table, code = [0] * (1 << _CODE), 0
+        for length, count in enumerate(counts, start=1):
+            for value in body[value_at : value_at + count]:
+                first = code << (_CODE - length)
+                filled = 1 << (_CODE - length)
+                table[first : first + filled] = [length << 8 | value] * filled
+                code += 1
+            value_at += count
+            code <<= 1
+        tables[body[at]] = table[: 1 << _CODE]
+        at = value_at
+
+
+def _missing_in_scan(jpeg: _Jpeg, header: bytes, raw: bytes, start: int) -> int:
+    """Number of MCUs missing in the scan whose data begin at `start`."""
+    if header[0] != len(jpeg.sampling) or not all(jpeg.size):
+        return 0
+    blocks: list[tuple[list[int], list[int]]] = []
+    for number, chosen in struct.iter_unpack("BB", header[1 : 1 + 2 * header[0]]):
+        across, down = jpeg.sampling[number] if header[0] > 1 else (1, 1)
+        blocks += [(jpeg.tables[chosen >> 4], jpeg.tables[16 + (chosen & 15)])] * (across * down)
+    wide = max(a for a, _ in jpeg.sampling.values()) if header[0] > 1 else 1
+    tall = max(d for _, d in jpeg.sampling.values()) if header[0] > 1 else 1
+    total = -(-jpeg.size[0] // (8 * wide)) * -(-jpeg.size[1] // (8 * tall))
+    found = _NEXT_MARKER.search(raw, start)
+    parts = _RESTART.split(raw[start : found.start() if found else len(raw)])
+    # Only the last part can be incomplete.
+    before = jpeg.interval * (len(parts) - 1)
+    expected = min(jpeg.interval or total, total - before)
+    present = before + _count(parts[-1].replace(b"\xff\x00", b"\xff"), blocks, expected)
+    return max(0, total - present)
+
+
+def _count(data: bytes, blocks: list[tuple[list[int], list[int]]], most: int) -> int:
+    """Number of MCUs in data without stuffing; `most` if a code is damaged, because damage is not
+    reported here."""
+    end = 8 * len(data)
+    data += bytes(4)
+    at = 0
+    for done in range(most):
+        for mean, rest in blocks:
+            place = 0
+            while place < 64:
+                if at >= end:
+                    return done
+                byte = at >> 3
+                ahead = int.from_bytes(data[byte : byte + 4], "big") >> (16 - (at & 7)) & 0xFFFF
+                entry = (rest if place else mean)[ahead]
+                if not entry:  # the padding bits of the last byte are not a code
+                    return done if end - at < 8 else most
+                value = entry & 255
+                at += (entry >> 8) + (value & 15)
+                if place and not value & 15 and value != 0xF0:  # the rest of the block is 0
+                    break
+                place += (value >> 4) + 1 if place else 1
+    return most if at <= end else most - 1
