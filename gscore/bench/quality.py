@@ -2,7 +2,7 @@
 
 import math
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -11,7 +11,9 @@ from ..datasets import Dataset
 from ..errors import FormatError
 from ..events import finite, headline_psnr
 from ..metrics import Lpips, LpipsNet, evaluate, psnr
+from ..metrics.coverage import COVERED, WORST, coverage, lowest_view
 from ..metrics.evaluate import target_picture
+from .leave_out import CaseChange, LeaveOut, leave_out
 from .paired import (
     CaptureChange,
     Difference,
@@ -23,7 +25,9 @@ from .paired import (
 from .training import Color, PictureOf, train_measured
 
 COMPARED = ("psnr", "psnr_cc", "ssim", "lpips")
-"""Metrics of a view."""
+"""Metrics of a view with medians."""
+_CORRECTED = ("ssim_cc", "lpips_cc", "coverage")
+"""Its other numbers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +41,11 @@ class ScoredView:
     """PSNR after colour correction, dB."""
     ssim: float | None
     lpips: float | None
+    ssim_cc: float | None = None
+    """SSIM and LPIPS after colour correction; None also in files of older versions."""
+    lpips_cc: float | None = None
+    coverage: float | None = None
+    """Share that training photos show, as `metrics.coverage`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +53,7 @@ class Training:
     """Metrics of one training."""
 
     capture: str
+    """Capture, or case: a capture with its thinning."""
     variant: str
     seed: int
     offset: int
@@ -80,6 +90,10 @@ class Summary:
     trimmed: dict[str, float | None]
     """Mean without the lowest and the highest fifth."""
     worst: Worst | None
+    worst_view: dict[str, dict[str, Any] | None]
+    """The lowest view, each the mean over seeds, that training photos cover, by metric."""
+    not_covered: list[str]
+    """The other views."""
     gap: float | None
     """Median over the trainings, like the fields below; dB."""
     splats: int
@@ -97,6 +111,10 @@ class Comparison:
     seconds: float
     """Relative time, median over pairs of trainings."""
     verdict: Verdict
+    cases: dict[str, CaseChange]
+    """Mean differences by capture and thinning."""
+    leave_out: LeaveOut
+    """The rule over them."""
 
 
 def train_scored(
@@ -135,7 +153,15 @@ def train_scored(
     trained = train_measured(
         config, photos, limited=True, eval_views=eval_views, on_step=on_step, at_end=measure
     )
-    views = tuple(_scored_view(view) for view in found["views"])
+    shares = coverage(
+        trained.splats,
+        eval_views.scene.cameras,
+        eval_views,
+        near=trained.near,
+        antialias=config.antialias,
+        threads=config.threads,
+    )
+    views = tuple(_scored_view(view, shares[view["name"]]) for view in found["views"])
     held_out = [view.psnr for view in views if view.psnr is not None]
     gap = None
     if held_out and found["train"]:
@@ -159,14 +185,10 @@ def _view_psnr(picture_of: PictureOf, photos: Dataset, index: int, background: C
     return psnr(picture_of(index), target, mask=weights)
 
 
-def _scored_view(view: Mapping[str, Any]) -> ScoredView:
-    return ScoredView(
-        name=view["name"],
-        psnr=headline_psnr(view),
-        psnr_cc=view["psnr_cc"],
-        ssim=view["ssim"],
-        lpips=view["lpips"],
-    )
+def _scored_view(view: Mapping[str, Any], coverage: float) -> ScoredView:
+    keys = ("name", "psnr_cc", "ssim", "lpips", "ssim_cc", "lpips_cc")
+    values = {key: view[key] for key in keys}
+    return ScoredView(psnr=headline_psnr(view), coverage=coverage, **values)
 
 
 def training_json(training: Training) -> dict[str, Any]:
@@ -187,7 +209,7 @@ def read_training(content: Any) -> Training:
         if not (all(isinstance(text, str) for text in texts) and training.seconds > 0):
             raise ValueError("names are not text, or the time is not positive")
         numbers = [training.seconds, training.splats, training.seed, training.offset]
-        numbers += [getattr(view, key) for view in views for key in COMPARED]
+        numbers += [getattr(view, key) for view in views for key in (*COMPARED, *_CORRECTED)]
         math.fsum(0.0 if number is None else number for number in (*numbers, training.gap))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FormatError(f"not a training of this bench ({error})") from error
@@ -196,12 +218,15 @@ def read_training(content: Any) -> Training:
 
 def summarize(trainings: Sequence[Training]) -> Summary:
     """One variant on one capture; at least one training."""
+    covered = _covered(trainings)
     columns = {key: _column(trainings, key) for key in COMPARED}
     gaps = [training.gap for training in trainings if training.gap is not None]
     return Summary(
         median={key: statistics.median(c) if c else None for key, c in columns.items()},
         trimmed={key: trimmed_mean(c) if c else None for key, c in columns.items()},
         worst=_worst(trainings),
+        worst_view=_worst_covered(trainings, covered),
+        not_covered=sorted({v.name for t in trainings for v in t.views} - covered),
         gap=statistics.median(gaps) if gaps else None,
         splats=round(statistics.median(training.splats for training in trainings)),
         seconds=statistics.median(training.seconds for training in trainings),
@@ -229,6 +254,40 @@ def _worst(trainings: Iterable[Training]) -> Worst | None:
     return min(known, key=lambda worst: worst.psnr_cc, default=None)
 
 
+def _covered(trainings: Sequence[Training]) -> set[str]:
+    """Names of the views that training photos cover in the mean; all if it was not measured."""
+    return {
+        view
+        for view, share in _view_means(trainings, "coverage", missing=1.0).items()
+        if share >= COVERED
+    }
+
+
+def _view_means(
+    trainings: Iterable[Training], key: str, *, missing: float | None = None
+) -> dict[str, float]:
+    """Mean of a metric over the trainings, by view; `missing`: value of a view without it."""
+    values: dict[str, list[float]] = {}
+    for training in trainings:
+        for view in training.views:
+            value = getattr(view, key)
+            if (value := missing if value is None else value) is not None:
+                values.setdefault(view.name, []).append(value)
+    return {name: statistics.fmean(found) for name, found in values.items()}
+
+
+def _worst_covered(
+    trainings: Sequence[Training], covered: Container[str]
+) -> dict[str, dict[str, Any] | None]:
+    """`Summary.worst_view`."""
+    found = {}
+    for key in WORST:
+        means = _view_means(trainings, key)
+        views = [{"name": name, key: means[name]} for name in means if name in covered]
+        found[key] = lowest_view(views, key)
+    return found
+
+
 def compare(trainings: Sequence[Training], base: str, variant: str) -> Comparison | None:
     """Compare a variant with `base` over their common trainings; None if they share no view.
 
@@ -246,6 +305,7 @@ def compare(trainings: Sequence[Training], base: str, variant: str) -> Compariso
         return None
     captures = {name: _change(pairs[name], groups) for name, groups in changes.items()}
     overall = paired_difference(list(changes.values()))
+    cases = {name: _case_change(pairs[name]) for name in changes}
     seconds = _times_as_long([pair for name in changes for pair in pairs[name]])
     return Comparison(
         variant=variant,
@@ -253,6 +313,8 @@ def compare(trainings: Sequence[Training], base: str, variant: str) -> Compariso
         psnr_cc=overall,
         seconds=seconds,
         verdict=decide_default(overall, seconds, captures),
+        cases=cases,
+        leave_out=leave_out(cases),
     )
 
 
@@ -267,6 +329,34 @@ def _change(pairs: Sequence[tuple[Training, Training]], groups: list[list[float]
         ssim=median("ssim"),
         lpips=median("lpips"),
         seconds=_times_as_long(pairs),
+    )
+
+
+def _case_change(pairs: Sequence[tuple[Training, Training]]) -> CaseChange:
+    """Mean differences on one case; at least one view has a colour-corrected PSNR in both."""
+
+    def mean(key: str) -> float | None:
+        found = [_differences([pair], key) for pair in pairs]
+        means = [statistics.fmean(value for (value,) in views) for views in found if views]
+        return statistics.fmean(means) if means else None
+
+    before, after = ([pair[side] for pair in pairs] for side in (0, 1))
+    covered = _covered(before)
+    old, new = (_worst_covered(trainings, covered) for trainings in (before, after))
+    worst = {
+        key: lowest["value"] - was["value"]
+        for key in WORST
+        if (was := old[key]) and (lowest := new[key])
+    }
+    return CaseChange(
+        trainings=len(pairs),
+        psnr_cc=mean("psnr_cc") or 0.0,
+        ssim_cc=mean("ssim_cc"),
+        lpips_cc=mean("lpips_cc"),
+        worst_psnr_cc=worst.get("psnr_cc"),
+        worst_ssim_cc=worst.get("ssim_cc"),
+        seconds=math.fsum(t.seconds for t in after) / math.fsum(t.seconds for t in before),
+        splats=sum(t.splats for t in after) / max(sum(t.splats for t in before), 1),
     )
 
 

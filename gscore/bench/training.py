@@ -58,6 +58,8 @@ class Trained:
     """The same in all backward passes."""
     splats: Splats = field(repr=False)
     """The result, in COLMAP world."""
+    near: float
+    """Its near plane, world units."""
 
 
 def open_for_bench(data: DataConfig) -> Dataset:
@@ -213,25 +215,29 @@ def train_measured(
             forward_pairs=forward,
             backward_pairs=backward,
             splats=trainer.splats(),
+            near=trainer.frame.world_near,
         )
 
 
 def _pictures(trainer: Trainer, eval_views: Dataset | None) -> PictureOf:
-    """Renderer of the current splats over the fixed background; None: at the trained size."""
+    """Renderer of the current splats over the fixed background, with the exposure of the photo;
+    None: at the trained size."""
     background = trainer.renderer.background
     if eval_views is None:
         return lambda index: trainer.renderer.picture(index, background=background)
     cameras, splats = eval_views.scene.cameras, trainer.splats()
 
     def picture_of(index: int) -> np.ndarray:
-        return render_camera(
+        gain = trainer.photo_parameters.gain_of(index)
+        rgb = render_camera(
             splats,
             cameras,
             index,
-            background=background,
+            background=trainer.renderer.background_before_gain(background, gain),
             near=trainer.frame.world_near,
             antialias=trainer.config.antialias,
             threads=trainer.config.threads,
         ).rgb
+        return rgb if gain is None else rgb * gain.numpy()
 
     return picture_of

@@ -120,6 +120,7 @@ def test_skips_are_trained_once_each_and_named(
         forward_pairs=1.0,
         backward_pairs=1.0,
         splats=synthetic_scene(1)[0],
+        near=0.01,
     )
     monkeypatch.setattr("gscore.bench.skips.train_measured", lambda config, photos: trained)
     monkeypatch.setattr("gscore.commands.bench.skips.load_for_bench", lambda data: None)

@@ -219,6 +219,7 @@ def test_curves_and_sizes_are_medians(monkeypatch: pytest.MonkeyPatch) -> None:
             forward_pairs=1,
             backward_pairs=1,
             splats=splats,
+            near=0.01,
         )
 
     monkeypatch.setattr("gscore.bench.pareto_front.train_measured", trained)
@@ -346,7 +347,9 @@ def test_finished_measurements_are_kept(
         labels_done.append(config.max_splats)
         points = [_point(1, 20), _point(2, float("nan"))]
         splats = synthetic_scene(1)[0]
-        return Trained(seconds=2, points=points, forward_pairs=1, backward_pairs=1, splats=splats)
+        return Trained(
+            seconds=2, points=points, forward_pairs=1, backward_pairs=1, splats=splats, near=0.01
+        )
 
     monkeypatch.setattr("gscore.bench.time_error.train_measured", trained)
     options = [str(EXAMPLE), *small, "--seeds", "3", "3", "--presets", "draft", "preview", "draft"]

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("sources CAPTURE...", "captures", Path)
     option(
         "-o, --output OUTPUT",
-        "folder for results.json; an interrupted run continues from there",
+        "folder for results.json and results.md; an interrupted run continues from there",
         Path,
         required=True,
     )
@@ -41,6 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[0, 3, 5],
     )
     option(
+        "--thin N...",
+        "also thin the training photos: every N-th of them; one training each (1: all photos)",
+        int,
+        default=[1],
+    )
+    option(
         "--compare NAME=CHANGES*",
         "also train with these changes, joined by commas: a strategy (mcmc), a disabled "
         "skip, an option of gscore.TrainConfig (free-space=0), another preset "
@@ -49,17 +55,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     option("--lpips NETWORK", "as for gscore eval; without it, not measured", Path)
     add_training_options(parser)
+    parser.set_defaults(parser=parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the trainings that results.json lacks; print the tables and verdicts."""
     args.seeds = list(dict.fromkeys(args.seeds))
     args.offsets = list(dict.fromkeys(args.offsets))
+    args.thin = list(dict.fromkeys(args.thin))
     check_numbers(args, 0, "seeds", "offsets")
+    check_numbers(args, 1, "thin")
     check_folder(args.output)
     for source in args.sources:
         check_output_path(args.output, DataConfig(source=source))
-    check_replaced([args.output / "results.json"], overwrite=args.overwrite)
+    written = [args.output / name for name in ("results.json", "results.md")]
+    check_replaced(written, overwrite=args.overwrite)
     lpips, _ = find_lpips(args.lpips, threads=args.threads)
     cells = deque(cells_of(args, variants_of(args)))
     results = QualityResults(args, cells, lpips.net if lpips else None)

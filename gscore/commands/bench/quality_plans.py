@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ...bench.leave_out import THINNED
 from ...bench.time_error import Variant
 from ...bench.training import open_sizes
 from ...config import DataConfig
@@ -19,6 +20,7 @@ class Cell:
     """One split of one capture, and the trainings on it."""
 
     capture: str
+    """Its name, with the thinning if any."""
     offset: int
     seeds: list[int]
     datas: list[DataConfig]
@@ -69,14 +71,15 @@ def _request(args: argparse.Namespace, label: str, changes: Sequence[str]) -> Qu
 
 
 def cells_of(args: argparse.Namespace, variants: Sequence[QualityRequest]) -> list[Cell]:
-    """One cell per capture and offset; no photo is decoded yet.
+    """One cell per capture, thinning and offset; no photo is decoded yet.
 
     Raises:
         GsError: an invalid capture, option or offset.
     """
     return [
-        _cell(args, name, source, offset, variants)
+        _cell(args, name, source, offset, thin, variants)
         for name, source in named_sources(args.sources).items()
+        for thin in args.thin
         for offset in args.offsets
     ]
 
@@ -86,6 +89,7 @@ def _cell(
     name: str,
     source: Path,
     offset: int,
+    thin: int,
     variants: Sequence[QualityRequest],
 ) -> Cell:
     datas, configs = [], []
@@ -95,8 +99,10 @@ def _cell(
         configs.append(changed(config, variant.changes, flag="--compare"))
     _check_different([one.label for one in variants], list(zip(datas, configs, strict=True)))
     photos, eval_views = open_sizes(datas)
+    for dataset in {id(dataset): dataset for dataset in photos}.values():
+        dataset.train = dataset.train[::thin]
     return Cell(
-        capture=name,
+        capture=name if thin == 1 else f"{name}{THINNED}{thin}",
         offset=offset,
         seeds=args.seeds,
         datas=datas,

@@ -1,6 +1,7 @@
-"""Quality results of `gscore bench quality`: results.json, written per training; tables."""
+"""Quality results of `gscore bench quality`: results.json and results.md, written per training."""
 
 import argparse
+import shlex
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from ...json_text import parse_json
 from ...metrics.machine import machine
 from ...raster import native_library
 from ...text_format import number, number_text
+from ..terminal.output import MARKDOWN_MARK
 from .quality_plans import Cell
 
 Report = tuple[dict[str, dict[str, Summary]], list[Comparison]]
@@ -44,6 +46,7 @@ class QualityResults:
             ConfigError: that call had other settings, or the file is damaged.
         """
         self._path: Path = args.output / "results.json"
+        self._command = command_text(args)
         self._requested = [key for cell in cells for key in _keys(cell)]
         self._setting = _setting(args, cells, net)
         self._trainings: dict[tuple[str, str, int, int], Training] = {}
@@ -89,6 +92,7 @@ class QualityResults:
             "finished": self._finished,
             "machine": machine(),
             "isa": native_library.isa(),
+            "command": self._command,
             "setting": self._setting,
             "captures": {
                 name: {label: asdict(summary) for label, summary in variants.items()}
@@ -101,6 +105,8 @@ class QualityResults:
 
     def _write(self) -> None:
         atomic_write(self._path, (self.text() + "\n").encode())
+        page = f"{MARKDOWN_MARK}```\n{self._command}\n```\n\n{tables(self.report())}\n"
+        atomic_write(self._path.with_suffix(".md"), page.encode())
 
     def _read(self) -> None:
         try:
@@ -121,6 +127,20 @@ class QualityResults:
         self._trainings = {training.key: training for training in found}
         for part in ("variants", "captures"):
             self._setting[part] = setting[part] | self._setting[part]
+
+
+def command_text(args: argparse.Namespace) -> str:
+    """The shell command of the arguments that differ from their defaults."""
+    words = ["gscore", "bench", args.what]
+    for action in args.parser._actions:
+        value = getattr(args, action.dest, action.default)
+        if value == action.default or action.dest == "json":
+            continue
+        flags = [flag for flag in action.option_strings if flag.startswith("--")]
+        words += flags[1:2] if value is False else flags[:1]
+        values = value if isinstance(value, list | tuple) else [value]
+        words += [str(one) for one in values if not isinstance(one, bool)]
+    return shlex.join(words)
 
 
 def _keys(cell: Cell) -> Iterator[tuple[str, str, int, int]]:
@@ -171,8 +191,11 @@ def tables(report: Report) -> str:
     captures, compared = report
     parts = [_of_capture(name, variants) for name, variants in captures.items()]
     if compared:
-        parts.append(_of_differences(compared, base=next(iter(next(iter(captures.values()))))))
-        parts.append("\n".join(map(_verdict, compared)))
+        base = next(iter(next(iter(captures.values()))))
+        parts += [_of_differences(compared, base), "\n".join(map(_verdict, compared))]
+        parts += [_of_cases(compared, base), "\n".join(map(_leave_out, compared))]
+    if left_out := _not_covered(captures):
+        parts.append(left_out)
     return "\n\n".join(parts)
 
 
@@ -223,6 +246,37 @@ def _change_cells(variant: str, capture: str, change: CaptureChange, with_lpips:
     cells += [_interval(psnr.low, psnr.high), _signed(change.psnr, 2), _signed(change.ssim, 4)]
     cells += [_signed(change.lpips, 4)] * with_lpips
     return [*cells, f"{change.seconds:.2f}"]
+
+
+def _of_cases(compared: list[Comparison], base: str) -> str:
+    heads = [f"means against {base}", "case", "trainings", "colour-corrected PSNR", "SSIM", "LPIPS"]
+    heads += ["worst view", "worst SSIM", "relative time", "relative splats"]
+    lines = [_row(heads), "|---" * len(heads) + "|"]
+    digits = {"psnr_cc": 2, "ssim_cc": 4, "lpips_cc": 4, "worst_psnr_cc": 2, "worst_ssim_cc": 4}
+    for one in compared:
+        for name, case in one.cases.items():
+            cells = [one.variant, name, number(case.trainings)]
+            cells += [_signed(getattr(case, key), digits[key]) for key in digits]
+            lines.append(_row([*cells, f"{case.seconds:.2f}", f"{case.splats:.2f}"]))
+    return "\n".join(lines)
+
+
+def _leave_out(one: Comparison) -> str:
+    outcome = "kept" if one.leave_out.kept else "not kept"
+    return f"{one.variant}: {outcome} ({one.leave_out.why})."
+
+
+def _not_covered(captures: dict[str, dict[str, Summary]]) -> str:
+    """The views that do not count as worst views, as lines; empty: none."""
+    found = {
+        name: sorted({view for summary in variants.values() for view in summary.not_covered})
+        for name, variants in captures.items()
+    }
+    return "\n".join(
+        f"{name}: not covered by training photos: {', '.join(views)}."
+        for name, views in found.items()
+        if views
+    )
 
 
 def _signed(value: float | None, digits: int) -> str:

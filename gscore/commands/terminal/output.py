@@ -130,6 +130,8 @@ _PAGE = re.compile(
     rb'content="width=device-width, initial-scale=1">\n'
     rb"<title>[^<]*: (?:gscore report|two runs compared by gscore)</title>\n)"
 )
+MARKDOWN_MARK = "<!-- written by gscore -->\n"
+"""First line of a Markdown file."""
 _FIGURE = re.compile(rb"<svg [^>]*><metadata>gscore</metadata>")
 _SOFTWARE = b"\0\0\0\x0ftEXtSoftware\0gscore"
 """A PNG chunk of 15 bytes."""
@@ -161,8 +163,8 @@ def _is_marked(path: Path, head: bytes) -> bool:
         return _FILM.search(_begin(path, _MOST_FILM)) is not None
     if head.lstrip().startswith(b"{"):
         return _names_us(parse_json(_begin(path, _MOST_JSON)))
-    starts = (_PAGE.match(head), _FIGURE.match(head), head.startswith(f"{KIND}\n".encode()))
-    return any(starts)
+    starts = (f"{KIND}\n".encode(), MARKDOWN_MARK.encode())
+    return any((_PAGE.match(head), _FIGURE.match(head), head.startswith(starts)))
 
 
 def _names_us(content: Any) -> bool:
