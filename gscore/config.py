@@ -436,8 +436,8 @@ class TrainConfig:
     )
     exposure: Switch = _colour_option(
         Switch.AUTO,
-        "Exposure compensation: optimise brightness and white balance of each photo; `auto`: if"
-        " photos differ. Held-out views get that of neighbours, new views the mean.",
+        "Exposure compensation: optimise brightness and white balance of each photo; `auto`: of 2 "
+        "or more. Held-out views get that of neighbours, new views the mean.",
         basic=True,
     )
     exposure_lr: float = _rate_option(

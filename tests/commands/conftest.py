@@ -1,5 +1,6 @@
 """A small capture whose photos are renders of known splats, and a run with these splats."""
 
+import json
 import math
 import shutil
 from dataclasses import replace
@@ -155,6 +156,9 @@ def run_folder(tmp_path, trained, splats):
         changed = config_json(data, replace(train, background=background))
         (folder / "config.json").write_text(changed)
         write_splats(folder / "point_cloud.ply", splats)
+        exposure = folder / "exposure.json"  # these splats have the exposure of all photos
+        neutral = dict.fromkeys(json.loads(exposure.read_text()), np.eye(3, 4).tolist())
+        exposure.write_text(json.dumps(neutral))
         return folder
 
     return make

@@ -1,4 +1,4 @@
-"""Exposure decision: whether to optimise photo gains, by their differences, and initial gains."""
+"""Exposure decision: whether to optimise photo gains, their differences, and initial gains."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,12 +11,6 @@ from ..views.photo_gains import STOP, PhotoGains
 from .analysis import Analysis
 from .gain_fit import fit_gains
 
-LEAST_STOPS = 0.2
-"""RMS exposure difference to the neighbouring photos, in stops, from which gains are optimised.
-Below, view-dependent colours absorb it, and fixed gains measured no better."""
-FAR_STOPS = 1.0
-"""Exposure difference of a single photo, in stops, from which gains are optimised regardless of the
-others."""
 _NEIGHBOURS = 4
 """Number of nearest photos that a photo is compared with."""
 _SHARED = 20
@@ -36,7 +30,8 @@ class Exposure:
 
 
 def decide_exposure(config: TrainConfig, analysis: Analysis) -> Exposure:
-    """Fit the exposures of the training photos, and decide whether gains are optimised."""
+    """Fit the exposures of the training photos, and decide whether gains are optimised: always,
+    unless disabled or for a single photo (docs/experiments/2026-11-exposure.md)."""
     if config.exposure is Switch.OFF:
         return Exposure()
     cameras, train = analysis.photos.scene.cameras, list(analysis.photos.train)
@@ -51,7 +46,8 @@ def decide_exposure(config: TrainConfig, analysis: Analysis) -> Exposure:
     known = "points seen in several photos" if measured else "EXIF" if stops is not None else ""
     off = stops_off_neighbours(found, cameras.centers[train])
     spread = float(np.sqrt((off**2).mean())) if len(off) else 0.0
-    learns, why = learns_exposure(config.exposure, spread, float(off.max(initial=0.0)), known=known)
+    learns = len(train) > 1 or config.exposure is Switch.ON
+    why = _reason(learns, spread, float(off.max(initial=0.0)), known=known)
     log_gains = np.zeros((len(cameras), 3))
     log_gains[train] = found
     return Exposure(
@@ -61,41 +57,27 @@ def decide_exposure(config: TrainConfig, analysis: Analysis) -> Exposure:
     )
 
 
-def learns_exposure(
-    mode: Switch, spread: float, farthest: float, *, known: str
-) -> tuple[bool, str]:
-    """Decide whether to optimise exposure gains, with the reason as a message.
+def _reason(learns: bool, spread: float, farthest: float, *, known: str) -> str:
+    """Return the decision as a sentence.
 
     Args:
-        mode: The option `exposure`.
+        learns: Whether gains are optimised.
         spread: Root mean square of `stops_off_neighbours`; 0 if exposures are unknown.
         farthest: Maximum of these.
         known: Source of the exposures; empty: unknown.
     """
-    fact = f"{spread:.2f} stops apart, at most {farthest:.2f}, by {known}"
-    if mode is Switch.ON:
-        return True, f"The exposure of each photo is optimised ({fact if known else 'requested'})."
-    if not known:
-        return False, (
-            "The exposure of the photos is unknown, because no points are observed in several of "
-            "them and EXIF has none. Colours are used unchanged; `--exposure on` optimises gains."
-        )
-    if spread < LEAST_STOPS and farthest < FAR_STOPS:
-        return False, (
-            f"Neighbouring photos have similar exposure ({fact}), so their colours are used "
-            "unchanged."
-        )
-    return True, (
-        f"Neighbouring photos differ in exposure ({fact}), so that of each is optimised; held-out "
-        "photos get that of their neighbours, new views the mean. `--exposure off` uses colours "
-        "unchanged."
+    if not learns:
+        return "A single photo has no other exposure to match, so its colours are used unchanged."
+    fact = f" ({spread:.2f} stops apart, at most {farthest:.2f}, by {known})" if known else ""
+    return (
+        f"The exposure of each photo is optimised{fact}; held-out photos get that of their "
+        "neighbours, new views the mean. `--exposure off` uses colours unchanged."
     )
 
 
 def stops_off_neighbours(log_gains: np.ndarray, centers: np.ndarray) -> np.ndarray:
     """Exposure difference of each photo to its nearest photos: on average the standard deviation
-    for random exposures, and small for exposures that change smoothly along the camera path, which
-    view-dependent colour can follow.
+    for random exposures, and small for exposures that change smoothly along the camera path.
 
     Args:
         log_gains: [V, 3] ln gains in encoded values.

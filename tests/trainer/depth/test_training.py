@@ -79,8 +79,8 @@ def test_true_splats_have_no_depth_loss(
             with torch.no_grad():
                 out = rasterize(
                     *trainer.model.synced().values(),
-                    view.viewmat,
-                    view.K,
+                    torch.as_tensor(view.viewmat),
+                    torch.as_tensor(view.K),
                     view.width,
                     view.height,
                     raw=True,
