@@ -1,6 +1,6 @@
 """Text format of counts, sizes, durations and quality figures in messages."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from .events import ENDED, MASKED_OF, headline_psnr
@@ -23,6 +23,12 @@ def number(count: int | None) -> str:
 def count_text(count: int, one: str, many: str = "") -> str:
     """1 view, 42,691 views; with `many` any other plural: 1 photo is, 2 photos are."""
     return f"{number(count)} {one if count == 1 else many or one + 's'}"
+
+
+def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown, without a line end after it."""
+    lines = (f"| {' | '.join(row)} |" for row in rows)
+    return "\n".join([f"| {' | '.join(heads)} |", "|---" * len(heads) + "|", *lines])
 
 
 def size_text(count: int | None) -> str:

@@ -17,7 +17,6 @@ import resource
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -26,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from gscore.bench.quality import COMPARED
+from gscore.bench.quality import COMPARED, CORRECTED
+from gscore.io.files import atomic_write
 from gscore.io.images.read_image import resize, write_png
 from gscore.io.ply.splats import read_ply
 from gscore.presets import RECIPES
@@ -62,7 +62,7 @@ def main() -> int:
                     if not (out / "row.json").is_file():
                         row = _run(args, setting, source, count, arm, seed, out)
                         row["asked"] = views
-                        _write(out / "row.json", json.dumps(row, indent=1) + "\n")
+                        atomic_write(out / "row.json", (json.dumps(row, indent=1) + "\n").encode())
                         print(out.name, _line(row), flush=True)
             found = [
                 (arm, runs / f"{source.name}-{count}-{arm}-{setting.folder}-{args.seeds[0]}")
@@ -70,9 +70,9 @@ def main() -> int:
             ]
             _pictures(source, found, args.output / f"{source.name}-{count}-{setting.folder}.png")
     rows = [json.loads(path.read_text()) for path in sorted(runs.glob("*/row.json"))]
-    _write(args.output / "results.json", json.dumps(rows, indent=1) + "\n")
+    atomic_write(args.output / "results.json", (json.dumps(rows, indent=1) + "\n").encode())
     table = tables(rows, list(ARMS))
-    _write(args.output / "results.md", table)
+    atomic_write(args.output / "results.md", table.encode())
     print(table)
     return 0
 
@@ -168,7 +168,7 @@ def _with_reference(args: argparse.Namespace, name: str) -> Source:
         for view, values in maps.items():
             levels = np.clip(values / unit * 65536, 0, 65535)
             write_png(out / "depths" / f"{Path(view).stem}.png", levels.astype(np.uint16))
-        _write(done, json.dumps({"unit": unit, "test": metrics["test_views"]}))
+        atomic_write(done, json.dumps({"unit": unit, "test": metrics["test_views"]}).encode())
     stated = json.loads(done.read_text())
     return Source(
         name=name,
@@ -186,7 +186,7 @@ def _capture(args: argparse.Namespace, source: Source, count: int, arm: str, see
         with _whole(folder) as part:
             names = few_views(source, count, part)
             write_depths(source, names, part)
-            _write(part / "train.json", json.dumps(names))
+            atomic_write(part / "train.json", json.dumps(names).encode())
     names = json.loads((folder / "train.json").read_text())
     mono = folder / f"depths-mono-{seed}"
     if "mono" in arm and not mono.is_dir():
@@ -278,7 +278,7 @@ def _known(folder: Path, options: list[str]) -> float | None:
 def _judged(out: Path) -> list[dict[str, Any]]:
     """What is known of each held-out view, as `gscore bench quality` has it."""
     views = json.loads((out / "metrics.json").read_text())["views"]
-    return [{key: view[key] for key in ("name", *COMPARED)} for view in views]
+    return [{key: view[key] for key in ("name", *COMPARED, *CORRECTED)} for view in views]
 
 
 def _pictures(source: Source, found: list[tuple[str, Path]], path: Path) -> None:
@@ -303,11 +303,3 @@ def _line(row: dict[str, Any]) -> str:
         f"PSNR {row['psnr']:.2f} depth {row['depth_error']:.3f} "
         f"seen {row['depth_error_seen']:.3f} {row['train_seconds']:.0f} s"
     )
-
-
-def _write(path: Path, text: str) -> None:
-    """Write completely or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(f".part{int(time.time())}")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)

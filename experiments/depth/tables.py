@@ -6,6 +6,7 @@ from typing import Any
 
 from gscore.bench.paired import Difference
 from gscore.bench.quality import Comparison, ScoredView, Training, compare
+from gscore.text_format import markdown_table
 
 _Arms = dict[str, dict[int, dict[str, Any]]]
 """By arm and seed: what `compare.main` wrote of a run."""
@@ -29,23 +30,19 @@ def tables(rows: list[dict[str, Any]], arms: Sequence[str]) -> str:
         group.setdefault(row["arm"], {})[row["seed"]] = row
     lines: list[str] = []
     for setting, groups in sorted(settings.items()):
-        lines += ["", f"{setting}:", "", *_HEAD]
-        for (capture, count), found in sorted(groups.items()):
-            for arm in sorted(found, key=list(arms).index):
-                lines.append(_row([capture, str(count), arm, *_cells(found, arm)]))
-        lines += ["", *_RULE_HEAD, *_rule(rows, setting, arms)]
+        cells = [
+            [capture, str(count), arm, *_cells(found, arm)]
+            for (capture, count), found in sorted(groups.items())
+            for arm in sorted(found, key=list(arms).index)
+        ]
+        lines += ["", f"{setting}:", "", markdown_table(_HEAD, cells)]
+        lines += ["", markdown_table(_RULE_HEAD, _rule(rows, setting, arms))]
     return "\n".join(lines).strip() + "\n"
 
 
-_HEAD = (
-    "| capture | views | arm | seeds | PSNR | gain in PSNR | colour-corrected | SSIM | LPIPS "
-    "| depth error | where seen | known | CPU s |",
-    "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
-)
-_RULE_HEAD = (
-    "| views | arm | captures | colour-corrected | default by the rule |",
-    "|---|---|---|---|---|",
-)
+_HEAD = ("capture", "views", "arm", "seeds", "PSNR", "gain in PSNR", "colour-corrected", "SSIM")
+_HEAD += ("LPIPS", "depth error", "where seen", "known", "CPU s")
+_RULE_HEAD = ("views", "arm", "captures", "colour-corrected", "default by the rule")
 
 
 def _cells(arms: _Arms, arm: str) -> list[str]:
@@ -77,7 +74,7 @@ def _corrected(found: list[dict[str, Any]], base: list[dict[str, Any]], arm: str
     return "n/a" if compared is None else _interval(compared.psnr_cc)
 
 
-def _rule(rows: list[dict[str, Any]], setting: str, arms: Sequence[str]) -> list[str]:
+def _rule(rows: list[dict[str, Any]], setting: str, arms: Sequence[str]) -> list[list[str]]:
     """Whether an arm would become a default for so many views, over all captures that have it."""
     lines = []
     mine = [row for row in rows if row["setting"] == setting]
@@ -89,7 +86,7 @@ def _rule(rows: list[dict[str, Any]], setting: str, arms: Sequence[str]) -> list
                 captures, verdict = ", ".join(compared.captures), compared.verdict
                 words = f"{'yes' if verdict.accepted else 'no'}: {verdict.why}"
                 cells = [asked, arm, captures, _interval(compared.psnr_cc), words]
-                lines.append(_row(cells))
+                lines.append(cells)
     return lines
 
 
@@ -109,10 +106,6 @@ def _training(row: dict[str, Any]) -> Training:
         gap=None,
         views=tuple(ScoredView(**view) for view in row["judged"]),
     )
-
-
-def _row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
 
 
 def _interval(found: Difference) -> str:

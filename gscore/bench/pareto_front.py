@@ -3,14 +3,12 @@ on photos of one size, such that no other training is both cheaper and better.""
 
 import itertools
 import math
-import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from ..config import DataConfig, TrainConfig
-from ..datasets import Dataset
 from ..text_format import count_text
-from .training import train_measured
+from .time_error import Curve
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,51 +44,18 @@ class SizeOutcome:
     seeds: list[float]
     """PSNR of each seed."""
 
-
-def measure_sizes(
-    runs: Sequence[tuple[Size, TrainConfig, Dataset]],
-    eval_views: Dataset,
-    seeds: Sequence[int],
-    *,
-    on_step: Callable[[Size, int, int], None] | None = None,
-    on_outcome: Callable[[SizeOutcome], None] | None = None,
-) -> list[SizeOutcome]:
-    """Train each size with each seed and measure all of them on the same photos.
-
-    Args:
-        runs: Sizes of one capture with config and photos, from `sizes_of` and `open_sizes`.
-        eval_views: Photos to measure on.
-        seeds: At least one.
-        on_step: Called with size, seed and step after each step, outside the clock.
-        on_outcome: Called with each outcome.
-    """
-    outcomes = []
-    for size, config, photos in runs:
-        ends, seconds = [], []
-        for seed in seeds:
-
-            def stepped(step: int, size: Size = size, seed: int = seed) -> None:
-                if on_step is not None:
-                    on_step(size, seed, step)
-
-            found = train_measured(
-                replace(config, seed=seed), photos, eval_views=eval_views, on_step=stepped
-            )
-            ends.append(found.points[-1])
-            seconds.append(found.seconds)
-        outcomes.append(
-            SizeOutcome(
-                size=size,
-                seconds=statistics.median(seconds),
-                splats=round(statistics.median(end.splats for end in ends)),
-                psnr=statistics.median(end.psnr for end in ends),
-                ssim=statistics.median(end.ssim for end in ends),
-                seeds=[end.psnr for end in ends],
-            )
+    @classmethod
+    def of(cls, size: Size, curve: Curve) -> "SizeOutcome":
+        """The end of the curve of a size."""
+        end = curve.median()[-1]
+        return cls(
+            size=size,
+            seconds=end.seconds,
+            splats=end.splats,
+            psnr=end.psnr,
+            ssim=end.ssim,
+            seeds=[points[-1].psnr for points in curve.seeds],
         )
-        if on_outcome is not None:
-            on_outcome(outcomes[-1])
-    return outcomes
 
 
 def sizes_of(

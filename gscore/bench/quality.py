@@ -26,7 +26,7 @@ from .training import Color, PictureOf, train_measured
 
 COMPARED = ("psnr", "psnr_cc", "ssim", "lpips")
 """Metrics of a view with medians."""
-_CORRECTED = ("ssim_cc", "lpips_cc", "coverage")
+CORRECTED = ("ssim_cc", "lpips_cc", "coverage")
 """Its other numbers."""
 
 
@@ -209,7 +209,7 @@ def read_training(content: Any) -> Training:
         if not (all(isinstance(text, str) for text in texts) and training.seconds > 0):
             raise ValueError("names are not text, or the time is not positive")
         numbers = [training.seconds, training.splats, training.seed, training.offset]
-        numbers += [getattr(view, key) for view in views for key in (*COMPARED, *_CORRECTED)]
+        numbers += [getattr(view, key) for view in views for key in (*COMPARED, *CORRECTED)]
         math.fsum(0.0 if number is None else number for number in (*numbers, training.gap))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FormatError(f"not a training of this bench ({error})") from error

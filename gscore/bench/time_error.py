@@ -90,6 +90,7 @@ def measure_variant(
     variant: Variant,
     seeds: Sequence[int],
     *,
+    along: bool = True,
     on_step: Callable[[str, int, int, int], None] | None = None,
 ) -> Curve:
     """Train a variant with each seed.
@@ -97,9 +98,10 @@ def measure_variant(
     Args:
         variant: The variant.
         seeds: Seeds, at least one.
+        along: Measure a dozen times along a training; False: only at its end.
         on_step: Called with label, seed, step and number of steps after each step.
     """
-    at = measured_steps(variant.config.iterations)
+    at = measured_steps(variant.config.iterations) if along else ()
     runs = []
     for seed in seeds:
 

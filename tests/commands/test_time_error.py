@@ -4,11 +4,12 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 import gscore
-from gscore.bench.pareto_front import Size, SizeOutcome, measure_sizes, pareto_front
+from gscore.bench.pareto_front import Size, SizeOutcome, pareto_front
 from gscore.bench.raster import synthetic_scene
 from gscore.bench.synthetic import SyntheticPhotos
 from gscore.bench.time_error import (
@@ -16,6 +17,7 @@ from gscore.bench.time_error import (
     Variant,
     curve_json,
     labels,
+    measure_variant,
     measured_steps,
     read_peers,
     time_to_psnr,
@@ -222,10 +224,11 @@ def test_curves_and_sizes_are_medians(monkeypatch: pytest.MonkeyPatch) -> None:
             near=0.01,
         )
 
-    monkeypatch.setattr("gscore.bench.pareto_front.train_measured", trained)
+    monkeypatch.setattr("gscore.bench.time_error.train_measured", trained)
     size = Size(preset="p", max_splats=1, width=1, iterations=1)
-    photos: object = SyntheticPhotos(1, 16, 16)
-    (found,) = measure_sizes([(size, TrainConfig(), photos)], photos, [0, 1, 2])  # pyright: ignore
+    photos: Any = SyntheticPhotos(1, 16, 16)
+    variant = Variant(label="p", config=TrainConfig(), photos=photos, eval_views=photos)
+    found = SizeOutcome.of(size, measure_variant(variant, [0, 1, 2], along=False))
     assert (found.seconds, found.psnr, found.splats, found.ssim) == (2, 20, 20, 0.5)
     assert found.seeds == [10, 30, 20]
 

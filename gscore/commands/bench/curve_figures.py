@@ -7,6 +7,7 @@ from ...bench.time_error import Curve, labels, time_to_psnr
 from ...io.files import atomic_write
 from ...report.curves import Series
 from ...report.figure import figure
+from ...text_format import markdown_table
 
 _PSNR, _SSIM, _SPLATS = "psnr", "1-ssim", "splats"
 
@@ -71,11 +72,12 @@ def table(name: str, curves: list[Curve]) -> str:
         own = [row for row in rows if row["width"] == width]
         head = name if len(widths) == 1 else f"{name}, {width} px"
         aims = [f"s to {aim} dB" for aim in own[0]["seconds"]]
-        lines = [f"| {' | '.join([head, 'final PSNR', *aims])} |", "|---" * (2 + len(aims)) + "|"]
-        for row in own:
-            cells = ["-" if s is None else f"{s:.1f}" for s in row["seconds"].values()]
-            lines.append(f"| {' | '.join([row['label'], format(row['psnr'], '.2f'), *cells])} |")
-        tables.append("\n".join(lines))
+        rows_of_width = [
+            [row["label"], f"{row['psnr']:.2f}"]
+            + ["-" if s is None else f"{s:.1f}" for s in row["seconds"].values()]
+            for row in own
+        ]
+        tables.append(markdown_table([head, "final PSNR", *aims], rows_of_width))
     return "\n\n".join(tables)
 
 

@@ -26,7 +26,7 @@ from ...io.files import atomic_write, read_bytes
 from ...json_text import parse_json
 from ...metrics.machine import machine
 from ...raster import native_library
-from ...text_format import number, number_text
+from ...text_format import markdown_table, number, number_text
 from ..terminal.output import MARKDOWN_MARK
 from .quality_plans import Cell
 
@@ -204,7 +204,7 @@ def _of_capture(name: str, variants: dict[str, Summary]) -> str:
     heads = [name, "PSNR", "trimmed", "colour-corrected", "trimmed", "SSIM"]
     heads += ["LPIPS"] * with_lpips
     heads += ["gap", "splats", "seconds", "worst view, colour-corrected"]
-    lines = [_row(heads), "|---" * len(heads) + "|"]
+    rows = []
     for label, summary in variants.items():
         median, trimmed = summary.median, summary.trimmed
         cells = [label]
@@ -214,8 +214,8 @@ def _of_capture(name: str, variants: dict[str, Summary]) -> str:
         cells += [number_text(median["lpips"], 4)] * with_lpips
         cells += [number_text(summary.gap, 2), number(summary.splats), f"{summary.seconds:.1f}"]
         cells.append(_worst(summary))
-        lines.append(_row(cells))
-    return "\n".join(lines)
+        rows.append(cells)
+    return markdown_table(heads, rows)
 
 
 def _worst(summary: Summary) -> str:
@@ -229,15 +229,15 @@ def _of_differences(compared: list[Comparison], base: str) -> str:
     heads = [f"against {base}", "capture", "pairs", "colour-corrected", "95 %", "PSNR", "SSIM"]
     with_lpips = any(c.lpips is not None for one in compared for c in one.captures.values())
     heads += ["LPIPS"] * with_lpips + ["relative time"]
-    lines = [_row(heads), "|---" * len(heads) + "|"]
+    rows = []
     for one in compared:
         for name, change in one.captures.items():
-            lines.append(_row(_change_cells(one.variant, name, change, with_lpips)))
+            rows.append(_change_cells(one.variant, name, change, with_lpips))
         overall = one.psnr_cc
         cells = [one.variant, "all", number(overall.pairs), f"{overall.median:+.2f}"]
         cells += [_interval(overall.low, overall.high), *[""] * (2 + with_lpips)]
-        lines.append(_row([*cells, f"{one.seconds:.2f}"]))
-    return "\n".join(lines)
+        rows.append([*cells, f"{one.seconds:.2f}"])
+    return markdown_table(heads, rows)
 
 
 def _change_cells(variant: str, capture: str, change: CaptureChange, with_lpips: bool) -> list[str]:
@@ -251,14 +251,14 @@ def _change_cells(variant: str, capture: str, change: CaptureChange, with_lpips:
 def _of_cases(compared: list[Comparison], base: str) -> str:
     heads = [f"means against {base}", "case", "trainings", "colour-corrected PSNR", "SSIM", "LPIPS"]
     heads += ["worst view", "worst SSIM", "relative time", "relative splats"]
-    lines = [_row(heads), "|---" * len(heads) + "|"]
+    rows = []
     digits = {"psnr_cc": 2, "ssim_cc": 4, "lpips_cc": 4, "worst_psnr_cc": 2, "worst_ssim_cc": 4}
     for one in compared:
         for name, case in one.cases.items():
             cells = [one.variant, name, number(case.trainings)]
             cells += [_signed(getattr(case, key), digits[key]) for key in digits]
-            lines.append(_row([*cells, f"{case.seconds:.2f}", f"{case.splats:.2f}"]))
-    return "\n".join(lines)
+            rows.append([*cells, f"{case.seconds:.2f}", f"{case.splats:.2f}"])
+    return markdown_table(heads, rows)
 
 
 def _leave_out(one: Comparison) -> str:
@@ -290,7 +290,3 @@ def _interval(low: float, high: float) -> str:
 def _verdict(one: Comparison) -> str:
     outcome = "becomes the default" if one.verdict.accepted else "stays out"
     return f"{one.variant}: {outcome} ({one.verdict.why})."
-
-
-def _row(cells: list[str]) -> str:
-    return f"| {' | '.join(cells)} |"

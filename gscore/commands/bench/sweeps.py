@@ -8,7 +8,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from ...bench.pareto_front import Size, SizeOutcome, measure_sizes, pareto_front, sizes_of
+from ...bench.pareto_front import Size, SizeOutcome, pareto_front, sizes_of
+from ...bench.time_error import Variant, measure_variant
 from ...bench.training import first_size, open_sizes
 from ...config import DataConfig, TrainConfig
 from ...datasets import Dataset
@@ -17,7 +18,7 @@ from ...errors import ConfigError
 from ...io.files import atomic_write
 from ...report.curves import Series
 from ...report.figure import figure
-from ...text_format import count_text, number
+from ...text_format import count_text, markdown_table, number
 from ..parser import add_option
 
 _QUANTITIES = ("splats", "widths", "iterations")
@@ -55,7 +56,7 @@ def check_sweeps(args: argparse.Namespace) -> None:
 class SizesPlan:
     """Sizes of one capture to train, and the photos on which all are measured."""
 
-    runs: list[tuple[Size, TrainConfig, Dataset]]
+    runs: list[tuple[Size, Variant]]
     eval_views: Dataset
 
 
@@ -68,7 +69,10 @@ def plan_sizes(
         return None
     sizes = [run for preset in presets for run in sizes_of(*preset, **numbers)]
     photos, eval_views = open_sizes([data for _, data, _ in sizes])
-    runs = [(size, config, own) for (size, _, config), own in zip(sizes, photos, strict=True)]
+    runs = [
+        (size, Variant(label=str(size), config=config, photos=own, eval_views=eval_views))
+        for (size, _, config), own in zip(sizes, photos, strict=True)
+    ]
     return SizesPlan(runs=runs, eval_views=eval_views)
 
 
@@ -97,12 +101,9 @@ def train_sizes(
     """
     eval_size = first_size(plan.eval_views)
     outcomes: list[SizeOutcome] = []
-
-    def stepped(size: Size, seed: int, step: int) -> None:
-        on_step(str(size), seed, step, size.iterations)
-
-    def report(outcome: SizeOutcome) -> None:
-        outcomes.append(outcome)
+    for size, variant in plan.runs:
+        curve = measure_variant(variant, args.seeds, along=False, on_step=on_step)
+        outcomes.append(SizeOutcome.of(size, curve))
         fast, small = _fronts(outcomes)
         rows = [
             asdict(o) | {"best_for_its_time": o in fast, "best_for_its_splats": o in small}
@@ -110,10 +111,8 @@ def train_sizes(
         ]
         on_found({"judged_on": eval_size, "outcomes": rows})
         if not args.json:
-            o = outcome
+            o = outcomes[-1]
             print(f"{name}, {o.size}: {o.seconds:.1f} s, PSNR {o.psnr:.2f} dB", flush=True)
-
-    measure_sizes(plan.runs, plan.eval_views, args.seeds, on_step=stepped, on_outcome=report)
     fast, small = _fronts(outcomes)
     _draw(sizes_file(args.output, name), name, outcomes, fast, eval_size)
     if not args.json:
@@ -170,15 +169,10 @@ def _table(
     fast: Sequence[SizeOutcome],
     small: Sequence[SizeOutcome],
 ) -> str:
-    lines = [
-        f"| {name} | photos | splats | steps | seconds | PSNR | SSIM | Pareto-optimal in |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    heads = (name, "photos", "splats", "steps", "seconds", "PSNR", "SSIM", "Pareto-optimal in")
+    rows = []
     for o in sorted(outcomes, key=_seconds):
         best = [word for word, front in (("time", fast), ("splats", small)) if o in front]
-        lines.append(
-            f"| {o.size.preset} | {o.size.width} px | {number(o.splats)} | "
-            f"{number(o.size.iterations)} | "
-            f"{o.seconds:.1f} | {o.psnr:.2f} | {o.ssim:.4f} | {', '.join(best)} |"
-        )
-    return "\n".join(lines)
+        sizes = [o.size.preset, f"{o.size.width} px", number(o.splats), number(o.size.iterations)]
+        rows.append([*sizes, f"{o.seconds:.1f}", f"{o.psnr:.2f}", f"{o.ssim:.4f}", ", ".join(best)])
+    return markdown_table(heads, rows)
