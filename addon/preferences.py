@@ -145,6 +145,3 @@ def get() -> Preferences:
         entry = addons.new()
         entry.module = ROOT
     return entry.preferences
-
-
-CLASSES = (Preferences,)

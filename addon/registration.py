@@ -8,16 +8,21 @@ import bpy
 
 Step = tuple[Callable[[], object], Callable[[], object]]
 """A change of Blender's or the add-on's lists, and its undoing."""
+_KINDS = (
+    *("AddonPreferences", "FileHandler", "Gizmo", "GizmoGroup", "Menu", "Operator", "Panel"),
+    *("PropertyGroup", "RenderEngine", "UIList"),
+)
+"""Names of the base classes in `bpy.types` whose subclasses Blender has to register."""
 _drawing: dict[Callable[..., object], object] = {}
 """Handles of Blender by the function that draws in 3D views."""
 
 
 def register(module: ModuleType) -> None:
-    """Register what a module declares, then call its hook.
+    """Register the classes of Blender that a module defines and what it declares, then call its
+    hook.
 
     Args:
-        module: May have, registered in this order:
-            CLASSES: Classes of Blender.
+        module: May have, registered in this order after its classes:
             PROPERTIES: Owners, names and properties of `bpy.props`.
             HANDLERS: Functions by the name of a list in `bpy.app.handlers`.
             APPENDED: Lists or menus, and what is appended to them.
@@ -46,7 +51,7 @@ def unregister(module: ModuleType) -> None:
 
 
 def _steps(module: ModuleType) -> Iterator[Step]:
-    for cls in getattr(module, "CLASSES", ()):
+    for cls in classes_of(module):
         yield partial(bpy.utils.register_class, cls), partial(bpy.utils.unregister_class, cls)
     for owner, name, prop in getattr(module, "PROPERTIES", ()):
         yield partial(setattr, owner, name, prop), partial(delattr, owner, name)
@@ -57,6 +62,15 @@ def _steps(module: ModuleType) -> Iterator[Step]:
     if not bpy.app.background:
         for function, when in getattr(module, "DRAWING", ()):
             yield partial(_draw, function, when), partial(_end_drawing, function)
+
+
+def classes_of(module: ModuleType) -> list[type]:
+    """The classes of Blender that a module defines, in their order."""
+    kinds = tuple(getattr(bpy.types, name) for name in _KINDS)
+    own = (
+        one for one in vars(module).values() if getattr(one, "__module__", "") == module.__name__
+    )
+    return [one for one in own if isinstance(one, type) and issubclass(one, kinds)]
 
 
 def _draw(function: Callable[..., object], when: str) -> None:

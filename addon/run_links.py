@@ -113,6 +113,3 @@ def _folder(text: str) -> Path | None:
         return find_capture(absolute(text, "Capture"))
     except ValueError:
         return None
-
-
-CLASSES = (RunLinks,)

@@ -129,14 +129,6 @@ class ResetAlignment(_Aligning, bpy.types.Operator):
         return ""
 
 
-CLASSES = (
-    AlignCapture,
-    FlipUp,
-    SetExtent,
-    ResetAlignment,
-)
-
-
 def current_up(root: bpy.types.Object) -> np.ndarray:
     """Blender's up [3] in a capture's world."""
     return np.linalg.inv(matrix_to_numpy(root.matrix_world)[:3, :3])[:, 2]

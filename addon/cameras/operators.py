@@ -340,9 +340,6 @@ def _look_through(context: bpy.types.Context) -> None:
         (own or regions[0]).view_perspective = "CAMERA"
 
 
-CLASSES = (ImportCameras, RelinkCapture, ExportCameras, UseCamera, StepCamera, ChooseCamera)
-
-
 def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     text = "COLMAP or NeRF Cameras (capture folder)"
     self.layout.operator(ImportCameras.bl_idname, text=text).browse = True

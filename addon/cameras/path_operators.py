@@ -123,9 +123,6 @@ class ImportCameraPath(IncrementalOperator, OnCapture, OnScene, bpy.types.Operat
         return f"{made.camera.name}: {made.count} cameras, frames {first} to {last}"
 
 
-CLASSES = (ExportCameraPath, ImportCameraPath)
-
-
 def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     self.layout.operator(ImportCameraPath.bl_idname, text="Camera Path (.json)")
 

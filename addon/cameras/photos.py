@@ -63,5 +63,4 @@ class PhotoSettings(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (PhotoSettings,)
 PROPERTIES = ((bpy.types.Scene, "gscore_photos", bpy.props.PointerProperty(type=PhotoSettings)),)

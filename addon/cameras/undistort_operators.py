@@ -104,9 +104,6 @@ def draw_copies(layout: bpy.types.UILayout, prefs: Preferences) -> None:
     box.operator(RemoveUndistortedPhotos.bl_idname, icon="TRASH")
 
 
-CLASSES = (UndistortPhotos, StopUndistorting, RemoveUndistortedPhotos)
-
-
 _POLLER = poll_timer.Poller(_SIZES.collect, lambda: _SIZES.busy)
 
 

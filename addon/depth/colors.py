@@ -104,7 +104,6 @@ class ColorCameras(Undoable, bpy.types.Operator):
         return f"Colored {known} cameras of {root.name} by their depth maps."
 
 
-CLASSES = (ColorCameras,)
 _POLLER = poll_timer.Poller(follow)
 APPENDED = ((poll_timer.POLLERS, _POLLER),)
 

@@ -109,6 +109,3 @@ class ShowDepthSheet(BaseOperator, bpy.types.Operator):
         if show_image(context, image, new_window=True):
             return ""
         return f"Loaded {image.name}; there is no window to show it."
-
-
-CLASSES = (PredictDepth, CheckDepth, CancelDepth, ShowDepthSheet)

@@ -103,6 +103,3 @@ class RemoveErrors(Undoable, _OfRun, bpy.types.Operator):
         """Remove."""
         measure_errors.remove(active_splats(context))
         return ""
-
-
-CLASSES = (MeasureErrors, StopErrors, ColorByError, ShowErrorMap, RemoveErrors)

@@ -213,8 +213,6 @@ class HistogramGizmos(bpy.types.GizmoGroup):
             self.gizmos.new(HistogramGizmo.bl_idname).kind = kind
 
 
-CLASSES = (HistogramGizmo, HistogramGizmos)
-
 _SWITCH = bpy.props.BoolProperty(
     name="Handles in View",
     description="Show the histograms at the bottom of 3D views, with draggable handles. Splats "

@@ -129,9 +129,6 @@ class PaintSplats(OnSplats, bpy.types.Operator):
             undo.push(UNDO)
 
 
-CLASSES = (PaintSplats,)
-
-
 def on_unregister() -> None:
     """End the running session, whose operator is unregistered."""
     RUNNING.end()

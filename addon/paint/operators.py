@@ -107,6 +107,3 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
             return np.array(point.place, np.float64)
         x, y, _ = point.place
         return np.array([x, view.height - y], np.float64)
-
-
-CLASSES = (StrokePoint, PaintStroke)

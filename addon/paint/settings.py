@@ -91,5 +91,4 @@ class BrushSettings(BrushProperties, bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (BrushSettings,)
 PROPERTIES = ((bpy.types.WindowManager, "gscore_paint", PointerProperty(type=BrushSettings)),)

@@ -142,6 +142,3 @@ def _aim(empty: bpy.types.Object, *buttons: bpy.types.OperatorProperties) -> Non
     """Set operators to the panel's capture, independent of the active object."""
     for button in buttons:
         button.capture = empty.name
-
-
-CLASSES = (CamerasPanel, AlignmentPanel)

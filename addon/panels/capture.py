@@ -85,6 +85,3 @@ def draw_search(layout: bpy.types.UILayout, context: bpy.types.Context, found: S
     big.scale_y = 1.4
     big.enabled = not any(problem.is_error for problem in found.problems)
     big.operator("gscore.find_cameras", icon="VIEW_CAMERA")
-
-
-CLASSES = (CapturesMenu, CapturePanel)

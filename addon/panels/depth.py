@@ -131,6 +131,3 @@ def bar_text(job: VerbJob) -> str:
         return last.phase.capitalize()
     left = f", {clock(last.eta_s)} left" if last.eta_s is not None else ""
     return f"{last.phase.capitalize()} {last.done} of {last.total}{left}"
-
-
-CLASSES = (DepthPanel,)

@@ -206,9 +206,6 @@ def _width(context: bpy.types.Context) -> float:
     return width / (context.preferences.system.ui_scale or 1.0)  # 0 without a window
 
 
-CLASSES = (DepthItem, DepthTable, DepthTables, GSCORE_UL_depth)
-
-
 _POLLER = poll_timer.Poller(fill)
 PROPERTIES = ((bpy.types.WindowManager, "gscore_depth", PointerProperty(type=DepthTables)),)
 APPENDED = ((poll_timer.POLLERS, _POLLER),)

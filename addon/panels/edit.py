@@ -77,6 +77,3 @@ def draw_brush(layout: bpy.types.UILayout, brush: BrushSettings) -> None:
         layout.prop(brush, "hardness")
     layout.prop(brush, "front_only")
     layout.prop(brush, "only_selected")
-
-
-CLASSES = (EditPanel, PaintPanel)

@@ -91,6 +91,3 @@ def draw_worst(layout: bpy.types.UILayout, ob: bpy.types.Object, figures: Figure
         look.camera = name
         compare = part.operator("gscore.compare_photo", text="", icon="IMAGE_REFERENCE")
         compare.camera = cameras.get(name, "")
-
-
-CLASSES = (ErrorsPanel,)

@@ -86,9 +86,6 @@ def _section(module: str) -> str:
     return _SECTIONS.get(module) or _SECTIONS.get(room) or _TOUR
 
 
-CLASSES = (OpenManual,)
-
-
 def on_register() -> None:
     """Register the map for *Online Manual*."""
     bpy.utils.register_manual_map(manual_map)

@@ -46,6 +46,3 @@ def bar_text(job: VerbJob) -> str:
         return "Writing the splats"
     last = job.progress
     return "Starting" if last is None or not last.splats else f"Step {last.step:,}"
-
-
-CLASSES = (RegionPanel,)

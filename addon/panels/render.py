@@ -70,6 +70,3 @@ def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     row.operator("gscore.set_up_compositing", icon="NODE_COMPOSITING")
     if there:
         row.operator("gscore.remove_compositing", text="", icon="X")
-
-
-CLASSES = (RenderPanel,)

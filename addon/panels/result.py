@@ -213,6 +213,3 @@ def draw_counts(
     if counts.total and counts.visible == 0:
         text = "Filters hide all splats; press Reset under Filters to show them."
         sentence(layout, text, icon="ERROR")
-
-
-CLASSES = (ResultPanel, FiltersPanel, MorePanel)

@@ -62,6 +62,3 @@ def other_work(scene: bpy.types.Scene) -> Iterator[tuple[float, str, str]]:
         yield region.share, f"Region: {steer_panel.bar_text(region)}", "gscore.stop_region"
     if (frames := sequence.job_of(scene)) is not None and not frames.ended:
         yield frames.share, f"Sequence: {train_sequence.bar_text(frames)}", "gscore.stop_sequence"
-
-
-CLASSES = (RunningWorkPanel,)

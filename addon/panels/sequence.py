@@ -88,6 +88,3 @@ def _now(context: bpy.types.Context, ob: bpy.types.Object) -> str:
         return "nothing"
     waits = " (loading)" if moment.waits() else ""
     return f"frame {moment.files[0].number}{waits}" if moment.files else "not known"
-
-
-CLASSES = (SequencePanel,)

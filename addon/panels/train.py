@@ -236,6 +236,3 @@ def run_sentence(info: RunInfo) -> str:
         return f"The output folder contains a finished run: {info.steps:,} steps{quality}."
     done = f"step {info.steps:,}" + (f" of {info.iterations:,}" if info.iterations else "")
     return f"The output folder contains a run that was stopped at {done}{quality}."
-
-
-CLASSES = (TrainPanel, TrainOptionsPanel, GuidesPanel)

@@ -108,6 +108,3 @@ def bar_text(job: VerbJob) -> str:
         return "Starting"
     where = f"Frame {frame.frame}, {frame.place} of {frame.frames}"
     return where if job.progress is None else f"{where}: step {job.progress.step:,}"
-
-
-CLASSES = (TrainSequencePanel,)

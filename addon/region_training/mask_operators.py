@@ -175,6 +175,3 @@ def _images(context: bpy.types.Context) -> Iterable[bpy.types.Image]:
     areas = (area for window in context.window_manager.windows for area in window.screen.areas)
     spaces = (area.spaces.active for area in areas if area.type == "IMAGE_EDITOR")
     return (space.image for space in spaces if masks.is_mask(space.image))
-
-
-CLASSES = (PaintMask, SaveMask, DiscardMask, MaskBrush, MaskPanel)

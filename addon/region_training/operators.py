@@ -31,6 +31,3 @@ class StopRegion(Cancelling, bpy.types.Operator):
     bl_label = "Stop"
     none = "No region is being trained."
     job_of = staticmethod(train_region.job_of)
-
-
-CLASSES = (TrainRegion, StopRegion)

@@ -20,5 +20,4 @@ class RegionSettings(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (RegionSettings,)
 PROPERTIES = ((bpy.types.Scene, "gscore_steer", bpy.props.PointerProperty(type=RegionSettings)),)

@@ -119,6 +119,3 @@ def _splats(table: list[Column], name: str) -> Splats:
     for one, values in columns.items():
         attributes.check_finite(values, one, name)
     return attributes.as_splats({one: values.copy() for one, values in columns.items()})
-
-
-CLASSES = (DecimateSplats,)

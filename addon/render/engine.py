@@ -304,9 +304,6 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         return ob
 
 
-CLASSES = (SplatsRenderEngine,)
-
-
 def on_register() -> None:
     """Keep sequences from changing their meshes while this engine renders."""
     frame_sync.TAKE_FRAMES.add(NAME)

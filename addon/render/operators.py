@@ -216,13 +216,3 @@ def worst_photo_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> WorstPhoto:
         )
     psnr, camera = min(known, key=lambda pair: pair[0])
     return WorstPhoto(camera=camera, psnr=psnr, among=len(known))
-
-
-CLASSES = (
-    UseEngine,
-    UsePhotoColors,
-    ComparePhoto,
-    CompareWorstPhoto,
-    SetUpCompositing,
-    RemoveCompositing,
-)

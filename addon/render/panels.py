@@ -154,14 +154,6 @@ def draw_panorama(layout: bpy.types.UILayout, camera: bpy.types.Camera) -> None:
         column.prop(own, name)
 
 
-CLASSES = (
-    RENDER_PT_gscore,
-    VIEWLAYER_PT_gscore_passes,
-    DATA_PT_gscore_panorama,
-    OBJECT_PT_gscore_motion_blur,
-)
-
-
 def _shared() -> list[Any]:
     """Blender's panels whose settings this engine uses."""
     found = []
@@ -183,5 +175,5 @@ def on_register() -> None:
 def on_unregister() -> None:
     """Undo that. The add-on's own panels keep the name: Blender may enable the classes again."""
     for panel in bpy.types.Panel.__subclasses__():
-        if panel not in CLASSES:
+        if panel.__module__ != __name__:
             getattr(panel, "COMPAT_ENGINES", set()).discard(NAME)

@@ -71,6 +71,3 @@ class MakeSizeEven(OnScene, bpy.types.Operator):
         while frame_of(context.scene).height % 2:
             render.resolution_y += 1
         return f"The resolution is now {render.resolution_x} x {render.resolution_y}."
-
-
-CLASSES = (RaiseTransparentBounces, MakeSizeEven)

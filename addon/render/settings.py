@@ -36,5 +36,4 @@ class RenderSettings(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (RenderSettings,)
 PROPERTIES = ((bpy.types.Scene, "gscore_render", bpy.props.PointerProperty(type=RenderSettings)),)

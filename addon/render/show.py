@@ -68,6 +68,3 @@ def _of_run(context: bpy.types.Context, ob: bpy.types.Object) -> list[bpy.types.
         return []
     splats, maps = siblings(ob)
     return [other for other in (*splats, *maps) if other.name in context.view_layer.objects]
-
-
-CLASSES = (ShowSplats,)

@@ -53,6 +53,3 @@ class StopSequence(Cancelling, bpy.types.Operator):
     bl_label = "Stop"
     none = "No sequence is being trained."
     job_of = staticmethod(train_sequence.job_of)
-
-
-CLASSES = (TrainSequence, StopSequence)

@@ -26,7 +26,6 @@ class TrainSequenceSettings(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (TrainSequenceSettings,)
 PROPERTIES = (
     (
         bpy.types.Scene,

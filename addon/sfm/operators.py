@@ -90,6 +90,3 @@ class VideoHandler(bpy.types.FileHandler):
     def poll_drop(cls, context: bpy.types.Context) -> bool:
         """True in 3D views."""
         return context.area is not None and context.area.type == "VIEW_3D"
-
-
-CLASSES = (ChooseVideo, FindCameras, CancelSearch, VideoHandler)

@@ -246,12 +246,3 @@ class ApplySplatTransform(_EditingObject, bpy.types.Operator):
         """Apply."""
         yield from edit.apply_transform(guard)
         return ""
-
-
-CLASSES = (
-    GradeSplats,
-    SeparateSplats,
-    JoinSplats,
-    ApplyFilters,
-    ApplySplatTransform,
-)

@@ -260,9 +260,6 @@ class GSCORE_FH_splats(bpy.types.FileHandler):  # noqa: N801 - Blender's rule
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-CLASSES = (ImportSplats, ExportSplats, GSCORE_FH_splats)
-
-
 def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     kinds = ".ply, .spz, .sog, .splat, .ksplat, .glb, .usd"
     self.layout.operator(ImportSplats.bl_idname, text=f"Gaussian Splats ({kinds})")

@@ -101,6 +101,3 @@ def _turned(table: list[Column], turn: np.ndarray, name: str, check: Check) -> P
         places.values[:] = center + (exact - center) @ (even @ np.linalg.inv(turn)).T
         changed.append(places)
     return points_of(changed)
-
-
-CLASSES = (MendSplats,)

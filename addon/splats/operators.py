@@ -219,15 +219,6 @@ def _even(scale: Vector) -> tuple[float, float, float]:
     return tuple(np.where(sides < 0, -side, side))
 
 
-CLASSES = (
-    ResetFilters,
-    AddCropBox,
-    MakeScaleEven,
-    ResetDisplay,
-    TakeNativeSplats,
-)
-
-
 def check_shown(ob: bpy.types.Object) -> None:
     """Raise ValueError unless the view layer shows an object, which Edit Mode requires."""
     if not ob.visible_get():

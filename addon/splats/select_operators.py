@@ -330,14 +330,3 @@ class SelectFloaters(_Selecting, bpy.types.Operator):
         """Mask as in `gscore convert --min-cluster`."""
         gap, few = self.gap, self.few
         return lambda columns: floaters(attributes.as_splats(columns), gap, few)
-
-
-CLASSES = (
-    SelectSplats,
-    SelectByColor,
-    SelectByOpacity,
-    SelectBySize,
-    SelectInCrop,
-    SelectFlood,
-    SelectFloaters,
-)

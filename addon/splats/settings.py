@@ -234,9 +234,6 @@ def _renew(*_: object) -> None:
             apply(ob)
 
 
-CLASSES = (SplatSettings,)
-
-
 PROPERTIES = (
     (bpy.types.Object, "gscore", bpy.props.PointerProperty(type=SplatSettings, override=_KEPT)),
 )

@@ -187,9 +187,6 @@ class RescanFrames(OnSequence, bpy.types.Operator):
         return ""
 
 
-CLASSES = (ImportSequence, PlayAgain, KeepFrame, RescanFrames)
-
-
 def _imported(series: Series) -> str:
     first, last = series.files[0].number, series.files[-1].number
     return f"Imported {len(series.files):,} frames, {first} to {last}."

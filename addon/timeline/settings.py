@@ -100,7 +100,6 @@ def timing_of(ob: bpy.types.Object) -> Timing:
     )
 
 
-CLASSES = (SequenceSettings,)
 PROPERTIES = (
     (bpy.types.Object, "gscore_sequence", bpy.props.PointerProperty(type=SequenceSettings)),
 )

@@ -82,6 +82,3 @@ class CancelSetup(BaseOperator, bpy.types.Operator):
         """Cancel it."""
         CURRENT.cancel()
         return ""
-
-
-CLASSES = (CheckTrainer, MakeEnvironment, CancelSetup)

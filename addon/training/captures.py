@@ -56,6 +56,3 @@ class ChooseCapture(OnScene, bpy.types.Operator):
             raise ValueError("No capture is given; choose one in the panel.")
         context.scene.gscore.capture_path = relative(absolute(self.path, "Capture"))
         return ""
-
-
-CLASSES = (ChooseCapture,)

@@ -306,21 +306,3 @@ class ImportResult(ImportOperator, bpy.types.Operator):
             splat_framing.turn_views(context.scene, ob)
             self.warn(splat_framing.set_camera(context.scene, ob, may_add=False))
         return f"{ob.name} has the {len(ob.data.vertices):,} splats of {self._run.info.path}."
-
-
-CLASSES = (
-    Train,
-    FitTraining,
-    ResumeTraining,
-    PauseTraining,
-    ContinueTraining,
-    StopTraining,
-    FollowTraining,
-    DiscardTraining,
-    UpdateSplats,
-    ShowTestView,
-    SelectResult,
-    ShowReport,
-    AddGuides,
-    ImportResult,
-)

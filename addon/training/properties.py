@@ -290,5 +290,4 @@ class SceneSettings(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (SceneSettings,)
 PROPERTIES = ((bpy.types.Scene, "gscore", PointerProperty(type=SceneSettings)),)

@@ -22,12 +22,23 @@ import bmesh  # noqa: E402
 import bpy  # noqa: E402
 from mathutils import Matrix, Quaternion, Vector  # noqa: E402
 
-from addon.panels import CLASSES  # noqa: E402
+from addon.panels import (  # noqa: E402  # noqa: E402
+    cameras,
+    capture,
+    progress,
+    region_training,
+    render,
+    result,
+    sequence,
+    train,
+)
+from addon.registration import classes_of  # noqa: E402
 
 IS_TOUR = (FOLDER / "walk.mp4").exists()
 OPEN = {"progress"} if IS_TOUR else {"result", "filters", "region", "sequence", "guides"}
 """Open panels."""
-for panel in CLASSES:
+PANELS = (cameras, capture, progress, region_training, render, result, sequence, train)
+for panel in (panel for module in PANELS for panel in classes_of(module)):
     name = getattr(panel, "bl_idname", "").removeprefix("GSCORE_PT_")
     if name in OPEN:
         panel.bl_options = set()

@@ -14,6 +14,7 @@ from addon.cameras import captures
 from addon.cameras.render_camera import render_camera
 from addon.compat import matrix_to_numpy
 from addon.core import Cancelled, transform_splats, write_splats
+from addon.registration import classes_of
 from addon.render import engine, panels, picture
 from addon.render.scene import sources
 from addon.render.viewport_copies import Copies
@@ -482,7 +483,7 @@ def test_blenders_panels_are_shown(panel, switch):
 
 def test_panels_of_its_own_are_shown_again(switch):
     """Oracle: the lists of engines of the add-on's panels, after it was enabled again."""
-    own = [kind for kind in panels.CLASSES if issubclass(kind, bpy.types.Panel)]
+    own = classes_of(panels)
     assert len(own) == 4
     switch(False)
     switch(True)
