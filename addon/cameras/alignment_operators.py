@@ -50,13 +50,12 @@ class AlignCapture(_Aligning, bpy.types.Operator):
         description="Approximate up direction; the level plane with most points is the ground",
     )
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Align."""
         root = find_root(context, self.capture)
         alignment = capture_transform.align_root(root, self._up(context, root))
         if not alignment.ground_found:
             self.report({"WARNING"}, "No ground was found; the lowest points are at height 0.")
-        return ""
 
     def _up(self, context: bpy.types.Context, root: bpy.types.Object) -> np.ndarray | None:
         if self.up == "CAPTURE":
@@ -80,11 +79,10 @@ class FlipUp(_Aligning, bpy.types.Operator):
     bl_idname = "gscore.flip_up"
     bl_label = "Flip Up"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Flip."""
         root = find_root(context, self.capture)
         capture_transform.align_root(root, -current_up(root))
-        return ""
 
 
 class SetExtent(_Aligning, bpy.types.Operator):
@@ -111,10 +109,9 @@ class SetExtent(_Aligning, bpy.types.Operator):
             return self.refuse(error)
         return context.window_manager.invoke_props_dialog(self)
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Scale."""
         capture_transform.set_extent(find_root(context, self.capture), self.extent)
-        return ""
 
 
 class ResetAlignment(_Aligning, bpy.types.Operator):
@@ -123,10 +120,9 @@ class ResetAlignment(_Aligning, bpy.types.Operator):
     bl_idname = "gscore.reset_alignment"
     bl_label = "Reset to COLMAP World"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Reset."""
         capture_transform.reset_root(find_root(context, self.capture))
-        return ""
 
 
 def current_up(root: bpy.types.Object) -> np.ndarray:

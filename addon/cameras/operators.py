@@ -263,14 +263,13 @@ class UseCamera(OnScene, OnCapture, bpy.types.Operator):
         name="Look Through", default=True, description="Turn the 3D view to the camera"
     )
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Set the camera, and look through it."""
         root = find_root(context, self.capture)
         ob = find_camera(context, root, self.camera, self.index)
         self.warn(captures.use_camera(context.scene, ob))
         if self.look_through:
             _look_through(context)
-        return ""
 
 
 class StepCamera(OnScene, OnCapture, bpy.types.Operator):
@@ -290,13 +289,12 @@ class StepCamera(OnScene, OnCapture, bpy.types.Operator):
         which = "next" if properties.step > 0 else "previous"
         return f"Look through the {which} photo's camera"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Step."""
         ob = captures.step_camera(context.scene, find_root(context, self.capture), self.step)
         self.warn(captures.use_camera(context.scene, ob))
         if self.look_through:
             _look_through(context)
-        return ""
 
 
 class ChooseCamera(OnScene, OnCapture, bpy.types.Operator):
@@ -318,12 +316,11 @@ class ChooseCamera(OnScene, OnCapture, bpy.types.Operator):
         context.window_manager.invoke_search_popup(self)
         return {"RUNNING_MODAL"}
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Set the camera, and look through it."""
         ob = find_camera(context, find_root(context, self.capture), self.image)
         self.warn(captures.use_camera(context.scene, ob))
         _look_through(context)
-        return ""
 
 
 def _views(context: bpy.types.Context) -> list[bpy.types.SpaceView3D]:

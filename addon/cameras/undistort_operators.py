@@ -57,10 +57,9 @@ class StopUndistorting(BaseOperator, bpy.types.Operator):
     bl_options: ClassVar = {"REGISTER"}
     needs = Condition(lambda context: undistort_jobs.QUEUE.busy, "No photos are being undistorted")
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Clear the queue."""
         undistort_jobs.QUEUE.stop()
-        return ""
 
 
 class RemoveUndistortedPhotos(ConfirmMixin, BaseOperator, bpy.types.Operator):

@@ -87,10 +87,9 @@ class ShowErrorMap(Undoable, _OfRun, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Show the error map or the splats."""
         measure_errors.show_map(active_splats(context), self.show)
-        return ""
 
 
 class RemoveErrors(Undoable, _OfRun, bpy.types.Operator):
@@ -99,7 +98,6 @@ class RemoveErrors(Undoable, _OfRun, bpy.types.Operator):
     bl_idname = "gscore.remove_errors"
     bl_label = "Remove Errors"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Remove."""
         measure_errors.remove(active_splats(context))
-        return ""

@@ -33,8 +33,8 @@ class BaseOperator:
             cls.poll_message_set(cls.needs.message)
         return False
 
-    def run(self, context: bpy.types.Context) -> str:
-        """Run the operator; the text of its report, or an empty string.
+    def run(self, context: bpy.types.Context) -> str | None:
+        """Run the operator; the text of its report, None or empty for none.
 
         Raises:
             GsError, ValueError, OSError: the operator fails; the message is for the user.

@@ -75,10 +75,9 @@ class OpenManual(BaseOperator, bpy.types.Operator):
     bl_label = "Manual"
     bl_options: ClassVar = {"REGISTER"}
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Open it."""
         bpy.ops.wm.url_open(url=page().as_uri())
-        return ""
 
 
 def _section(module: str) -> str:

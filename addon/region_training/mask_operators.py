@@ -115,11 +115,10 @@ class MaskBrush(_OnMask, bpy.types.Operator):
         ),
     )
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Set it."""
         if not use_brush(context, hides=self.does == "HIDE"):
             raise ValueError(_NO_BRUSH)
-        return ""
 
 
 class MaskPanel(bpy.types.Panel):

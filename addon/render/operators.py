@@ -63,10 +63,9 @@ class UseEngine(OnScene, bpy.types.Operator):
     bl_idname = "gscore.use_engine"
     bl_label = "Render with Gaussian Splats"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Set the scene's engine."""
         use_engine(context.scene)
-        return ""
 
 
 class UsePhotoColors(OnScene, bpy.types.Operator):
@@ -75,10 +74,9 @@ class UsePhotoColors(OnScene, bpy.types.Operator):
     bl_idname = "gscore.use_photo_colors"
     bl_label = "Use the Colors of the Photos"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Set the scene's colour management."""
         use_photo_colors(context.scene)
-        return ""
 
 
 class ComparePhoto(IncrementalOperator, bpy.types.Operator):

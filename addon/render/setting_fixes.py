@@ -35,10 +35,9 @@ class RaiseTransparentBounces(OnScene, bpy.types.Operator):
     bl_label = "Raise Transparent Bounces"
     needs = Condition(lambda context: ends_early(context.scene))
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Raise the limit."""
         context.scene.cycles.transparent_max_bounces = ENOUGH
-        return ""
 
 
 _EVEN = {"H264", "H265", "PRORES"}

@@ -33,7 +33,7 @@ class ShowSplats(Undoable, bpy.types.Operator):
         ob = _shown_object(context, trained=self.trained)
         return (context.scene, ob) if ob.hide_viewport or ob.hide_render else (context.scene,)
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Apply all settings."""
         ob = _shown_object(context, trained=self.trained)
         splat_framing.frame_of(ob)  # raises for empty splats before anything is set
@@ -49,7 +49,6 @@ class ShowSplats(Undoable, bpy.types.Operator):
         for space in splat_framing.turn_views(context.scene, ob):
             space.shading.type = "RENDERED"
         self.warn(splat_framing.set_camera(context.scene, ob))
-        return ""
 
 
 def _shown_object(context: bpy.types.Context, *, trained: bool) -> bpy.types.Object:

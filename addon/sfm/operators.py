@@ -41,7 +41,7 @@ class ChooseVideo(OnScene, bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Choose the video, and show the panel."""
         chosen = Path(bpy.path.abspath(self.filepath or self.directory))
         if not chosen.exists():
@@ -49,7 +49,6 @@ class ChooseVideo(OnScene, bpy.types.Operator):
         context.scene.gscore.capture_path = relative(chosen.absolute())
         if context.area is not None and context.area.type == "VIEW_3D":  # a file was dropped on it
             in_turn(context.area, open_sidebar, choose_tab)
-        return ""
 
 
 class FindCameras(Waiting, IncrementalOperator, OnScene, bpy.types.Operator):

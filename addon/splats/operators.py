@@ -40,10 +40,9 @@ class ResetFilters(OnSplats, bpy.types.Operator):
     bl_idname = "gscore.reset_filters"
     bl_label = "Reset Filters"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Reset."""
         settings.reset_filters(active_splats(context))
-        return ""
 
 
 class AddCropBox(OnSplats, bpy.types.Operator):
@@ -52,10 +51,9 @@ class AddCropBox(OnSplats, bpy.types.Operator):
     bl_idname = "gscore.add_crop_box"
     bl_label = "Add Crop Box"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Add."""
         make_active(context, edit.add_crop_box(context, active_splats(context)))
-        return ""
 
 
 class MakeScaleEven(OnSplats, bpy.types.Operator):

@@ -145,11 +145,10 @@ class PlayAgain(OnSequence, bpy.types.Operator):
         ob = active_splats(context)
         return ob.data, ob
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Resume playback."""
         importing.resume_playback(active_splats(context))
         frame_sync.settings_changed(active_splats(context))
-        return ""
 
 
 class KeepFrame(OnSequence, bpy.types.Operator):
@@ -180,11 +179,10 @@ class RescanFrames(OnSequence, bpy.types.Operator):
     bl_label = "Rescan Frames"
     bl_options: ClassVar = {"REGISTER"}
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Scan."""
         LIBRARY.forget(folder_of(active_splats(context)))
         frame_sync.settings_changed(active_splats(context))
-        return ""
 
 
 def _imported(series: Series) -> str:

@@ -60,7 +60,7 @@ class MakeEnvironment(ConfirmMixin, BaseOperator, bpy.types.Operator):
         wheel = Path(self.wheel) if self.wheel else None
         return contents(preferences.get(), wheel=wheel)
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Start."""
         wheel = Path(self.wheel) if self.wheel else None
         if self.wait:
@@ -68,7 +68,6 @@ class MakeEnvironment(ConfirmMixin, BaseOperator, bpy.types.Operator):
         else:
             CURRENT.start_make(preferences.get(), wheel=wheel)
         poll_timer.ensure()
-        return ""
 
 
 class CancelSetup(BaseOperator, bpy.types.Operator):
@@ -78,7 +77,6 @@ class CancelSetup(BaseOperator, bpy.types.Operator):
     bl_label = "Cancel"
     needs = Condition(lambda context: CURRENT.busy())
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Cancel it."""
         CURRENT.cancel()
-        return ""

@@ -50,9 +50,8 @@ class ChooseCapture(OnScene, bpy.types.Operator):
 
     path: StringProperty(name="Capture", description="Folder of the capture", options={"SKIP_SAVE"})
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Choose the capture."""
         if not self.path.strip():
             raise ValueError("No capture is given; choose one in the panel.")
         context.scene.gscore.capture_path = relative(absolute(self.path, "Capture"))
-        return ""

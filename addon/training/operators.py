@@ -46,13 +46,12 @@ class _OnJob(BaseOperator):
         """The training to work on."""
         return registry.by_id(self.job_id) if self.job_id else start_training.job_of(context.scene)
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         job = self.job(context)
         if job is None or job.state.status not in self.allowed:
             raise ValueError("This scene has no training in a state that allows this.")
         self.send(job)
         poll_timer.redraw()
-        return ""
 
     def send(self, job: Job) -> None:
         raise NotImplementedError
@@ -100,7 +99,7 @@ class FitTraining(OnScene, bpy.types.Operator):
         ),
     )
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Change the settings."""
         settings = context.scene.gscore
         found, problem = facts.forecast_of(context.scene)
@@ -112,7 +111,6 @@ class FitTraining(OnScene, bpy.types.Operator):
             settings.max_splats = value
         else:
             settings.resolution, settings.width = BY_WIDTH, value
-        return ""
 
 
 class ResumeTraining(Waiting, OnScene, bpy.types.Operator):
@@ -205,11 +203,10 @@ class ShowTestView(BaseOperator, bpy.types.Operator):
     bl_label = "Show Test View"
     needs = Condition(lambda context: context.scene.gscore.preview is not None)
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Show the picture."""
         if not show_image(context, context.scene.gscore.preview, new_window=True):
             raise ValueError("There is no window to show a picture in.")
-        return ""
 
 
 class SelectResult(Undoable, bpy.types.Operator):
@@ -218,13 +215,12 @@ class SelectResult(Undoable, bpy.types.Operator):
     bl_idname = "gscore.select_result"
     bl_label = "Select Result"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Select."""
         ob = context.scene.gscore.result
         if ob is None or context.view_layer.objects.get(ob.name) is None:
             raise ValueError("This scene has no trained splats; press Train first.")
         make_active(context, ob)
-        return ""
 
 
 class ShowReport(BaseOperator, bpy.types.Operator):
@@ -233,10 +229,9 @@ class ShowReport(BaseOperator, bpy.types.Operator):
     bl_idname = "gscore.show_report"
     bl_label = "Show Report"
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Open the report."""
         bpy.ops.wm.url_open(url=start_training.report_of(context.scene).as_uri())
-        return ""
 
 
 def _report(job: Job) -> str:

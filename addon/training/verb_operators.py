@@ -40,14 +40,13 @@ class Cancelling(BaseOperator):
     none = ""
     """Message if there is nothing to cancel."""
 
-    def run(self, context: bpy.types.Context) -> str:
+    def run(self, context: bpy.types.Context) -> None:
         """Cancel the job."""
         job = self.job_of(context.scene)
         if job is None or job.ended:
             raise ValueError(self.none)
         job.cancel()
         poll_timer.redraw()
-        return ""
 
     def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
         """The scene's job."""
