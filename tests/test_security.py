@@ -73,7 +73,7 @@ WRITES = {
     "addon/cameras/undistorted_photos.py": "Blender's folder of it",
     "addon/region_training/mask_operators.py": "the capture's folder of masks",
     "addon/region_training/masks.py": "the capture's folder of masks",
-    "addon/region_training/start.py": "a new folder beside the output",
+    "addon/region_training/train_region.py": "a new folder beside the output",
     "addon/render/compositor.py": "no file, an object",
     "addon/sequence/guide_meshes.py": "the output folder",
     "addon/splats/conversion.py": "Blender's temporary folder; the user's choice",

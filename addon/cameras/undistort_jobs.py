@@ -17,7 +17,7 @@ from bpy.app.handlers import persistent
 
 from ..interface.lookup import Lookup
 from ..interface.option_labels import error_text
-from ..interface.views import redraw_views
+from ..interface.windows import redraw_views
 from ..process import poll_timer
 from .backgrounds import (
     KnownImages,

@@ -6,8 +6,8 @@ from bpy.props import BoolProperty
 from ..cameras.camera_colors import hide, mark_of, marks, own_cameras, set_color, take
 from ..cameras.lookup import panel_root
 from ..capture.depth_maps import ACCEPTED, MISSING, REFUSED, DepthReport
-from ..interface import undo
 from ..interface.base_operator import Undoable
+from ..interface.windows import push_undo
 from ..process import poll_timer
 from . import predict_depth
 
@@ -60,7 +60,7 @@ def follow() -> bool:
         root = panel_root(scene)  # the capture of the report
         if root is not None and shown(root) and not matches(root, report):
             show(root, report)
-            undo.push("Color Cameras")
+            push_undo("Color Cameras")
             changed = True
     return changed
 

@@ -7,7 +7,7 @@ from .. import preferences
 from ..interface.base_operator import BaseOperator, ConfirmMixin
 from ..interface.images import show_image
 from ..training.verb_job import VerbJob
-from ..training.verb_operators import Cancelling, Starting
+from ..training.verb_jobs import Cancelling, Starting
 from . import networks, predict_depth
 
 

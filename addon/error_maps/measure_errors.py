@@ -14,7 +14,7 @@ from ..cameras.camera_colors import hide, marks, own_cameras, set_color, take
 from ..cameras.objects import root_of
 from ..capture.figures import MEASURED, Figures
 from ..core import EvalDone, EvalProgress, colorize
-from ..interface import undo
+from ..interface.windows import push_undo
 from ..process.incremental_tasks import Steps
 from ..splats import objects
 from ..splats.error_maps import MAP, drop_maps, is_map, run_of, show_map, siblings
@@ -103,7 +103,7 @@ def _arriving(job: VerbJob) -> Steps[Iterable[str]]:
     except ValueError:
         bpy.data.meshes.remove(mesh)
         raise
-    undo.push("Measure Errors")
+    push_undo("Measure Errors")
     return ()
 
 

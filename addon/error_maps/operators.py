@@ -9,7 +9,7 @@ from ..capture.figures import measured
 from ..interface.base_operator import BaseOperator, Condition, Undoable
 from ..splats.objects import active_splats, has_trained, is_splats
 from ..training.verb_job import VerbJob
-from ..training.verb_operators import Cancelling, Starting
+from ..training.verb_jobs import Cancelling, Starting
 from . import measure_errors
 
 

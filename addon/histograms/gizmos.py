@@ -4,9 +4,9 @@ from typing import ClassVar
 
 import bpy
 
-from ..interface import editable_check, undo
+from ..interface import editable_check
 from ..interface.blocks import with_uid
-from ..interface.views import redraw_views
+from ..interface.windows import push_undo, redraw_views
 from ..splats.objects import in_question
 from .boxes import Box, OverlappingRegions, placed
 from .counting import OPACITY, SIZE, Histogram
@@ -170,7 +170,7 @@ class HistogramGizmo(bpy.types.Gizmo):
         if cancel:
             setattr(ob.gscore, handle.setting, self.before)
         elif getattr(ob.gscore, handle.setting) != self.before:
-            undo.push(ob.gscore.bl_rna.properties[handle.setting].name)
+            push_undo(ob.gscore.bl_rna.properties[handle.setting].name)
 
     def _take(self, handle: Handle, ob: bpy.types.Object) -> None:
         assert self.histogram is not None

@@ -10,7 +10,7 @@ from bpy.app.handlers import persistent
 
 from .. import attributes
 from ..interface.blocks import with_uid
-from ..interface.views import redraw_views
+from ..interface.windows import redraw_views
 from ..process import poll_timer
 from ..process.incremental_tasks import Check, Steps, TaskRunner, run_blocking, run_in_thread
 from ..splats import point_attributes

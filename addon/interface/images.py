@@ -6,7 +6,7 @@ import bpy
 import bpy.utils.previews
 import numpy as np
 
-from .window_override import in_a_window
+from .windows import in_a_window
 
 _FILLS = 0.9
 """Share of an editor's width and height; its header and scrollbars cover the rest."""

@@ -1,5 +1,5 @@
 """Draw handler: draws splats over the 3D views of this Blender session, and where
-the engine's picture is not ready.
+the engine's picture is not ready; a notice where the graphics card does not draw them.
 """
 
 import logging
@@ -13,8 +13,9 @@ import gpu
 from bpy.app.handlers import persistent
 
 from ..compat import draws_into_views, matrix_to_numpy
+from ..interface import viewport_text
 from ..interface.option_labels import error_text
-from ..interface.views import redraw_views
+from ..interface.windows import redraw_views
 from ..process.pace import Pace
 from ..render import viewport, viewport_copies
 from ..render.engine import final_cache
@@ -333,7 +334,6 @@ def _draw_handler() -> None:
     _state.scene = None
 
 
-DRAWING = ((_before_handler, "PRE_VIEW"), (_draw_handler, "POST_VIEW"))
 HANDLERS = {"depsgraph_update_post": _changed, "load_post": _file_loaded}
 APPENDED = ((viewport.FALLBACKS, _STAND_IN),)
 
@@ -351,3 +351,43 @@ def on_unregister() -> None:
     _close_views()
     _state.card, _state.failures = None, 0
     SESSION.there, SESSION.problem = False, ""
+
+
+_NOTICE_MARGIN = 12.0
+"""Pixels at a resolution scale of 1."""
+_NOTICE_COLOR = 1.0, 0.75, 0.2, 1.0
+
+
+def _wrapped(text: str, width: float, scale: float) -> list[str]:
+    """A text wrapped to a width in pixels."""
+    found: list[str] = []
+    for word in text.split():
+        longer = f"{found[-1]} {word}" if found else word
+        if found and viewport_text.width_of(longer, scale) <= width:
+            found[-1] = longer
+        else:
+            found.append(word)
+    return found
+
+
+def _draw_notice() -> None:
+    context = bpy.context
+    overlay = context.space_data.overlay
+    text = problem_of(context.region)
+    if not text or not (overlay.show_overlays and overlay.show_text):
+        return
+    if not any(map(is_splats, context.scene.objects)):
+        return
+    scale = context.preferences.system.ui_scale
+    sidebar = [r.width for r in context.area.regions if r.type == "UI"]  # overlaps the view
+    shown = _wrapped(text, context.region.width - sum(sidebar) - 4 * _NOTICE_MARGIN * scale, scale)
+    for number, line in enumerate(reversed(shown)):
+        height = (_NOTICE_MARGIN + 1.5 * viewport_text.SIZE * number) * scale
+        viewport_text.write(line, 2 * _NOTICE_MARGIN * scale, height, scale, _NOTICE_COLOR)
+
+
+DRAWING = (
+    (_before_handler, "PRE_VIEW"),
+    (_draw_handler, "POST_VIEW"),
+    (_draw_notice, "POST_PIXEL"),
+)

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..interface.views import redraw_views
+from ..interface.windows import redraw_views
 from ..render import viewport_copies
 from ..render.mesh_copies import HIDDEN, SELECTED
 from ..splats.live_display import SESSION

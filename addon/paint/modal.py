@@ -7,8 +7,8 @@ import bpy
 from bpy.props import BoolProperty
 
 from ..core import GsError
-from ..interface import undo
 from ..interface.incremental_operator import StatusBar
+from ..interface.windows import push_undo
 from ..splats import objects
 from ..splats.operators import OnSplats, edit_vertices
 from .session import UNDO, Answer, Session, paintable
@@ -91,7 +91,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
             return self.refuse(error)
         if edited:
             self._edited = ob.name
-            undo.push(UNDO)  # else undoing the first stroke would return to Edit Mode
+            push_undo(UNDO)  # else undoing the first stroke would return to Edit Mode
         RUNNING.begin(context)
         answer = self.modal(context, event) if self.once else {"RUNNING_MODAL"}
         if RUNNING.session is not None:
@@ -126,7 +126,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
         ob = context.view_layer.objects.get(self._edited) if self._edited else None
         if objects.is_splats(ob) and ob.visible_get() and ob.mode == "OBJECT":
             edit_vertices(context, ob)
-            undo.push(UNDO)
+            push_undo(UNDO)
 
 
 def on_unregister() -> None:

@@ -10,9 +10,9 @@ import numpy as np
 
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
-from ..interface import editable_check, undo
+from ..interface import editable_check
 from ..interface.incremental_operator import INTERVAL
-from ..interface.views import redraw_views
+from ..interface.windows import push_undo, redraw_views
 from ..process.incremental_tasks import Steps, TaskRunner
 from ..render.viewport import view_camera
 from ..splats import objects
@@ -267,7 +267,7 @@ class Session:
     def _finish(self) -> None:
         stroke, self._stroke = self._stroke, None
         if stroke.finish():
-            undo.push(UNDO)
+            push_undo(UNDO)
 
     def _go_on(self, spot: Spot | None, event: bpy.types.Event) -> Answer:
         """Handle an event during a stroke."""

@@ -1,18 +1,19 @@
-"""Progress display: state and buttons of a running or finished training or camera search."""
+"""Progress display: state, curve and buttons of a running or finished training or camera search."""
 
 import sys
 from typing import ClassVar
 
 import bpy
+import numpy as np
 
 from ..core import FramesDone, headline_psnr
+from ..interface.images import PictureIcons
 from ..sfm import find_cameras as search_work
 from ..splats.objects import is_splats
 from ..training import run_state
-from ..training.curve import Curve
+from ..training.curve import LOSS_COLOR, PSNR_COLOR, Curve
 from ..training.training_job import Job
 from ..training.verb_job import STOPPING, VerbJob
-from . import curve_icon
 from .widgets import TabPanel, draw_verb, job, rows, sentence
 
 _WARNINGS_SHOWN = 3
@@ -109,7 +110,7 @@ def draw_numbers(layout: bpy.types.UILayout, current: Job) -> None:
         if not state.ended:
             layout.label(text=f"{bar_text(state)}...", icon="TIME")
         return
-    icon = curve_icon.ICONS.update(current)
+    icon = ICONS.update(current)
     if not icon or len(curve.steps) < 2:
         rows(layout, numbers(state))
         return
@@ -118,15 +119,15 @@ def draw_numbers(layout: bpy.types.UILayout, current: Job) -> None:
     rows(split.column(), numbers(state))
     column = layout.column(align=True)
     for line, text in lines(curve).items():
-        column.label(text=text, icon_value=curve_icon.ICONS.swatch(line))
+        column.label(text=text, icon_value=ICONS.swatch(line))
 
 
 def lines(curve: Curve) -> dict[str, str]:
     """Name and range of each line of a curve."""
     losses, psnrs = curve.losses, curve.psnrs
     return {
-        curve_icon.LOSS: f"Loss, {min(losses):.3g} to {max(losses):.3g} (logarithmic)",
-        curve_icon.PSNR: f"PSNR in training, {min(psnrs):.1f} to {max(psnrs):.1f} dB",
+        LOSS: f"Loss, {min(losses):.3g} to {max(losses):.3g} (logarithmic)",
+        PSNR: f"PSNR in training, {min(psnrs):.1f} to {max(psnrs):.1f} dB",
     }
 
 
@@ -186,3 +187,34 @@ def clock(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+_SIZE = 192
+_SWATCH = 32
+LOSS, PSNR = "loss", "PSNR"
+_COLORS = {LOSS: LOSS_COLOR, PSNR: PSNR_COLOR}
+
+
+class CurveIcons(PictureIcons):
+    """Icons: one for each training, and one for each color."""
+
+    def update(self, job: Job) -> int:
+        """The icon of a job's curve, drawn again if it has more points; 0 without a window."""
+        curve = job.state.curve
+        last = curve.steps[-1] if curve.steps else 0
+        last_step = job.state.iterations
+        return self.show(job.id, last, lambda: curve.picture(_SIZE, _SIZE, last_step=last_step))
+
+    def swatch(self, line: str) -> int:
+        """An icon in the color of a line, LOSS or PSNR; 0 without a window."""
+        return self.show(line, line, lambda: _swatch(_COLORS[line]))
+
+
+def _swatch(color: tuple[float, ...]) -> np.ndarray:
+    pixels = np.zeros((_SWATCH, _SWATCH, 4), np.float32)
+    pixels[_SWATCH // 2 - 3 : _SWATCH // 2 + 3] = (*color, 1)
+    return pixels
+
+
+ICONS = CurveIcons()
+on_register, on_unregister = ICONS.open, ICONS.close

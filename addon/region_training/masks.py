@@ -21,7 +21,7 @@ from ..core import (
     read_header,
     rgba_png,
 )
-from ..interface import undo
+from ..interface.windows import push_undo
 from ..render.camera_photo import kept_of, mask_folder, mask_place, source_of, stated_masks
 from ..training import facts, lookups, start_training
 
@@ -119,7 +119,7 @@ def save(scene: bpy.types.Scene, image: bpy.types.Image) -> Path:
 def discard(image: bpy.types.Image) -> None:
     """Discard unsaved strokes; the mask file, if there is one, is not changed."""
     bpy.data.images.remove(image)
-    undo.push("Discard Mask")
+    push_undo("Discard Mask")
 
 
 def _finish(image: bpy.types.Image, pixels: np.ndarray) -> None:

@@ -1,12 +1,14 @@
-"""Region training operators."""
+"""Region training operators and settings."""
 
 import bpy
 
+from ..core import TrainConfig
 from ..interface.base_operator import Condition
 from ..splats.objects import active_splats, has_splats
 from ..training import start_training
+from ..training.properties import declared
 from ..training.verb_job import VerbJob
-from ..training.verb_operators import Cancelling, Starting
+from ..training.verb_jobs import Cancelling, Starting
 from . import train_region
 
 
@@ -31,3 +33,20 @@ class StopRegion(Cancelling, bpy.types.Operator):
     bl_label = "Stop"
     none = "No region is being trained."
     job_of = staticmethod(train_region.job_of)
+
+
+class RegionSettings(bpy.types.PropertyGroup):
+    """Region training settings of a scene, `Scene.gscore_steer`."""
+
+    region_steps: declared(
+        TrainConfig(),
+        "iterations",
+        "Steps",
+        default=2000,
+        soft_min=200,
+        soft_max=10_000,
+        description="Training steps for a region, one photo each",
+    )
+
+
+PROPERTIES = ((bpy.types.Scene, "gscore_steer", bpy.props.PointerProperty(type=RegionSettings)),)

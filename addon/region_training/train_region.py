@@ -1,7 +1,7 @@
-"""Train a region from scripts and operators: start, and show the result."""
+"""Train a region from scripts and operators: write its files in steps, start, show the result."""
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,18 +11,21 @@ import numpy as np
 from mathutils import Matrix
 
 from .. import attributes, preferences
-from ..core import Done, Progress, headline_psnr
-from ..interface import undo
+from ..cameras.capture_transform import box_of_capture, origin_of
+from ..core import Done, Progress, headline_psnr, write_region, write_splat_file
+from ..interface.windows import push_undo
 from ..paths import capture_folder, output_folder
-from ..process.incremental_tasks import Steps
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats import objects, splat_files
 from ..splats.error_maps import is_map
+from ..splats.filters import SPHERE, crop_matrix, is_cropped
+from ..splats.read_chunked import ChunkedRead
+from ..splats.splat_files import source_matrix_of_data
 from ..splats.write_chunked import check_replaceable, replace
 from ..training import guides, lookups, options, start_training
 from ..training.results import signature
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS, mesh_of
-from .start import region_of, start_files
 
 
 def _message(job: VerbJob) -> str:
@@ -141,7 +144,7 @@ def _arriving(object_uid: int, before: str, job: VerbJob) -> Steps[Iterable[str]
     except ValueError:
         bpy.data.meshes.remove(mesh)
         raise
-    undo.push("Train Region")
+    push_undo("Train Region")
     return warnings
 
 
@@ -193,3 +196,57 @@ def _free(output: Path) -> Path:
     """The first unused folder name for a region's results, next to `output`."""
     numbered = (output.with_name(f"{output.name}_region_{n}") for n in itertools.count(1))
     return next(path for path in numbered if not path.exists())
+
+
+def start_files(
+    ob: bpy.types.Object, box: np.ndarray, *, splats_file: Path, region_file: Path
+) -> Steps[None]:
+    """Write the current splats of an object and a box: read in chunks, then transformed into their
+    capture's world and written in a thread.
+
+    Args:
+        ob: The splat object.
+        box: The region, [4, 4], as for `write_region`.
+        splats_file: The PLY to write.
+        region_file: The JSON to write.
+
+    Raises:
+        ValueError: the object has no splats, or they cannot be read or moved to their capture.
+        GsError: a file cannot be written.
+    """
+    if not ob.data.vertices:
+        raise ValueError(f"{ob.name} has no splats to train.")
+    name, matrix, origin = ob.name, source_matrix_of_data(ob), origin_of(ob)
+    objects.moved(attributes.NO_SPLATS, matrix, name)  # raises for a bad matrix
+    more = {"antialiased": bool(ob.get(objects.ANTIALIAS)), "origin": origin}
+    write: Callable[[attributes.Splats], object] = partial(write_splat_file, splats_file, **more)
+    box = box_of_capture(box, ob)
+    columns = yield from ChunkedRead(ob).read()
+
+    def written(check: Check) -> None:
+        splats = objects.moved(attributes.as_splats(columns), matrix, name)
+        check()
+        write(splats)
+        write_region(region_file, box)
+
+    yield from run_in_thread(written, "Writing the region's splats")
+
+
+def region_of(ob: bpy.types.Object) -> np.ndarray:
+    """Matrix [4, 4] float64 from the cube [-1, 1]^3 to the box of an object's crop object, in the
+    world of the object's capture.
+
+    Raises:
+        ValueError: there is no crop box, or it has no volume.
+    """
+    if not is_cropped(ob):
+        raise ValueError(f"{ob.name} has no crop object; add a crop box around the region first.")
+    settings = ob.gscore
+    if settings.crop_shape == SPHERE or settings.crop_invert:
+        raise ValueError(
+            "A region is the inside of a box: set the shape of the crop to Box, not inverted."
+        )
+    to_unit = crop_matrix(ob, settings.crop_object)
+    if not abs(np.linalg.det(to_unit[:3, :3])) > 0:
+        raise ValueError(f"{settings.crop_object.name} has no volume; scale it up on all axes.")
+    return source_matrix_of_data(ob) @ np.linalg.inv(to_unit)

@@ -17,7 +17,7 @@ from ..cameras.camera_math import FLIP
 from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Cancelled, GsError
 from ..interface.option_labels import error_text
-from ..interface.views import redraw_views
+from ..interface.windows import redraw_views
 from ..process.background_task import Latest
 from . import picture
 from .holdout_meshes import HoldoutMesh, same_meshes

@@ -1,11 +1,13 @@
-"""Sequence training operators: train, resume, stop."""
+"""Sequence training operators, train, resume and stop, and their settings."""
 
 import bpy
 from bpy.props import BoolProperty
 
+from ..core import SequenceOptions
 from ..interface.base_operator import ConfirmMixin
+from ..training.properties import declared
 from ..training.verb_job import VerbJob
-from ..training.verb_operators import Cancelling, Starting
+from ..training.verb_jobs import Cancelling, Starting
 from . import train_sequence
 
 
@@ -53,3 +55,32 @@ class StopSequence(Cancelling, bpy.types.Operator):
     bl_label = "Stop"
     none = "No sequence is being trained."
     job_of = staticmethod(train_sequence.job_of)
+
+
+class TrainSequenceSettings(bpy.types.PropertyGroup):
+    """Options of a sequence in addition to those of its frames."""
+
+    frames: declared(
+        SequenceOptions(),
+        "frames",
+        "Frames",
+        default="",
+        description="Frames to train: 0,5,12 or 0:30 or 0:30:5 (first, last, step); empty: all",
+    )
+    next_iterations: declared(SequenceOptions(), "next_iterations", "Steps of Later Frames")
+    warm_start: declared(SequenceOptions(), "warm_start", "Start from the Frame Before")
+    guide_start: bpy.props.IntProperty(
+        name="First Guide Frame",
+        description="Frame of the timeline at which the guide meshes match the first trained "
+        "frame. Later frames of the sequence use later ones",
+        default=1,
+    )
+
+
+PROPERTIES = (
+    (
+        bpy.types.Scene,
+        "gscore_train_sequence",
+        bpy.props.PointerProperty(type=TrainSequenceSettings),
+    ),
+)

@@ -12,7 +12,8 @@ from ..cameras.lookup import chosen_root
 from ..cameras.select_imported import choose
 from ..capture.folders import same_folder
 from ..core import FramesProgress, SfmDone, SfmProgress, default_capture_output
-from ..interface import editable_check, undo
+from ..interface import editable_check
+from ..interface.windows import push_undo
 from ..paths import absolute, capture_folder, relative
 from ..process.incremental_tasks import Steps
 from ..training import facts, lookups, options
@@ -149,5 +150,5 @@ def importing_capture(scene: bpy.types.Scene, capture: Path) -> Steps[tuple[str,
         made = yield from importing(scene, absolute(scene.gscore.capture_path, "Capture"))
         choose(made.scene, made)
         warnings = made.warnings
-    undo.push("Cameras Found")
+    push_undo("Cameras Found")
     return warnings

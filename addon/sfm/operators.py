@@ -11,7 +11,7 @@ from ..interface.incremental_operator import IncrementalOperator
 from ..interface.sidebar import choose_tab, in_turn, open_sidebar
 from ..paths import relative
 from ..process.incremental_tasks import Steps
-from ..training.verb_operators import Cancelling, Waiting, ended
+from ..training.verb_jobs import Cancelling, Waiting, ended
 from . import find_cameras
 
 

@@ -16,7 +16,7 @@ from bpy.app.handlers import persistent
 from ..core import GsError
 from ..interface.blocks import with_uid
 from ..interface.option_labels import error_text
-from ..interface.views import redraw_views
+from ..interface.windows import redraw_views
 from ..process import poll_timer
 from ..process.incremental_tasks import Check, Steps, TaskRunner, run_in_thread
 from ..splats import live_display, objects

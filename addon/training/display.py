@@ -1,4 +1,6 @@
-"""Display of a running training in the open file: its splats and its preview picture."""
+"""Display of a running training in the open file, its splats and its preview picture, by the poll
+timer; the end of trainings when Blender quits.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -8,15 +10,18 @@ import bpy
 from .. import preferences, run_links
 from ..cameras.objects import note_moves
 from ..capture.folders import same_folder
-from ..interface import editable_check, undo
+from ..interface import editable_check
 from ..interface.option_labels import error_text
+from ..interface.windows import push_undo
 from ..nodes import display as display_nodes
 from ..paths import absolute, output_folder
+from ..process import poll_timer
 from ..splats.error_maps import drop_maps
 from ..splats.objects import hide_points
 from ..splats.splat_files import match_capture_origin
 from ..splats.write_chunked import ChunkedWrite, replace
-from . import registry, run_state
+from . import lookups, registry, run_state
+from .launch import released_at_quit
 from .loader import Loaded
 from .results import (
     Place,
@@ -116,7 +121,7 @@ def _remove_discarded(job: Job, place: Place) -> bool:
         bpy.data.meshes.remove(mesh)
     if (root := capture_of(place.scene, job.source)) is not None:
         hide_points(place.scene, root, hidden=False)
-    undo.push("Discard Training")
+    push_undo("Discard Training")
     return True
 
 
@@ -166,7 +171,7 @@ def _update_splats(job: Job, place: Place) -> bool:
         if filling.loaded.final:
             drop_maps(ob)  # of the previous splats
         if filling.loaded.final or ob != before:
-            undo.push("Training Result" if filling.loaded.final else "Live Splats")
+            push_undo("Training Result" if filling.loaded.final else "Live Splats")
     except ValueError as error:
         bpy.data.meshes.remove(mesh)
         _give_up(job, filling.loaded, error_text(error))
@@ -179,3 +184,31 @@ def _give_up(job: Job, loaded: Loaded, problem: str) -> None:
     if loaded.final:
         job.awaits_import = False
         job.state.sentence += " The splats could not be shown."
+
+
+def _collect() -> bool:
+    """Run one task of milliseconds per poll: read events, show a picture, import splats.
+
+    Reading and display alternate, because continuous redraws leave so few polls that each one
+    finds new events.
+    """
+    stale = False
+    for job in registry.jobs():
+        shown = job.has_events and update(job)
+        job.has_events = not shown and job.poll()
+        if job.has_events and job.state.ended:
+            lookups.runs.expire()
+            lookups.depth_runs.expire()
+        stale |= shown or job.has_events or update(job)
+    return stale
+
+
+def _waits() -> bool:
+    return any(waits(job) for job in registry.jobs())
+
+
+APPENDED = (
+    (poll_timer.POLLERS, poll_timer.Poller(_collect, _waits, is_importing)),
+    (poll_timer.POLLERS, poll_timer.Poller(lookups.collect, lookups.busy)),
+)
+on_register, on_unregister = released_at_quit(registry.release_all)

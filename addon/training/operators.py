@@ -22,7 +22,7 @@ from ..splats.file_operators import ImportOperator
 from . import facts, guides, registry, results, run_state, start_training
 from .options import BY_WIDTH
 from .training_job import Job
-from .verb_operators import Waiting
+from .verb_jobs import Waiting
 
 
 class _OnJob(BaseOperator):

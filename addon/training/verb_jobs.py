@@ -1,12 +1,16 @@
-"""Verb jobs: all jobs of gscore commands in this Blender session, of all files; start and poll."""
+"""Verb jobs: all jobs of gscore commands in this Blender session, of all files; start and poll, and
+the bases of their operators.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import bpy
+from bpy.props import BoolProperty
 
 from ..capture.folders import same_folder
+from ..interface.base_operator import BaseOperator
 from ..interface.incremental_operator import with_readable_errors
 from ..process import poll_timer
 from ..process.incremental_tasks import Steps, run_in_thread
@@ -14,7 +18,7 @@ from ..splats import settings
 from ..splats.write_chunked import ChunkedWrite, filled
 from . import loader
 from .launch import begin, follow, launch, released_at_quit
-from .verb_job import Verb, VerbJob
+from .verb_job import FAILED, Verb, VerbJob
 
 
 class VerbJobs:
@@ -137,3 +141,57 @@ _POLLER = poll_timer.Poller(
 )
 APPENDED = ((poll_timer.POLLERS, _POLLER),)
 on_register, on_unregister = released_at_quit(JOBS.release_all)
+
+
+class Waiting(BaseOperator):
+    """Mixin before bpy.types.Operator that starts work in the background."""
+
+    bl_options: ClassVar = {"REGISTER"}
+
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the work has ended and its result is imported; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+
+class Starting(Waiting):
+    """Mixin before bpy.types.Operator that starts a job."""
+
+    def run(self, context: bpy.types.Context) -> str:
+        """Start the job."""
+        return ended(self.start(context))
+
+    def start(self, context: bpy.types.Context) -> VerbJob:
+        """Start the job; errors as `run`."""
+        raise NotImplementedError
+
+
+class Cancelling(BaseOperator):
+    """Mixin before bpy.types.Operator that cancels the scene's job of a verb."""
+
+    none = ""
+    """Message if there is nothing to cancel."""
+
+    def run(self, context: bpy.types.Context) -> None:
+        """Cancel the job."""
+        job = self.job_of(context.scene)
+        if job is None or job.ended:
+            raise ValueError(self.none)
+        job.cancel()
+        poll_timer.redraw()
+
+    def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
+        """The scene's job."""
+        raise NotImplementedError
+
+
+def ended(job: VerbJob) -> str:
+    """Message on the end of a job; empty while it is running.
+
+    Raises:
+        ValueError: it failed.
+    """
+    if job.status == FAILED:
+        raise ValueError(job.sentence)
+    return job.sentence

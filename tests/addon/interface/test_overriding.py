@@ -5,7 +5,7 @@ from pathlib import Path
 
 import bpy
 
-from addon.interface.window_override import in_a_window
+from addon.interface.windows import in_a_window
 
 ROOT = Path(__file__).parents[3]
 PUSHES_BESIDE_THREADS = """
@@ -14,7 +14,7 @@ import bpy
 sys.path.insert(0, {root!r})
 import addon_utils
 addon_utils.enable("addon", default_set=True)
-from addon.interface import undo
+from addon.interface.windows import push_undo
 ended = threading.Event()
 def work():
     while not ended.is_set():
@@ -23,7 +23,7 @@ threads = [threading.Thread(target=work) for _ in range(3)]
 for thread in threads:
     thread.start()
 for i in range(150):
-    undo.push("Step")
+    push_undo("Step")
 ended.set()
 for thread in threads:
     thread.join()

@@ -11,7 +11,7 @@ import pytest
 from addon import panels
 from addon.attributes import NO_SPLATS
 from addon.core import PRESETS, Progress, RunInfo, Started
-from addon.panels import curve_icon, progress, result, running_work, train
+from addon.panels import progress, result, running_work, train
 from addon.splats import objects
 from addon.training import registry
 from addon.training.curve import LOSS_COLOR, PSNR_COLOR, Curve
@@ -226,7 +226,7 @@ def test_the_curves_as_a_picture() -> None:
 def test_the_lines_of_the_curve_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the given numbers in the panel's words below the picture; no text without numbers."""
     state, layout = running(), Layout()
-    monkeypatch.setattr(curve_icon.ICONS, "update", lambda _: 7)
+    monkeypatch.setattr(progress.ICONS, "update", lambda _: 7)
     current = SimpleNamespace(state=state, id="a")
     progress.draw_numbers(layout, current)
     assert "[picture]" not in layout.text

@@ -15,7 +15,7 @@ from addon import preferences
 from addon.core import read_splats, write_splats
 from addon.panels.region_training import RegionPanel
 from addon.process import poll_timer
-from addon.region_training import start, train_region
+from addon.region_training import train_region
 from addon.render.mesh_copies import read_marks
 from addon.splats import edit, objects, point_attributes, read_chunked, splat_files
 from addon.training import verb_job
@@ -216,13 +216,13 @@ def test_no_step_of_the_start_is_long(
     matrix = splat_files.source_matrix_of_data(ob)
     expected = objects.moved(objects.read(ob), matrix, ob.name)
     read, writers, meshes = [], [], len(bpy.data.meshes)
-    copy, write = point_attributes.copy_values, start.write_splat_file
+    copy, write = point_attributes.copy_values, train_region.write_splat_file
     monkeypatch.setattr(read_chunked, "BUDGET", 0.0)
     monkeypatch.setattr(
         point_attributes, "copy_values", lambda *a: (read.append(a[1]), copy(*a))[1]
     )
     monkeypatch.setattr(
-        start,
+        train_region,
         "write_splat_file",
         lambda *a, **k: (writers.append(threading.current_thread()), write(*a, **k))[1],
     )
@@ -296,7 +296,7 @@ def test_a_start_that_fails_begins_nothing(
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(start, "write_region", fail)
+    monkeypatch.setattr(train_region, "write_region", fail)
     bpy.ops.gscore.train_region()
     job = train_region.job_of(studio)
     until(lambda: job.ended)

@@ -1,4 +1,4 @@
-"""Window override: the window for operators that are called without a click."""
+"""Blender's windows: one for operators that are called without a click, undo steps, redraws."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,3 +22,18 @@ def in_a_window() -> Iterator[bool]:
             yield True
     else:
         yield False
+
+
+def push_undo(message: str) -> None:
+    """Add an undo step; without it, undoing the user's next step would undo this change too."""
+    with in_a_window() as there_is_a_window:
+        if there_is_a_window:
+            bpy.ops.ed.undo_push(message=message)
+
+
+def redraw_views() -> None:
+    """Redraw all 3D views."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
