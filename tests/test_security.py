@@ -59,7 +59,7 @@ LISTENS = ROOT / "gscore" / "live" / "server.py"
 SPEAKS = ROOT / "gscore" / "trainer" / "distributed" / "process_group.py"
 """The only file that speaks with other processes of one training, through torch's own sockets."""
 PARSES = ROOT / "gscore/io/xml_text.py"
-COLLECTS = ROOT / "addon" / "process" / "garbage.py"
+COLLECTS = ROOT / "addon" / "process" / "incremental_tasks.py"
 """The only file that tells Python when to look for garbage."""
 SPOKEN = {"all_gather", "all_to_all_single", "broadcast", "gather"}
 """What it calls of torch.distributed besides meeting and parting: none that passes pickles, as

@@ -9,8 +9,7 @@ from bpy.props import EnumProperty, FloatProperty
 from ..compat import matrix_to_numpy
 from . import capture_transform
 from . import objects as co
-from .lookup import find_root
-from .operators import OnCapture
+from .lookup import OnCapture, find_root
 
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 

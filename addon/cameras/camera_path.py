@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ..core import Cameras, atomic_write, file_errors, write_cameras, write_nerfstudio_path
-from ..process import garbage
+from ..process import incremental_tasks
 from ..process.incremental_tasks import BUDGET, Check, Steps, run_in_thread
 from . import objects as co
 from .capture_transform import origin_of
@@ -57,7 +57,7 @@ def exporting_path(
     path = Path(path)
     origin = origin_of(root)
     pace = scene.render.fps / scene.render.fps_base / scene.frame_step
-    with garbage.defer_collections():
+    with incremental_tasks.defer_collections():
         views = yield from _reading(camera, scene, root)
         write = partial(_write, path, views, kind, pace, origin)
         yield from run_in_thread(write, f"Writing {path}")

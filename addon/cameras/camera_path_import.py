@@ -16,7 +16,7 @@ from ..interface import editable_check
 from ..interface.blocks import with_uid
 from ..interface.option_labels import panel_text
 from ..interface.temporary_data import Temporary
-from ..process import garbage
+from ..process import incremental_tasks
 from ..process.incremental_tasks import BUDGET, Check, Steps, run_in_thread
 from . import camera_math as cm
 from . import objects as co
@@ -73,7 +73,7 @@ def importing_path(
     path, uid = Path(path), scene.session_uid
     origin = None if root is None else offset_between(origin_of(root), None)
     root_uid = None if root is None else root.session_uid
-    with garbage.defer_collections():
+    with incremental_tasks.defer_collections():
         read = yield from run_in_thread(
             partial(_read, path, start, numbered, origin), f"Reading {path}"
         )

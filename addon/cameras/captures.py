@@ -1,4 +1,6 @@
-"""Captures of a scene: choice of cameras, and folders of photos."""
+"""Captures of a scene: choice of cameras, folders of photos, and their display; selection of
+imported objects.
+"""
 
 from pathlib import Path
 
@@ -6,10 +8,14 @@ import bpy
 
 from .. import stored_paths
 from ..core import Folder, find_capture
-from ..interface import editable_check
+from ..interface import editable_check, framing
+from ..interface.base_operator import make_active_in
 from . import objects as co
 from . import scene_camera, undistort_jobs
 from .backgrounds import KnownImages, photo_of, photo_on_disk, set_photo
+from .capture_transform import frame_capture
+from .importing import ImportedCapture
+from .lookup import panel_root
 from .objects import cameras_of, is_camera
 
 
@@ -91,3 +97,106 @@ def relink(root: bpy.types.Object, path: str | Path, images: str = "images") -> 
     if not bpy.app.background:
         undistort_jobs.queue_copies(cameras)
     return sum(1 for file in found.values() if file), len(cameras)
+
+
+def choose(scene: bpy.types.Scene, made: ImportedCapture, *, set_up_views: bool = True) -> None:
+    """Select and frame an imported capture; the scene need not be shown in a window.
+
+    Args:
+        scene: The scene.
+        made: The imported capture.
+        set_up_views: Show the points' colors in the 3D views of the scene's windows, and frame a
+            new capture there.
+    """
+    activate(scene, made.root)
+    if set_up_views:
+        for space in framing.views_of(scene) if made.renewed else frame_capture(scene, made.root):
+            _set_up_view(space)
+    settings = getattr(scene, "gscore", None)  # None if only cameras are registered
+    if settings is not None and not settings.capture_path.strip():
+        settings.capture_path = made.root[stored_paths.SOURCE]
+        settings.images = made.root["gs_images"]
+
+
+def activate(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
+    """Select only one object and make it active, in a scene that need not be shown in a window.
+
+    Does nothing if the view layer excludes it, or while the user edits or paints another object,
+    because Blender could then not leave that mode.
+    """
+    if bpy.context.scene == scene:
+        layers = [bpy.context.view_layer]
+    else:
+        layers = [window.view_layer for window in _windows(scene)] or [scene.view_layers[0]]
+    layer, active = layers[0], layers[0].objects.active
+    if layer.objects.get(ob.name) == ob and (active is None or active.mode == "OBJECT"):
+        make_active_in(layer, ob)
+
+
+def _windows(scene: bpy.types.Scene) -> list[bpy.types.Window]:
+    return [window for window in bpy.context.window_manager.windows if window.scene == scene]
+
+
+def _set_up_view(space: bpy.types.SpaceView3D) -> None:
+    space.shading.color_type = "VERTEX"
+    space.shading.show_object_outline = False  # it would cover the small points
+    space.overlay.show_relationship_lines = False
+
+
+def _cameras(scene: bpy.types.Scene) -> list[bpy.types.Camera]:
+    """Camera data of the sidebar's capture, of cameras with a photo."""
+    root = panel_root(scene)
+    obs = [] if root is None else cameras_of(root)
+    return [ob.data for ob in obs if ob.data.background_images]
+
+
+def changeable(scene: bpy.types.Scene) -> list[bpy.types.Camera]:
+    """Cameras whose photos can be shown, hidden and faded: linked ones are left out."""
+    return list(filter(editable_check.keeps, _cameras(scene)))
+
+
+def show_photos(scene: bpy.types.Scene, shown: bool) -> None:
+    """Show or hide the photos of the sidebar's capture; other captures stay unchanged."""
+    for camera in changeable(scene):
+        camera.show_background_images = shown
+
+
+def _get_shown(self: "PhotoSettings") -> bool:
+    return any(camera.show_background_images for camera in _cameras(self.id_data))
+
+
+def _set_shown(self: "PhotoSettings", shown: bool) -> None:
+    show_photos(self.id_data, shown)
+
+
+def _get_opacity(self: "PhotoSettings") -> float:
+    camera = next(iter(_cameras(self.id_data)), None)
+    return 1.0 if camera is None else camera.background_images[0].alpha
+
+
+def _set_opacity(self: "PhotoSettings", opacity: float) -> None:
+    for camera in changeable(self.id_data):
+        camera.background_images[0].alpha = opacity
+
+
+class PhotoSettings(bpy.types.PropertyGroup):
+    """`Scene.gscore_photos`; the cameras store the values, so that they cannot disagree."""
+
+    shown: bpy.props.BoolProperty(
+        name="Show Photos",
+        description="Show the capture's photos behind their cameras",
+        get=_get_shown,
+        set=_set_shown,
+    )
+    opacity: bpy.props.FloatProperty(
+        name="Opacity",
+        description="Opacity of the photos; below 1 the scene behind them shows through",
+        subtype="FACTOR",
+        min=0.0,
+        max=1.0,
+        get=_get_opacity,
+        set=_set_opacity,
+    )
+
+
+PROPERTIES = ((bpy.types.Scene, "gscore_photos", bpy.props.PointerProperty(type=PhotoSettings)),)

@@ -20,7 +20,7 @@ from ..interface import editable_check
 from ..interface.blocks import with_uid
 from ..interface.incremental_removal import clear, clearing
 from ..interface.temporary_data import Temporary, release
-from ..process import garbage
+from ..process import incremental_tasks
 from ..process.incremental_tasks import BUDGET, Steps, run_in_thread
 from . import capture_transform, sfm_points, undistort_jobs
 from . import objects as co
@@ -92,7 +92,7 @@ def importing(
     there = 0 if into is None else into.session_uid
     choices = {"images": images, "photos": photos, "points": points, "align": align}
     origins = known_origins(scene, there)
-    with garbage.defer_collections():
+    with incremental_tasks.defer_collections():
         capture = yield from run_in_thread(
             partial(read, place, **choices, origins=origins), f"Reading {place}"
         )

@@ -1,15 +1,28 @@
-"""Lookup of the capture and the camera that an operator applies to."""
+"""Lookup of the capture and the camera of an operator, and the base of operators on a capture."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
+from bpy.props import StringProperty
 
 from .. import stored_paths
 from ..capture.folders import means_capture
 from ..core import read_run
+from ..interface.base_operator import Undoable
 from ..paths import absolute
 from . import objects as co
+
+
+class OnCapture(Undoable):
+    """Base of operators on a capture's empty."""
+
+    capture: StringProperty(
+        name="Capture",
+        description="Name of the capture's empty; empty: the capture of the active object, of the "
+        "scene camera, or the only one",
+        options={"SKIP_SAVE"},
+    )
 
 
 def find_root(context: bpy.types.Context, name: str = "") -> bpy.types.Object:

@@ -6,29 +6,18 @@ from typing import Any, ClassVar
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..interface.base_operator import OnScene, Undoable
+from ..interface.base_operator import OnScene
 from ..interface.incremental_operator import IncrementalOperator
 from ..paths import absolute
 from ..process.incremental_tasks import Steps
 from . import captures
+from .captures import choose
 from .export_colmap import exporting_colmap
 from .export_transforms import exporting_transforms
 from .export_views import Tracked
 from .importing import importing
-from .lookup import find_camera, find_root
+from .lookup import OnCapture, find_camera, find_root
 from .objects import cameras_of
-from .select_imported import choose
-
-
-class OnCapture(Undoable):
-    """Base of operators on a capture's empty."""
-
-    capture: StringProperty(
-        name="Capture",
-        description="Name of the capture's empty; empty: the capture of the active object, of the "
-        "scene camera, or the only one",
-        options={"SKIP_SAVE"},
-    )
 
 
 class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):

@@ -12,9 +12,8 @@ from ..paths import absolute
 from ..process.incremental_tasks import Steps
 from .camera_path import CAMERAS, NERFSTUDIO, TRANSFORMS, exporting_path
 from .camera_path_import import importing_path, use_path
-from .lookup import find_root, roots_of
-from .operators import OnCapture
-from .select_imported import activate
+from .captures import activate
+from .lookup import OnCapture, find_root, roots_of
 
 _BLENDER = ("BLENDER", "Blender", "Blender's world: z up, as aligned and scaled")
 

@@ -1,5 +1,6 @@
 """Undistortion jobs in the background: the photos to undistort, the update of their cameras, and
-the missing copies for panels, checked in threads because each photo needs a disk access.
+the missing copies for panels, checked in threads because each photo needs a disk access;
+operators, and the size of the copies in the preferences.
 """
 
 import os
@@ -10,15 +11,18 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import bpy
 from bpy.app.handlers import persistent
 
+from ..interface.base_operator import BaseOperator, Condition, ConfirmMixin, wrapped
 from ..interface.lookup import Lookup
 from ..interface.option_labels import error_text
 from ..interface.windows import redraw_views
+from ..preferences import SECTIONS, Preferences
 from ..process import poll_timer
+from . import undistorted_photos
 from .backgrounds import (
     KnownImages,
     UndistortedBackground,
@@ -26,7 +30,8 @@ from .backgrounds import (
     show_copy,
     undistorted_background,
 )
-from .objects import is_camera
+from .lookup import OnCapture, find_root
+from .objects import cameras_of, is_camera
 from .undistort_program import task_of
 from .undistort_queue import UndistortQueue
 
@@ -204,16 +209,95 @@ def _file_loaded(*_: object) -> None:
         queue_copies(ob for ob in bpy.data.objects if is_camera(ob) and ob.library is None)
 
 
-_POLLERS = (
-    poll_timer.Poller(collect, lambda: QUEUE.busy),
-    poll_timer.Poller(MISSING_COPIES.collect, lambda: MISSING_COPIES.busy),
-)
-
-
-HANDLERS = {"load_post": _file_loaded}
-APPENDED = tuple((poll_timer.POLLERS, poller) for poller in _POLLERS)
-
-
 def on_unregister() -> None:
     """Kill the program; a partly written copy is discarded."""
     QUEUE.kill()
+
+
+_SIZES: Lookup[Path, tuple[int, int]] = Lookup(undistorted_photos.size_of, max_age=5.0)
+"""Number of copies by folder, and their bytes."""
+
+
+class UndistortPhotos(OnCapture, bpy.types.Operator):
+    """Make the missing undistorted copies of photos for the cameras' backgrounds"""
+
+    bl_idname = "gscore.straighten_photos"
+    bl_label = "Undistort Photos"
+
+    def run(self, context: bpy.types.Context) -> str:
+        """Queue the copies; without a window, wait for them."""
+        cameras = cameras_of(find_root(context, self.capture))
+        count = queue_copies(cameras)
+        if bpy.app.background:
+            wait()
+        elif count:
+            return f"Undistorting {count} photos in the background."
+        problems = problems_of(missing_copies(cameras))
+        if problems:
+            raise ValueError(problems[0])
+        if not count:
+            return "No undistorted photo is missing."
+        return f"Undistorted {count} photos, in {undistorted_photos.copies_folder()}."
+
+
+class StopUndistorting(BaseOperator, bpy.types.Operator):
+    """Stop undistorting photos; Undistort Photos, or looking through a camera, continues"""
+
+    bl_idname = "gscore.stop_straightening"
+    bl_label = "Stop Undistorting"
+    bl_options: ClassVar = {"REGISTER"}
+    needs = Condition(lambda context: QUEUE.busy, "No photos are being undistorted")
+
+    def run(self, context: bpy.types.Context) -> None:
+        """Clear the queue."""
+        QUEUE.stop()
+
+
+class RemoveUndistortedPhotos(ConfirmMixin, BaseOperator, bpy.types.Operator):
+    """Remove all undistorted copies of photos; they are made again when needed"""
+
+    bl_idname = "gscore.remove_straight_photos"
+    bl_label = "Remove Undistorted Photos"
+    bl_options: ClassVar = {"REGISTER"}
+    confirm = "Remove"
+    needs = Condition(
+        lambda context: not QUEUE.busy,
+        "Photos are being undistorted; stop that first",
+    )
+
+    def confirm_lines(self, context: bpy.types.Context) -> Iterable[str]:
+        """Number, size and folder of the copies."""
+        folder = undistorted_photos.copies_folder()
+        count, size = undistorted_photos.size_of(folder)
+        if not count and not undistorted_photos.partial_files(folder):
+            raise ValueError(f"There are no undistorted photos in {folder}.")
+        return [f"{count} undistorted copies, {size / 1e6:.0f} MB, in {folder}. The photos stay."]
+
+    def run(self, context: bpy.types.Context) -> str:
+        """Remove the copies."""
+        folder = undistorted_photos.copies_folder()
+        files = undistorted_photos.copies(folder)
+        undistorted_photos.remove(files + undistorted_photos.partial_files(folder))
+        _SIZES.expire()
+        return f"Removed {len(files)} undistorted copies from {folder}."
+
+
+def draw_copies(layout: bpy.types.UILayout, prefs: Preferences) -> None:
+    """Draw the size of the folder of copies, and the button that empties it."""
+    folder = undistorted_photos.copies_folder()
+    count, size = _SIZES.get(folder)[0] or (0, 0)
+    poll_timer.ensure()  # draws this again when the size is known
+    if not count:
+        return
+    box = layout.box()
+    wrapped(box, f"Undistorted photos: {count} files, {size / 1e6:.0f} MB, in {folder}")
+    box.operator(RemoveUndistortedPhotos.bl_idname, icon="TRASH")
+
+
+_POLLERS = (
+    poll_timer.Poller(collect, lambda: QUEUE.busy),
+    poll_timer.Poller(MISSING_COPIES.collect, lambda: MISSING_COPIES.busy),
+    poll_timer.Poller(_SIZES.collect, lambda: _SIZES.busy),
+)
+HANDLERS = {"load_post": _file_loaded}
+APPENDED = ((SECTIONS, draw_copies), *((poll_timer.POLLERS, poller) for poller in _POLLERS))

@@ -1,5 +1,5 @@
 """Measure errors of a run from scripts and operators: start, and show the result on
-splats and cameras.
+splats and cameras; the operators.
 """
 
 from collections.abc import Iterable
@@ -7,21 +7,24 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from bpy.props import BoolProperty
 
 from .. import preferences, stored_paths
 from ..attributes import NO_SPLATS
 from ..cameras.camera_colors import hide, marks, own_cameras, set_color, take
 from ..cameras.objects import root_of
-from ..capture.figures import MEASURED, Figures
+from ..capture.figures import MEASURED, Figures, measured
 from ..core import EvalDone, EvalProgress, colorize
+from ..interface.base_operator import BaseOperator, Condition, Undoable
 from ..interface.windows import push_undo
 from ..process.incremental_tasks import Steps
 from ..splats import objects
 from ..splats.error_maps import MAP, drop_maps, is_map, run_of, show_map, siblings
+from ..splats.objects import active_splats, has_trained, is_splats
 from ..splats.write_chunked import replace
 from ..training import lookups
 from ..training.verb_job import Verb, VerbJob
-from ..training.verb_jobs import JOBS, mesh_of
+from ..training.verb_jobs import JOBS, Cancelling, Starting, mesh_of
 
 FILE = "errors.ply"
 """Name of the error map in the folder `MEASURED` of the run."""
@@ -171,3 +174,93 @@ def color_at(place: float) -> tuple[float, ...]:
 def are_colored(root: bpy.types.Object) -> bool:
     """Whether cameras of a capture are colored by errors."""
     return _MARK in marks(root)
+
+
+class _OfRun(BaseOperator):
+    """Base of the operators on the run of the active splat object."""
+
+    needs = Condition(has_trained, "Select splats that come from a training")
+
+
+class MeasureErrors(_OfRun, Starting, bpy.types.Operator):
+    """Compare the result with all its photos, in the background. Colors the cameras by the errors
+    of their photos, and adds an object with the splats colored by their errors"""
+
+    bl_idname = "gscore.measure_errors"
+    bl_label = "Measure Errors"
+
+    def start(self, context: bpy.types.Context) -> VerbJob:
+        """Start."""
+        return measure(active_splats(context), wait=self.wait)
+
+
+class StopErrors(Cancelling, bpy.types.Operator):
+    """Cancel the measurement; no error map is made"""
+
+    bl_idname = "gscore.stop_errors"
+    bl_label = "Stop"
+    none = "Nothing is being measured."
+
+    def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
+        """The errors job of the active object's run."""
+        ob = active_splats(bpy.context)
+        return job_of(ob) if is_splats(ob) else None
+
+
+class ColorByError(Undoable, _OfRun, bpy.types.Operator):
+    """Color the cameras by the errors of their photos, or restore their colors"""
+
+    bl_idname = "gscore.color_by_error"
+    bl_label = "Color Cameras"
+
+    show: BoolProperty(
+        name="Show",
+        description="Color the cameras; off: restore their colors",
+        default=True,
+        options={"SKIP_SAVE"},
+    )
+
+    def run(self, context: bpy.types.Context) -> str:
+        """Color the cameras, or restore their colors."""
+        ob = active_splats(context)
+        root = root_of(ob)
+        if root is None:
+            raise ValueError(f"{ob.name} has no cameras here: use Import Cameras first.")
+        if not self.show:
+            hide(root)
+            return ""
+        figures = measured(run_of(ob))
+        if figures is None:
+            raise ValueError("Press Measure Errors first: the training was not measured since.")
+        if not color_cameras(root, figures):
+            raise ValueError(f"None of the measured photos has a camera in {root.name}.")
+        return ""
+
+
+class ShowErrorMap(Undoable, _OfRun, bpy.types.Operator):
+    """Show the error map, or the splats in their own colors"""
+
+    bl_idname = "gscore.show_error_map"
+    bl_label = "Color Splats"
+
+    show: BoolProperty(
+        name="Show",
+        description="Show the error map instead of the splats; off: show the splats",
+        default=True,
+        options={"SKIP_SAVE"},
+    )
+
+    def run(self, context: bpy.types.Context) -> None:
+        """Show the error map or the splats."""
+        show_map(active_splats(context), self.show)
+
+
+class RemoveErrors(Undoable, _OfRun, bpy.types.Operator):
+    """Remove the error map, and restore the colors of the cameras"""
+
+    bl_idname = "gscore.remove_errors"
+    bl_label = "Remove Errors"
+
+    def run(self, context: bpy.types.Context) -> None:
+        """Remove."""
+        remove(active_splats(context))

@@ -1,4 +1,4 @@
-"""Cached histograms of objects' splats, counted again when their meshes change."""
+"""Cached histograms of objects' splats, counted again when their meshes change, and their icons."""
 
 import time
 from dataclasses import dataclass, field
@@ -10,11 +10,13 @@ from bpy.app.handlers import persistent
 
 from .. import attributes
 from ..interface.blocks import with_uid
+from ..interface.images import PictureIcons
 from ..interface.windows import redraw_views
 from ..process import poll_timer
 from ..process.incremental_tasks import Check, Steps, TaskRunner, run_blocking, run_in_thread
 from ..splats import point_attributes
 from .counting import OPACITY, SIZE, Histogram, of_opacities, of_sizes
+from .limits import limits_of
 
 MOST = 200_000
 """Limit of counted splats; of larger meshes every n-th splat is counted. Smaller ones are counted
@@ -184,6 +186,25 @@ HANDLERS = {"depsgraph_update_post": _changed}
 APPENDED = ((poll_timer.POLLERS, _POLLER),)
 
 
+_SIZE = 192
+
+
+class HistogramIcons(PictureIcons):
+    """One icon per kind, of the last shown object."""
+
+    def update(self, ob: bpy.types.Object, kind: str) -> int:
+        """Icon id of a histogram, hidden splats in grey; 0 if there is none."""
+        if (found := HISTOGRAMS.of(ob).get(kind)) is None:
+            return 0
+        limits = limits_of(ob, kind)
+        return self.show(kind, (found, *limits), lambda: found.picture(_SIZE, _SIZE, *limits))
+
+
+ICONS = HistogramIcons()
+on_register = ICONS.open
+
+
 def on_unregister() -> None:
-    """Stop counting."""
+    """Stop counting, and remove the icons."""
     HISTOGRAMS.clear()
+    ICONS.close()

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 import bpy
 
 from ..core import GsError
-from ..process.incremental_tasks import ResultT, Steps, TaskRunner, run_blocking
-from ..process.pace import Pace
+from ..process.incremental_tasks import Pace, ResultT, Steps, TaskRunner, run_blocking
 from . import editable_check
 from .base_operator import Undoable
 from .incremental_removal import finish

@@ -16,7 +16,7 @@ from ..compat import draws_into_views, matrix_to_numpy
 from ..interface import viewport_text
 from ..interface.option_labels import error_text
 from ..interface.windows import redraw_views
-from ..process.pace import Pace
+from ..process.incremental_tasks import Pace
 from ..render import viewport, viewport_copies
 from ..render.engine import final_cache
 from ..render.operators import changes_colors

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..core import Splats, sh_basis
-from ..render.marks import shown, tinted
+from ..render.mesh_copies import shown, tinted
 from .atlas import Atlas
 
 _BLOCK = 1 << 14

@@ -11,7 +11,7 @@ import numpy as np
 from ..cameras.render_camera import RenderCamera
 from ..process.background_task import Latest
 from ..render import picture
-from ..render.marks import reselected
+from ..render.mesh_copies import reselected
 from ..render.model import SplatCache, check_similar
 from ..render.scene import Placed
 from ..render.selections import Tinted, marks_of

@@ -6,8 +6,8 @@ import bpy
 
 from .. import stored_paths
 from ..cameras import undistort_jobs
+from ..cameras.captures import changeable
 from ..cameras.objects import cameras_of, points_of
-from ..cameras.photos import changeable
 from ..region_training import masks
 from .widgets import TabPanel, found, root, rows, sentence
 

@@ -5,7 +5,7 @@ import bpy
 from ..capture.inspection import ShownFacts
 from ..sequence import train_sequence as sequence
 from ..sfm import find_cameras
-from ..training import captures, facts
+from ..training import facts, operators
 from .manual import draw_help
 from .widgets import TabPanel, has_python, rows, sentence
 
@@ -18,9 +18,11 @@ class CapturesMenu(bpy.types.Menu):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the menu."""
-        there = captures.known(context.scene)
+        there = operators.known(context.scene)
         for path in there:
-            choose = self.layout.operator("gscore.choose_capture", text=captures.label(path, there))
+            choose = self.layout.operator(
+                "gscore.choose_capture", text=operators.label(path, there)
+            )
             choose.path = str(path)
 
 
@@ -40,7 +42,7 @@ class CapturePanel(TabPanel, bpy.types.Panel):
         layout, settings = self.layout, context.scene.gscore
         row = layout.row(align=True)
         row.prop(settings, "capture_path", text="")
-        if len(captures.known(context.scene)) > 1:
+        if len(operators.known(context.scene)) > 1:
             row.menu(CapturesMenu.bl_idname, text="", icon="DOWNARROW_HLT")
         row.operator("gscore.choose_video", text="", icon="FILE_MOVIE")
         if not settings.capture_path.strip():

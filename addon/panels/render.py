@@ -3,7 +3,7 @@
 import bpy
 
 from ..cameras.objects import is_camera
-from ..render import setting_fixes
+from ..render import operators
 from ..render.composite_nodes import combine_node, is_older
 from ..render.compositing_scene import SPLAT_SCENE
 from ..render.engine import NAME
@@ -31,7 +31,7 @@ class RenderPanel(TabPanel, bpy.types.Panel):
             text = "The render engine Gaussian Splats draws splats exactly as trained."
             sentence(layout, text, icon="INFO")
             layout.operator("gscore.use_engine", icon="SCENE")
-        if setting_fixes.ends_early(scene):
+        if operators.ends_early(scene):
             most = scene.cycles.transparent_max_bounces
             text = f"Cycles ends rays after {most} splats, so soft splats render too dark."
             sentence(layout, text, icon="ERROR")
@@ -40,7 +40,7 @@ class RenderPanel(TabPanel, bpy.types.Panel):
         row.enabled = scene.camera is not None
         row.operator("render.render", text="Picture", icon="RENDER_STILL").use_viewport = True
         row.operator("render.render", text="Animation", icon="RENDER_ANIMATION").animation = True
-        if problem := setting_fixes.problem(scene):
+        if problem := operators.size_problem(scene):
             sentence(layout, problem, icon="ERROR")
             layout.operator("gscore.make_size_even")
         if scene.camera is None:

@@ -7,7 +7,7 @@ import bpy
 from .. import attributes, stored_paths
 from ..histograms import gizmos
 from ..histograms.counting import OPACITY, SIZE
-from ..histograms.icons import ICONS
+from ..histograms.histogram_cache import ICONS
 from ..interface.option_labels import error_text
 from ..live import draw_handler
 from ..splats import edit, lag, live_display, operators

@@ -1,13 +1,18 @@
 """Background tasks: a function that runs in a thread and reports its progress, and a thread for the
 latest of several requests; no bpy.
+
+All threads are joined before the process ends. Daemon threads keep running during Python's
+shutdown; one that then returns from numpy or the rasterizer is ended inside native code, which
+aborts the whole process.
 """
 
+import atexit
 import threading
+import time
+import weakref
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
-
-from . import threads
 
 
 class Cancelled(Exception):  # noqa: N818 - nothing went wrong
@@ -32,7 +37,7 @@ class BackgroundTask:
         self.cancelled = False
         self._function = function
         self._cancel = threading.Event()
-        self._thread = threads.start(self._run, "gscore-task", cancel=self.cancel)
+        self._thread = start_thread(self._run, "gscore-task", cancel=self.cancel)
 
     @property
     def running(self) -> bool:
@@ -112,7 +117,7 @@ class Latest(Generic[RequestT, AnswerT]):
                 return
             self._request, self.busy = request, True
             if self._thread is None:
-                self._thread = threads.start(self._run, self._name, cancel=self.close)
+                self._thread = start_thread(self._run, self._name, cancel=self.close)
             self._changed.notify()
 
     def take(self) -> AnswerT | None:
@@ -145,3 +150,38 @@ class Latest(Generic[RequestT, AnswerT]):
             answer, problem = None, str(error) or "Out of memory."
         with self._changed:
             self.answer, self.problem, self.fresh = answer, problem, True
+
+
+_PATIENCE = 10.0
+"""Total wait for all threads at the end of the process, seconds."""
+
+_started: "weakref.WeakKeyDictionary[threading.Thread, Callable[[], object]]" = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def start_thread(
+    target: Callable[[], object], name: str, *, cancel: Callable[[], object] = lambda: None
+) -> threading.Thread:
+    """Run a function in a new thread.
+
+    Args:
+        target: The function.
+        name: Thread name.
+        cancel: Called at the end of the process; must make the function return soon.
+    """
+    thread = threading.Thread(target=target, name=name, daemon=True)
+    _started[thread] = cancel
+    thread.start()
+    return thread
+
+
+@atexit.register
+def join_threads() -> None:
+    """Cancel all threads, and join them with a timeout."""
+    running = [(thread, cancel) for thread, cancel in _started.items() if thread.is_alive()]
+    for _, cancel in running:
+        cancel()
+    until = time.monotonic() + _PATIENCE
+    for thread, _ in running:
+        thread.join(max(until - time.monotonic(), 0.0))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import bpy
 from bpy.app.handlers import persistent
 
-from .pace import Pace
+from .incremental_tasks import Pace
 
 INTERVAL = 0.1
 """Interval of the timer, seconds."""

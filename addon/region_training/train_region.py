@@ -1,4 +1,6 @@
-"""Train a region from scripts and operators: write its files in steps, start, show the result."""
+"""Train a region: write its files in steps, start, show the result; functions for scripts,
+operators and settings.
+"""
 
 import itertools
 from collections.abc import Callable, Iterable
@@ -12,20 +14,23 @@ from mathutils import Matrix
 
 from .. import attributes, preferences
 from ..cameras.capture_transform import box_of_capture, origin_of
-from ..core import Done, Progress, headline_psnr, write_region, write_splat_file
+from ..core import Done, Progress, TrainConfig, headline_psnr, write_region, write_splat_file
+from ..interface.base_operator import Condition
 from ..interface.windows import push_undo
 from ..paths import capture_folder, output_folder
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats import objects, splat_files
 from ..splats.error_maps import is_map
 from ..splats.filters import SPHERE, crop_matrix, is_cropped
+from ..splats.objects import active_splats, has_splats
 from ..splats.read_chunked import ChunkedRead
 from ..splats.splat_files import source_matrix_of_data
 from ..splats.write_chunked import check_replaceable, replace
 from ..training import guides, lookups, options, start_training
+from ..training.properties import declared
 from ..training.results import signature
 from ..training.verb_job import Verb, VerbJob
-from ..training.verb_jobs import JOBS, mesh_of
+from ..training.verb_jobs import JOBS, Cancelling, Starting, mesh_of
 
 
 def _message(job: VerbJob) -> str:
@@ -250,3 +255,43 @@ def region_of(ob: bpy.types.Object) -> np.ndarray:
     if not abs(np.linalg.det(to_unit[:3, :3])) > 0:
         raise ValueError(f"{settings.crop_object.name} has no volume; scale it up on all axes.")
     return source_matrix_of_data(ob) @ np.linalg.inv(to_unit)
+
+
+class TrainRegion(Starting, bpy.types.Operator):
+    """Train the splats in the crop box again, in the background; all others are frozen.
+    The result replaces them when it is complete; undo restores the earlier splats"""
+
+    bl_idname = "gscore.train_region"
+    bl_label = "Train Region"
+    needs = Condition(has_splats, "Select splats, or their crop box")
+
+    def start(self, context: bpy.types.Context) -> VerbJob:
+        """Start."""
+        self.warn(start_training.unsaved(context.scene))
+        return train_region(context.scene, active_splats(context), wait=self.wait)
+
+
+class StopRegion(Cancelling, bpy.types.Operator):
+    """Cancel the region training; the splats are not changed"""
+
+    bl_idname = "gscore.stop_region"
+    bl_label = "Stop"
+    none = "No region is being trained."
+    job_of = staticmethod(job_of)
+
+
+class RegionSettings(bpy.types.PropertyGroup):
+    """Region training settings of a scene, `Scene.gscore_steer`."""
+
+    region_steps: declared(
+        TrainConfig(),
+        "iterations",
+        "Steps",
+        default=2000,
+        soft_min=200,
+        soft_max=10_000,
+        description="Training steps for a region, one photo each",
+    )
+
+
+PROPERTIES = ((bpy.types.Scene, "gscore_steer", bpy.props.PointerProperty(type=RegionSettings)),)

@@ -22,10 +22,10 @@ from ..splats.read_chunked import ChunkedRead
 from ..stored_paths import RUN
 from . import picture
 from .camera_photo import Target, load_target
+from .color import background_of, world_light
 from .engine import final_cache
 from .mesh_copies import Frozen, FrozenMesh
 from .scene import NO_SPLATS, NONE_IN_VIEW, Placed, place, sources
-from .world import background_of, world_light
 
 ERROR_GAIN = 4.0
 """Factor of the mean absolute channel difference in error pictures, as in gscore's."""

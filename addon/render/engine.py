@@ -16,6 +16,7 @@ from ..timeline import frame_sync
 from ..timeline.frame_at import gap_sentence
 from ..timeline.settings import plays
 from . import holdout_meshes, picture, unsupported_settings, viewport_copies
+from .color import background_of, light_of
 from .compositing_scene import main_scene
 from .model import SplatCache
 from .pass_renderer import PassRenderer, Shot
@@ -37,7 +38,6 @@ from .viewport import (
     redraw_when_ready,
     view_camera,
 )
-from .world import background_of, light_of
 
 NAME = "GSCORE_SPLATS"
 """The engine in `scene.render.engine`."""

@@ -1,4 +1,6 @@
-"""Mesh copies: splat attributes copied out of Blender, to be decoded in a thread without bpy."""
+"""Mesh copies: splat attributes copied out of Blender, to be decoded in a thread without bpy, and
+marks of selected and hidden splats.
+"""
 
 import sys
 import zlib
@@ -11,7 +13,7 @@ import numpy as np
 
 from .. import attributes
 from ..attributes import BASE, POSITION, SCALE
-from ..core import Splats
+from ..core import Splats, sh_basis
 from ..process.incremental_tasks import Steps, TaskRunner, run_in_thread
 from ..splats.filters import Filters, mask
 from ..splats.point_attributes import Column, copy_values, empty_values, zeroed
@@ -216,3 +218,45 @@ def read_marks(data: Any) -> np.ndarray | None:
             attribute.data.foreach_get("value", flags)
             marks |= flags.astype(np.uint8) * np.uint8(bit)
     return marks if marks.any() else None
+
+
+TINT = np.float32([1.0, 0.5, 0.05])
+"""sRGB values, close to selected vertices in Blender's own themes."""
+SHARE = np.float32(0.65)
+"""Share of the tint in the colour of a selected splat; the rest keeps splats distinguishable."""
+
+
+def tinted(colors: np.ndarray, marks: np.ndarray) -> np.ndarray:
+    """Colours [B, 3] float32 of splats, tinted where their marks [B] are selected."""
+    chosen = (marks & SELECTED) != 0
+    return np.where(chosen[:, None], colors + SHARE * (TINT - colors), colors)
+
+
+def reselected(
+    before: np.ndarray | None, after: np.ndarray | None, count: int
+) -> np.ndarray | None:
+    """Splats that were selected or deselected between two sets of marks ([count] or None), [count]
+    bool; None if visibility has changed."""
+    none = np.zeros(count, np.uint8)
+    differ = (none if before is None else before) ^ (none if after is None else after)
+    return None if (differ & HIDDEN).any() else differ != 0
+
+
+def shown(marks: np.ndarray) -> np.ndarray:
+    """Splats that are not hidden by their marks [B], [B] bool."""
+    return (marks & HIDDEN) == 0
+
+
+def tinted_splats(splats: Splats, marks: np.ndarray) -> Splats:
+    """Splats for a picture with marks [N]: without hidden splats, selected splats tinted."""
+    there = shown(marks)
+    if not there.all():
+        splats, marks = splats.subset(there), marks[there]
+    chosen = (marks & SELECTED) != 0
+    if not chosen.any():
+        return splats
+    constant = sh_basis(0, np.zeros((1, 3), np.float32))[0, 0]
+    sh0, shN = splats.sh0.copy(), splats.shN.copy()
+    sh0[chosen] += SHARE * ((TINT - np.float32(0.5)) / constant - sh0[chosen])
+    shN[chosen] *= 1 - SHARE
+    return replace(splats, sh0=sh0, shN=shN)

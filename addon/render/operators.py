@@ -1,22 +1,27 @@
 """Render operators: set up the engine and its colours, compare with photos and the worst of them,
-composite.
+composite; fixes of render settings (Cycles' limit of splats along a ray, whose default is too low,
+and sides of a video that its codec cannot encode); show splats as they were trained.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
+from bpy.props import BoolProperty
 
-from .. import stored_paths
-from ..cameras.objects import cameras_of, is_camera, root_of
+from .. import compat, stored_paths
+from ..cameras import captures
+from ..cameras.objects import cameras_of, frame_of, is_camera, root_of
 from ..capture.figures import figures
-from ..interface.base_operator import Condition, OnScene, make_active
+from ..interface.base_operator import Condition, OnScene, Undoable, make_active
 from ..interface.images import show_soon
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Steps
-from ..splats.error_maps import splats_in_view
-from ..splats.objects import active_splats, has_trained
+from ..splats import splat_framing
+from ..splats.error_maps import is_map, show_map, siblings, splats_in_view
+from ..splats.objects import active_splats, has_trained, in_question, is_splats
 from . import compare as comparing
 from . import compositor
 from .engine import ENGINE_BEFORE, NAME
@@ -214,3 +219,121 @@ def worst_photo_of(scene: bpy.types.Scene, ob: bpy.types.Object) -> WorstPhoto:
         )
     psnr, camera = min(known, key=lambda pair: pair[0])
     return WorstPhoto(camera=camera, psnr=psnr, among=len(known))
+
+
+ENOUGH = 256
+"""Transparent bounces above which a capture gets no brighter. Mean of a picture of plush with 8,
+Blender's default, 32, 64, 128, 256 and 1024 bounces: 30, 78, 107, 121, 124 and 124."""
+_SOFT = {"SOFT"} if compat.splat_cloud_type() else {"SOFT", "SPLATS"}
+"""Displays that render as soft splats."""
+
+
+def ends_early(scene: bpy.types.Scene) -> bool:
+    """Whether soft splats render too dark, because rays of Cycles end among them."""
+    if scene.render.engine != "CYCLES" or not hasattr(scene, "cycles"):
+        return False
+    if scene.cycles.transparent_max_bounces >= ENOUGH:
+        return False
+    return any(
+        is_splats(ob) and ob.gscore.display in _SOFT and not ob.hide_render for ob in scene.objects
+    )
+
+
+class RaiseTransparentBounces(OnScene, bpy.types.Operator):
+    """Raise the limit of transparent bounces in Cycles (Light Paths > Transparent) to the number of
+    soft splats behind each other"""
+
+    bl_idname = "gscore.see_through_splats"
+    bl_label = "Raise Transparent Bounces"
+    needs = Condition(lambda context: ends_early(context.scene))
+
+    def run(self, context: bpy.types.Context) -> None:
+        """Raise the limit."""
+        context.scene.cycles.transparent_max_bounces = ENOUGH
+
+
+_EVEN = {"H264", "H265", "PRORES"}
+"""Codecs with one colour sample for several pixels, whose encoders refuse odd sides."""
+
+
+def size_problem(scene: bpy.types.Scene) -> str:
+    """Why Blender cannot write a scene's animation at its size; empty if it can."""
+    render, frame = scene.render, frame_of(scene)
+    if render.image_settings.file_format != "FFMPEG" or render.ffmpeg.codec not in _EVEN:
+        return ""
+    if frame.width % 2 == 0 and frame.height % 2 == 0:
+        return ""
+    return f"The video codec needs an even width and height, not {frame.width} x {frame.height}."
+
+
+class MakeSizeEven(OnScene, bpy.types.Operator):
+    """Raise the resolution to the next even width and height, because the codec of the output's
+    videos refuses odd ones"""
+
+    bl_idname = "gscore.make_size_even"
+    bl_label = "Make Size Even"
+    needs = Condition(lambda context: bool(size_problem(context.scene)))
+
+    def run(self, context: bpy.types.Context) -> str:
+        """Raise the resolution, with its percentage kept."""
+        render = context.scene.render
+        while frame_of(context.scene).width % 2:
+            render.resolution_x += 1
+        while frame_of(context.scene).height % 2:
+            render.resolution_y += 1
+        return f"The resolution is now {render.resolution_x} x {render.resolution_y}."
+
+
+class ShowSplats(Undoable, bpy.types.Operator):
+    """Show the splats as they were trained: set engine, colors and shading, hide photos, and align
+    views with the photo camera of the most similar direction; it becomes the scene camera, or a new
+    one does, if there is none but Blender's default"""
+
+    bl_idname = "gscore.show_splats"
+    bl_label = "Show Splats"
+
+    trained: BoolProperty(
+        name="Trained",
+        description="Show the splats of the last training instead of the active object",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The scene, and hidden splats."""
+        ob = _shown_object(context, trained=self.trained)
+        return (context.scene, ob) if ob.hide_viewport or ob.hide_render else (context.scene,)
+
+    def run(self, context: bpy.types.Context) -> None:
+        """Apply all settings."""
+        ob = _shown_object(context, trained=self.trained)
+        splat_framing.frame_of(ob)  # raises for empty splats before anything is set
+        if any(map(is_map, _of_run(context, ob))):
+            show_map(ob, False)
+        ob.hide_set(False)
+        if ob.hide_viewport or ob.hide_render:
+            ob.hide_viewport = ob.hide_render = False
+        make_active(context, ob)
+        use_engine(context.scene)
+        captures.show_photos(context.scene, False)
+        context.view_layer.update()  # to evaluate the matrix of hidden objects
+        for space in splat_framing.turn_views(context.scene, ob):
+            space.shading.type = "RENDERED"
+        self.warn(splat_framing.set_camera(context.scene, ob))
+
+
+def _shown_object(context: bpy.types.Context, *, trained: bool) -> bpy.types.Object:
+    """The splats of the training if `trained`, else those that panels are about."""
+    result = [context.scene.gscore.result] if trained else []
+    for ob in (*result, in_question(context)):
+        if is_splats(ob) and context.view_layer.objects.get(ob.name) == ob:
+            splats = (other for other in _of_run(context, ob) if not is_map(other))
+            return next(splats, ob) if is_map(ob) else ob
+    raise ValueError("This scene shows no splats: train some, or import a splat PLY.")
+
+
+def _of_run(context: bpy.types.Context, ob: bpy.types.Object) -> list[bpy.types.Object]:
+    """The splats and error maps of an object's run that are in the view layer."""
+    if not stored_paths.read(ob, stored_paths.RUN):
+        return []
+    splats, maps = siblings(ob)
+    return [other for other in (*splats, *maps) if other.name in context.view_layer.objects]

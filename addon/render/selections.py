@@ -7,8 +7,7 @@ from enum import Enum
 import bpy
 import numpy as np
 
-from .marks import shown, tinted_splats
-from .mesh_copies import HIDDEN, SELECTED
+from .mesh_copies import HIDDEN, SELECTED, shown, tinted_splats
 from .model import Model
 from .scene import Placed
 

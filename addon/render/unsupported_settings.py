@@ -15,12 +15,12 @@ from ..interface.blocks import first_few
 from ..nodes import display
 from ..splats import lag
 from ..splats.objects import is_native, is_splats
+from .color import world_light, world_of
 from .compositing_scene import SPLAT_SCENE, main_scene
 from .holdout_meshes import is_holdout, may_hide, missing_holdouts
 from .passes import SWITCHES
 from .shutter_lens import has_depth_of_field, has_motion_blur
 from .stereo import refusal
-from .world import world_light, world_of
 
 NOT_TAKEN_OVER = "Holdout of {} hides no splats yet: press Composite Splats with Meshes again."
 """Message about meshes that became holdouts after the set-up."""

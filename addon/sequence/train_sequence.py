@@ -1,8 +1,9 @@
-"""Train a sequence from scripts and operators: start, resume, and existing results."""
+"""Train a sequence: start, resume, existing results; functions for scripts, operators, settings."""
 
 from pathlib import Path
 
 import bpy
+from bpy.props import BoolProperty
 
 from .. import preferences
 from ..core import (
@@ -12,17 +13,20 @@ from ..core import (
     SequenceDone,
     SequenceFrame,
     SequenceIndex,
+    SequenceOptions,
     choose_frames,
     find_frames,
     headline_psnr,
 )
+from ..interface.base_operator import ConfirmMixin
 from ..interface.option_labels import error_text
 from ..paths import absolute, output_folder
 from ..process import poll_timer
 from ..training import lookups, options, start_training
 from ..training.guides import unused_objects
+from ..training.properties import declared
 from ..training.verb_job import Verb, VerbJob
-from ..training.verb_jobs import JOBS
+from ..training.verb_jobs import JOBS, Cancelling, Starting
 from . import guide_meshes
 
 _FINISHED = "finished"
@@ -161,3 +165,78 @@ def trained_in(output: Path) -> tuple[SequenceIndex | None, str]:
     answer = lookups.sequences.get(output)
     poll_timer.ensure()
     return answer
+
+
+class TrainSequence(ConfirmMixin, Starting, bpy.types.Operator):
+    """Train the frames of a multi-view video, or of a folder of captures, in the background. Each
+    frame starts from the splats of the previous one"""
+
+    bl_idname = "gscore.train_sequence"
+    bl_label = "Train Sequence"
+
+    resume: BoolProperty(
+        name="Resume",
+        description="Continue the sequence in the output folder",
+        options={"SKIP_SAVE"},
+    )
+    overwrite: BoolProperty(
+        name="Start Over",
+        description="Replace the sequence in the output folder",
+        options={"SKIP_SAVE"},
+    )
+    confirm = "Start Over"
+
+    def confirm_lines(self, context: bpy.types.Context) -> list[str]:
+        """List overwritten frames, and parts of the scene that the training would not use."""
+        output = output_of(context.scene)
+        lines = []
+        if self.overwrite and is_started(output):
+            lines = [f"The frames in {output} are replaced. This cannot be undone."]
+        self.confirm = "Start Over" if lines else "Train Without"
+        return lines if self.resume else lines + unsupported_parts(context.scene)
+
+    def start(self, context: bpy.types.Context) -> VerbJob:
+        """Start."""
+        if not self.resume:
+            self.warn(unsupported_parts(context.scene))
+        return train_sequence(
+            context.scene, resume=self.resume, overwrite=self.overwrite, wait=self.wait
+        )
+
+
+class StopSequence(Cancelling, bpy.types.Operator):
+    """Stop after a checkpoint; complete frames are kept, and Resume continues from there"""
+
+    bl_idname = "gscore.stop_sequence"
+    bl_label = "Stop"
+    none = "No sequence is being trained."
+    job_of = staticmethod(job_of)
+
+
+class TrainSequenceSettings(bpy.types.PropertyGroup):
+    """Options of a sequence in addition to those of its frames."""
+
+    frames: declared(
+        SequenceOptions(),
+        "frames",
+        "Frames",
+        default="",
+        description="Frames to train: 0,5,12 or 0:30 or 0:30:5 (first, last, step); empty: all",
+    )
+    next_iterations: declared(SequenceOptions(), "next_iterations", "Steps of Later Frames")
+    warm_start: declared(SequenceOptions(), "warm_start", "Start from the Frame Before")
+    guide_start: bpy.props.IntProperty(
+        name="First Guide Frame",
+        description="Frame of the timeline at which the guide meshes match the first trained "
+        "frame. Later frames of the sequence use later ones",
+        default=1,
+    )
+
+
+PROPERTIES = (
+    (
+        bpy.types.Scene,
+        "gscore_train_sequence",
+        bpy.props.PointerProperty(type=TrainSequenceSettings),
+    ),
+)

@@ -13,7 +13,7 @@ import numpy as np
 from ..attributes import NO_SPLATS, columns
 from ..core import GsError, Splats, read_splat_file
 from ..interface.option_labels import error_text
-from ..process import threads
+from ..process.background_task import start_thread
 from ..splats.filters import Filters, mask
 from .frames import FrameFile, Series, find_series
 
@@ -234,7 +234,7 @@ class Library:
     def _wake(self) -> None:
         if self._thread is None:
             self._closed = False
-            self._thread = threads.start(self._run, "gscore-frames", cancel=self.close)
+            self._thread = start_thread(self._run, "gscore-frames", cancel=self.close)
         self._changed.notify_all()
 
     def _run(self) -> None:

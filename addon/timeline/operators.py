@@ -1,6 +1,7 @@
 """Sequence operators: import, resume after an edit, keep a frame, reload the folder."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -10,15 +11,20 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from ..cameras.lookup import find_root
 from ..cameras.objects import root_of
 from ..core import SPLAT_ENDINGS
+from ..interface import editable_check
 from ..interface.base_operator import Condition, OnScene, Undoable, make_active
 from ..interface.incremental_operator import IncrementalOperator
+from ..paths import relative
 from ..process import poll_timer
 from ..process.incremental_tasks import Steps
+from ..splats import splat_files
 from ..splats.file_operators import AXIS_ITEMS
+from ..splats.importing import importing_splats
 from ..splats.objects import active_splats, has_splats, hide_points
-from . import frame_sync, importing
+from ..splats.splat_files import ImportRequest
+from . import frame_sync, mesh
 from .frame_at import folder_of, moment_of
-from .frames import Series, name_of_file
+from .frames import Series, find_series, name_of_file
 from .library import LIBRARY
 from .settings import is_sequence
 
@@ -91,7 +97,7 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
         folder, called = self._chosen()
         parent = self._parent(context)
         options = {"called": called, "start": self.start, "parent": parent, "up": self.up}
-        made = yield from importing.importing_sequence(context, folder, **options)
+        made = yield from importing_sequence(context, folder, **options)
         return self._finish(context, *made)
 
     def _finish(
@@ -147,7 +153,7 @@ class PlayAgain(OnSequence, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         """Resume playback."""
-        importing.resume_playback(active_splats(context))
+        resume_playback(active_splats(context))
         frame_sync.settings_changed(active_splats(context))
 
 
@@ -167,7 +173,7 @@ class KeepFrame(OnSequence, bpy.types.Operator):
         if moment is not None and moment.hidden:
             raise ValueError(f"{ob.name} shows nothing at this frame of the timeline.")
         number = moment.files[0].number if moment is not None else scene.frame_current
-        kept = importing.keep_frame(ob, number)
+        kept = keep_frame(ob, number)
         make_active(context, kept)
         return f"{kept.name} has {len(kept.data.vertices):,} splats."
 
@@ -195,3 +201,81 @@ def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
 
 
 APPENDED = ((bpy.types.TOPBAR_MT_file_import, _draw_import),)
+
+
+def importing_sequence(
+    context: bpy.types.Context,
+    folder: Path,
+    *,
+    called: str = "",
+    start: int = 1,
+    parent: bpy.types.Object | None = None,
+    up: str = "-Y",
+) -> Steps[tuple[bpy.types.Object, Series, list[str]]]:
+    """Make a splat object that plays the frames in a folder. A thread finds the frames and reads
+    the first, which is then written to Blender.
+
+    Args:
+        context: The object is linked to its collection.
+        folder: Absolute; as for `find_series`.
+        called: Name pattern of the frames, if the folder has several.
+        start: Frame of the timeline that shows the first one.
+        parent: The empty of the capture that the splats were trained from.
+        up: Without `parent`, the axis of the files that points up, a key of
+            `splat_files.UP_AXES`.
+
+    Returns:
+        The object, its frames, and warnings.
+
+    Raises:
+        GsError: the first frame cannot be read; the scene is untouched.
+        ValueError: there are no frames.
+    """
+    found: list[Series] = []
+
+    def first(request: ImportRequest) -> ImportRequest:
+        found.append(find_series(folder, called))
+        return replace(request, path=found[0].files[0].path)
+
+    request = splat_files.import_request(folder, parent=parent, up=up)
+    made = yield from importing_splats(context, [request], find=first, note=mesh.mark_of)
+    (ob,), (mark,), series = made.objects, made.notes, found[0]
+    ob.name = ob.data.name = folder.name
+    mesh.note(ob.data, series.files[0], mark)
+    set_up_playback(ob, folder, called=called, start=start)
+    return ob, series, made.warnings
+
+
+def set_up_playback(ob: bpy.types.Object, folder: Path, *, called: str, start: int) -> None:
+    """Set up playback of a folder on an object whose mesh has its first frame.
+
+    Args:
+        As `importing_sequence`.
+    """
+    LIBRARY.forget((folder, called))
+    own = ob.gscore_sequence
+    own.start, own.files = start, called
+    own.folder = relative(folder)  # last, because setting it starts playback
+
+
+def resume_playback(ob: bpy.types.Object) -> None:
+    """Resume playback of an object with edited splats; the edits are dropped."""
+    mesh.forget(ob.data)
+    ob.gscore_sequence.edited = False
+
+
+def keep_frame(ob: bpy.types.Object, number: int) -> bpy.types.Object:
+    """A separate object with the current splats of a sequence object, without a sequence.
+
+    Args:
+        ob: Plays a sequence.
+        number: Of the frame, for the name.
+    """
+    kept = ob.copy()
+    kept.data = ob.data.copy()
+    mesh.forget(kept.data)
+    kept.gscore_sequence.folder = ""
+    kept.gscore_sequence.edited = False
+    kept.name = kept.data.name = f"{ob.name} {number}"
+    editable_check.link_like(kept, ob)
+    return kept

@@ -21,7 +21,6 @@ from ..splats.objects import hide_points
 from ..splats.splat_files import match_capture_origin
 from ..splats.write_chunked import ChunkedWrite, replace
 from . import lookups, registry, run_state
-from .launch import released_at_quit
 from .loader import Loaded
 from .results import (
     Place,
@@ -32,6 +31,7 @@ from .results import (
     shown_object,
 )
 from .training_job import Job
+from .verb_jobs import released_at_quit
 
 
 def place_of(job: Job) -> Place | None:

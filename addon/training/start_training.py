@@ -22,8 +22,8 @@ from ..process import poll_timer
 from ..splats.filters import crop_matrix
 from . import display, existing_run, facts, guides, lookups, options, registry, results
 from .curve import Curve
-from .launch import launch
 from .training_job import Job
+from .verb_jobs import launch
 
 _INTERVAL = 0.02
 UNSAVED: list[Callable[[Path], list[str]]] = []

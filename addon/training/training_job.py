@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core import Snapshot, clear_run
-from ..process import threads
-from ..process.background_task import Latest
+from ..process.background_task import Latest, start_thread
 from ..process.child_program import Process
 from . import run_state
 from .loader import Loaded, load
@@ -202,7 +201,7 @@ class Job:
         if not self._discarding or self.resumed or self.state.started is None:
             return False
         if self._clearer is None:
-            self._clearer = threads.start(lambda: clear_run(self.output), "gscore-clearer")
+            self._clearer = start_thread(lambda: clear_run(self.output), "gscore-clearer")
         return self._clearer.is_alive()
 
     def _request_live(self) -> None:

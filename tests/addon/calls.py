@@ -21,7 +21,7 @@ from addon.splats.exporting import SOURCE, Written, exporting
 from addon.splats.importing import importing_splats
 from addon.splats.splat_files import import_request
 from addon.timeline.frames import Series
-from addon.timeline.importing import importing_sequence
+from addon.timeline.operators import importing_sequence
 
 
 def import_capture(scene: bpy.types.Scene, path: str | Path, **options: Any) -> ImportedCapture:

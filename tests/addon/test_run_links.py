@@ -17,7 +17,7 @@ from addon.core import PRESETS, Splats, write_splats
 from addon.panels.capture import CapturePanel
 from addon.paths import output_folder
 from addon.process import poll_timer
-from addon.training import captures, facts, operators, start_training
+from addon.training import facts, operators, start_training
 from addon.training.training_job import Job
 from gscore.config_file import config_json
 from tests.addon.captures import STUDIO
@@ -296,13 +296,13 @@ def test_resume_goes_on_in_the_same_object(two: SimpleNamespace) -> None:
 def test_captures_are_listed_and_chosen(two: SimpleNamespace) -> None:
     """Oracle: the folders; a menu appears with the second capture, and switches to its splats."""
     scene = two.scene
-    assert captures.known(scene) == [] and "[menu" not in drawn(CapturePanel)
+    assert operators.known(scene) == [] and "[menu" not in drawn(CapturePanel)
     trained(two, two.plush, splats(20))
     first = scene.gscore.result
-    assert captures.known(scene) == [two.plush] and "[menu" not in drawn(CapturePanel)
+    assert operators.known(scene) == [two.plush] and "[menu" not in drawn(CapturePanel)
     scene.gscore.capture_path = str(two.studio / "sparse" / "0")
     bpy.ops.gscore.import_cameras(directory=str(two.studio), photos=False)
-    assert captures.known(scene) == [two.plush, two.studio]
+    assert operators.known(scene) == [two.plush, two.studio]
     assert "[menu: (plush) (studio)]" in drawn(CapturePanel)
     assert bpy.ops.gscore.choose_capture(path=str(two.plush)) == {"FINISHED"}
     assert scene.gscore.result == first and panel_root(scene) is None
@@ -318,6 +318,6 @@ def test_captures_of_one_name_are_distinguished(two: SimpleNamespace) -> None:
     root = panel_root(two.scene)
     two.scene.gscore.capture_path = str(other)
     assert root is not None and panel_root(two.scene) is None
-    assert captures.label(other, captures.known(two.scene)) == f"plush ({other.parent})"
+    assert operators.label(other, operators.known(two.scene)) == f"plush ({other.parent})"
     shutil.rmtree(two.plush)
     assert panel_root(two.scene) == root

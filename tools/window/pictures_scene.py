@@ -11,6 +11,7 @@ FOLDER/seen.json and screenshots, from which
 import shutil
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -22,22 +23,14 @@ import bmesh  # noqa: E402
 import bpy  # noqa: E402
 from mathutils import Matrix, Quaternion, Vector  # noqa: E402
 
-from addon.panels import (  # noqa: E402  # noqa: E402
-    cameras,
-    capture,
-    progress,
-    region_training,
-    render,
-    result,
-    sequence,
-    train,
-)
+from addon import panels  # noqa: E402
 from addon.registration import classes_of  # noqa: E402
 
 IS_TOUR = (FOLDER / "walk.mp4").exists()
 OPEN = {"progress"} if IS_TOUR else {"result", "filters", "region", "sequence", "guides"}
 """Open panels."""
-PANELS = (cameras, capture, progress, region_training, render, result, sequence, train)
+NAMES = ("cameras", "capture", "edit", "progress", "render", "result", "sequence", "train")
+PANELS = (import_module(f"{panels.__name__}.{name}") for name in NAMES)
 for panel in (panel for module in PANELS for panel in classes_of(module)):
     name = getattr(panel, "bl_idname", "").removeprefix("GSCORE_PT_")
     if name in OPEN:

@@ -15,13 +15,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from addon import preferences
-from addon.cameras import (
-    backgrounds,
-    captures,
-    undistort_jobs,
-    undistort_operators,
-    undistorted_photos,
-)
+from addon.cameras import backgrounds, captures, undistort_jobs, undistorted_photos
 from addon.cameras.backgrounds import photo_of, undistorted_background
 from addon.cameras.objects import PhotoCamera, is_camera, photo_camera_of
 from addon.core import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_colmap
@@ -369,17 +363,17 @@ def test_preferences_tell_the_copies_once_they_are_counted(
     scene, own_copies: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the files in the folder, and that the panel waits for the counting thread."""
-    looked, count = threading.Event(), undistort_operators._SIZES._function
+    looked, count = threading.Event(), undistort_jobs._SIZES._function
     monkeypatch.setattr(
-        undistort_operators._SIZES, "_function", lambda folder: looked.wait(60) and count(folder)
+        undistort_jobs._SIZES, "_function", lambda folder: looked.wait(60) and count(folder)
     )
     own_copies.mkdir(parents=True)
     (own_copies / "a.png").write_bytes(bytes(3_000_000))
     layout = Layout()
-    undistort_operators.draw_copies(layout, preferences.get())
+    undistort_jobs.draw_copies(layout, preferences.get())
     assert layout.notes == [] and poll_timer.poll()
     looked.set()
     while poll_timer.poll():
         time.sleep(0.01)
-    undistort_operators.draw_copies(layout, preferences.get())
+    undistort_jobs.draw_copies(layout, preferences.get())
     assert "1 files, 3 MB" in layout.text and "(Remove Undistorted Photos)" in layout.text

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from addon import attributes
-from addon.histograms import histogram_cache, icons
+from addon.histograms import histogram_cache
 from addon.histograms.counting import OPACITY, SIZE, of_opacities, of_sizes
 from addon.panels.result import FiltersPanel
 from tests.addon import points
@@ -198,7 +198,7 @@ def test_the_panel_shows_two_with_their_sliders(scene, monkeypatch):
     ob = lab.add(scene, lab.blob())
     bpy.context.view_layer.objects.active = ob
     assert drawn(FiltersPanel).startswith("<opacity_min>")  # icons have no number here
-    monkeypatch.setattr(icons.ICONS, "update", lambda ob, kind: 7)
+    monkeypatch.setattr(histogram_cache.ICONS, "update", lambda ob, kind: 7)
     wanted = "By opacity [picture] By size [picture] <opacity_min> <size_min> <size_max>"
     assert drawn(FiltersPanel).startswith(wanted)
 
@@ -209,9 +209,11 @@ def test_icons_follow_the_filters(scene):
     ob = lab.add(scene, lab.blob())
     for limit in (0.0, 0.5):
         ob.gscore.opacity_min = limit
-        icons.ICONS.update(ob, OPACITY)
+        histogram_cache.ICONS.update(ob, OPACITY)
         wanted = histogram_cache.HISTOGRAMS.of(ob)[OPACITY].picture(192, 192, limit, 0.0)
-        got = np.array(icons.ICONS._icons[OPACITY].image_pixels_float[:]).reshape(192, 192, 4)
+        got = np.array(histogram_cache.ICONS._icons[OPACITY].image_pixels_float[:]).reshape(
+            192, 192, 4
+        )
         np.testing.assert_allclose(got, wanted, atol=1 / 255)
 
 

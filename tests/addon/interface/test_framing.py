@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Quaternion, Vector
 
-from addon.cameras import capture_transform, select_imported
+from addon.cameras import capture_transform, captures
 from addon.compat import matrix_to_numpy
 from addon.interface import framing
 from addon.splats import splat_framing
@@ -150,7 +150,7 @@ def test_imported_cameras_are_in_the_view(scene: bpy.types.Scene, view: Any) -> 
         if again:
             view.region_3d.view_location = Vector((1, 2, 3))
         made = import_capture(scene, STUDIO)
-        select_imported.choose(scene, made)
+        captures.choose(scene, made)
         if again:
             assert view.region_3d.view_location == Vector((1, 2, 3))
         else:

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from addon.depth.operators import PredictDepth
+from addon.depth.predict_depth import PredictDepth
 from addon.interface.base_operator import BaseOperator, ConfirmMixin
 from addon.trainer_python.operators import MakeEnvironment
 from addon.training.operators import DiscardTraining, Train

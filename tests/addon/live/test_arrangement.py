@@ -11,7 +11,7 @@ from addon.core import Splats, transform_splats
 from addon.live import atlas, order
 from addon.live.level import BUDGET, FEWEST, STILL, Detail, Level
 from addon.process.background_task import Latest
-from addon.render import marks
+from addon.render import mesh_copies
 from addon.render.mesh_copies import HIDDEN, SELECTED
 from gscore import sh
 from tests.addon import splat_scenes as lab
@@ -90,8 +90,10 @@ def test_marks_tint_and_hide():
     assert 100 < chosen.sum() < 500
     np.testing.assert_array_equal(got[~chosen], plain[kept][~chosen])
     before, after = plain[kept][chosen, 1:], got[chosen, 1:]
-    apart = np.linalg.norm(before - marks.TINT, axis=1)
-    np.testing.assert_allclose(np.linalg.norm(after - marks.TINT, axis=1), 0.35 * apart, atol=1e-5)
+    apart = np.linalg.norm(before - mesh_copies.TINT, axis=1)
+    np.testing.assert_allclose(
+        np.linalg.norm(after - mesh_copies.TINT, axis=1), 0.35 * apart, atol=1e-5
+    )
 
 
 def repainted(splats: Splats, rows: np.ndarray, *, fade: bool) -> Splats:
@@ -149,10 +151,13 @@ def test_newly_selected_splats():
     """Oracle: the bits, counted by hand."""
     before = np.array([0, SELECTED, HIDDEN, 0], np.uint8)
     after = np.array([SELECTED, 0, HIDDEN, 0], np.uint8)
-    assert marks.reselected(before, after, 4).tolist() == [True, True, False, False]
-    assert marks.reselected(None, after, 4) is None
-    assert marks.reselected(None, after & np.uint8(SELECTED), 4).tolist() == [True, *[False] * 3]
-    assert not marks.reselected(None, None, 4).any()
+    assert mesh_copies.reselected(before, after, 4).tolist() == [True, True, False, False]
+    assert mesh_copies.reselected(None, after, 4) is None
+    assert mesh_copies.reselected(None, after & np.uint8(SELECTED), 4).tolist() == [
+        True,
+        *[False] * 3,
+    ]
+    assert not mesh_copies.reselected(None, None, 4).any()
 
 
 def test_more_than_float32_numbers_are_refused(monkeypatch):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import bpy
 from bl_ui.space_toolsystem_common import ToolSelectPanelHelper
 
-from addon.panels.paint_tool import PaintTool
+from addon.panels.edit import PaintTool
 from tests.addon.drawn import Layout
 
 

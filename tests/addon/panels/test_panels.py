@@ -11,7 +11,7 @@ import pytest
 from addon import panels
 from addon.attributes import NO_SPLATS
 from addon.core import PRESETS, Progress, RunInfo, Started
-from addon.panels import progress, result, running_work, train
+from addon.panels import progress, result, train
 from addon.splats import objects
 from addon.training import registry
 from addon.training.curve import LOSS_COLOR, PSNR_COLOR, Curve
@@ -245,11 +245,11 @@ def test_the_bar_is_on_top_while_a_training_runs(
     state = running()
     job = SimpleNamespace(state=state, id="a", source=Path("plush"))
     monkeypatch.setattr(registry, "jobs", lambda: [job])
-    assert f"[25%] plush: {progress.bar_text(state)}" in drawn(running_work.RunningWorkPanel)
-    monkeypatch.setattr(running_work, "job", lambda _: job)
-    assert drawn(running_work.RunningWorkPanel) == f"[25%] Training: {progress.bar_text(state)} ()"
+    assert f"[25%] plush: {progress.bar_text(state)}" in drawn(progress.RunningWorkPanel)
+    monkeypatch.setattr(progress, "job", lambda _: job)
+    assert drawn(progress.RunningWorkPanel) == f"[25%] Training: {progress.bar_text(state)} ()"
     state.status = FINISHED
-    assert drawn(running_work.RunningWorkPanel) == ""
+    assert drawn(progress.RunningWorkPanel) == ""
 
 
 def test_decisions_are_shown_in_words_of_panels(
@@ -282,9 +282,9 @@ def test_other_work_has_bars_too(scene: bpy.types.Scene, monkeypatch: pytest.Mon
     region = SimpleNamespace(ended=False, share=0.5, preparing=None, progress=None)
     frames = SimpleNamespace(ended=False, share=0.1, status="running", progress=None)
     frames.last = lambda kind: None
-    monkeypatch.setattr(running_work.steer, "job_of", lambda _: region)
-    monkeypatch.setattr(running_work.sequence, "job_of", lambda _: frames)
-    reported = drawn(running_work.RunningWorkPanel)
+    monkeypatch.setattr(progress.steer, "job_of", lambda _: region)
+    monkeypatch.setattr(progress.sequence, "job_of", lambda _: frames)
+    reported = drawn(progress.RunningWorkPanel)
     assert reported == "[50%] Region: Starting () [10%] Sequence: Starting ()"
     region.ended = frames.ended = True
-    assert drawn(running_work.RunningWorkPanel) == ""
+    assert drawn(progress.RunningWorkPanel) == ""

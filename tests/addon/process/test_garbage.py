@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from addon.process import garbage
+from addon.process import incremental_tasks
 from addon.process.incremental_tasks import Steps, TaskRunner
 
 
@@ -33,7 +33,7 @@ def many() -> list[list[list]]:
 
 def test_much_is_made(whole: list[int]) -> None:
     """Without it there is a full collection, and afterwards again."""
-    with garbage.defer_collections():
+    with incremental_tasks.defer_collections():
         kept = many()
     assert not whole
     kept += many()
@@ -51,7 +51,7 @@ def test_younger_garbage_goes(whole: list[int]) -> None:
         def __del__(self) -> None:
             gone.append(1)
 
-    with garbage.defer_collections():
+    with incremental_tasks.defer_collections():
         for _ in range(100):
             Own()
         made = many()
@@ -63,7 +63,7 @@ def test_two_works_that_end_in_any_order() -> None:
     before = gc.get_threshold()
 
     def work() -> Steps[None]:
-        with garbage.defer_collections():
+        with incremental_tasks.defer_collections():
             yield "begun"
             yield "goes on"
 
@@ -79,6 +79,6 @@ def test_two_works_that_end_in_any_order() -> None:
 
 def test_somebody_else_chooses_meanwhile(whole: list[int]) -> None:
     """Their choice stays."""
-    with garbage.defer_collections():
+    with incremental_tasks.defer_collections():
         gc.set_threshold(500, 6, 7)
     assert gc.get_threshold() == (500, 6, 7)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from addon.interface import incremental_operator
-from addon.process import pace, poll_timer
+from addon.process import incremental_tasks, poll_timer
 from addon.process.incremental_tasks import Steps, TaskRunner
 
 PIECE = 0.008
@@ -26,7 +26,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """The clock of `StepBudget`."""
     made = Clock()
-    monkeypatch.setattr(pace, "time", made)
+    monkeypatch.setattr(incremental_tasks, "time", made)
     return made
 
 
@@ -58,7 +58,7 @@ def follow(monkeypatch: pytest.MonkeyPatch) -> Callable[[Work], None]:
     def begin(work: Work) -> None:
         poller = poll_timer.Poller(work.collect, work.waits, work.waits)
         monkeypatch.setattr(poll_timer, "POLLERS", [poller])
-        monkeypatch.setattr(poll_timer, "_pace", pace.Pace())
+        monkeypatch.setattr(poll_timer, "_pace", incremental_tasks.Pace())
 
     return begin
 

@@ -10,9 +10,10 @@ import importlib.util, sys, threading, time
 spec = importlib.util.spec_from_file_location("threads", sys.argv[1])
 threads = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(threads)
-threads.start(lambda: (time.sleep(0.5), print("finished", flush=True)), "short")
+threads.start_thread(lambda: (time.sleep(0.5), print("finished", flush=True)), "short")
 ended = threading.Event()
-threads.start(lambda: (ended.wait(60), print("asked to end", flush=True)), "long", cancel=ended.set)
+asked = lambda: (ended.wait(60), print("asked to end", flush=True))
+threads.start_thread(asked, "long", cancel=ended.set)
 print("the end", flush=True)
 sys.exit(3)
 """
@@ -20,7 +21,7 @@ sys.exit(3)
 
 def test_the_end_waits_and_asks() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(ROOT / "addon" / "process" / "threads.py")],
+        [sys.executable, "-c", SCRIPT, str(ROOT / "addon" / "process" / "background_task.py")],
         capture_output=True,
         text=True,
         timeout=60,

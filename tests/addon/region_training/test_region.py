@@ -13,7 +13,7 @@ from mathutils import Vector
 
 from addon import preferences
 from addon.core import read_splats, write_splats
-from addon.panels.region_training import RegionPanel
+from addon.panels.edit import RegionPanel
 from addon.process import poll_timer
 from addon.region_training import train_region
 from addon.render.mesh_copies import read_marks

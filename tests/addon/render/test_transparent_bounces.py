@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from addon.compat import splat_cloud_type
-from addon.render.setting_fixes import ENOUGH, ends_early
+from addon.render.operators import ENOUGH, ends_early
 from tests.addon import splat_scenes as lab
 
 

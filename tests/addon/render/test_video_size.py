@@ -5,7 +5,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from addon.render import setting_fixes
+from addon.render import operators
 from tests.addon import splat_scenes as lab
 
 
@@ -41,9 +41,9 @@ def test_odd_sizes_are_made_even(
     write_videos(scene, "H264")
     if size[:2] != even:
         assert "divisible by 2" in lab.error_of(lambda: bpy.ops.render.render(animation=True))
-        assert setting_fixes.problem(scene)
+        assert operators.size_problem(scene)
         assert bpy.ops.gscore.make_size_even() == {"FINISHED"}
-    assert not setting_fixes.problem(scene) and not bpy.ops.gscore.make_size_even.poll()
+    assert not operators.size_problem(scene) and not bpy.ops.gscore.make_size_even.poll()
     assert (render.resolution_x, render.resolution_y, render.resolution_percentage) == (
         *even,
         size[2],
@@ -56,8 +56,8 @@ def test_other_output_keeps_its_size(scene: bpy.types.Scene, tmp_path: Path) -> 
     """Oracle: Blender writes an odd size with a lossless codec; pictures have no such limit."""
     lab.prepare(scene, (65, 49))
     lab.add(scene, lab.blob(20))
-    assert not setting_fixes.problem(scene)
+    assert not operators.size_problem(scene)
     write_videos(scene, "FFV1")
-    assert not setting_fixes.problem(scene)
+    assert not operators.size_problem(scene)
     scene.render.filepath = str(tmp_path / "a.mkv")
     assert bpy.ops.render.render(animation=True) == {"FINISHED"}

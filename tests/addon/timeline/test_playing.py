@@ -19,7 +19,7 @@ from addon.render.engine import final_cache
 from addon.render.scene import sources
 from addon.render.viewport_copies import Copies
 from addon.splats import objects
-from addon.timeline import frame_sync, importing, mesh
+from addon.timeline import frame_sync, mesh, operators
 from addon.timeline.frames import Series
 from addon.timeline.library import LIBRARY
 from tests.addon import points
@@ -419,7 +419,7 @@ def test_an_edit_that_blender_has_not_seen_is_kept(scene, scrubbed) -> None:
 
 def come(**options: Any) -> tuple[bpy.types.Object, Series, list[str]]:
     """Import in short steps."""
-    coming, end = TaskRunner(importing.importing_sequence(bpy.context, **options)), time.monotonic()
+    coming, end = TaskRunner(operators.importing_sequence(bpy.context, **options)), time.monotonic()
     while not coming.step():
         assert time.monotonic() < end + 60 and coming.sentence
         time.sleep(0.001)
@@ -450,7 +450,7 @@ def test_an_import_bit_by_bit_that_fails(scene, folder) -> None:
     options = {"called": "", "start": 1, "parent": None, "up": "-Y"}
     with pytest.raises(ValueError, match="has no frames"):
         come(folder=folder.parent, **options)
-    coming = TaskRunner(importing.importing_sequence(bpy.context, folder, **options))
+    coming = TaskRunner(operators.importing_sequence(bpy.context, folder, **options))
     assert not coming.step()
     coming.cancel()
     assert coming._task.wait(60)  # a mapped file that is cut ends the process

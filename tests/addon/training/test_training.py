@@ -17,8 +17,7 @@ from mathutils import Matrix, Quaternion, Vector
 from addon import preferences
 from addon import training as job_api
 from addon.core import write_splats
-from addon.panels.progress import bar_text
-from addon.panels.running_work import RunningWorkPanel
+from addon.panels.progress import RunningWorkPanel, bar_text
 from addon.paths import output_folder
 from addon.process import poll_timer
 from addon.splats import write_chunked
