@@ -163,7 +163,9 @@ class Card:
             shader.uniform_float("lens", (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
             parallel = float(camera.orthographic)
             shader.uniform_float("frame", (camera.width, camera.height, camera.near, parallel))
-            shader.uniform_float("projection", _projection(shot))
+            # Coefficients from z to Blender's depth, and whether opacities are compensated.
+            depth = depth_of_z(camera, shot.window)
+            shader.uniform_float("projection", (*depth, 1 - parallel, float(shot.antialias)))
             shader.uniform_sampler("atlas", atlas)
             shader.uniform_sampler("places", places)
             shader.uniform_sampler("meshes", self._nothing if meshes is None else meshes)
@@ -265,14 +267,8 @@ class Card:
 def _planes(shot: Shot) -> np.ndarray:
     """Clipping planes in camera space, [PLANES, 4] float64; padding with zeros cuts nothing."""
     out = np.zeros((PLANES, 4))
-    out[: len(shot.cuts.planes)] = shot.cuts.in_front_of(shot.camera)
+    out[: len(shot.cuts.planes)] = shot.cuts.planes @ np.linalg.inv(shot.camera.viewmat)
     return out
-
-
-def _projection(shot: Shot) -> tuple[float, float, float, float]:
-    """Coefficients from z to Blender's depth, and whether opacities are compensated."""
-    factor, offset = depth_of_z(shot.camera, shot.window)
-    return factor, offset, float(not shot.camera.orthographic), float(shot.antialias)
 
 
 class ViewPicture:

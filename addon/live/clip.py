@@ -23,10 +23,6 @@ class Cuts:
         """Whether both clip the same."""
         return self.far == other.far and np.array_equal(self.planes, other.planes)
 
-    def in_front_of(self, camera: RenderCamera) -> np.ndarray:
-        """The planes in a camera's space, [P, 4] float64."""
-        return self.planes @ np.linalg.inv(camera.viewmat)
-
 
 def depth_of_z(camera: RenderCamera, window: np.ndarray) -> tuple[float, float]:
     """Factor and offset of 2 x depth - 1 = (offset - factor z) / z, without the division for

@@ -52,11 +52,11 @@ class LiveFallback:
 
     def stays(self, context: bpy.types.Context) -> bool:
         """Whether there is a photo behind the splats, which Blender would draw over a picture."""
-        return view_context.is_behind(context)
+        return "BACK" in view_context.photo_depths(context)
 
     def covers_photos(self, context: bpy.types.Context) -> bool:
         """Whether there are pictures behind the splats and none in front, which it would cover."""
-        return SESSION.works and view_context.are_behind(context)
+        return SESSION.works and view_context.photo_depths(context) == {"BACK"}
 
 
 POLL = 0.02
@@ -138,19 +138,14 @@ def draw(context: bpy.types.Context) -> None:
         if over is None:
             _draw(context, pointer)
         else:
-            _lay_over(over)
+            pixels = over.renderer.pixels
+            if pixels is not None:  # over the background pictures that Blender has drawn over it
+                over.draw_over(pixels)
         _state.problems.pop(pointer, None)
     except ValueError as error:
         _state.problems[pointer] = error_text(error)
     except Exception as error:  # drivers raise anything; Blender would print it at each redraw
         _failed(error, pointer)
-
-
-def _lay_over(exact: viewport.Viewport) -> None:
-    """Draw the engine's picture over the background pictures that Blender has drawn over it."""
-    pixels = exact.renderer.pixels
-    if pixels is not None:
-        exact.draw_over(pixels)
 
 
 def _draw(context: bpy.types.Context, pointer: int) -> None:

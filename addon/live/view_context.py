@@ -27,14 +27,9 @@ class FrontPhoto:
     opacity: float
 
 
-def is_behind(context: bpy.types.Context) -> bool:
-    """Whether a view's camera has a background picture with depth Back."""
-    return any(slot.display_depth == "BACK" for slot in _shown(context))
-
-
-def are_behind(context: bpy.types.Context) -> bool:
-    """Whether a view's camera has background pictures with depth Back, and none with Front."""
-    return {slot.display_depth for slot in _shown(context)} == {"BACK"}
+def photo_depths(context: bpy.types.Context) -> set[str]:
+    """Depths, BACK or FRONT, of the background pictures of a view's camera."""
+    return {slot.display_depth for slot in _shown(context)}
 
 
 def in_front(

@@ -1,6 +1,6 @@
 """Camera photo: the photo of an imported camera, with its mask, as the training loads it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
@@ -69,17 +69,12 @@ def load_target(
     source = None if mask_mode == "none" else source_of(camera)
     file, masks = None, []
     if source is not None:
-        listed = _listed(camera) if mask_mode == "auto" else []
+        root = root_of(camera) if mask_mode == "auto" else None
+        cameras = [] if root is None else cameras_of(root)
+        listed = [_Masked(ob.session_uid, str(ob.get("gs_image", ""))) for ob in cameras]
         file, masks = yield from run_in_thread(
             partial(_find_masks, source, own.image, listed), _READING
         )
-    request = _Request(
-        own=own,
-        size=(width, height),
-        background=background,
-        mode=mask_mode,
-        inverted=invert_masks,
-    )
     photo = decode(own.photo)
     yield _READING
     mask = None
@@ -88,24 +83,23 @@ def load_target(
         yield _READING
     if masks:
         cut_out = yield from _cut_out(masks, invert_masks)
-        request = replace(request, mode="composite" if cut_out else "ignore")
-    return (yield from run_in_thread(lambda check: _target(request, photo, mask), _READING))
+        mask_mode = "composite" if cut_out else "ignore"
+    settings = (own, (width, height), background, mask_mode, invert_masks)
+    return (yield from run_in_thread(partial(_target, photo, mask, *settings), _READING))
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Request:
-    """Settings for the target made from a photo."""
-
-    own: PhotoCamera
-    size: tuple[int, int]
-    background: tuple[float, float, float]
-    mode: str
-    inverted: bool
-
-
-def _target(request: _Request, photo: Decoded, mask: Decoded | None) -> Target:
+def _target(
+    photo: Decoded,
+    mask: Decoded | None,
+    own: PhotoCamera,
+    size: tuple[int, int],
+    background: tuple[float, float, float],
+    mode: str,
+    inverted: bool,
+    check: Check,
+) -> Target:
     """Like `load_target`, without bpy."""
-    own, (width, height), mode = request.own, request.size, request.mode
+    width, height = size
     plan = undistortion_of(own)
     rgba = photo.arranged(own)
     opacity = rgba[..., 3]
@@ -116,7 +110,7 @@ def _target(request: _Request, photo: Decoded, mask: Decoded | None) -> Target:
                 f"The mask {mask.path} is {values.shape[1]} x {values.shape[0]} pixels, its photo "
                 f"{rgba.shape[1]} x {rgba.shape[0]}: make them the same."
             )
-        opacity = kept_of(values, request.inverted)
+        opacity = kept_of(values, inverted)
         if values.shape != rgba.shape:
             opacity = _scaled(opacity, rgba.shape[1], rgba.shape[0])
     elif mode == "auto":
@@ -134,7 +128,7 @@ def _target(request: _Request, photo: Decoded, mask: Decoded | None) -> Target:
     if mode == "composite" and opacity.min() < 1:
         # Averages premultiplied colours, so that hidden ones do not bleed in.
         colors = _scaled(rgba[..., :3] * opacity[..., None], width, height)
-        pixels = colors + np.array(request.background, np.float32) * (1 - weight[..., None])
+        pixels = colors + np.array(background, np.float32) * (1 - weight[..., None])
     ignores = mode == "ignore" and opacity.min() < 1
     return Target(pixels=pixels, weight=weight if ignores else None)
 
@@ -166,7 +160,9 @@ def _undistorted(
 def kept_of(mask: np.ndarray, inverted: bool) -> np.ndarray:
     """Weights [H, W] of a mask [H, W, 4], 1 = keep."""
     opacity = mask[..., 3] if mask[..., 3].min() < 1 else mask[..., :3].max(axis=2)
-    opacity = _yes_or_no(opacity)
+    top = opacity.max()
+    if ((opacity == 0) | (opacity == top)).all() and opacity.min() <= 1 / 255:
+        opacity = (opacity > 0).astype(np.float32)  # as gscore reads masks of 0 and one other value
     return 1 - opacity if inverted else opacity
 
 
@@ -178,13 +174,6 @@ class _Masked(NamedTuple):
     image: str
     file: str = ""
     """File of the mask."""
-
-
-def _listed(camera: bpy.types.Object) -> list[_Masked]:
-    """All cameras of a camera's capture."""
-    root = root_of(camera)
-    found = [] if root is None else cameras_of(root)
-    return [_Masked(ob.session_uid, str(ob.get("gs_image", ""))) for ob in found]
 
 
 def _find_masks(
@@ -229,14 +218,6 @@ def _cut_out(masks: list[_Masked], inverted: bool) -> Steps[bool]:
 
 def _levels(mask: Decoded, own: PhotoCamera, inverted: bool, check: Check) -> np.ndarray:
     return levels_of(kept_of(mask.arranged(own), inverted))
-
-
-def _yes_or_no(opacity: np.ndarray) -> np.ndarray:
-    """A mask of 0 and one other value as 0 and 1, as gscore reads masks."""
-    top = opacity.max()
-    if not ((opacity == 0) | (opacity == top)).all() or (opacity.min() > 1 / 255):
-        return opacity
-    return (opacity > 0).astype(np.float32)
 
 
 def mask_folder(camera: bpy.types.Object) -> Path | None:

@@ -111,23 +111,23 @@ class Comparing:
             placed = yield from self._snapshot
         finally:
             self._snapshot.close()
-        found = yield from run_in_thread(partial(self._drawn, placed, target), "Drawing the splats")
+        found, pictures = yield from run_in_thread(
+            partial(self._drawn, placed, target), "Drawing the splats"
+        )
         camera = with_uid(bpy.data.objects, self._camera)
         if camera is None:
             raise ValueError(f"The camera {self._name} was removed during the comparison.")
         camera[PSNR] = found.psnr
+        camera.pop(PSNR_MASKED, None)
         if found.psnr_masked is not None:
             camera[PSNR_MASKED] = found.psnr_masked
-        elif PSNR_MASKED in camera:
-            del camera[PSNR_MASKED]
-        images = {}
-        for kind, png in found.pictures.items():
-            images[kind] = store(kind, png, camera.name)
-        return Comparison(
-            psnr=found.psnr, psnr_masked=found.psnr_masked, exposed=found.exposed, images=images
-        )
+        images = {kind: store(kind, png, camera.name) for kind, png in pictures.items()}
+        return replace(found, images=images)
 
-    def _drawn(self, placed: list[Placed], target: Target, check: Check) -> "_Compared":
+    def _drawn(
+        self, placed: list[Placed], target: Target, check: Check
+    ) -> tuple[Comparison, dict[str, bytes]]:
+        """The result without images, and the PNGs by the names in `KINDS`."""
         model = final_cache.model(placed)
         check()
 
@@ -139,29 +139,17 @@ class Comparing:
             return False
 
         rendered = picture.draw(model, self._view, self._options, stop=unwanted)
-        gain = self._gain()
+        gains = [read_gains(Path(run)).get(self._photo) for run in sorted(self._runs)]
+        gain = gains[0] if len(gains) == 1 else None
         if gain is not None:
             rendered = rendered.exposed(gain, self._options.background)
         return _compared(np.clip(rendered.rgb, 0, 1), target, check, exposed=gain is not None)
 
-    def _gain(self) -> np.ndarray | None:
-        """Exposure gain of the photo, [3], in the run of the splats; None: unknown."""
-        found = [read_gains(Path(run)).get(self._photo) for run in sorted(self._runs)]
-        return found[0] if len(found) == 1 else None
 
-
-@dataclass(frozen=True, kw_only=True)
-class _Compared:
-    """A comparison with PNGs, before they become Blender images."""
-
-    psnr: float
-    psnr_masked: float | None
-    exposed: bool
-    pictures: dict[str, bytes]
-    """PNGs, by the names in `KINDS`."""
-
-
-def _compared(shown: np.ndarray, target: Target, check: Check, *, exposed: bool) -> _Compared:
+def _compared(
+    shown: np.ndarray, target: Target, check: Check, *, exposed: bool
+) -> tuple[Comparison, dict[str, bytes]]:
+    """As `Comparing._drawn`, of sRGB values [H, W, 3]."""
     photo, masked = target.pixels, None
     if target.weight is not None:
         weight = target.weight[..., None]
@@ -179,7 +167,7 @@ def _compared(shown: np.ndarray, target: Target, check: Check, *, exposed: bool)
         opaque = np.full((*levels.shape[:2], 1), 255, np.uint8)
         # Uncompressed: compressing takes long, and Blender would decode it more slowly.
         pictures[kind] = rgba_png(np.concatenate([levels, opaque], axis=2), packed=False)
-    return _Compared(psnr=value, psnr_masked=masked, exposed=exposed, pictures=pictures)
+    return Comparison(psnr=value, psnr_masked=masked, exposed=exposed, images={}), pictures
 
 
 def _full_size(own: PhotoCamera) -> tuple[int, int]:
@@ -255,13 +243,9 @@ def snapshot(depsgraph: bpy.types.Depsgraph) -> Steps[list[Placed]]:
         for uid, (name, taken) in reads.items():
             columns = yield from taken.read()
             frozen[uid] = yield from run_in_thread(
-                partial(_frozen, name, columns), "Reading splats"
+                lambda check, of=(name, columns): FrozenMesh.of(*of), "Reading splats"
             )
         return [replace(one, frozen=frozen[one.uid]) for one in placed]
     finally:
         for _, taken in reads.values():
             taken.drop()
-
-
-def _frozen(name: str, columns: dict[str, np.ndarray], check: Check) -> FrozenMesh:
-    return FrozenMesh.of(name, columns)

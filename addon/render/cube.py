@@ -99,8 +99,10 @@ def unfold(
     focal, side = half / _REACH, 2 * (half + _EDGE)
     pictures = {}
     for patch, part in _parts(panorama, window, focal, side).items():
+        turned = np.eye(4)
+        turned[:3, :3] = _AXES[patch]
         camera = RenderCamera(
-            viewmat=_turned(_AXES[patch]) @ panorama.viewmat,
+            viewmat=turned @ panorama.viewmat,
             K=np.array([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1.0]]),
             width=side,
             height=side,
@@ -133,12 +135,6 @@ def beyond(model: Model, panorama: Panorama) -> Model:
 _Pictures = dict[int, tuple[Window, dict[str, np.ndarray]]]
 _Pixels = tuple[np.ndarray, np.ndarray]
 """Rows and columns."""
-
-
-def _turned(axes: np.ndarray) -> np.ndarray:
-    matrix = np.eye(4)
-    matrix[:3, :3] = axes
-    return matrix
 
 
 def _bands(window: Window) -> Iterator[slice]:

@@ -191,7 +191,8 @@ class ShutterLens:
         return lens
 
     def _empty(self) -> View:
-        return View(model=_nothing(), camera=self._lens()[0], holdouts=self._holdouts())
+        nothing = Model(splats=attributes.NO_SPLATS, matrix=np.eye(4), antialias=(), plain=())
+        return View(model=nothing, camera=self._lens()[0], holdouts=self._holdouts())
 
     def _pinhole(self) -> RenderCamera | Panorama:
         width, height = self._size
@@ -314,7 +315,3 @@ def through(camera: RenderCamera, x: float, y: float, aperture: Aperture) -> Ren
     else:
         K[:2, 2] -= K[[0, 1], [0, 1]] * moved[:2, 3] / aperture.distance
     return replace(camera, viewmat=moved @ camera.viewmat, K=K)
-
-
-def _nothing() -> Model:
-    return Model(splats=attributes.NO_SPLATS, matrix=np.eye(4), antialias=(), plain=())

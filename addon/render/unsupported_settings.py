@@ -119,28 +119,19 @@ def _passes(shown: Shown) -> str:
     return ", ".join(missing)
 
 
-def _others(shown: Shown) -> str:
-    """The first objects that only other engines draw."""
-    names = [
+def _by_others(shown: Shown, *, catchers: bool) -> list[str]:
+    """Names of the shadow catchers, or of the other objects, that only other engines draw."""
+    return [
         ob.name
         for ob in shown.layer.objects
         if ob.type in _DRAWN_BY_OTHERS and not ob.hide_render and "gs_kind" not in ob
-        if not is_native(ob)
-        if not (may_hide(ob) and is_holdout(shown.layer, ob))
-        if not ob.is_shadow_catcher
+        if not is_native(ob) and not (may_hide(ob) and is_holdout(shown.layer, ob))
+        if ob.is_shadow_catcher == catchers
     ]
-    return first_few(names, 2)
 
 
-def _catchers(shown: Shown) -> str:
-    """Shadow catchers, which only other engines draw."""
-    return ", ".join(
-        ob.name
-        for ob in shown.layer.objects
-        if ob.type in _DRAWN_BY_OTHERS and ob.is_shadow_catcher and not ob.hide_render
-        if "gs_kind" not in ob and not is_native(ob)
-        if not (may_hide(ob) and is_holdout(shown.layer, ob))
-    )
+def _others(shown: Shown) -> str:
+    return first_few(_by_others(shown, catchers=False), 2)
 
 
 def _composited(shown: Shown) -> bool:
@@ -158,12 +149,8 @@ def _holdouts_without_faces(shown: Shown) -> str:
     )
 
 
-def _modified(shown: Shown) -> str:
-    """Splat objects with modifiers other than their display, or with shape keys."""
-    return ", ".join(ob.name for ob in shown.splats if _changes(ob))
-
-
 def _changes(ob: bpy.types.Object) -> bool:
+    """Whether a splat object has modifiers other than its display, or shape keys."""
     own = display.modifier_of(ob)
     others = any(m.show_render and (own is None or m.name != own.name) for m in ob.modifiers)
     return others or getattr(ob.data, "shape_keys", None) is not None
@@ -211,7 +198,10 @@ CHECKS = (
         NOT_TAKEN_OVER,
         lambda s: missing_holdouts(main_scene(s.scene), s.scene),
     ),
-    Check("Modifiers and shape keys of {} have no effect: only exports apply them.", _modified),
+    Check(
+        "Modifiers and shape keys of {} have no effect: only exports apply them.",
+        lambda s: ", ".join(ob.name for ob in s.splats if _changes(ob)),
+    ),
     Check(
         f"{lag.APPLIED} Update Shapes and Colors under Result fixes it.",
         _with_problem(lag.APPLIED),
@@ -224,7 +214,7 @@ CHECKS = (
     Check(
         "Shadow Catcher {} is not drawn by this engine: to get its shadows on splats, use Cycles "
         "and Composite Splats with Meshes.",
-        _catchers,
+        lambda s: ", ".join(_by_others(s, catchers=True)),
     ),
     Check(
         "The Material Override {} has no effect: splats have no materials.",
