@@ -52,14 +52,18 @@ class KnownImages:
     def __init__(self) -> None:
         """Collect all images of the file."""
         images = (i for i in bpy.data.images if i.source == "FILE" and i.filepath)
-        self._names = {str(file_of(image)): (image.name, _library_of(image)) for image in images}
+        self._names = {
+            str(file_of(image)): (image.name, getattr(image.library, "filepath", None))
+            for image in images
+        }
         self._made: set[int] = set()
         """Session uids."""
 
     def of(self, shown: Path, photo: Path) -> bpy.types.Image:
         """The image of a file, created if missing, with the name of its photo."""
-        image = self._existing(shown)
-        if image is None:
+        name = self._names.get(str(shown))
+        image = bpy.data.images.get(name) if name is not None else None
+        if image is None or file_of(image) != shown:
             # `images.load` opens every file, which makes it 80 times slower.
             image = bpy.data.images.new(photo.name, 1, 1)
             image.source = "FILE"
@@ -79,11 +83,6 @@ class KnownImages:
             batch = map(bpy.data.images.get, names[start : start + _BATCH])
             unused = [one for one in batch if one is not None and not one.users]
             bpy.data.batch_remove([one for one in unused if one.session_uid in self._made])
-
-    def _existing(self, shown: Path) -> bpy.types.Image | None:
-        name = self._names.get(str(shown))
-        image = bpy.data.images.get(name) if name is not None else None
-        return image if image is not None and file_of(image) == shown else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,9 +122,11 @@ def set_photo(ob: bpy.types.Object, photo: Photo, known: KnownImages) -> None:
     stored_paths.write(ob, stored_paths.PHOTO, photo.file)
     if photo.shown is None:
         return
-    slot = _own_slot(ob) or _free_slot(ob)
-    if slot is None:
-        return
+    slots = ob.data.background_images
+    if (slot := _own_slot(ob)) is None:
+        if any(one.image is not None for one in slots):
+            return  # chosen by the user
+        slot = slots[0] if slots else slots.new()
     image = known.of(photo.shown, photo.file)
     if slot.image != image:
         slot.image = image
@@ -180,19 +181,7 @@ def file_of(image: bpy.types.Image) -> Path:
     return Path(os.path.normpath(bpy.path.abspath(image.filepath, library=image.library)))
 
 
-def _library_of(image: bpy.types.Image) -> str | None:
-    return None if image.library is None else image.library.filepath
-
-
 def _own_slot(ob: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
     """Background slot of a camera's photo, or None."""
     images = ((slot, slot.image) for slot in ob.data.background_images)
     return next((slot for slot, image in images if image and _MADE in image), None)
-
-
-def _free_slot(ob: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
-    """Free background slot, created if needed; None: the user chose other images."""
-    slots = ob.data.background_images
-    if any(slot.image is not None for slot in slots):
-        return None
-    return slots[0] if slots else slots.new()

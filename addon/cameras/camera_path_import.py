@@ -5,7 +5,6 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from ..compat import curves_of
 from ..core import Cameras, offset_between, read_camera_path, rotmat_to_quat
 from ..interface import editable_check
-from ..interface.blocks import with_uid
+from ..interface.blocks import block_of
 from ..interface.option_labels import panel_text
 from ..interface.temporary_data import Temporary
 from ..process import incremental_tasks
@@ -81,8 +80,9 @@ def importing_path(
             pending = _PendingCamera(read)
             try:
                 yield from pending.fill()
-                scene = _there(bpy.data.scenes, uid, "scene")
-                above = None if root_uid is None else _there(bpy.data.objects, root_uid, "capture")
+                gone = "The {} of this import was removed; import the camera path again."
+                scene = block_of(bpy.data.scenes, uid, gone.format("scene"))
+                above = root_uid and block_of(bpy.data.objects, root_uid, gone.format("capture"))
                 camera = pending.link(scene, above)
             finally:
                 pending.drop()
@@ -154,6 +154,8 @@ def _read(
     cameras = read.cameras if origin is None else read.cameras.of_splats(origin)
     lenses, frame = _lenses(cameras, path.name)
     numbers = _numbers(cameras.names, start, numbered=numbered)
+    # Above 1 if frames were skipped.
+    frames_a_picture = (numbers[-1] - numbers[0]) / max(len(numbers) - 1, 1) or 1.0
     poses = np.stack([cm.matrix_world_from_viewmat(viewmat) for viewmat in cameras.viewmats])
     tables = {"location": poses[:, :3, 3], "rotation_quaternion": _turns(poses)}
     columns = [
@@ -171,7 +173,7 @@ def _read(
         numbers=numbers,
         columns=columns,
         frame=frame,
-        fps=None if read.fps is None else read.fps * _frames_a_picture(numbers),
+        fps=None if read.fps is None else read.fps * frames_a_picture,
         warnings=tuple(map(panel_text, read.warnings)),
     )
 
@@ -188,7 +190,8 @@ class _PendingCamera:
         outer.objects.link(ob)
         self._temporary.mark(ob)
         ob.rotation_mode = "QUATERNION"
-        co.set_lens(ob.data, path.lens)
+        for name, value in co.lens_changes(ob.data, path.lens).items():
+            setattr(ob.data, name, value)
         for column in path.columns:
             if not column.of_lens:
                 getattr(ob, column.name)[column.index] = column.values[0]
@@ -244,13 +247,6 @@ def _fill(curve: bpy.types.FCurve, numbers: list[int], values: np.ndarray) -> No
     curve.update()
 
 
-def _there(blocks: bpy.types.bpy_prop_collection, uid: int, what: str) -> Any:
-    block = with_uid(blocks, uid)
-    if block is None:
-        raise ValueError(f"The {what} of this import was removed; import the camera path again.")
-    return block
-
-
 def _lenses(cameras: Cameras, name: str) -> tuple[list[cm.Lens], cm.Frame]:
     """Blender's lens of each camera, all with one sensor, and the raster of the first."""
     width, height = int(cameras.widths[0]), int(cameras.heights[0])
@@ -275,11 +271,6 @@ def _numbers(names: tuple[str, ...], start: int, *, numbered: bool) -> list[int]
     stated = [int(end.group(1)) for end in ends if end is not None]
     rising = len(stated) == len(names) and all(np.diff(stated) > 0) and stated[-1] <= _LAST
     return stated if numbered and rising else list(range(start, start + len(names)))
-
-
-def _frames_a_picture(numbers: list[int]) -> float:
-    """Mean number of timeline frames per picture: above 1 if frames were skipped."""
-    return (numbers[-1] - numbers[0]) / max(len(numbers) - 1, 1) or 1.0
 
 
 def _turns(poses: np.ndarray) -> np.ndarray:

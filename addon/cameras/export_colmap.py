@@ -76,13 +76,7 @@ def _write(
     written = written.about(None)  # other programs have no local origin
     with all_or_none(check):
         write_colmap(written, folder, binary=binary)
-    return Exported(
-        path=folder,
-        views=len(views),
-        moved=sum(view.is_moved for view in views),
-        points=len(cloud),
-        warnings=(*warnings, *more),
-    )
+    return Exported.of(folder, views, cloud, [*warnings, *more])
 
 
 def _model_folder(source: Path) -> Path | None:
@@ -127,9 +121,10 @@ def _camera_table(
     ids = []
     for view in views:
         camera = view.camera
-        key = (camera.model, camera.width, camera.height, camera.params.tobytes())
+        key = _key_of(camera)
         own = by_image.get(view.name)
-        if model and own is not None and _equal(model.cameras[own], camera):
+        known_camera = None if model is None or own is None else model.cameras[own]
+        if known_camera is not None and _key_of(known_camera) == key:
             table[own] = camera
             ids.append(own)
             continue
@@ -140,10 +135,8 @@ def _camera_table(
     return ids, table
 
 
-def _equal(a: ColmapCamera, b: ColmapCamera) -> bool:
-    return (a.model, a.width, a.height) == (b.model, b.width, b.height) and np.array_equal(
-        a.params, b.params
-    )
+def _key_of(camera: ColmapCamera) -> tuple:
+    return (camera.model, camera.width, camera.height, *camera.params.tolist())
 
 
 def _same_pose(image: ColmapImage, view: ExportView) -> bool:

@@ -18,7 +18,7 @@ from ..core import (
     offset_between,
     read_capture,
 )
-from ..interface.blocks import with_uid
+from ..interface.blocks import block_of, with_uid
 from ..paths import absolute
 from ..process.incremental_tasks import Steps, run_in_thread
 from . import objects as co
@@ -47,7 +47,10 @@ class ExportPoints:
     def colors(self) -> np.ndarray:
         """[P, 3] uint8 sRGB; ValueError without colours."""
         if self.linear is None:
-            raise ValueError(sfm_points.lost_colors(self.name))
+            raise ValueError(
+                f"{self.name} has lost its color attribute {sfm_points.COLOR!r}. Import the "
+                "capture again."
+            )
         return sfm_points.encoded(self.linear)
 
 
@@ -67,10 +70,8 @@ def reading_points(root: int | None) -> Steps[ExportPoints | None]:
     uid, name, values = ob.session_uid, ob.name, []
     for read in (sfm_points.positions_of, sfm_points.linear_of, sfm_points.places_of):
         yield f"Reading {name}"
-        ob = with_uid(bpy.data.objects, uid)
-        if ob is None:
-            raise ValueError(f"{name} was removed while it was exported: export it again.")
-        values.append(read(ob))
+        gone = f"{name} was removed while it was exported: export it again."
+        values.append(read(block_of(bpy.data.objects, uid, gone)))
     positions, linear, places = values
     if len({len(rows) for rows in values if rows is not None}) != 1:
         raise ValueError(f"{name} was changed while it was exported: export it again.")

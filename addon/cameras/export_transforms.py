@@ -74,13 +74,7 @@ def _write(
         if ply:
             atomic_write(path.with_name(POINTS), ply)
         atomic_write(path, text.encode())
-    return Exported(
-        path=path,
-        views=len(views),
-        moved=sum(view.is_moved for view in views),
-        points=len(points),
-        warnings=tuple(warnings),
-    )
+    return Exported.of(path, views, points, warnings)
 
 
 def transforms_text(

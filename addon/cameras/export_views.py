@@ -4,7 +4,7 @@ Unmoved cameras have the float64 values of the capture; moved ones have Blender'
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -53,6 +53,16 @@ class Exported:
     """Number of SfM points."""
     warnings: tuple[str, ...] = ()
     """Warnings for the user."""
+
+    @classmethod
+    def of(
+        cls, path: Path, views: Sequence[ExportView], points: Sized, warnings: Sequence[str]
+    ) -> "Exported":
+        """The result of written views and points."""
+        moved, counts = sum(view.is_moved for view in views), (len(views), len(points))
+        return cls(
+            path=path, views=counts[0], moved=moved, points=counts[1], warnings=tuple(warnings)
+        )
 
 
 def collecting(tracked: "Tracked") -> Steps[list[ExportView]]:

@@ -32,7 +32,7 @@ class Present:
 
 
 def find_present(scene: bpy.types.Scene, source: Path, into: int) -> Present | None:
-    """An editable capture of a scene.
+    """A capture of a scene that is local to this file, without overrides.
 
     Args:
         scene: The scene.
@@ -41,11 +41,14 @@ def find_present(scene: bpy.types.Scene, source: Path, into: int) -> Present | N
     """
     roots = roots_of(scene)
     chosen = [root for root in roots if root.session_uid == into]
-    for root in chain(chosen, (root for root in roots if _is_of(root, source))):
+    sources = ((root, stored_paths.read(root, stored_paths.SOURCE)) for root in roots)
+    of_folder = (root for root, own in sources if own and same_folder(Path(own), source))
+    for root in chain(chosen, of_folder):
         cameras, points = co.parts_of(root)
-        present = Present(root=root, cameras=cameras, points=points)
-        if _may_change(present):
-            return present
+        obs = [root, *cameras, *filter(None, [points])]
+        blocks = [*obs, *(ob.data for ob in obs if ob.data is not None)]
+        if all(block.library is None and block.override_library is None for block in blocks):
+            return Present(root=root, cameras=cameras, points=points)
     return None
 
 
@@ -77,18 +80,6 @@ def other_origins(scene: bpy.types.Scene, root: bpy.types.Object) -> tuple[str, 
                 f"both are placed near the scene's origin, not in their true relation.",
             )
     return ()
-
-
-def _is_of(root: bpy.types.Object, source: Path) -> bool:
-    own = stored_paths.read(root, stored_paths.SOURCE)
-    return bool(own) and same_folder(Path(own), source)
-
-
-def _may_change(capture: Present) -> bool:
-    """True if all of a capture is local to this file, without overrides."""
-    obs = [capture.root, *capture.cameras, *filter(None, [capture.points])]
-    blocks = [*obs, *(ob.data for ob in obs if ob.data is not None)]
-    return all(block.library is None and block.override_library is None for block in blocks)
 
 
 def in_another_world(

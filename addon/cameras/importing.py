@@ -17,7 +17,7 @@ from mathutils import Matrix
 
 from .. import attributes, stored_paths
 from ..interface import editable_check
-from ..interface.blocks import with_uid
+from ..interface.blocks import block_of
 from ..interface.incremental_removal import clear, clearing
 from ..interface.temporary_data import Temporary, release
 from ..process import incremental_tasks
@@ -37,6 +37,8 @@ from .find_imported import (
 )
 from .lookup import roots_of
 from .reading import ReadCamera, ReadCapture, ReadPoints, read
+
+_NO_SCENE = "The scene of this import was removed; import the cameras again."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,8 +103,9 @@ def importing(
             known = KnownImages()
             pending = _PendingCapture(capture, known, there, align)
             try:
-                yield from pending.fill(find_present(_scene(uid), capture.source, there))
-                made = pending.link(_scene(uid))
+                scene = block_of(bpy.data.scenes, uid, _NO_SCENE)
+                yield from pending.fill(find_present(scene, capture.source, there))
+                made = pending.link(block_of(bpy.data.scenes, uid, _NO_SCENE))
             finally:
                 clear(chain(pending.dropping(), known.dropping()))
             if made is not None:
@@ -376,10 +379,3 @@ def _exchange(old: bpy.types.Object, new: bpy.types.Object) -> None:
     if mesh.users == 1:
         mesh.name = new.name  # frees the name now; removal scans the whole file and follows later
     old.data.name = name
-
-
-def _scene(uid: int) -> bpy.types.Scene:
-    scene = with_uid(bpy.data.scenes, uid)
-    if scene is None:
-        raise ValueError("The scene of this import was removed; import the cameras again.")
-    return scene

@@ -123,8 +123,9 @@ class Setup:
 def setup_of(own: PhotoCamera) -> Setup:
     """Compute the values; no bpy."""
     lens, _ = cm.lens_from_intrinsics(own.K, own.width, own.height)
-    location, rotation = _pose(own.viewmat)
-    return Setup(own=own, lens=lens, location=location, rotation=rotation)
+    matrix = cm.matrix_world_from_viewmat(own.viewmat)
+    rotation = rotmat_to_quat(matrix[:3, :3])
+    return Setup(own=own, lens=lens, location=matrix[:3, 3], rotation=rotation)
 
 
 def make(setup: Setup, name: str, collection: bpy.types.Collection) -> bpy.types.Object:
@@ -166,7 +167,7 @@ def changes_of(ob: bpy.types.Object, setup: Setup) -> CameraChanges:
         "gs_photo_size": None if size is None else list(size),
     }
     return CameraChanges(
-        lens=_lens_changes(ob.data, setup.lens),
+        lens=lens_changes(ob.data, setup.lens),
         place=_place_changes(ob, setup.location, setup.rotation),
         properties={key: v for key, v in properties.items() if _as_list(ob.get(key)) != v},
     )
@@ -243,13 +244,8 @@ def note_moves(root: bpy.types.Object, moves: Mapping[str, tuple[float, float]])
                 ob[key] = value
 
 
-def set_lens(data: bpy.types.Camera, lens: cm.Lens) -> None:
-    """Set the lens of a camera datablock."""
-    for name, value in _lens_changes(data, lens).items():
-        setattr(data, name, value)
-
-
-def _lens_changes(data: bpy.types.Camera, lens: cm.Lens) -> dict[str, Any]:
+def lens_changes(data: bpy.types.Camera, lens: cm.Lens) -> dict[str, Any]:
+    """Properties of a camera datablock to change for a lens."""
     values = {"lens_unit": "MILLIMETERS", **vars(lens)}
     single = {k: float(np.float32(v)) if isinstance(v, float) else v for k, v in values.items()}
     return {name: value for name, value in single.items() if getattr(data, name) != value}
@@ -349,12 +345,6 @@ def rigid_viewmat(matrix: np.ndarray, name: str) -> np.ndarray:
     return viewmat
 
 
-def _pose(viewmat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Location [3] and quaternion wxyz [4] of a camera in its parent's space."""
-    matrix = cm.matrix_world_from_viewmat(viewmat)
-    return matrix[:3, 3], rotmat_to_quat(matrix[:3, :3])
-
-
 def _place_changes(
     ob: bpy.types.Object, location: np.ndarray, rotation: np.ndarray
 ) -> dict[str, Any]:
@@ -365,28 +355,19 @@ def _place_changes(
         "rotation_quaternion": tuple(rotation.astype(np.float32).tolist()),
         **_PLAIN,
     }
-    changes = {name: value for name, value in values.items() if _differs(ob, name, value)}
+    changes = {n: value for n, value in values.items() if tuple(getattr(ob, n)) != tuple(value)}
     if "rotation_mode" in changes:  # a change of it overwrites the quaternion
         changes["rotation_quaternion"] = values["rotation_quaternion"]
     return changes
 
 
-def _differs(ob: bpy.types.Object, name: str, value: Any) -> bool:
-    return tuple(getattr(ob, name)) != tuple(value)
-
-
 def is_plain_child(ob: bpy.types.Object) -> bool:
     """True if an object is a child of a capture's empty and nothing else moves it."""
-    return (
-        is_kind(ob.parent, "capture")
-        and ob.parent_type == "OBJECT"
-        and not ob.constraints
-        and (ob.animation_data is None or not _is_animated(ob.animation_data))
-    )
-
-
-def _is_animated(animation: bpy.types.AnimData) -> bool:
-    return animation.action is not None or bool(animation.drivers) or bool(animation.nla_tracks)
+    moves = animation = ob.animation_data
+    if animation is not None:
+        moves = animation.action is not None or animation.drivers or animation.nla_tracks
+    free = ob.parent_type == "OBJECT" and not ob.constraints
+    return is_kind(ob.parent, "capture") and free and not moves
 
 
 def _evaluated_matrix(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None) -> np.ndarray:

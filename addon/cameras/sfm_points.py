@@ -110,11 +110,6 @@ def encoded(rgba: np.ndarray) -> np.ndarray:
     return np.rint(255 * encoded).astype(np.uint8)
 
 
-def lost_colors(name: str) -> str:
-    """Error message for an object without `linear_of` colours."""
-    return f"{name} has lost its color attribute {COLOR!r}. Import the capture again."
-
-
 def _linear(colors: np.ndarray) -> np.ndarray:
     """[P, 3] float32 scene-linear of uint8 sRGB (IEC 61966-2-1)."""
     table = np.arange(256) / 255

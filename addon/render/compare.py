@@ -15,7 +15,7 @@ from ..cameras.pictures import levels_of
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
 from ..core import colorize, psnr, read_gains, read_header, rgba_png
-from ..interface.blocks import with_uid
+from ..interface.blocks import block_of
 from ..process.background_task import Cancelled
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats.read_chunked import ChunkedRead
@@ -114,9 +114,8 @@ class Comparing:
         found, pictures = yield from run_in_thread(
             partial(self._drawn, placed, target), "Drawing the splats"
         )
-        camera = with_uid(bpy.data.objects, self._camera)
-        if camera is None:
-            raise ValueError(f"The camera {self._name} was removed during the comparison.")
+        gone = f"The camera {self._name} was removed during the comparison."
+        camera = block_of(bpy.data.objects, self._camera, gone)
         camera[PSNR] = found.psnr
         camera.pop(PSNR_MASKED, None)
         if found.psnr_masked is not None:

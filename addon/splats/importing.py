@@ -13,7 +13,7 @@ import numpy as np
 
 from .. import attributes
 from ..core import GsError, collected_warnings
-from ..interface.blocks import with_uid
+from ..interface.blocks import block_of, with_uid
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import objects, settings, splat_files
 from .splat_files import ImportRequest
@@ -76,8 +76,10 @@ def importing_splats(
         read = partial(_read, request, find, note)
         reads.append((yield from run_in_thread(read, f"Reading {request.path.name}")))
     yield from settings.building()
-    meshes = yield from filled([ChunkedWrite(one) for one in reads], partial(_scene, scene_uid))
-    scene = _scene(scene_uid)
+    gone = "The scene of this import was removed; import the splats again."
+    found = partial(block_of, bpy.data.scenes, scene_uid, gone)
+    meshes = yield from filled([ChunkedWrite(one) for one in reads], found)
+    scene = found()
     within = [scene.collection, *scene.collection.children_recursive]
     collection = with_uid(within, collection_uid) or within[0]
     made, warnings = [], [text for read in reads for text in read.warnings]
@@ -91,13 +93,6 @@ def importing_splats(
             )
         made.append(ob)
     return ImportedSplats(objects=made, notes=[read.note for read in reads], warnings=warnings)
-
-
-def _scene(uid: int) -> bpy.types.Scene:
-    scene = with_uid(bpy.data.scenes, uid)
-    if scene is None:
-        raise ValueError("The scene of this import was removed; import the splats again.")
-    return scene
 
 
 def _read(

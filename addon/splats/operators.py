@@ -13,7 +13,7 @@ from .. import attributes, compat
 from ..core import transform_splats
 from ..interface import editable_check
 from ..interface.base_operator import Condition, Undoable, make_active
-from ..interface.blocks import with_uid
+from ..interface.blocks import block_of
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import edit, objects, settings
@@ -86,10 +86,8 @@ class ResetDisplay(IncrementalOperator, OnSplats, bpy.types.Operator):
         ob = active_splats(context)
         name, uid = ob.name, ob.session_uid
         yield from settings.building()
-        ob = with_uid(bpy.data.objects, uid)
-        if ob is None:
-            raise ValueError(f"{name} was removed; its display was not restored.")
-        settings.attach(ob)
+        gone = f"{name} was removed; its display was not restored."
+        settings.attach(block_of(bpy.data.objects, uid, gone))
         return ""
 
 
@@ -127,15 +125,10 @@ def taking(cloud: bpy.types.Object) -> Steps[bpy.types.Object]:
     columns = yield from read_chunked(cloud)
     size = yield from run_in_thread(partial(_size, columns), f"Measuring {name}")
     yield from settings.building()
-    [mesh] = yield from filled([ChunkedWrite(_points(columns))], partial(_cloud, uid, name))
-    return _place(mesh, size, _cloud(uid, name))
-
-
-def _cloud(uid: int, name: str) -> bpy.types.Object:
-    cloud = with_uid(bpy.data.objects, uid)
-    if cloud is None:
-        raise ValueError(f"{name} was removed; its splats were not converted.")
-    return cloud
+    gone = f"{name} was removed; its splats were not converted."
+    found = partial(block_of, bpy.data.objects, uid, gone)
+    [mesh] = yield from filled([ChunkedWrite(_points(columns))], found)
+    return _place(mesh, size, found())
 
 
 def _size(columns: dict[str, np.ndarray], check: Check) -> float:
