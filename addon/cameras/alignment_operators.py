@@ -121,7 +121,9 @@ class ResetAlignment(_Aligning, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         """Reset."""
-        capture_transform.reset_root(find_root(context, self.capture))
+        root = find_root(context, self.capture)
+        capture_transform.set_root_matrix(root, np.eye(4))
+        capture_transform.size_drawings(root, co.cameras_of(root))
 
 
 def current_up(root: bpy.types.Object) -> np.ndarray:

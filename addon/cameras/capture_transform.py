@@ -112,12 +112,6 @@ def set_extent(root: bpy.types.Object, extent: float) -> None:
     size_drawings(root, cameras_of(root))
 
 
-def reset_root(root: bpy.types.Object) -> None:
-    """Reset a capture to the axes, origin and scale of its own files."""
-    set_root_matrix(root, np.eye(4))
-    size_drawings(root, cameras_of(root))
-
-
 def root_scale(root: bpy.types.Object) -> float:
     """Blender units per unit of the capture's world."""
     return float(np.cbrt(abs(np.prod(np.array(root.scale[:], np.float64)))))

@@ -111,7 +111,9 @@ def choose(scene: bpy.types.Scene, made: ImportedCapture, *, set_up_views: bool 
     activate(scene, made.root)
     if set_up_views:
         for space in framing.views_of(scene) if made.renewed else frame_capture(scene, made.root):
-            _set_up_view(space)
+            space.shading.color_type = "VERTEX"
+            space.shading.show_object_outline = False  # it would cover the small points
+            space.overlay.show_relationship_lines = False
     settings = getattr(scene, "gscore", None)  # None if only cameras are registered
     if settings is not None and not settings.capture_path.strip():
         settings.capture_path = made.root[stored_paths.SOURCE]
@@ -127,20 +129,11 @@ def activate(scene: bpy.types.Scene, ob: bpy.types.Object) -> None:
     if bpy.context.scene == scene:
         layers = [bpy.context.view_layer]
     else:
-        layers = [window.view_layer for window in _windows(scene)] or [scene.view_layers[0]]
+        windows = bpy.context.window_manager.windows
+        layers = [w.view_layer for w in windows if w.scene == scene] or [scene.view_layers[0]]
     layer, active = layers[0], layers[0].objects.active
     if layer.objects.get(ob.name) == ob and (active is None or active.mode == "OBJECT"):
         make_active_in(layer, ob)
-
-
-def _windows(scene: bpy.types.Scene) -> list[bpy.types.Window]:
-    return [window for window in bpy.context.window_manager.windows if window.scene == scene]
-
-
-def _set_up_view(space: bpy.types.SpaceView3D) -> None:
-    space.shading.color_type = "VERTEX"
-    space.shading.show_object_outline = False  # it would cover the small points
-    space.overlay.show_relationship_lines = False
 
 
 def _cameras(scene: bpy.types.Scene) -> list[bpy.types.Camera]:
@@ -161,14 +154,6 @@ def show_photos(scene: bpy.types.Scene, shown: bool) -> None:
         camera.show_background_images = shown
 
 
-def _get_shown(self: "PhotoSettings") -> bool:
-    return any(camera.show_background_images for camera in _cameras(self.id_data))
-
-
-def _set_shown(self: "PhotoSettings", shown: bool) -> None:
-    show_photos(self.id_data, shown)
-
-
 def _get_opacity(self: "PhotoSettings") -> float:
     camera = next(iter(_cameras(self.id_data)), None)
     return 1.0 if camera is None else camera.background_images[0].alpha
@@ -185,8 +170,8 @@ class PhotoSettings(bpy.types.PropertyGroup):
     shown: bpy.props.BoolProperty(
         name="Show Photos",
         description="Show the capture's photos behind their cameras",
-        get=_get_shown,
-        set=_set_shown,
+        get=lambda self: any(one.show_background_images for one in _cameras(self.id_data)),
+        set=lambda self, shown: show_photos(self.id_data, shown),
     )
     opacity: bpy.props.FloatProperty(
         name="Opacity",

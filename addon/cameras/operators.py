@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..interface.base_operator import OnScene
+from ..interface.base_operator import Browsing, OnScene, browse
 from ..interface.incremental_operator import IncrementalOperator
 from ..paths import absolute
 from ..process.incremental_tasks import Steps
@@ -88,8 +88,7 @@ class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
             return self.execute(context)
         if not self.directory and (path := _panel_path(context)):
             self.directory = bpy.path.abspath(path)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return browse(context, self)
 
     def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Read the capture in a thread, then create its objects."""
@@ -110,7 +109,7 @@ class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
         return f"{made.root.name}: {count}{points}{again}"
 
 
-class RelinkCapture(OnCapture, bpy.types.Operator):
+class RelinkCapture(Browsing, OnCapture, bpy.types.Operator):
     """Choose the folder of a capture's photos after it or this file was moved"""
 
     bl_idname = "gscore.relink_capture"
@@ -127,11 +126,6 @@ class RelinkCapture(OnCapture, bpy.types.Operator):
         default="images",
         description="Folder of the photos inside the capture",
     )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the folder."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The capture and its cameras, with their photo properties."""
@@ -151,7 +145,7 @@ class RelinkCapture(OnCapture, bpy.types.Operator):
         return ""
 
 
-class ExportCameras(IncrementalOperator, OnCapture, bpy.types.Operator):
+class ExportCameras(Browsing, IncrementalOperator, OnCapture, bpy.types.Operator):
     """Export cameras and SfM points as a COLMAP model or a transforms.json"""
 
     bl_idname = "gscore.export_cameras"
@@ -190,11 +184,6 @@ class ExportCameras(IncrementalOperator, OnCapture, bpy.types.Operator):
         ),
         description="Axes, origin and scale of the exported cameras",
     )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the folder."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Read cameras and points, then write in a thread."""
@@ -312,14 +301,10 @@ class ChooseCamera(OnScene, OnCapture, bpy.types.Operator):
         _look_through(context)
 
 
-def _views(context: bpy.types.Context) -> list[bpy.types.SpaceView3D]:
-    areas = context.screen.areas if context.screen else []
-    return [area.spaces.active for area in areas if area.type == "VIEW_3D"]
-
-
 def _look_through(context: bpy.types.Context) -> None:
     """Turn one 3D view to the camera, unless one shows it already."""
-    regions = [space.region_3d for space in _views(context)]
+    areas = context.screen.areas if context.screen else []
+    regions = [area.spaces.active.region_3d for area in areas if area.type == "VIEW_3D"]
     if regions and all(region.view_perspective != "CAMERA" for region in regions):
         space = context.space_data
         own = getattr(space, "region_3d", None) if space and space.type == "VIEW_3D" else None

@@ -6,6 +6,7 @@ import numpy as np
 from .. import attributes, compat
 from ..nodes import materials
 from ..nodes.graph import Graph, Socket, inputs, new_group, result, socket
+from ..srgb import decode, encode
 
 COLOR = "gs_color"
 """Attribute of the colours, linear RGBA; Cycles draws point clouds with `color` black."""
@@ -31,7 +32,7 @@ def columns(
         indices: [P] int, indices of the points in the capture.
     """
     rgba = np.ones((len(points), 4), np.float32)
-    rgba[:, :3] = _linear(colors)
+    rgba[:, :3] = decode(np.arange(256) / 255)[colors]
     return (
         (attributes.POSITION, "FLOAT_VECTOR", np.ascontiguousarray(points, np.float32).ravel()),
         (COLOR, "FLOAT_COLOR", rgba.ravel()),
@@ -105,16 +106,7 @@ def linear_of(ob: bpy.types.Object) -> np.ndarray | None:
 
 def encoded(rgba: np.ndarray) -> np.ndarray:
     """[P, 3] uint8 sRGB of `linear_of`."""
-    linear = rgba[:, :3].clip(0, 1)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.rint(255 * encoded).astype(np.uint8)
-
-
-def _linear(colors: np.ndarray) -> np.ndarray:
-    """[P, 3] float32 scene-linear of uint8 sRGB (IEC 61966-2-1)."""
-    table = np.arange(256) / 255
-    table = np.where(table <= 0.04045, table / 12.92, ((table + 0.055) / 1.055) ** 2.4)
-    return table.astype(np.float32)[colors]
+    return np.rint(255 * encode(rgba[:, :3].clip(0, 1))).astype(np.uint8)
 
 
 def _node_group() -> bpy.types.NodeTree:

@@ -24,16 +24,8 @@ _QUALITY = 95
 
 def task_of(own: PhotoCamera, copy: Path) -> dict[str, Any]:
     """A photo, its camera and the file of its copy, as JSON values."""
-    return {
-        "copy": str(copy),
-        "image": own.image,
-        "photo": own.photo,
-        "K": own.K.tolist(),
-        "size": [own.width, own.height],
-        "model": own.model,
-        "params": list(own.params),
-        "photo_size": own.photo_size,
-    }
+    arrays = {"K": own.K.tolist(), "viewmat": own.viewmat.tolist()}
+    return {"copy": str(copy), "camera": {**vars(own), **arrays}}
 
 
 def main(lines: Iterable[str] = sys.stdin, out: TextIO = sys.stdout) -> None:
@@ -43,7 +35,10 @@ def main(lines: Iterable[str] = sys.stdin, out: TextIO = sys.stdout) -> None:
         task = json.loads(line)
         problem = ""
         try:
-            undistort(_camera(task), Path(task["copy"]))
+            own = task["camera"]
+            arrays = {name: np.array(own[name], np.float64) for name in ("K", "viewmat")}
+            lists = {name: tuple(own[name]) for name in ("params", "photo_size")}
+            undistort(PhotoCamera(**{**own, **arrays, **lists}), Path(task["copy"]))
         except (OSError, ValueError, RuntimeError, MemoryError) as error:
             problem = str(error) or type(error).__name__
         answer = json.dumps({"copy": task["copy"], "problem": problem})
@@ -68,20 +63,6 @@ def undistort(own: PhotoCamera, copy: Path) -> None:
     finally:
         part.unlink(missing_ok=True)
     remove(earlier_copies(copy))
-
-
-def _camera(task: dict[str, Any]) -> PhotoCamera:
-    return PhotoCamera(
-        image=task["image"],
-        photo=task["photo"],
-        viewmat=np.eye(4),
-        K=np.array(task["K"], np.float64),
-        width=task["size"][0],
-        height=task["size"][1],
-        model=task["model"],
-        params=tuple(task["params"]),
-        photo_size=tuple(task["photo_size"]),
-    )
 
 
 def _write(file: Path, photo: np.ndarray, plan: Undistortion, *, jpeg: bool) -> None:

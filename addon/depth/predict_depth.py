@@ -9,7 +9,7 @@ from .. import preferences
 from ..capture import depth_maps
 from ..capture.depth_maps import DepthReport
 from ..core import DepthDone, DepthProgress
-from ..interface.base_operator import BaseOperator, ConfirmMixin
+from ..interface.base_operator import BaseOperator, ConfirmMixin, browse
 from ..interface.images import show_image
 from ..interface.option_labels import panel_text
 from ..paths import absolute, capture_folder, output_folder
@@ -199,8 +199,7 @@ class PredictDepth(ConfirmMixin, Starting, bpy.types.Operator):
         """Open the file browser if no network is chosen, else confirm the replacement of maps."""
         prefs = preferences.get()
         if not (self.filepath or networks.chosen() or prefs.depth_model.strip()):
-            context.window_manager.fileselect_add(self)
-            return {"RUNNING_MODAL"}
+            return browse(context, self)
         return super().invoke(context, event)
 
     def confirm_lines(self, context: bpy.types.Context) -> list[str]:

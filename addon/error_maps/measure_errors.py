@@ -22,6 +22,7 @@ from ..splats import objects
 from ..splats.error_maps import MAP, drop_maps, is_map, run_of, show_map, siblings
 from ..splats.objects import active_splats, has_trained, is_splats
 from ..splats.write_chunked import replace
+from ..srgb import decode
 from ..training import lookups
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS, Cancelling, Starting, mesh_of
@@ -167,8 +168,7 @@ def color_cameras(root: bpy.types.Object, figures: Figures) -> int:
 def color_at(place: float) -> tuple[float, ...]:
     """Linear RGBA from the best, 0, to the worst, 1."""
     srgb = colorize(np.array(_DARKEST + (1 - _DARKEST) * place)) / 255.0
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    return (*linear.tolist(), 1.0)
+    return (*decode(srgb).tolist(), 1.0)
 
 
 def are_colored(root: bpy.types.Object) -> bool:

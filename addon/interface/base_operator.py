@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 from typing import ClassVar, NamedTuple
 
 import bpy
+from bpy.props import BoolProperty
 
 from ..core import GsError
 from . import editable_check
@@ -83,6 +84,37 @@ class OnScene(Undoable):
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
         """The scene."""
         return (context.scene,)
+
+
+class Waiting(BaseOperator):
+    """Base of operators that start work in the background."""
+
+    bl_options: ClassVar = {"REGISTER"}
+
+    wait: BoolProperty(
+        name="Wait",
+        description="Return when the work has ended and its result is imported; for scripts",
+        options={"HIDDEN", "SKIP_SAVE"},
+    )
+
+
+class Browsing:
+    """Mixin in before `BaseOperator`: a button opens the file browser, unless it gives a file."""
+
+    given: ClassVar[tuple[str, ...]] = ()
+    """Properties of which one is set if the button gives a file."""
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Open the file browser."""
+        if any(getattr(self, name) for name in self.given):
+            return self.execute(context)
+        return browse(context, self)
+
+
+def browse(context: bpy.types.Context, operator: bpy.types.Operator) -> set[str]:
+    """Open the file browser for an operator; returns its result."""
+    context.window_manager.fileselect_add(operator)
+    return {"RUNNING_MODAL"}
 
 
 def make_active(context: bpy.types.Context, ob: bpy.types.Object) -> None:

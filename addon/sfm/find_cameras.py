@@ -16,7 +16,7 @@ from ..cameras.lookup import chosen_root
 from ..capture.folders import same_folder
 from ..core import VIDEO_ENDINGS, FramesProgress, SfmDone, SfmProgress, default_capture_output
 from ..interface import editable_check
-from ..interface.base_operator import OnScene
+from ..interface.base_operator import Browsing, OnScene, Waiting
 from ..interface.incremental_operator import IncrementalOperator
 from ..interface.sidebar import choose_tab, in_turn, open_sidebar
 from ..interface.windows import push_undo
@@ -24,7 +24,7 @@ from ..paths import absolute, capture_folder, relative
 from ..process.incremental_tasks import Steps
 from ..training import facts, lookups, options
 from ..training.verb_job import Verb, VerbJob
-from ..training.verb_jobs import JOBS, Cancelling, Waiting, ended
+from ..training.verb_jobs import JOBS, Cancelling, ended
 
 
 def _message(job: VerbJob) -> str:
@@ -160,11 +160,12 @@ def importing_capture(scene: bpy.types.Scene, capture: Path) -> Steps[tuple[str,
     return warnings
 
 
-class ChooseVideo(OnScene, bpy.types.Operator):
+class ChooseVideo(Browsing, OnScene, bpy.types.Operator):
     """Choose a video filmed around the subject; its sharp frames become the photos"""
 
     bl_idname = "gscore.choose_video"
     bl_label = "Choose Video"
+    given = ("filepath",)
 
     filepath: StringProperty(
         name="Video",
@@ -178,13 +179,6 @@ class ChooseVideo(OnScene, bpy.types.Operator):
     filter_glob: StringProperty(
         default=";".join(f"*{end}" for end in VIDEO_ENDINGS), options={"HIDDEN"}
     )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Open the file browser, unless a file was dropped."""
-        if self.filepath:
-            return self.execute(context)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def run(self, context: bpy.types.Context) -> None:
         """Choose the video, and show the panel."""

@@ -12,7 +12,7 @@ from ..cameras.lookup import find_root
 from ..cameras.objects import root_of
 from ..core import SPLAT_ENDINGS
 from ..interface import editable_check
-from ..interface.base_operator import Condition, OnScene, Undoable, make_active
+from ..interface.base_operator import Browsing, Condition, OnScene, Undoable, make_active
 from ..interface.incremental_operator import IncrementalOperator
 from ..paths import relative
 from ..process import poll_timer
@@ -38,12 +38,13 @@ class OnSequence(Undoable):
     )
 
 
-class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
+class ImportSequence(Browsing, IncrementalOperator, OnScene, bpy.types.Operator):
     """Import a folder of numbered splat files, or the output of gscore sequence, as one object that
     plays on the timeline"""
 
     bl_idname = "gscore.import_sequence"
     bl_label = "Import Splat Sequence"
+    given = ("directory", "filepath")
 
     filepath: StringProperty(
         name="Frame",
@@ -84,13 +85,6 @@ class ImportSequence(IncrementalOperator, OnScene, bpy.types.Operator):
         "cameras. The up axis is then the capture's",
         default=True,
     )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Open the file browser, unless a folder or file is given."""
-        if self.directory or self.filepath:
-            return self.execute(context)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
 
     def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Find the frames and read the first in a thread, then write it to Blender."""

@@ -3,27 +3,21 @@
 from pathlib import Path
 
 import bpy
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import StringProperty
 
 from .. import preferences
-from ..interface.base_operator import BaseOperator, Condition, ConfirmMixin, wrapped
+from ..interface.base_operator import BaseOperator, Condition, ConfirmMixin, Waiting, wrapped
 from ..preferences import SECTIONS, Preferences
 from ..process import poll_timer
 from . import installer
 from .setup import CURRENT, contents
 
 
-class CheckTrainer(BaseOperator, bpy.types.Operator):
+class CheckTrainer(Waiting, bpy.types.Operator):
     """Check whether the chosen Python can train; if none is chosen, search for one"""
 
     bl_idname = "gscore.check_trainer"
     bl_label = "Check"
-
-    wait: BoolProperty(
-        name="Wait",
-        description="Return when the check is complete; for scripts",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
 
     def run(self, context: bpy.types.Context) -> str:
         """Check."""
@@ -38,7 +32,7 @@ class CheckTrainer(BaseOperator, bpy.types.Operator):
         return verdict.sentence
 
 
-class MakeEnvironment(ConfirmMixin, BaseOperator, bpy.types.Operator):
+class MakeEnvironment(ConfirmMixin, Waiting, bpy.types.Operator):
     """Make a private Python environment for training: downloads torch and its dependencies"""
 
     bl_idname = "gscore.make_environment"
@@ -49,12 +43,6 @@ class MakeEnvironment(ConfirmMixin, BaseOperator, bpy.types.Operator):
         description="gscore to install; empty: the one in the extension",
         options={"HIDDEN", "SKIP_SAVE"},
     )
-    wait: BoolProperty(
-        name="Wait",
-        description="Return when the environment is complete; for scripts",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
-
     confirm = "Download and Install"
 
     def confirm_lines(self, context: bpy.types.Context) -> list[str]:

@@ -18,6 +18,7 @@ from ..interface.base_operator import (
     ConfirmMixin,
     OnScene,
     Undoable,
+    Waiting,
     make_active,
 )
 from ..interface.images import show_image
@@ -29,7 +30,6 @@ from ..splats.file_operators import ImportOperator
 from . import facts, guides, registry, results, run_state, start_training
 from .options import BY_WIDTH
 from .training_job import Job
-from .verb_jobs import Waiting
 
 
 class _OnJob(BaseOperator):

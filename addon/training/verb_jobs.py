@@ -7,14 +7,13 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import bpy
-from bpy.props import BoolProperty
 
 from .. import preferences
 from ..capture.folders import same_folder
-from ..interface.base_operator import BaseOperator
+from ..interface.base_operator import BaseOperator, Waiting
 from ..interface.incremental_operator import with_readable_errors
 from ..process import poll_timer
 from ..process.incremental_tasks import Steps, run_in_thread
@@ -199,18 +198,6 @@ _POLLER = poll_timer.Poller(
 )
 APPENDED = ((poll_timer.POLLERS, _POLLER),)
 on_register, on_unregister = released_at_quit(JOBS.release_all)
-
-
-class Waiting(BaseOperator):
-    """Mixin before bpy.types.Operator that starts work in the background."""
-
-    bl_options: ClassVar = {"REGISTER"}
-
-    wait: BoolProperty(
-        name="Wait",
-        description="Return when the work has ended and its result is imported; for scripts",
-        options={"HIDDEN", "SKIP_SAVE"},
-    )
 
 
 class Starting(Waiting):
