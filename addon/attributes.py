@@ -65,6 +65,11 @@ _SMALLEST_SCALE = np.float32(np.log(_TINY))
 """Log scale of a splat without extent."""
 
 
+def typical_size(splats: Splats) -> float:
+    """Median of the largest standard deviations; 0 without splats."""
+    return float(np.exp(np.median(splats.scales.max(axis=1)))) if len(splats) else 0.0
+
+
 def write(datablock: Any, splats: Splats) -> None:
     """Write the attributes of N splats to a mesh or point cloud with exactly N points.
 

@@ -11,12 +11,11 @@ from .. import attributes, compat
 from ..cameras.objects import local_matrix
 from ..interface import editable_check
 from ..nodes import display
-from ..process.incremental_tasks import Check, Steps, run_in_thread
+from ..process.incremental_tasks import Steps, run_in_thread
 from . import filters, lag, objects, separate_join, splat_framing
 from . import settings as splat_settings
 from .edit_guard import EditGuard
 from .mesh_buffers import points_of
-from .point_attributes import Column
 from .read_chunked import ChunkedRead
 from .rotation import moved
 from .write_chunked import ChunkedWrite, filled, swap
@@ -90,7 +89,10 @@ def apply_filters(guard: EditGuard) -> Steps[int]:
     guard.check_only_points()
     limits = filters.filters_of(ob)
     table = yield from ChunkedRead(ob).table()
-    keep = yield from run_in_thread(partial(_passing, table, limits), f"Filtering {guard.name}")
+    columns = {column.name: column.values for column in table}
+    keep = yield from run_in_thread(
+        lambda check: filters.passing(columns, limits), f"Filtering {guard.name}"
+    )
     if len(keep) and not keep.any():
         raise ValueError(f"{guard.name}: the filters hide every splat; relax them before applying.")
     if keep.all():
@@ -99,10 +101,6 @@ def apply_filters(guard: EditGuard) -> Steps[int]:
         ob = yield from separate_join.kept(guard, table, np.flatnonzero(keep))
     splat_settings.reset_filters(ob)
     return int((~keep).sum())
-
-
-def _passing(table: list[Column], limits: filters.Filters, check: Check) -> np.ndarray:
-    return filters.passing({column.name: column.values for column in table}, limits)
 
 
 def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.Object:
@@ -155,9 +153,12 @@ def apply_transform(guard: EditGuard) -> Steps[None]:
     changed = yield from run_in_thread(
         partial(moved, table, matrix, guard.name), f"Transforming splats of {guard.name}"
     )
-    [mesh] = yield from filled(
-        [ChunkedWrite(points_of(changed), guard.copied_mesh)], partial(_check_applicable, guard)
-    )
+
+    def applicable() -> None:
+        _check_unshared(guard.to_change())
+        guard.check_unmoved()
+
+    [mesh] = yield from filled([ChunkedWrite(points_of(changed), guard.copied_mesh)], applicable)
     ob = guard.there()
     lag.forget(mesh)
     attributes.leave_points_unselected(mesh)
@@ -167,11 +168,6 @@ def apply_transform(guard: EditGuard) -> Steps[None]:
     lag.note(mesh, before)
     ob.matrix_parent_inverse = Matrix.Identity(4)
     ob.matrix_basis = Matrix.Identity(4)
-
-
-def _check_applicable(guard: EditGuard) -> None:
-    _check_unshared(guard.to_change())
-    guard.check_unmoved()
 
 
 def _check_unshared(ob: bpy.types.Object) -> None:

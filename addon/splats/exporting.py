@@ -1,6 +1,6 @@
 """Export of splat objects to one file, in short steps."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,8 +11,8 @@ import numpy as np
 from .. import attributes
 from ..cameras.capture_transform import origin_of
 from ..compat import matrix_to_numpy
-from ..core import BackendError, GsError, Splats, file_errors, join_splats, write_splat_file
-from ..process.incremental_tasks import Check, ResultT, Steps, run_in_thread
+from ..core import BackendError, Splats, file_errors, join_splats, write_splat_file
+from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import conversion, filters, objects
 from .filters import Filters
 from .read_chunked import ChunkedRead
@@ -78,9 +78,7 @@ def exporting(
         for one in taken:
             one.drop()
 
-    splats, total = yield from run_in_thread(
-        _in_text(partial(_same_file, parts, read)), "Collecting"
-    )
+    splats, total = yield from run_in_thread(partial(_same_file, parts, read), "Collecting")
     how = {"antialiased": antialiased, "comments": comments, "origin": origin}
 
     def write(check: Check) -> Sequence[str]:
@@ -88,30 +86,14 @@ def exporting(
             return write_splat_file(path, splats, **how).notes
 
     try:
-        notes = yield from run_in_thread(_in_text(write), f"Writing {path.name}")
+        notes = yield from run_in_thread(write, f"Writing {path.name}")
     except BackendError as error:
         options = {"antialiased": antialiased, "origin": origin, "missing": error}
         convert = partial(conversion.write, path, splats, conversion.other_python(), **options)
-        notes = yield from run_in_thread(
-            _in_text(convert), f"Writing {path.name} in the trainer's Python"
-        )
+        notes = yield from run_in_thread(convert, f"Writing {path.name} in the trainer's Python")
     hidden = total - len(splats)
     left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
     return len(splats), (*notes, *left)
-
-
-def _in_text(work: Callable[[Check], ResultT]) -> Callable[[Check], ResultT]:
-    """The same work, with a readable error if memory runs out."""
-
-    def done(check: Check) -> ResultT:
-        try:
-            return work(check)
-        except MemoryError as error:
-            raise GsError(
-                "The splats do not fit into memory twice; close other programs and export again."
-            ) from error
-
-    return done
 
 
 def _same_file(

@@ -31,7 +31,7 @@ class _Read:
     count: int
     columns: tuple[tuple[str, str, np.ndarray], ...]
     size: float
-    """Typical size of a splat, from `objects.typical_size`."""
+    """Typical size of a splat, from `attributes.typical_size`."""
     antialiased: bool
     origin: np.ndarray | None
     comments: tuple[str, ...]
@@ -118,7 +118,7 @@ def _read(
             request=request,
             count=len(file.splats),
             columns=columns,
-            size=objects.typical_size(file.splats),
+            size=attributes.typical_size(file.splats),
             antialiased=file.antialiased,
             origin=file.origin,
             comments=tuple(file.comments),

@@ -150,15 +150,12 @@ def _changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     for ob in filter(is_splats, obs):
         before, mesh = _remember(ob), ob.data
         edited = bool(before[-1])
-        due = before != _STATES[ob.session_uid] or lag.is_miscounted(mesh) or _applied()
+        done = bpy.context.window_manager.operators
+        # As the last operator, because changing its settings runs it again.
+        applied = len(done) > 0 and done[-1].bl_idname == "OBJECT_OT_transform_apply"
+        due = before != _STATES[ob.session_uid] or lag.is_miscounted(mesh) or applied
         if due and ob.mode != "EDIT" and mesh.session_uid in _UNSEEN:
             _look(mesh, edited=edited)
-
-
-def _applied() -> bool:
-    """True if Apply was the last operator, because changing its settings runs it again."""
-    done = bpy.context.window_manager.operators
-    return len(done) > 0 and done[-1].bl_idname == "OBJECT_OT_transform_apply"
 
 
 @persistent

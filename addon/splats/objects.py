@@ -36,12 +36,7 @@ def create(
     """
     mesh = bpy.data.meshes.new(name)
     _fill(mesh, splats)
-    return around(mesh, typical_size(splats), collection=collection, parent=parent)
-
-
-def typical_size(splats: Splats) -> float:
-    """Median of the largest standard deviations; 0 without splats."""
-    return float(np.exp(np.median(splats.scales.max(axis=1)))) if len(splats) else 0.0
+    return around(mesh, attributes.typical_size(splats), collection=collection, parent=parent)
 
 
 def around(
@@ -55,7 +50,7 @@ def around(
 
     Args:
         mesh: The mesh; the object gets its name.
-        size: `typical_size` of its splats.
+        size: `attributes.typical_size` of its splats.
         collection: As `create`.
         parent: As `create`.
     """
@@ -81,7 +76,8 @@ def refresh(ob: bpy.types.Object, splats: Splats) -> None:
     """
     check_refreshable(ob)
     # Vertices can be added to a mesh, but not removed, so start over if the number differs.
-    if len(ob.data.vertices) != len(splats) or _sh_names(ob.data) != splats.shN.shape[1]:
+    sh_names = [one for one in ob.data.attributes if one.name.startswith(attributes.SH)]
+    if len(ob.data.vertices) != len(splats) or len(sh_names) != splats.shN.shape[1]:
         copy_metadata.empty(ob.data)
     lag.forget(ob.data)
     _fill(ob.data, splats)
@@ -237,7 +233,3 @@ def _fill(mesh: bpy.types.Mesh, splats: Splats) -> None:
     attributes.write(mesh, splats)
     attributes.leave_points_unselected(mesh)
     mesh.update()
-
-
-def _sh_names(mesh: bpy.types.Mesh) -> int:
-    return sum(1 for a in mesh.attributes if a.name.startswith(attributes.SH))

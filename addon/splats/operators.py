@@ -132,7 +132,7 @@ def taking(cloud: bpy.types.Object) -> Steps[bpy.types.Object]:
 
 
 def _size(columns: dict[str, np.ndarray], check: Check) -> float:
-    """`objects.typical_size` of attributes."""
+    """`attributes.typical_size` of attributes."""
     sizes = columns[attributes.SCALE].max(axis=1, initial=0.0)
     return float(np.median(sizes)) if len(sizes) else 0.0
 

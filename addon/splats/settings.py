@@ -173,7 +173,9 @@ def apply(ob: bpy.types.Object) -> None:
         modifier.node_group = display.group()  # one from a file may lack this display
     if mode == "SPLATS" and live_display.SESSION.problem:
         mode = "POINTS"
-    _leave_points_unselected(ob.data)
+    data = ob.data  # may be of a file from an older version of the add-on
+    if isinstance(data, bpy.types.Mesh) and data.is_editable and not data.is_editmode:
+        attributes.leave_points_unselected(data)
     values = {
         "Display": display.MODES.index(mode),
         "Color By": COLOR_MODES.index(settings.colour_by),
@@ -189,12 +191,6 @@ def apply(ob: bpy.types.Object) -> None:
     }
     for name, value in values.items():
         compat.set_modifier_input(modifier, name, value)
-
-
-def _leave_points_unselected(data: bpy.types.ID) -> None:
-    """Deselect points, also in meshes of files from older versions of the add-on."""
-    if isinstance(data, bpy.types.Mesh) and data.is_editable and not data.is_editmode:
-        attributes.leave_points_unselected(data)
 
 
 FILTERS = ("opacity_min", "size_min", "size_max", "crop_object", "crop_shape", "crop_invert")

@@ -164,7 +164,7 @@ def set_up_object(ob: bpy.types.Object, request: ImportRequest, metadata: FileMe
         match_capture_origin(ob, metadata.origin)
     if ob.parent is None:
         stated = stated_up(metadata.comments) if request.up == FROM_FILE else request.up
-        turn_up(ob, stated if stated in UP_AXES else _USUAL_UP)
+        place(ob, UP_AXES[stated if stated in UP_AXES else _USUAL_UP])
     elif is_of_blender:
         ob.matrix_parent_inverse = ob.parent.matrix_world.inverted_safe()
 
@@ -181,11 +181,6 @@ def match_capture_origin(ob: bpy.types.Object, origin: np.ndarray | None) -> Non
     if shift.any():
         ob.matrix_basis = ob.matrix_basis @ Matrix.Translation(shift)
     note_origin(ob, origin)
-
-
-def turn_up(ob: bpy.types.Object, up: str) -> None:
-    """Rotate an object so that an axis of its data, a key of `UP_AXES`, points up."""
-    place(ob, UP_AXES[up])
 
 
 def place(ob: bpy.types.Object, matrix: np.ndarray) -> None:

@@ -79,8 +79,10 @@ class Curve:
         under = np.where(np.arange(height)[:, None] < y, 0.18, 0.0)
         below = np.maximum(line, under * inside)
         _, over, _ = _line(x, np.array(self.psnrs), 0.2, width, height)
-        # A gap around the upper line keeps both visible at crossings.
-        clear = np.clip(1 - _widened(over), 0, 1)
+        # A gap of two pixels around the upper line keeps both visible at crossings.
+        padded = np.pad(over, ((2, 2), (0, 0)))
+        widened = np.max([padded[k : k + height] for k in range(5)], axis=0)
+        clear = np.clip(1 - widened, 0, 1)
         pixels = np.empty((height, width, 4), np.float32)
         pixels[..., 3] = over + (1 - over) * below * clear
         shares = over[..., None], ((1 - over) * below * clear)[..., None]
@@ -117,9 +119,3 @@ def _line(
     spans = np.stack([y, np.r_[y[:1], (y[1:] + y[:-1]) / 2], np.r_[(y[1:] + y[:-1]) / 2, y[-1:]]])
     distance = np.maximum(np.maximum(spans.min(axis=0) - rows, rows - spans.max(axis=0)), 0)
     return y, np.clip(1.5 - distance, 0, 1) * inside, inside
-
-
-def _widened(line: np.ndarray) -> np.ndarray:
-    """A line with two more pixels above and below it."""
-    padded = np.pad(line, ((2, 2), (0, 0)))
-    return np.max([padded[k : k + len(line)] for k in range(5)], axis=0)

@@ -53,8 +53,8 @@ def load(path: Path, *, most: int = 0, final: bool = False) -> Loaded:
         file = read_splat_file(path)
         splats = file.splats
         if most:
-            splats = _preview(splats, most)
-        sizes = splats.scales.max(axis=1)
+            splats = splats.subset(np.arange(0, len(splats), max(1, -(-len(splats) // most))))
+            splats = replace(splats, shN=np.zeros((len(splats), 0, 3), np.float32))
         return Loaded(
             path=path,
             final=final,
@@ -62,7 +62,7 @@ def load(path: Path, *, most: int = 0, final: bool = False) -> Loaded:
             origin=file.origin,
             content=content(path) if final else "",
             columns=tuple(attributes.columns(splats)),
-            typical_size=float(np.exp(np.median(sizes))) if len(splats) else 0.0,
+            typical_size=attributes.typical_size(splats),
             upright=_upright(path, splats, file.origin),
             moves=read_moves(path.with_name(POSES_FILE)) if final else {},
         )
@@ -85,10 +85,3 @@ def _upright(path: Path, splats: Splats, origin: np.ndarray | None) -> np.ndarra
             points = splats.means[::every].astype(np.float64)
             return alignment.align(cameras.viewmats, points, cameras.up).matrix
     return None
-
-
-def _preview(splats: Splats, most: int) -> Splats:
-    """At most `most` splats, sampled evenly, of SH degree 0."""
-    every = max(1, -(-len(splats) // most))
-    chosen = splats.subset(np.arange(0, len(splats), every))
-    return replace(chosen, shN=np.zeros((len(chosen), 0, 3), np.float32))

@@ -124,11 +124,6 @@ def _may_bound(_: bpy.types.PropertyGroup, ob: bpy.types.Object) -> bool:
     return ob.type in {"MESH", "EMPTY"} and not ob.get("gs_kind")
 
 
-def preset_items() -> list[tuple[str, str, str]]:
-    """Presets as enum items: gscore's names, and their purposes."""
-    return [(name, name.capitalize(), purpose_of(name)) for name in PRESETS]
-
-
 def purpose_of(preset: str) -> str:
     """The first clause of a preset's docstring. The rest states the duration for a typical capture;
     the panel has an estimate for this one."""
@@ -148,19 +143,11 @@ def apply_preset(settings: "SceneSettings") -> None:
     settings.resolution = AS_PRESET
 
 
-def _capture_chosen(settings: "SceneSettings", context: bpy.types.Context) -> None:
-    """Load the output folder, splats and test view of the capture."""
-    run_links.follow_capture(settings)
-    _capture_changed(settings, context)
-
-
 def _capture_changed(settings: "SceneSettings", context: bpy.types.Context) -> None:
-    """Start the lookup of the capture's facts for the panel."""
+    """Load the output folder, splats and test view of a newly chosen capture, and start the lookup
+    of its facts for the panel."""
+    run_links.follow_capture(settings)
     facts.capture(settings.id_data)
-
-
-def _preset_changed(settings: "SceneSettings", context: bpy.types.Context) -> None:
-    apply_preset(settings)
 
 
 class SceneSettings(bpy.types.PropertyGroup):
@@ -171,7 +158,7 @@ class SceneSettings(bpy.types.PropertyGroup):
         description="Folder of photos, with or without a COLMAP model of their cameras; or a video",
         subtype="DIR_PATH",
         options=compat.BLEND_RELATIVE,
-        update=_capture_chosen,
+        update=_capture_changed,
     )
     output_path: StringProperty(
         name="Output",
@@ -182,9 +169,9 @@ class SceneSettings(bpy.types.PropertyGroup):
     preset: EnumProperty(
         name="Preset",
         description="Quality and duration of the training; sets the values below",
-        items=preset_items(),
+        items=[(name, name.capitalize(), purpose_of(name)) for name in PRESETS],
         default="normal",
-        update=_preset_changed,
+        update=lambda settings, context: apply_preset(settings),
     )
     iterations: declared(_TRAIN, "iterations", "Steps", soft_min=100, soft_max=30_000)
     max_splats: declared(_TRAIN, "max_splats", "Max Splats", soft_min=10_000, soft_max=2_000_000)
