@@ -237,7 +237,6 @@ WITHOUT_BPY = (
     "process.child_program",
     "trainer_python.environment",
     "trainer_python.installer",
-    "trainer_python.install_lock",
     "splats.point_attributes",
     "splats.filters",
     "splats.live_display",

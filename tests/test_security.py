@@ -78,7 +78,6 @@ WRITES = {
     "addon/sequence/guide_meshes.py": "the output folder",
     "addon/splats/conversion.py": "Blender's temporary folder; the user's choice",
     "addon/splats/exporting.py": "the user's choice",
-    "addon/trainer_python/install_lock.py": "Blender's folder of it",
     "addon/trainer_python/installer.py": "Blender's folder of it",
     "addon/training/start_training.py": "the output folder",
     "addon/training/guides.py": "the output folder",

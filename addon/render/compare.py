@@ -148,7 +148,7 @@ class Comparing:
 def _compared(
     shown: np.ndarray, target: Target, check: Check, *, exposed: bool
 ) -> tuple[Comparison, dict[str, bytes]]:
-    """As `Comparing._drawn`, of sRGB values [H, W, 3]."""
+    """The result and PNGs of sRGB values [H, W, 3]; see `Comparing._drawn`."""
     photo, masked = target.pixels, None
     if target.weight is not None:
         weight = target.weight[..., None]

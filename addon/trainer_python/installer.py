@@ -2,24 +2,27 @@
 
 It runs only when the user presses the button. The environment is built under a temporary name
 and renamed when it is complete, so that after a failure an earlier one is unchanged. Only one
-Blender installs at a time (`install_lock.py`).
+Blender installs at a time, and removes the leftovers of one that was killed.
 """
 
 import math
 import os
 import platform
 import re
+import secrets
 import shutil
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
-from ..core import GsError
+from ..core import FolderLock, GsError
 from ..process.background_task import BackgroundTask
 from ..process.child_program import Process
-from . import install_lock, pins
+from . import pins
 from .environment import check, python_in
 
 _WITHOUT_TORCH = 2000
@@ -31,7 +34,6 @@ OFFLINE = (
     "Online Access, then press Make Environment again."
 )
 _OLDEST = (3, 11)
-_NO_VARIABLES: Mapping[str, str] = MappingProxyType({})
 
 
 class SetupError(Exception):
@@ -71,7 +73,7 @@ def make(
     if not online:
         raise SetupError(OFFLINE)
     try:
-        with install_lock.turn(target):
+        with _turn(target):
             _check_space(target, cpu)
             _make(target, wheel, task, base=base, cpu=cpu)
     except GsError as error:
@@ -81,7 +83,7 @@ def make(
 
 
 def _make(target: Path, wheel: Path, task: BackgroundTask, *, base: Path | None, cpu: bool) -> None:
-    partial = install_lock.partial(target)
+    partial = _name(target, _NEW)
     try:
         _make_venv(partial, base or usable_base(), task)
         python = python_in(partial)
@@ -235,7 +237,7 @@ def _check_space(target: Path, cpu: bool) -> None:
 def _run(
     arguments: Sequence[str | Path],
     task: BackgroundTask,
-    variables: Mapping[str, str] = _NO_VARIABLES,
+    variables: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Run a program and report its lines; SetupError with its reason if it fails."""
 
@@ -305,15 +307,15 @@ def _put_in_place(partial: Path, target: Path) -> None:
     Only the scripts of a virtual environment contain its path, and they are not used: its Python
     finds everything else relative to itself.
     """
-    earlier = install_lock.rename_away(target)
+    earlier = _name(target, _OLD)
     try:
         if target.exists():
-            install_lock.rename(target, earlier)
+            _rename(target, earlier)
         try:
-            install_lock.rename(partial, target)
+            _rename(partial, target)
         except OSError:
             if earlier.exists():
-                install_lock.rename(earlier, target)
+                _rename(earlier, target)
             raise
     except OSError as error:
         raise SetupError(
@@ -321,3 +323,71 @@ def _put_in_place(partial: Path, target: Path) -> None:
             "press Make Environment again."
         ) from error
     shutil.rmtree(earlier, ignore_errors=True)
+
+
+_NEW, _OLD = "new", "old"
+_RENAME_TRIES = 5
+
+
+@contextmanager
+def _turn(target: Path) -> Iterator[None]:
+    """Lock the folder of an environment, and remove leftovers of earlier installations.
+
+    An earlier environment that was moved aside, with none in its place, is restored. The
+    operating system releases the lock when the process ends, so no process works on leftovers
+    while the lock is taken.
+
+    Raises:
+        GsError: another process has the lock, or the folder cannot be written or cleaned up.
+    """
+    lock = FolderLock(target.parent, f"{target.name}.lock", "Make Environment")
+    try:
+        lock.take()
+    except GsError as error:
+        if (process := lock.holder()) is None:
+            raise
+        number = f" (process {process})" if process else ""
+        raise GsError(
+            f"Another Blender{number} is making the environment in {target.parent}; wait until it "
+            "is done, then press Check."
+        ) from error
+    try:
+        _clean_up(target)
+        yield
+    finally:
+        lock.release()
+
+
+def _name(target: Path, ending: str) -> Path:
+    """A name for an incomplete environment, or for the earlier one until the new one is in its
+    place."""
+    return target.with_name(f"{target.name}.{secrets.token_hex(4)}.{ending}")
+
+
+def _rename(old: Path, new: Path) -> None:
+    """Rename with retries, because virus scanners of Windows lock new files for a moment."""
+    for left in range(_RENAME_TRIES - 1, -1, -1):
+        try:
+            os.replace(old, new)  # noqa: PTH105 - also of folders
+            return
+        except PermissionError:
+            if not left:
+                raise
+            time.sleep(0.5)
+
+
+def _clean_up(target: Path) -> None:
+    name = re.compile(rf"{re.escape(target.name)}\.[0-9a-f]{{8}}\.({_NEW}|{_OLD})")
+    left = [path for path in target.parent.iterdir() if name.fullmatch(path.name)]
+    earlier = [path for path in left if path.suffix == f".{_OLD}"]
+    if earlier and not target.exists():
+        try:
+            _rename(max(earlier, key=lambda path: path.stat().st_mtime), target)
+        except OSError as error:
+            raise GsError(
+                f"The earlier environment in {target.parent} cannot be restored "
+                f"({error.strerror}); rename its folder to {target.name}, then press Make "
+                "Environment again."
+            ) from error
+    for path in left:
+        shutil.rmtree(path, ignore_errors=True)

@@ -582,7 +582,7 @@ def test_the_modules_need_no_bpy() -> None:
     """Oracle: a fresh interpreter in which bpy cannot be imported."""
     names = "training.training_job training.run_state training.curve training.options"
     names += " training.loader training.registry training.lookups training.existing_run"
-    names += " trainer_python.environment trainer_python.installer trainer_python.install_lock"
+    names += " trainer_python.environment trainer_python.installer"
     names += " process.background_task interface.lookup"
     code = "import sys; sys.modules['bpy'] = None\n"
     code += "".join(f"import addon.{name}\n" for name in names.split())
