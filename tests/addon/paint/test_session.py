@@ -93,7 +93,8 @@ def desk(ob: bpy.types.Object, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk
     for name in ("does", "radius", "strength", "hardness", "color", "opacity", "front_only"):
         made.brush.property_unset(name)
     monkeypatch.setattr(session, "spot_of", made.spot)
-    monkeypatch.setattr(session.undo, "push", made.pushed.append)
+    for module in (modal, session):
+        monkeypatch.setattr(module, "push_undo", made.pushed.append)
     yield made
     made.session.close()
 
