@@ -11,15 +11,14 @@ from ..core import FramesDone, headline_psnr
 from ..interface.images import PictureIcons
 from ..region_training import train_region as steer
 from ..sequence import train_sequence as sequence
-from ..sfm import find_cameras as search
 from ..sfm import find_cameras as search_work
 from ..splats.objects import is_splats
 from ..training import registry, run_state
 from ..training.curve import LOSS_COLOR, PSNR_COLOR, Curve
 from ..training.training_job import Job
 from ..training.verb_job import STOPPING, VerbJob
-from . import edit as steer_panel
 from . import train_sequence
+from .edit import region_text
 from .widgets import TabPanel, draw_verb, job, rows, sentence
 
 _WARNINGS_SHOWN = 3
@@ -266,9 +265,9 @@ def draw_bar(layout: bpy.types.UILayout, current: Job, name: str) -> bpy.types.U
 
 def other_work(scene: bpy.types.Scene) -> Iterator[tuple[float, str, str]]:
     """Other running jobs of a scene: progress, text, and the operator that stops each."""
-    if (found := search.job_of(scene)) is not None and not found.ended:
+    if (found := search_work.job_of(scene)) is not None and not found.ended:
         yield found.share, f"Cameras: {search_text(found)}", "gscore.cancel_search"
     if (region := steer.job_of(scene)) is not None and not region.ended:
-        yield region.share, f"Region: {steer_panel.bar_text(region)}", "gscore.stop_region"
+        yield region.share, f"Region: {region_text(region)}", "gscore.stop_region"
     if (frames := sequence.job_of(scene)) is not None and not frames.ended:
         yield frames.share, f"Sequence: {train_sequence.bar_text(frames)}", "gscore.stop_sequence"
