@@ -17,7 +17,7 @@ from ..training import registry, run_state
 from ..training.curve import LOSS_COLOR, PSNR_COLOR, Curve
 from ..training.training_job import Job
 from ..training.verb_job import STOPPING, VerbJob
-from . import train_sequence
+from . import train
 from .edit import region_text
 from .widgets import TabPanel, draw_verb, job, rows, sentence
 
@@ -270,4 +270,4 @@ def other_work(scene: bpy.types.Scene) -> Iterator[tuple[float, str, str]]:
     if (region := steer.job_of(scene)) is not None and not region.ended:
         yield region.share, f"Region: {region_text(region)}", "gscore.stop_region"
     if (frames := sequence.job_of(scene)) is not None and not frames.ended:
-        yield frames.share, f"Sequence: {train_sequence.bar_text(frames)}", "gscore.stop_sequence"
+        yield frames.share, f"Sequence: {train.sequence_text(frames)}", "gscore.stop_sequence"

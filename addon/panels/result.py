@@ -1,19 +1,32 @@
-"""Result panel: counts, display, filters and files of the scene's splats."""
+"""Result panel: counts, display, filters and files of the scene's splats; error maps; playback of a
+sequence.
+"""
 
 from typing import ClassVar
 
 import bpy
 
 from .. import attributes, stored_paths
+from ..cameras.objects import cameras_of, root_of
+from ..capture.figures import Figures
+from ..error_maps import measure_errors
 from ..histograms import gizmos
 from ..histograms.counting import OPACITY, SIZE
 from ..histograms.histogram_cache import ICONS
 from ..interface.option_labels import error_text
 from ..live import draw_handler
+from ..process import poll_timer
 from ..splats import edit, lag, live_display, operators
 from ..splats.mend_operators import outdated
-from ..splats.objects import active_splats, in_question, is_native
-from .widgets import SplatsPanel, TabPanel, job, limit, rows, sentence
+from ..splats.objects import active_splats, in_question, is_native, is_splats
+from ..stored_paths import RUN
+from ..timeline import frame_sync
+from ..timeline.frame_at import moment_of, series_of
+from ..timeline.frames import Series
+from ..timeline.library import LIBRARY
+from ..timeline.settings import is_sequence
+from ..training import lookups
+from .widgets import SplatsPanel, TabPanel, draw_verb, has_python, job, limit, rows, sentence
 
 _HISTOGRAM_SCALE = 4.0
 """Height of a histogram, in buttons."""
@@ -213,3 +226,160 @@ def draw_counts(
     if counts.total and counts.visible == 0:
         text = "Filters hide all splats; press Reset under Filters to show them."
         sentence(layout, text, icon="ERROR")
+
+
+_WORST = 5
+"""Number of photos in the list."""
+_COLORS = (
+    "Cameras: dark violet for the best photo, pale yellow for the worst. Splats: black for no "
+    "error, pale yellow for errors of {:.0%} or more, grey for splats that no photo shows."
+)
+
+
+class ErrorsPanel(TabPanel, bpy.types.Panel):
+    """Differences between the result and its photos"""
+
+    bl_idname = "GSCORE_PT_errors"
+    bl_label = "Error Maps"
+    bl_parent_id = "GSCORE_PT_result"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """True if splats of a training are active."""
+        return is_splats(ob := active_splats(context)) and RUN in ob
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, ob = self.layout, active_splats(context)
+        job = measure_errors.job_of(ob)
+        if job is not None:
+            text = job.progress.view if job.progress is not None else ""
+            draw_verb(layout, job, text or "Starting", "gscore.stop_errors")
+            if job.busy:
+                return
+            if job.done is not None:
+                sentence(layout, _COLORS.format(job.done.error_bright))
+        if has_python(layout):
+            layout.operator("gscore.measure_errors", icon="VIEWZOOM")
+        figures, problem = lookups.figures.get(measure_errors.run_of(ob))
+        poll_timer.ensure()  # collects the lookup
+        if problem:
+            sentence(layout, problem, icon="ERROR")
+        draw_switches(layout, ob, figures)
+        if figures is not None:
+            draw_worst(layout, ob, figures)
+
+
+def draw_switches(
+    layout: bpy.types.UILayout, ob: bpy.types.Object, figures: Figures | None
+) -> None:
+    """Draw the switches of the colors."""
+    root, maps = root_of(ob), measure_errors.siblings(ob)[1]
+    colored = root is not None and measure_errors.are_colored(root)
+    if not maps and not colored and figures is None:
+        return
+    row = layout.row(align=True)
+    part = row.row(align=True)
+    part.enabled = root is not None and (colored or figures is not None)
+    cameras = part.operator("gscore.color_by_error", text="Cameras", icon="COLOR", depress=colored)
+    cameras.show = not colored
+    part = row.row(align=True)
+    part.enabled = bool(maps)
+    shown = any(other.visible_get() for other in maps)
+    splats = part.operator("gscore.show_error_map", text="Splats", icon="COLOR", depress=shown)
+    splats.show = not shown
+    row.operator("gscore.remove_errors", text="", icon="X")
+
+
+def draw_worst(layout: bpy.types.UILayout, ob: bpy.types.Object, figures: Figures) -> None:
+    """Draw the worst photos, with buttons for their camera views and the comparison."""
+    root = root_of(ob)
+    cameras = {} if root is None else {c.get("gs_image"): c.name for c in cameras_of(root)}
+    column = layout.column(align=True)
+    for name, psnr in figures.ranked[:_WORST]:
+        row = column.row(align=True)
+        row.label(text=f"{psnr:.1f} dB  {name}")
+        part = row.row(align=True)
+        part.enabled = name in cameras
+        look = part.operator("gscore.use_camera", text="", icon="VIEW_CAMERA")
+        look.camera = name
+        compare = part.operator("gscore.compare_photo", text="", icon="IMAGE_REFERENCE")
+        compare.camera = cameras.get(name, "")
+
+
+class SequencePanel(TabPanel, bpy.types.Panel):
+    """Playback of the sequence on the timeline"""
+
+    bl_idname = "GSCORE_PT_sequence"
+    bl_label = "Sequence"
+    bl_parent_id = "GSCORE_PT_result"
+    bl_options: ClassVar = set()
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """True if the splats are a sequence."""
+        return is_sequence(in_question(context))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, ob = self.layout, in_question(context)
+        settings = ob.gscore_sequence
+        if settings.edited:
+            text = "These splats were edited, so playback has stopped to keep them."
+            sentence(layout, text, icon="INFO")
+            layout.operator("gscore.play_again", icon="PLAY")
+        draw_frames(layout, context, ob)
+        layout.prop(settings, "folder", text="")
+        if settings.files:
+            layout.prop(settings, "files")
+        column = layout.column(align=True)
+        for name in ("start", "offset", "speed", "step"):
+            column.prop(settings, name)
+        layout.prop(settings, "beyond")
+        row = layout.row(align=True)
+        row.operator("gscore.keep_frame", icon="DUPLICATE")
+        row.operator("gscore.look_at_frames_again", text="", icon="FILE_REFRESH")
+
+
+def draw_frames(
+    layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
+) -> None:
+    """Draw the number of frames, the shown one, and the reason why another is not shown."""
+    series, problem = series_of(ob)
+    if series is None:
+        text = problem or "Searching for frames..."
+        sentence(layout, text, icon="ERROR" if problem else "TIME")
+        return
+    count, size = LIBRARY.loaded
+    pairs = [
+        ("Frames", f"{len(series.files):,}: {_range(series)}"),
+        ("Now", _now(context, ob)),
+        ("In memory", f"{count}, {size / 1e6:,.0f} MB"),
+    ]
+    rows(layout, pairs)
+    if series.gaps:
+        sentence(layout, series.gap_text(), icon="ERROR")
+    moment = moment_of(ob, context.scene.frame_current_final)
+    damaged = LIBRARY.frame(moment.files[0])[1] if moment is not None and moment.files else ""
+    if text := damaged or frame_sync.problem_of(ob):
+        sentence(layout, text, icon="ERROR")
+    elif ob.library is not None or not ob.data.is_editable:
+        text = "Linked: EEVEE and Cycles show the frame that was saved in its file."
+        sentence(layout, text, icon="INFO")
+
+
+def _range(series: Series) -> str:
+    first, last = series.files[0].number, series.files[-1].number
+    steps = f", every {series.stride}" if series.stride > 1 else ""
+    return f"{first} to {last}{steps}"
+
+
+def _now(context: bpy.types.Context, ob: bpy.types.Object) -> str:
+    moment = moment_of(ob, context.scene.frame_current_final)
+    if moment is None:
+        return "not playing"
+    if moment.hidden:
+        return "nothing"
+    waits = " (loading)" if moment.waits() else ""
+    return f"frame {moment.files[0].number}{waits}" if moment.files else "not known"

@@ -25,6 +25,7 @@ from ..splats.objects import active_splats, has_trained, in_question, is_splats
 from . import compare as comparing
 from . import compositor
 from .engine import ENGINE_BEFORE, NAME
+from .picture import AUTO, OFF, ON
 
 
 def use_engine(scene: bpy.types.Scene) -> None:
@@ -337,3 +338,37 @@ def _of_run(context: bpy.types.Context, ob: bpy.types.Object) -> list[bpy.types.
         return []
     splats, maps = siblings(ob)
     return [other for other in (*splats, *maps) if other.name in context.view_layer.objects]
+
+
+class RenderSettings(bpy.types.PropertyGroup):
+    """`Scene.gscore_render`: settings of the engine."""
+
+    antialias: bpy.props.EnumProperty(
+        name="Anti-Aliasing",
+        description="Reduce the opacity of splats smaller than a pixel, because they are drawn "
+        "wider than they are",
+        items=[
+            (AUTO, "As Trained", "On for models trained with it, off for others"),
+            (ON, "On", "For models trained with it (Mip-Splatting)"),
+            (OFF, "Off", "For all other models"),
+        ],
+        default=AUTO,
+    )
+    blur_samples: bpy.props.IntProperty(
+        name="Blur Samples",
+        description="Number of pictures averaged for depth of field or motion blur. Use more for "
+        "smoother wide blur",
+        default=32,
+        min=1,
+        max=4096,
+        soft_max=512,
+    )
+    live: bpy.props.BoolProperty(
+        name="Live Viewport",
+        description="In Rendered shading, draw splats with the graphics card until the exact "
+        "picture is ready",
+        default=True,
+    )
+
+
+PROPERTIES = ((bpy.types.Scene, "gscore_render", bpy.props.PointerProperty(type=RenderSettings)),)

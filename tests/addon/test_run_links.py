@@ -14,7 +14,7 @@ import pytest
 from addon import stored_paths
 from addon.cameras.lookup import find_root, panel_root
 from addon.core import PRESETS, Splats, write_splats
-from addon.panels.capture import CapturePanel
+from addon.panels.cameras import CapturePanel
 from addon.paths import output_folder
 from addon.process import poll_timer
 from addon.training import facts, operators, start_training

@@ -29,7 +29,7 @@ from addon.registration import classes_of  # noqa: E402
 IS_TOUR = (FOLDER / "walk.mp4").exists()
 OPEN = {"progress"} if IS_TOUR else {"result", "filters", "region", "sequence", "guides"}
 """Open panels."""
-NAMES = ("cameras", "capture", "edit", "progress", "render", "result", "sequence", "train")
+NAMES = ("cameras", "edit", "progress", "render", "result", "train")
 PANELS = (import_module(f"{panels.__name__}.{name}") for name in NAMES)
 for panel in (panel for module in PANELS for panel in classes_of(module)):
     name = getattr(panel, "bl_idname", "").removeprefix("GSCORE_PT_")

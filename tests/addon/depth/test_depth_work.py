@@ -16,7 +16,7 @@ from addon import preferences
 from addon.capture import depth_maps
 from addon.core import read_colmap, write_colmap
 from addon.depth import predict_depth
-from addon.panels import depth_table
+from addon.panels import depth
 from addon.process import poll_timer
 from addon.training import facts, lookups, verb_job
 from addon.training.verb_jobs import JOBS
@@ -81,7 +81,7 @@ def test_a_prediction_from_click_to_table(studio: bpy.types.Scene, play) -> None
     assert report is job.report
     assert [row.view for row in report.rows] == ["view_000.jpg", "view_001.jpg"]
     assert report.why == 'Not used; "Use Depth: Always" uses it.'
-    table = depth_table.table_of(bpy.context)
+    table = depth.table_of(bpy.context)
     assert [(i.name, i.verdict) for i in table.views] == [
         ("view_000.jpg", "accepted"),
         ("view_001.jpg", "refused"),
@@ -187,12 +187,12 @@ def test_a_beat_with_a_thousand_views_is_short(studio: bpy.types.Scene, play) ->
     play({"say": DONE | {"table": table}})
     job = predict_depth.check(studio)
     longest, end = 0, time.monotonic() + 60
-    while depth_table.table_of(bpy.context) is None or not job.ended:
+    while depth.table_of(bpy.context) is None or not job.ended:
         assert time.monotonic() < end
         longest = max(longest, lines_run(poll_timer.poll))
         time.sleep(0.01)
     poll_timer.poll()
-    assert len(depth_table.table_of(bpy.context).views) == 1000
+    assert len(depth.table_of(bpy.context).views) == 1000
     assert longest < 100 * len(table)
 
 

@@ -14,7 +14,7 @@ from addon import attributes, preferences, stored_paths
 from addon.cameras.objects import cameras_of
 from addon.core import colorize, write_splats
 from addon.error_maps import measure_errors
-from addon.panels.error_maps import ErrorsPanel
+from addon.panels.result import ErrorsPanel
 from addon.process.incremental_tasks import run_blocking
 from addon.region_training.train_region import train_region
 from addon.render import compare

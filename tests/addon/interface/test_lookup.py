@@ -23,11 +23,10 @@ from addon.core import (
     write_splats,
 )
 from addon.interface.lookup import Lookup
-from addon.panels.capture import CapturePanel
+from addon.panels.cameras import CapturePanel
 from addon.panels.depth import DepthPanel
-from addon.panels.error_maps import ErrorsPanel
-from addon.panels.train import TrainPanel
-from addon.panels.train_sequence import TrainSequencePanel
+from addon.panels.result import ErrorsPanel
+from addon.panels.train import TrainPanel, TrainSequencePanel
 from addon.training import existing_run, facts, lookups
 from tests.addon import calls
 from tests.addon.calls import import_capture, import_path, import_splats

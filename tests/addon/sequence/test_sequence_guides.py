@@ -10,8 +10,7 @@ import plyfile
 import pytest
 
 from addon.cameras.objects import cameras_of
-from addon.panels.train import GuidesPanel
-from addon.panels.train_sequence import TrainSequencePanel
+from addon.panels.train import GuidesPanel, TrainSequencePanel
 from addon.sequence import train_sequence
 from addon.training import guides
 from gscore.datasets.frames import of_frame

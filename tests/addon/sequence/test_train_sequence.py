@@ -18,8 +18,8 @@ from addon.core import (
     read_splats,
     write_splats,
 )
-from addon.panels.capture import CapturePanel
-from addon.panels.train_sequence import TrainSequencePanel
+from addon.panels.cameras import CapturePanel
+from addon.panels.train import TrainSequencePanel
 from addon.process import poll_timer
 from addon.sequence import train_sequence
 from addon.training import facts, lookups, options

@@ -16,7 +16,7 @@ from addon.cameras.lookup import chosen_root
 from addon.cameras.objects import cameras_of, points_of
 from addon.core import FramesDone
 from addon.interface import incremental_removal
-from addon.panels.capture import CapturePanel
+from addon.panels.cameras import CapturePanel
 from addon.panels.progress import ProgressPanel
 from addon.panels.train import TrainPanel
 from addon.sfm import find_cameras

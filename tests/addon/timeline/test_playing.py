@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from addon.core import GsError, Splats, read_splats, sh0_to_rgb, write_splats
-from addon.panels.sequence import SequencePanel
+from addon.panels.result import SequencePanel
 from addon.process import poll_timer
 from addon.process.incremental_tasks import TaskRunner
 from addon.render.engine import final_cache
