@@ -70,20 +70,16 @@ def fit(area: bpy.types.Area) -> bool:
         windows = bpy.context.window_manager.windows
         window = next(window for window in windows if area in window.screen.areas[:])
         size = (window.width, window.height)
+    over = bpy.context.preferences.system.use_region_overlap and space.show_region_ui
+    sidebar = max((r.width for r in area.regions if r.type == "UI" and over), default=0)
     # The image stays centred, so the sidebar takes its width on both sides.
-    free = max(size[0] - 2 * _sidebar(area), size[0] // 2)
+    free = max(size[0] - 2 * sidebar, size[0] // 2)
     zoom = min(
         _FILLS * free / max(space.image.size[0], 1),
         _FILLS * size[1] / max(space.image.size[1], 1),
     )
     space.zoom_percentage = 100 * min(zoom, 1.0)
     return True
-
-
-def _sidebar(area: bpy.types.Area) -> int:
-    """Width of an editor's sidebar if it overlaps the image, pixels."""
-    over = bpy.context.preferences.system.use_region_overlap and area.spaces.active.show_region_ui
-    return max((r.width for r in area.regions if r.type == "UI" and over), default=0)
 
 
 class PictureIcons:

@@ -1,9 +1,11 @@
 """Node group "Splat Colors": the displayed colour of a splat, as a scene-linear field."""
 
 import bpy
+import numpy as np
 
 from ..attributes import BASE, SCALE, SH, SH_COUNTS
 from ..core import sh0_to_rgb
+from ..srgb import decode
 from . import harmonics
 from .filters import exists, largest, opacity
 from .graph import Graph, Socket, ensure, inputs, new_group, result, socket, use_group
@@ -144,13 +146,9 @@ def _color_map(graph: Graph, measure: Socket) -> Socket:
     while len(ramp.elements) < len(_VIRIDIS):
         ramp.elements.new(0.5)
     for k, code in enumerate(_VIRIDIS):
-        encoded = [int(code[i : i + 2], 16) / 255 for i in (0, 2, 4)]
+        encoded = np.array([int(code[i : i + 2], 16) / 255 for i in (0, 2, 4)])
         element = ramp.elements[k]
         element.position = k / (len(_VIRIDIS) - 1)
-        element.color = (*(_decode(c) for c in encoded), 1.0)
+        element.color = (*decode(encoded).tolist(), 1.0)
     graph.feed(node.inputs[0], measure)
     return node.outputs[0]
-
-
-def _decode(encoded: float) -> float:
-    return encoded / 12.92 if encoded <= 0.04045 else ((encoded + 0.055) / 1.055) ** 2.4

@@ -56,7 +56,8 @@ def _build(name: str) -> bpy.types.NodeTree:
     renders_soft = [graph.compare("EQUAL", given["Display"], k) for k in _RENDERS_SOFT]
     from_camera = graph.call("FunctionNodeBooleanMath", *renders_soft, operation="OR")
     points = _points(graph, given, visible, from_camera)
-    soft = _instances(graph, _with_opacity(graph, points), materials.REACH, materials.soft())
+    faded = _store(graph, "FLOAT", points, True, materials.OPACITY, filters.opacity(graph))
+    soft = _instances(graph, faded, materials.REACH, materials.soft())
     native = _native(graph, given["Geometry"], visible) if compat.splat_cloud_type() else None
     in_viewport = graph.call("GeometryNodeIsViewport")
     options = [
@@ -114,10 +115,6 @@ def _handle(graph: Graph, given: dict[str, Socket], visible: Socket) -> Socket:
     edges = graph.call("GeometryNodeDeleteGeometry", cube, domain="FACE", mode="ONLY_FACE")
     named = {"Geometry": edges, "Translation": of["Mean"]}
     return graph.call("GeometryNodeTransform", named=named)
-
-
-def _with_opacity(graph: Graph, points: Socket) -> Socket:
-    return _store(graph, "FLOAT", points, True, materials.OPACITY, filters.opacity(graph))
 
 
 def _store(graph: Graph, data_type: str, *values: Socket | str | bool) -> Socket:

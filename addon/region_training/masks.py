@@ -76,7 +76,12 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
         mask = read_picture(str(file), own)
         if mask.shape[0] < rgba.shape[0] or mask.shape[1] < rgba.shape[1]:
             raise ValueError(f"The mask {file} is smaller than its photo: fix it first.")
-        rgba = _enlarged(rgba, *mask.shape[:2])  # the mask keeps its own size
+        # Enlarged by nearest pixels, because the mask keeps its own size.
+        rows, columns = (
+            np.arange(n) * own_n // n
+            for n, own_n in zip(mask.shape[:2], rgba.shape[:2], strict=True)
+        )
+        rgba = rgba[rows[:, None], columns]
         rgba[..., 3] = kept_of(mask, scene.gscore.invert_masks)
     height, width = rgba.shape[:2]
     image = bpy.data.images.new(f"Mask of {Path(own.image).name}", width, height, alpha=True)
@@ -86,13 +91,6 @@ def make(scene: bpy.types.Scene, camera: bpy.types.Object) -> bpy.types.Image:
     image.use_fake_user = True  # keeps it until its file is written
     _finish(image, levels_of(rgba))
     return image
-
-
-def _enlarged(rgba: np.ndarray, height: int, width: int) -> np.ndarray:
-    """A picture [h, w, 4] enlarged to [height, width, 4] by nearest pixels."""
-    rows = np.arange(height) * rgba.shape[0] // height
-    columns = np.arange(width) * rgba.shape[1] // width
-    return rgba[rows[:, None], columns]
 
 
 def save(scene: bpy.types.Scene, image: bpy.types.Image) -> Path:
@@ -241,9 +239,8 @@ def _save_begins(*_: object) -> None:
 
 def _compress(image: bpy.types.Image) -> None:
     width, height = image.size
-    if image.packed_file.size < 4 * width * height:
-        return
-    _pack(image, rgba_png(levels_of(pixels_of(image)[::-1])))
+    if image.packed_file.size >= 4 * width * height:
+        _pack(image, rgba_png(levels_of(pixels_of(image)[::-1])))
 
 
 HANDLERS = {"save_pre": _save_begins}

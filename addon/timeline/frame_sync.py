@@ -144,7 +144,9 @@ def _report(ob: bpy.types.Object, problem: str) -> None:
 
 def _behind() -> Iterator[tuple[bpy.types.Object, Moment]]:
     """Objects with an outdated mesh, and their state; none during live playback."""
-    for scene in _scenes():
+    windows = bpy.context.window_manager.windows
+    shown = {window.scene.name: window.scene for window in windows}
+    for scene in shown.values() or [bpy.context.scene]:
         for ob in _players(scene):
             moment = moment_of(ob, scene.frame_current_final)
             if moment is None or not _may_follow(ob):
@@ -158,22 +160,6 @@ def _may_follow(ob: bpy.types.Object) -> bool:
     return bool(ob.is_editable and ob.data.is_editable and ob.mode != "EDIT")
 
 
-def _scenes() -> list[bpy.types.Scene]:
-    windows = bpy.context.window_manager.windows
-    return list({window.scene.name: window.scene for window in windows}.values()) or [
-        bpy.context.scene
-    ]
-
-
-def _playing() -> bool:
-    return any(w.screen.is_animation_playing for w in bpy.context.window_manager.windows)
-
-
-def _needs_mesh(ob: bpy.types.Object) -> bool:
-    """True if an object's mesh is displayed even during playback."""
-    return ob.gscore.display != "SPLATS" or not live_display.SESSION.works
-
-
 def _collect() -> bool:
     """Run a short step; True if panels need a redraw."""
     came = LIBRARY.take_change()
@@ -183,9 +169,11 @@ def _collect() -> bool:
         return came
     if _state.coming is not None:
         return _go_on() or came
-    playing = _playing()
+    windows = bpy.context.window_manager.windows
+    playing = any(window.screen.is_animation_playing for window in windows)
     for ob, moment in _behind():
-        if (not playing or _needs_mesh(ob)) and _begin(ob, moment):
+        shows_mesh = ob.gscore.display != "SPLATS" or not live_display.SESSION.works
+        if (not playing or shows_mesh) and _begin(ob, moment):
             break
     return came
 
@@ -243,11 +231,7 @@ def _waits() -> bool:
     return not bpy.app.is_job_running("RENDER") and next(_behind(), None) is not None
 
 
-def _is_urgent() -> bool:
-    return _state.coming is not None or LIBRARY.busy
-
-
-_POLLER = poll_timer.Poller(_collect, _waits, _is_urgent)
+_POLLER = poll_timer.Poller(_collect, _waits, lambda: _state.coming is not None or LIBRARY.busy)
 
 
 @persistent

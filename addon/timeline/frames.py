@@ -171,7 +171,9 @@ def find_series(folder: Path, chosen: str = "") -> Series:
         ValueError: the folder does not exist, or has no frames.
     """
     try:
-        trained = _of_training(folder)
+        index = read_sequence(folder)
+        frames = [] if index is None else index.frames  # the complete ones
+        trained = {int(entry["frame"]): folder / entry["folder"] / RESULT for entry in frames}
         groups = {f"frame_#/{RESULT}": trained} if trained else _grouped(folder)
         name = chosen or max(groups, key=lambda key: (len(groups[key]), key), default="")
         files = _stamped(groups.get(name, {}))
@@ -207,13 +209,6 @@ def name_of_file(path: Path) -> tuple[Path, str]:
         if found:
             return place, max(found, key=lambda name: (len(beside[name]), name))
     raise ValueError(f"{path.name} has no number in its name: choose a frame, or the folder.")
-
-
-def _of_training(folder: Path) -> dict[int, Path]:
-    """The complete frames of a sequence.json, if there is one."""
-    index = read_sequence(folder)
-    frames = [] if index is None else index.frames
-    return {int(entry["frame"]): folder / entry["folder"] / RESULT for entry in frames}
 
 
 def _grouped(folder: Path) -> dict[str, dict[int, Path]]:

@@ -113,7 +113,8 @@ class ImportSequence(Browsing, IncrementalOperator, OnScene, bpy.types.Operator)
             context.scene.frame_start = max(self.start, 0)
             context.scene.frame_end = max(self.start + series.slots - 1, 0)
         poll_timer.ensure()
-        return _imported(series)
+        first, last = series.files[0].number, series.files[-1].number
+        return f"Imported {len(series.files):,} frames, {first} to {last}."
 
     def _parent(self, context: bpy.types.Context) -> bpy.types.Object | None:
         """The capture's empty, if any."""
@@ -147,8 +148,10 @@ class PlayAgain(OnSequence, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         """Resume playback."""
-        resume_playback(active_splats(context))
-        frame_sync.settings_changed(active_splats(context))
+        ob = active_splats(context)
+        mesh.forget(ob.data)
+        ob.gscore_sequence.edited = False
+        frame_sync.settings_changed(ob)
 
 
 class KeepFrame(OnSequence, bpy.types.Operator):
@@ -183,11 +186,6 @@ class RescanFrames(OnSequence, bpy.types.Operator):
         """Scan."""
         LIBRARY.forget(folder_of(active_splats(context)))
         frame_sync.settings_changed(active_splats(context))
-
-
-def _imported(series: Series) -> str:
-    first, last = series.files[0].number, series.files[-1].number
-    return f"Imported {len(series.files):,} frames, {first} to {last}."
 
 
 def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
@@ -236,26 +234,11 @@ def importing_sequence(
     (ob,), (mark,), series = made.objects, made.notes, found[0]
     ob.name = ob.data.name = folder.name
     mesh.note(ob.data, series.files[0], mark)
-    set_up_playback(ob, folder, called=called, start=start)
-    return ob, series, made.warnings
-
-
-def set_up_playback(ob: bpy.types.Object, folder: Path, *, called: str, start: int) -> None:
-    """Set up playback of a folder on an object whose mesh has its first frame.
-
-    Args:
-        As `importing_sequence`.
-    """
     LIBRARY.forget((folder, called))
     own = ob.gscore_sequence
     own.start, own.files = start, called
     own.folder = relative(folder)  # last, because setting it starts playback
-
-
-def resume_playback(ob: bpy.types.Object) -> None:
-    """Resume playback of an object with edited splats; the edits are dropped."""
-    mesh.forget(ob.data)
-    ob.gscore_sequence.edited = False
+    return ob, series, made.warnings
 
 
 def keep_frame(ob: bpy.types.Object, number: int) -> bpy.types.Object:

@@ -52,11 +52,15 @@ def read_existing_run(folder: Path, capture: Path | None) -> EarlierRun | None:
     info = read_run(folder)
     if info is None:
         return None
+    files = [info.path / "config.json", info.checkpoint, info.splats]
+    times = [file.stat().st_mtime for file in files if file is not None and file.is_file()]
+    # A capture that is missing may have moved.
+    is_known = capture is not None and info.data is not None and info.data.source.exists()
     return EarlierRun(
         info=replace(info, problem=panel_text(info.problem)),
-        trained=_written(info),
+        trained=max(times, default=info.path.stat().st_mtime),
         content="" if info.splats is None else content(info.splats),
-        foreign=_is_foreign(info, capture),
+        foreign=is_known and find_capture(capture).resolve() != info.data.source.resolve(),
     )
 
 
@@ -70,16 +74,3 @@ def content(path: Path) -> str:
             return f"{path.stat().st_size}-{zlib.crc32(file.read(_HASHED_BYTES)):08x}"
     except OSError:
         return ""
-
-
-def _written(info: RunInfo) -> float:
-    files = [info.path / "config.json", info.checkpoint, info.splats]
-    times = [file.stat().st_mtime for file in files if file is not None and file.is_file()]
-    return max(times, default=info.path.stat().st_mtime)
-
-
-def _is_foreign(info: RunInfo, capture: Path | None) -> bool:
-    """True if the run's capture still exists at another path; a missing one may have moved."""
-    if capture is None or info.data is None or not info.data.source.exists():
-        return False
-    return find_capture(capture).resolve() != info.data.source.resolve()

@@ -9,7 +9,7 @@ from typing import ClassVar
 import bpy
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from .. import stored_paths
+from .. import preferences, stored_paths
 from ..cameras.lookup import roots_of
 from ..capture.folders import means_capture
 from ..interface.base_operator import (
@@ -22,7 +22,7 @@ from ..interface.base_operator import (
     make_active,
 )
 from ..interface.images import show_image
-from ..paths import absolute, relative
+from ..paths import absolute, output_folder, relative
 from ..process import poll_timer
 from ..run_links import holders
 from ..splats import splat_files, splat_framing
@@ -238,7 +238,10 @@ class ShowReport(BaseOperator, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         """Open the report."""
-        bpy.ops.wm.url_open(url=start_training.report_of(context.scene).as_uri())
+        report = output_folder(context.scene, preferences.get().output_folder) / "report.html"
+        if not report.is_file():
+            raise ValueError(f"There is no {report}; the report is written when a training ends.")
+        bpy.ops.wm.url_open(url=report.as_uri())
 
 
 def _report(job: Job) -> str:

@@ -201,18 +201,6 @@ def discard(job: Job) -> None:
     poll_timer.ensure()
 
 
-def report_of(scene: bpy.types.Scene) -> Path:
-    """The report of the run in the scene's output folder.
-
-    Raises:
-        ValueError: there is none.
-    """
-    report = output_folder(scene, preferences.get().output_folder) / "report.html"
-    if not report.is_file():
-        raise ValueError(f"There is no {report}; the report is written when a training ends.")
-    return report
-
-
 def machine() -> options.Machine:
     """Preferences for this computer.
 
