@@ -2,11 +2,12 @@
 
     python tools/measure/soft_colors.py CAPTURE SPLATS [SPLATS ...]    (a Python with bpy)
 
-Renders the capture's first camera with the engine Gaussian Splats and with the display Soft Splats
-(`--display NATIVE`: Blender's own, 5.3), over grey, with the view transform Standard. Prints the
-mean and the mean absolute difference of both pictures, 8 bit, per channel, over pixels with an
-opacity of at least a half; and the seconds of the second picture. `--keep FOLDER` keeps the
-pictures.
+Renders the capture's first camera (`--camera NAME`, once or more: others) with the engine Gaussian
+Splats and with the display Soft Splats (`--display NATIVE`: Blender's own, 5.3), over grey, with
+the view transform Standard. Prints the mean and the mean absolute difference of both pictures, 8
+bit, per channel, over pixels with an opacity of at least a half, and the mean absolute difference
+over all pixels; and the seconds of the second picture. `--against FILE`: the engine renders this
+file instead, the model before `gscore refit`. `--keep FOLDER` keeps the pictures.
 """
 
 import argparse
@@ -27,7 +28,8 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("capture", type=Path)
     parser.add_argument("splats", type=Path, nargs="+", help="splat files of trainings on it")
-    parser.add_argument("--camera", default="", help="name of a photo; default: the first")
+    parser.add_argument("--camera", action="append", help="name of a photo; default: the first")
+    parser.add_argument("--against", type=Path, help="splat file that the engine renders")
     parser.add_argument("--engine", default=CYCLES, help="CYCLES, or EEVEE's name in this Blender")
     parser.add_argument("--display", default="SOFT", choices=("SOFT", "NATIVE"))
     parser.add_argument("--samples", type=int, default=32)
@@ -41,13 +43,9 @@ def prepare(options: argparse.Namespace) -> bpy.types.Scene:
     """Set up cameras of the capture and a grey world, without colour transforms."""
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.gscore.import_cameras(directory=str(options.capture.absolute()))
-    index = -1 if options.camera else 0
-    bpy.ops.gscore.use_camera(camera=options.camera, index=index, look_through=False)
     scene = bpy.context.scene
     scene.view_settings.view_transform = "Standard"
     scene.render.resolution_percentage = 100
-    height = scene.render.resolution_y * options.width / scene.render.resolution_x
-    scene.render.resolution_x, scene.render.resolution_y = options.width, round(height)
     scene.render.dither_intensity = 0.0
     scene.world = bpy.data.worlds.new("grey")
     scene.world.color = (options.grey,) * 3
@@ -55,6 +53,20 @@ def prepare(options: argparse.Namespace) -> bpy.types.Scene:
     scene.cycles.use_adaptive_sampling = False
     scene.eevee.taa_render_samples = options.samples
     return scene
+
+
+def use_camera(scene: bpy.types.Scene, name: str, width: int) -> None:
+    """Choose a camera of the capture, at a picture width."""
+    bpy.ops.gscore.use_camera(camera=name, index=-1 if name else 0, look_through=False)
+    height = scene.render.resolution_y * width / scene.render.resolution_x
+    scene.render.resolution_x, scene.render.resolution_y = width, round(height)
+
+
+def imported(scene: bpy.types.Scene, path: Path) -> bpy.types.Object:
+    """The splats of a file as an object in their capture."""
+    bpy.context.view_layer.objects.active = scene.camera  # import places splats in its capture
+    bpy.ops.gscore.import_splats(filepath=str(path.absolute()))
+    return bpy.context.object
 
 
 def picture(scene: bpy.types.Scene, engine: str, path: Path, mode: str = "RGB") -> np.ndarray:
@@ -72,14 +84,18 @@ def picture(scene: bpy.types.Scene, engine: str, path: Path, mode: str = "RGB") 
     return pixels[..., : len(mode)].astype(np.float64) * 255
 
 
-def compare(scene: bpy.types.Scene, path: Path, options: argparse.Namespace, folder: Path) -> None:
+def compare(
+    scene: bpy.types.Scene, path: Path, camera: str, options: argparse.Namespace, folder: Path
+) -> None:
     """Print a row."""
-    bpy.context.view_layer.objects.active = scene.camera  # import places splats in its capture
-    bpy.ops.gscore.import_splats(filepath=str(path.absolute()))
-    ob = bpy.context.object
-    name = f"{path.parent.name}_{path.stem}"
+    use_camera(scene, camera, options.width)
+    name = f"{path.parent.name}_{path.stem}_{Path(camera).stem}"
+    ob = imported(scene, options.against or path)
     exact = picture(scene, SPLATS, folder / f"{name}_exact.png")
     covered = picture(scene, SPLATS, folder / f"{name}_alpha.png", "RGBA")[..., 3] >= 127.5
+    if options.against is not None:
+        bpy.data.objects.remove(ob)
+        ob = imported(scene, path)
     ob.gscore.display = options.display
     scene.render.engine = options.engine
     if bpy.ops.gscore.see_through_splats.poll():
@@ -87,11 +103,13 @@ def compare(scene: bpy.types.Scene, path: Path, options: argparse.Namespace, fol
     started = time.perf_counter()
     shown = picture(scene, options.engine, folder / f"{name}_{options.display.lower()}.png")
     seconds = time.perf_counter() - started
-    apart = (shown - exact)[covered]
+    difference = shown - exact
+    inside = difference[covered]
     print(
-        f"{path}: {covered.mean():.0%} covered; R, G, B differ by "
-        f"{', '.join(f'{v:+.2f}' for v in apart.mean(axis=0))} of 255 on average, absolute "
-        f"{', '.join(f'{v:.2f}' for v in np.abs(apart).mean(axis=0))}; {seconds:.1f} s",
+        f"{path} {camera}: {covered.mean():.0%} covered; R, G, B differ by "
+        f"{', '.join(f'{v:+.2f}' for v in inside.mean(axis=0))} of 255 on average, absolute "
+        f"{', '.join(f'{v:.2f}' for v in np.abs(inside).mean(axis=0))}, over all pixels "
+        f"{np.abs(difference).mean():.2f}; {seconds:.1f} s",
         flush=True,
     )
     bpy.data.objects.remove(ob)
@@ -110,8 +128,9 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as name:
             folder = options.keep or Path(name)
             folder.mkdir(parents=True, exist_ok=True)
-            for path in options.splats:
-                compare(scene, path, options, folder.absolute())
+            for camera in options.camera or [""]:
+                for path in options.splats:
+                    compare(scene, path, camera, options, folder.absolute())
     finally:
         addon.unregister()
         sys.stdout.flush()
