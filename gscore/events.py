@@ -268,6 +268,32 @@ class EvalDone(Event, kind="evaluated"):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RefitProgress(Event, kind="refit_progress"):
+    """Progress of a refit for a viewer."""
+
+    phase: str
+    """reading, fitting or measuring."""
+    done: int
+    """Completed steps, or measured pictures."""
+    total: int
+    """All steps or pictures of the phase; 0: not known yet."""
+    eta_s: float
+    """Seconds left in the phase; NaN: not known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefitDone(Event, kind="refit"):
+    """Splats were fitted to a viewer's rules and written."""
+
+    path: str
+    """The splat file."""
+    viewer: str
+    measured: dict[str, Any] = field(default_factory=dict)
+    """Measurements by viewer, `before` and `after`: `psnr` to the photos, dB, and `difference` to
+    gscore's own picture, of 255, by the model of its rules."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SfmEstimated(Event, kind="sfm_estimate"):
     """Expected time of structure from motion, after the photos are read and before each further
     attempt."""

@@ -48,6 +48,8 @@ from .events import FramesProgress as FramesProgress
 from .events import FrameStarted as FrameStarted
 from .events import Preview as Preview
 from .events import Progress as Progress
+from .events import RefitDone as RefitDone
+from .events import RefitProgress as RefitProgress
 from .events import Saved as Saved
 from .events import SequenceDone as SequenceDone
 from .events import SfmDone as SfmDone

@@ -65,6 +65,7 @@ ALLOWED = {
     "metrics": BOTTOM | {"io", "datasets", "depth", "raster", "metrics"},
     "report": BOTTOM | {"io", "metrics", "report"},
     "page": BOTTOM | {"io", "page"},
+    "viewers": BOTTOM | {"raster", "metrics", "viewers"},
     "live": BOTTOM | {"live"},
     "trainer": BOTTOM
     | {"io", "formats", "datasets", "depth", "raster", "engine", "stereo", "metrics", "report"}
@@ -78,7 +79,7 @@ ALLOWED = {
 TOP = {"__init__", "__main__", "frontend", "commands"}
 """May import any layer."""
 OUTSIDE = {
-    "torch": {"raster", "engine", "metrics", "trainer", "stress", "bench", "commands"},
+    "torch": {"raster", "engine", "metrics", "viewers", "trainer", "stress", "bench", "commands"},
     "bpy": set(),
     "addon": set(),
 }

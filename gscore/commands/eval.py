@@ -3,7 +3,6 @@
 import argparse
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 from ..config import DataConfig
 from ..control import Control
 from ..datasets import Dataset, load_dataset
-from ..errors import Cancelled, ConfigError, DatasetError, GsError
+from ..errors import Cancelled, ConfigError, GsError
 from ..events import EvalDone, EvalProgress, Show, Warn, headline_psnr
 from ..formats import format_to_write, write_splat_file
 from ..io.metrics_file import metrics_problem, read_metrics
@@ -39,8 +38,9 @@ from ..text_format import (
     stopped_text,
     worst_view_text,
 )
-from .args.data_options import add_data_options, with_data_options
+from .args.data_options import add_data_options
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
+from .args.model_capture import data_config_of, views_of
 from .parser import add_option, add_threads_option
 from .terminal.output import check_folder, check_replaced, print_result, print_warnings
 from .terminal.run_job import OutputOptions, add_output_options, run_job
@@ -108,7 +108,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
             + ("." if args.source else " and the capture with -s.")
         )
     check_folder(output)
-    config = _data_config(args, model)
+    config = data_config_of(args, model)
     _check_output(output, config, model, overwrite=args.overwrite)
     if args.error_map is not None:
         format_to_write(args.error_map)
@@ -123,7 +123,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     notes: list[str] = []
     if model.data is not None and config.source.resolve() == model.data.source.resolve():
         dataset, notes = _of_region(dataset, model)
-    split, indices = _indices(args.split, dataset)
+    split, indices = views_of(args.split, dataset)
     if output == model.run and split != "test" and read_metrics(output).get("split") == "test":
         raise ConfigError(
             f"{output} contains the metrics of held-out views; give a folder with -o for those of "
@@ -313,46 +313,6 @@ def _check_output(
             "output."
         )
     check_replaced((output / "metrics.json", output / "report.html"), overwrite=overwrite)
-
-
-def _data_config(args: argparse.Namespace, model: ModelArgument) -> DataConfig:
-    """Data options of the run, overridden by the command line; a PLY alone needs `-s`."""
-    if model.data is not None:
-        config = model.data
-        if args.source is not None:
-            config = DataConfig(
-                source=args.source, resolution=config.resolution, max_width=config.max_width
-            )
-            # Names and folders of the old capture do not apply to another one. If the old one no
-            # longer exists, it was moved here.
-            if args.source.resolve() == model.data.source.resolve():
-                config = model.data
-            elif not model.data.source.exists():
-                config = replace(model.data, source=args.source)
-        elif not config.source.exists():
-            raise DatasetError(
-                f"The capture of {model.run}, {config.source}, no longer exists; give its current "
-                "folder with -s SOURCE."
-            )
-    elif args.source is None:
-        raise ConfigError(f"The capture of {model.path} is unknown; give it with -s SOURCE.")
-    else:
-        config = DataConfig(source=args.source, eval=True)
-    return with_data_options(config, args)
-
-
-def _indices(split: str | None, dataset: Dataset) -> tuple[str, list[int]]:
-    """Name and indices of the views to measure."""
-    if split == "test" and not dataset.test:
-        raise DatasetError(
-            "The run has no held-out views; choose another `--split`, or select test views with "
-            "`--hold-out`."
-        )
-    if split == "test" or (split is None and dataset.test):
-        return "test", dataset.test
-    if split == "all":
-        return "all", sorted([*dataset.train, *dataset.test])
-    return "train", dataset.train
 
 
 def _of_region(dataset: Dataset, model: ModelArgument) -> tuple[Dataset, list[str]]:

@@ -21,6 +21,8 @@ from ...events import (
     FramesProgress,
     FrameStarted,
     Progress,
+    RefitDone,
+    RefitProgress,
     Saved,
     SequenceDone,
     SfmDone,
@@ -90,6 +92,8 @@ class Lines:
                 self._depth(event)
             case EvalProgress():
                 self._evaluation(event)
+            case RefitProgress():
+                self._refit(event)
             case SfmProgress():
                 self._sfm(event)
             case Eval():
@@ -98,7 +102,7 @@ class Lines:
                 self._frames(event)
             case (
                 Done() | DepthDone() | EvalDone() | SequenceDone() | SfmDone() | FramesDone()
-                | Failed()
+                | RefitDone() | Failed()
             ):  # fmt: skip
                 self._end()
             case Saved():
@@ -132,6 +136,15 @@ class Lines:
         parts = [f"{clock(event.eta_s)} left", f"view {event.done} of {event.total}", event.view]
         last = event.done == event.total
         self._status.show(parts, share=event.done / event.total, immediate=last)
+
+    def _refit(self, event: RefitProgress) -> None:
+        if not event.done:
+            self._status.show([_capital(event.phase)])
+            return
+        what = "step" if event.phase == "fitting" else "picture"
+        parts = [f"{event.phase}, {what} {number(event.done)} of {number(event.total)}"]
+        left = [f"{clock(event.eta_s)} left"] if math.isfinite(event.eta_s) else []
+        self._status.show([*left, *parts], share=event.done / event.total)
 
     def _sfm(self, event: SfmProgress) -> None:
         what = "pair" if event.phase == "comparing photos" else "photo"

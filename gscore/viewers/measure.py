@@ -1,0 +1,74 @@
+"""Measurement of splats as viewers show them: PSNR to photos and difference to gscore's picture."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..events import headline_psnr
+from ..metrics import evaluate
+from ..raster.reference.rasterize import SplatTensors
+from ..raster.request import Frustum
+from .picture import modelled_picture
+from .rules import ViewerRules
+
+
+def measured(
+    models: Mapping[str, SplatTensors],
+    viewers: Iterable[ViewerRules],
+    dataset: Any,
+    views: Mapping[int, Frustum],
+    own: Mapping[int, np.ndarray],
+    gains: Mapping[str, np.ndarray],
+    *,
+    background: tuple[float, float, float],
+    on_picture: Callable[[], None],
+) -> tuple[dict[str, float | None], dict[str, dict[str, dict[str, float | None]]]]:
+    """Measure models in viewers, by `modelled_picture`, against photos and gscore's own pictures.
+
+    Args:
+        models: Raw parameters by name.
+        viewers: Rules.
+        dataset: The photos, as for `gscore.metrics.evaluate`.
+        views: Cameras by their index in the dataset.
+        own: [H, W, 3] pictures of gscore with the exposure of the photo, by index.
+        gains: Exposure gains [3] by photo; photos without one have the mean exposure.
+        background: sRGB.
+        on_picture: Called after each modelled picture; may raise.
+
+    Returns:
+        `psnr` of gscore's own pictures, dB; and by viewer and model, `psnr`, dB, and `difference`,
+        the mean absolute difference of the pictures before exposure, of 255. None: infinite or not
+        measurable.
+    """
+    names = dataset.scene.cameras.names
+    exposures = {index: gains.get(names[index], np.ones(3)) for index in views}
+
+    def one(splats: SplatTensors, rules: ViewerRules) -> dict[str, float | None]:
+        differences: list[float] = []
+        pictures = {}
+        for index, view in views.items():
+            pictures[index] = modelled_picture(splats, view, rules, background).numpy()
+            target = np.clip(own[index] / exposures[index], 0, 1)
+            differences.append(255 * float(np.abs(pictures[index] - target).mean()))
+            on_picture()
+        exposed = {index: picture * exposures[index] for index, picture in pictures.items()}
+        scored = evaluate(exposed.__getitem__, dataset, views, background=background)
+        return {
+            "psnr": headline_psnr(scored.mean),
+            "difference": math.fsum(differences) / len(differences),
+        }
+
+    found = {
+        rules.name: {name: one(splats, rules) for name, splats in models.items()}
+        for rules in viewers
+    }
+    scored = evaluate(own.__getitem__, dataset, views, background=background)
+    return {"psnr": headline_psnr(scored.mean)}, found
+
+
+def evenly_spaced(indices: list[int], count: int) -> list[int]:
+    """At most `count` of the indices, from the first, at even distances."""
+    step = max(1, -(-len(indices) // max(count, 1)))
+    return indices[::step]
