@@ -25,7 +25,7 @@ from gscore.frontend import (
     rotmat_to_quat,
     write_colmap,
 )
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 
 STUDIO = Path(__file__).parent / "studio"
 FIGURE_RADIUS = 0.75

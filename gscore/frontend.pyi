@@ -81,8 +81,7 @@ from .io.files import atomic_write as atomic_write
 from .io.files import file_errors as file_errors
 from .io.images.image_header import ImageInfo as ImageInfo
 from .io.images.image_header import read_header as read_header
-from .io.images.png import gray_png as gray_png
-from .io.images.png import rgba_png as rgba_png
+from .io.images.png import png_bytes as png_bytes
 from .io.images.resample import downscale as downscale
 from .io.lock import FolderLock as FolderLock
 from .io.lod_file import LOD_ENDING as LOD_ENDING

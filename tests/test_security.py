@@ -23,7 +23,8 @@ from gscore.depth.maps import MapFolder, _read_picture, read_map
 from gscore.errors import FormatError, GsError
 from gscore.io.colmap.folder import is_safe_name
 from gscore.io.images.exr_header import check_exr_size
-from gscore.io.images.read_image import read_image, read_info, read_mask, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import read_image, read_info, read_mask
 from gscore.io.npy import read_npy
 from gscore.io.sequences import read_sequence
 from gscore.metrics import Lpips

@@ -17,9 +17,8 @@ from ..capture.folders import same_folder
 from ..core import (
     Folder,
     atomic_write,
-    gray_png,
+    png_bytes,
     read_header,
-    rgba_png,
 )
 from ..interface.windows import push_undo
 from ..render.camera_photo import kept_of, mask_folder, mask_place, source_of, stated_masks
@@ -106,7 +105,7 @@ def save(scene: bpy.types.Scene, image: bpy.types.Image) -> Path:
     file = _target(camera, place, photo_name(image))
     pixels = levels_of(pixels_of(image)[::-1])
     levels = pixels[..., -1]
-    atomic_write(file, gray_png(255 - levels if scene.gscore.invert_masks else levels))
+    atomic_write(file, png_bytes(255 - levels if scene.gscore.invert_masks else levels))
     image[_FILE] = str(file)
     _finish(image, pixels)
     lookups.captures.expire()
@@ -128,7 +127,7 @@ def _finish(image: bpy.types.Image, pixels: np.ndarray) -> None:
         pixels: [H, W, 4] uint8, the top row first.
     """
     # Uncompressed: Blender's own packing compresses, which takes 0.1 s per megapixel.
-    _pack(image, rgba_png(pixels, packed=False))
+    _pack(image, png_bytes(pixels, packed=False))
     image.source = "FILE"
     image.buffers_free()  # so that Blender reads the packed pixels, and the image is not dirty
 
@@ -240,7 +239,7 @@ def _save_begins(*_: object) -> None:
 def _compress(image: bpy.types.Image) -> None:
     width, height = image.size
     if image.packed_file.size >= 4 * width * height:
-        _pack(image, rgba_png(levels_of(pixels_of(image)[::-1])))
+        _pack(image, png_bytes(levels_of(pixels_of(image)[::-1])))
 
 
 HANDLERS = {"save_pre": _save_begins}

@@ -14,7 +14,7 @@ from ..cameras.objects import PhotoCamera, is_camera, photo_camera_of, rigid_vie
 from ..cameras.pictures import levels_of
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
-from ..core import colorize, psnr, read_gains, read_header, rgba_png
+from ..core import colorize, png_bytes, psnr, read_gains, read_header
 from ..interface.blocks import block_of
 from ..process.background_task import Cancelled
 from ..process.incremental_tasks import Check, Steps, run_in_thread
@@ -165,7 +165,7 @@ def _compared(
         levels = levels_of(found[kind])
         opaque = np.full((*levels.shape[:2], 1), 255, np.uint8)
         # Uncompressed: compressing takes long, and Blender would decode it more slowly.
-        pictures[kind] = rgba_png(np.concatenate([levels, opaque], axis=2), packed=False)
+        pictures[kind] = png_bytes(np.concatenate([levels, opaque], axis=2), packed=False)
     return Comparison(psnr=value, psnr_masked=masked, exposed=exposed, images={}), pictures
 
 

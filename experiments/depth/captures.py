@@ -10,7 +10,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.colmap.model import ColmapImage, ColmapModel
 from gscore.io.images.pillow_images import loaded
-from gscore.io.images.read_image import read_image, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import read_image
 
 ROOT = Path(__file__).parents[2]
 STUDIO_UNIT = 4.0

@@ -27,7 +27,8 @@ import numpy as np
 
 from gscore.bench.quality import COMPARED, CORRECTED
 from gscore.io.files import atomic_write
-from gscore.io.images.read_image import resize, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import resize
 from gscore.io.ply.splats import read_ply
 from gscore.presets import RECIPES
 from gscore.raster.api import render

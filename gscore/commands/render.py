@@ -14,7 +14,7 @@ import numpy as np
 from ..config import DataConfig
 from ..datasets.resolution import check_resolution
 from ..errors import ConfigError
-from ..io.images.read_image import SIGNED, write_png
+from ..io.images.png import SIGNED, write_png
 from ..io.lod_file import LOD_ENDING, is_lod_file
 from ..io.output_paths import check_output_path, check_separate
 from ..lod.lod_renderer import LOD_PX, LodModel

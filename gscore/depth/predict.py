@@ -14,7 +14,8 @@ from ..datasets import Dataset
 from ..datasets.decode import ViewFile
 from ..errors import Cancelled, ConfigError, FormatError, GsError
 from ..io.files import atomic_write
-from ..io.images.read_image import read_image, read_mask, write_png
+from ..io.images.png import write_png
+from ..io.images.read_image import read_image, read_mask
 from ..json_text import parse_json
 from ..quoting import brief
 from ..text_format import count_text

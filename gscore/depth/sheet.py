@@ -9,7 +9,8 @@ import numpy as np
 from ..datasets import Dataset
 from ..datasets.decode import fit_map
 from ..errors import GsError
-from ..io.images.read_image import SIGNED, resize, resize_map, write_png
+from ..io.images.png import SIGNED, write_png
+from ..io.images.read_image import resize, resize_map
 from ..text_format import count_text
 from .fit import Fit
 from .maps import DepthKind, read_map, to_inverse

@@ -6,7 +6,8 @@ from pathlib import Path
 from ..datasets.folder import Folder, masks_by_photos
 from ..datasets.masks import masks_inside
 from ..errors import Cancelled, DatasetError
-from ..io.images.read_image import is_scaled, read_mask, resize_mask, write_png
+from ..io.images.png import write_png
+from ..io.images.read_image import is_scaled, read_mask, resize_mask
 from ..text_format import count_text
 from .photos import Photo
 

@@ -10,7 +10,7 @@ from ..depth.fit import Fit
 from ..depth.maps import CONFIDENCE, PNG_UNIT, MapFolder, stem
 from ..depth.origin import STEREO_RECORD, read_record, write_record
 from ..errors import ConfigError
-from ..io.images.read_image import write_png
+from ..io.images.png import write_png
 from ..text_format import count_text
 from .maps import StereoMap, StereoMaps
 

@@ -15,7 +15,7 @@ from .._version import __version__
 from ..errors import ConfigError, GsError
 from ..io.files import atomic_write, read_bytes, reason
 from ..io.images.pillow_images import pillow
-from ..io.images.read_image import write_png
+from ..io.images.png import write_png
 from ..io.lock import FolderLock
 from ..json_text import parse_json
 from ..quoting import brief

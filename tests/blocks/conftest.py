@@ -7,7 +7,7 @@ import pytest
 
 from gscore.io.colmap.folder import write_model
 from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 
 LENGTH = 40.0
 """Length of the street, along +x; the houses are at z = 5, and down is +y."""

@@ -18,7 +18,7 @@ from gscore.io.colmap.folder import (
     ColmapPoints,
     write_model,
 )
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from gscore.io.ply.splats import write_splats
 from gscore.raster.api import render
 from gscore.scene import Cameras

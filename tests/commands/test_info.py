@@ -11,7 +11,7 @@ import pytest
 
 from gscore.config_file import config_json, load_config
 from gscore.io.colmap.folder import read_model, write_model
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from gscore.io.lock import FolderLock
 from gscore.io.ply.splats import write_splats
 from gscore.io.runs import RUN_LOCK, checkpoint_path

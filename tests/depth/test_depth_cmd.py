@@ -19,7 +19,7 @@ from gscore.datasets import load_dataset
 from gscore.depth import load_priors
 from gscore.events import DepthDone, DepthProgress, Failed, from_line
 from gscore.frontend import read_colmap, write_colmap
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from gscore.trainer.depth.rule import coverage, decide
 
 MAKERS = {

@@ -19,7 +19,7 @@ from experiments.depth.tables import tables
 from gscore.commands.args.train_request import TrainRequest
 from gscore.commands.train import add_arguments
 from gscore.depth.origin import read_record
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from gscore.presets import PRESETS
 
 

@@ -15,7 +15,7 @@ from gscore.depth.maps import DepthKind
 from gscore.depth.observations import observations, observed
 from gscore.errors import ConfigError, DatasetError, FormatError
 from gscore.io.colmap.model import PointIndex
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 
 
 def _load(planes, **options):

@@ -25,7 +25,8 @@ from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.io.cams_txt import read_cam
 from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from gscore.io.images.read_image import read_image, read_info, read_mask, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import read_image, read_info, read_mask
 from gscore.io.mesh.files import read_mesh, write_mesh
 from gscore.io.ply.points import read_point_cloud
 from gscore.io.ply.splats import read_ply, write_splats

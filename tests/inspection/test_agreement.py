@@ -15,7 +15,7 @@ from gscore.commands import main
 from gscore.datasets.poses import axis_warnings, position_warnings
 from gscore.frontend import ColmapModel, read_colmap, write_colmap
 from gscore.inspection import CaptureFacts, inspect
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from gscore.option_marks import show_flags
 from tests.addon.captures import write_capture, write_photo
 

@@ -7,7 +7,7 @@ import pytest
 
 from gscore.config import DataConfig
 from gscore.datasets import Dataset, load_dataset
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from gscore.stereo import dense_points, stereo_maps
 from gscore.stereo.maps import StereoMaps
 

@@ -10,7 +10,7 @@ from gscore.commands import main
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.depth import Priors, load_priors
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 
 from .captures import ANGLES, write_capture
 from .scene import Scene

@@ -16,7 +16,7 @@ from gscore.datasets import load_dataset
 from gscore.depth.params import FILE
 from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from gscore.raster.api import render
 from gscore.splats import Splats
 from gscore.stress.capture import SIZE, VIEWS, ToyPhotos, toy_photos, toy_splats

@@ -21,7 +21,8 @@ from gscore.commands.args.train_request import TrainRequest
 from gscore.config import Background, Strategy
 from gscore.config_file import load_config
 from gscore.events import Done, Estimated, Event, Failed, Progress, Saved, from_line
-from gscore.io.images.read_image import read_image, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import read_image
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.schedule import caps
 

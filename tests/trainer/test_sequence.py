@@ -20,7 +20,8 @@ from gscore.datasets.frames import SequenceFrame, choose_frames, find_frames
 from gscore.errors import Cancelled, ConfigError, DatasetError, FormatError
 from gscore.events import Done, Event, FrameStarted, Saved, SequenceDone, Started, from_line
 from gscore.io.colmap.folder import read_model, write_model
-from gscore.io.images.read_image import read_image, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import read_image
 from gscore.io.mesh.files import write_mesh
 from gscore.io.ply.splats import read_ply
 from gscore.io.sequences import read_sequence

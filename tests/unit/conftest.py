@@ -16,7 +16,7 @@ from gscore.io.colmap.folder import (
     ColmapPoints,
     write_model,
 )
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from gscore.transforms import rotmat_to_quat
 
 

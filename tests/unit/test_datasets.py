@@ -15,7 +15,8 @@ from gscore.datasets import Dataset, load_dataset
 from gscore.datasets.resolution import target_size
 from gscore.errors import BackendError, Cancelled, ConfigError, DatasetError, FormatError, GsError
 from gscore.io.colmap.folder import ColmapPoints, read_model, write_model
-from gscore.io.images.read_image import read_image, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import read_image
 
 
 def _load(root: Path, **options: Any) -> Dataset:

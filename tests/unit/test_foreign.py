@@ -15,7 +15,7 @@ from gscore.datasets import load_dataset
 from gscore.errors import GsError
 from gscore.inspection.photo_folder import photo_folder_facts
 from gscore.io.block_record import BLOCK_RECORD
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from gscore.io.ply.splats import read_ply
 from gscore.io.unsupported_formats import describe_unsupported, unread_cameras
 

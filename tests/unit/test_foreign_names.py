@@ -15,7 +15,7 @@ from gscore.config import DataConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.errors import DatasetError, FormatError
 from gscore.io.colmap.folder import read_model, write_model
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 
 NFC, NFD = (unicodedata.normalize(form, "Größe é") for form in ("NFC", "NFD"))
 

@@ -13,7 +13,8 @@ from PIL import Image
 
 from gscore.errors import DatasetError, FormatError, GsError, ShapeError
 from gscore.io.images.pillow_images import pillow
-from gscore.io.images.read_image import read_image, read_info, read_mask, reduce, resize, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import read_image, read_info, read_mask, reduce, resize
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (6, 1, 4), (1, 1, 3), (40, 300, 3)])
@@ -34,7 +35,7 @@ def test_png_is_read_by_pillow(
 )
 def test_png_refuses(bad: np.ndarray, tmp_path: Path) -> None:
     """Oracle: the documented shapes."""
-    with pytest.raises(ShapeError, match="write_png takes"):
+    with pytest.raises(ShapeError, match="a PNG takes"):
         write_png(tmp_path / "x.png", bad)
     assert not (tmp_path / "x.png").exists()
 

@@ -12,7 +12,8 @@ from gscore.config import DataConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.datasets.folder import Folder, masks_by_photos
 from gscore.errors import DatasetError
-from gscore.io.images.read_image import resize_mask, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import resize_mask
 from gscore.sfm.masks import find_masks, mask_folder
 from gscore.sfm.photos import list_photos
 from gscore.transforms import viewmat_from_opengl

@@ -9,7 +9,8 @@ import pytest
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.datasets.masks import are_mattes
-from gscore.io.images.read_image import read_mask, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import read_mask
 
 H, W = 60, 80
 

@@ -10,7 +10,8 @@ from PIL import Image
 
 from gscore.errors import FormatError
 from gscore.io.images.pillow_images import MOST_PIXELS
-from gscore.io.images.read_image import mask_assumption, read_image, read_info, read_mask, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import mask_assumption, read_image, read_info, read_mask
 from gscore.io.images.truncated_images import missing_blocks
 
 from .png_files import png

@@ -22,7 +22,8 @@ from gscore.datasets.frames import find_frames
 from gscore.errors import ConfigError, DatasetError, FormatError, GsError
 from gscore.io.colmap.folder import write_model
 from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
-from gscore.io.images.read_image import read_image, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import read_image
 from gscore.raster.api import render
 from gscore.sh import rgb_to_sh0
 from gscore.splats import Splats

@@ -1,4 +1,4 @@
-"""Grey PNGs; oracle: Pillow."""
+"""PNGs; oracle: Pillow."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from gscore.errors import ShapeError
-from gscore.io.images.png import gray_png, rgba_png
+from gscore.io.images.png import png_bytes
 from gscore.io.images.read_image import read_mask
 
 
@@ -15,7 +15,7 @@ from gscore.io.images.read_image import read_mask
 def test_levels_come_back(tmp_path: Path, shape: tuple[int, int]) -> None:
     """Oracle: Pillow, and the reader of masks."""
     levels = np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
-    (tmp_path / "a.png").write_bytes(gray_png(levels))
+    (tmp_path / "a.png").write_bytes(png_bytes(levels))
     with Image.open(tmp_path / "a.png", formats=["PNG"]) as picture:
         picture.verify()
     with Image.open(tmp_path / "a.png", formats=["PNG"]) as picture:
@@ -25,12 +25,12 @@ def test_levels_come_back(tmp_path: Path, shape: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2)), np.zeros((0, 3), np.uint8)]
+    "wrong", [np.zeros((2, 2, 2), np.uint8), np.zeros((2, 2)), np.zeros((0, 3), np.uint8)]
 )
-def test_invalid_grey_pictures_are_refused(wrong: np.ndarray) -> None:
-    """Oracle: three axes, floats, no pixels."""
-    with pytest.raises(ShapeError, match="grey picture"):
-        gray_png(wrong)
+def test_invalid_pictures_are_refused(wrong: np.ndarray) -> None:
+    """Oracle: two channels, floats, no pixels."""
+    with pytest.raises(ShapeError, match="a PNG takes uint8"):
+        png_bytes(wrong)
 
 
 @pytest.mark.parametrize("packed", [True, False])
@@ -38,10 +38,10 @@ def test_colours_and_opacity(tmp_path: Path, packed: bool) -> None:
     """Oracle: Pillow's decoder; unchanged levels, also of transparent pixels."""
     pixels = np.random.default_rng(1).integers(0, 256, (7, 5, 4)).astype(np.uint8)
     pixels[:2, :, 3] = 0
-    (tmp_path / "a.png").write_bytes(rgba_png(pixels, packed=packed))
+    (tmp_path / "a.png").write_bytes(png_bytes(pixels, packed=packed))
     with Image.open(tmp_path / "a.png") as image:
         assert image.mode == "RGBA"
         assert np.array_equal(np.asarray(image), pixels)
-    for wrong in (pixels[..., :3], pixels.astype(np.float32), pixels[:0]):
+    for wrong in (pixels[..., :2], pixels.astype(np.float32), pixels[:0]):
         with pytest.raises(ShapeError, match="uint8"):
-            rgba_png(wrong)
+            png_bytes(wrong)

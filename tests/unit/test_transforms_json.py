@@ -14,7 +14,7 @@ from gscore.datasets import Dataset, load_dataset
 from gscore.datasets.capture import repeated
 from gscore.datasets.transforms_json import read_transforms
 from gscore.errors import DatasetError, FormatError, GsError
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ...edit.pipeline import EditViews
-from ...io.images.read_image import SIGNED, write_png
+from ...io.images.png import SIGNED, write_png
 from ...metrics.image import psnr
 from ...raster.api import Rendered, render_camera
 from ...scene import Cameras

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from ...io.files import atomic_write, is_unnameable
-from ...io.images.read_image import SIGNED, write_png
+from ...io.images.png import SIGNED, write_png
 from ...raster.api import Rendered
 
 

@@ -1,15 +1,11 @@
-"""Image reader: decoding to bytes, size without decoding, downscaling, PNG output."""
+"""Image reader: decoding to bytes, size without decoding, downscaling."""
 
-import struct
-import zlib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...errors import ShapeError
-from ..files import atomic_write
 from .image_header import ORIENTATION, ImageInfo, read_header
 from .pillow_images import check_pixels, loaded, opened_picture, pillow
 from .pixels import has_alpha, mask_bytes, photo_bytes
@@ -191,50 +187,6 @@ def reduce(image: np.ndarray, factor: int) -> np.ndarray:
         [ceil(H / factor), ceil(W / factor), ...] uint8; pixel i covers [i factor, (i + 1) factor).
     """
     return np.array(pillow().fromarray(image).reduce(factor)) if factor > 1 else image
-
-
-SIGNED = {"Software": "gscore"}
-"""Texts of PNGs made by gscore, which may be overwritten without asking."""
-
-
-def write_png(path: str | Path, image: np.ndarray, texts: Mapping[str, str] | None = None) -> None:
-    """Write a PNG with the standard library only, completely or not at all.
-
-    Args:
-        path: The file to write; its folder is made.
-        image: [H, W], [H, W, 3] or [H, W, 4] uint8; grey, RGB or RGBA (not premultiplied), sRGB. Or
-            [H, W] uint16, grey.
-        texts: Texts by keyword, both ASCII.
-
-    Raises:
-        ShapeError: another shape or dtype.
-        GsError: the file cannot be written.
-    """
-    shape = image.shape
-    kinds = {1: 0, 3: 2, 4: 6}  # colour types of the PNG standard, by number of channels
-    channels = 1 if len(shape) == 2 else shape[2] if len(shape) == 3 else 0
-    deep = image.dtype == np.uint16 and len(shape) == 2
-    if channels not in kinds or not (deep or image.dtype == np.uint8) or 0 in shape:
-        raise ShapeError(
-            f"write_png takes uint8 [H, W], [H, W, 3] or [H, W, 4] or uint16 [H, W], got "
-            f"{image.dtype} {list(shape)}."
-        )
-    height, width = shape[:2]
-    size = 2 if deep else channels  # bytes per pixel, 16 bits big endian
-    pixels = np.ascontiguousarray(image, ">u2" if deep else None).view(np.uint8)
-    pixels = pixels.reshape(height, width, size)
-    rows = np.zeros((height, width * size + 1), np.uint8)
-    rows[:, 0] = 1  # filter "Sub": each byte minus the one of the pixel to the left
-    rows[:, 1 : 1 + size] = pixels[:, 0]
-    rows[:, 1 + size :] = (pixels[:, 1:] - pixels[:, :-1]).reshape(height, -1)
-    head = struct.pack(">IIBBBBB", width, height, 16 if deep else 8, kinds[channels], 0, 0, 0)
-    notes = [(b"tEXt", f"{key}\0{text}".encode("ascii")) for key, text in (texts or {}).items()]
-    chunks = [(b"IHDR", head), *notes, (b"IDAT", zlib.compress(rows.data, 6)), (b"IEND", b"")]
-    out = [b"\x89PNG\r\n\x1a\n"]
-    for kind, body in chunks:
-        check = struct.pack(">I", zlib.crc32(kind + body))
-        out += [struct.pack(">I", len(body)), kind, body, check]
-    atomic_write(path, b"".join(out))
 
 
 TURNS = {

@@ -13,7 +13,7 @@ from ...events import Decision
 from ...io.block_record import RUN_BLOCK, read_block
 from ...io.cameras_json import write_cameras
 from ...io.exposure_json import EXPOSURE_FILE, write_exposures
-from ...io.images.read_image import write_png
+from ...io.images.png import write_png
 from ...io.ply.comments import near_comment
 from ...io.ply.splats import MIP_COMMENT, origin_comment, write_splat_parts
 from ...io.poses_json import POSES_FILE, write_poses

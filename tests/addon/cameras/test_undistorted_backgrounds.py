@@ -22,7 +22,7 @@ from addon.core import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, wri
 from addon.panels.cameras import CamerasPanel
 from addon.process import poll_timer
 from addon.region_training import masks
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from tests.addon.calls import import_capture
 from tests.addon.drawn import Layout, drawn
 

@@ -12,7 +12,7 @@ import pytest
 
 from addon.capture.inspection import ShownFacts, inspect
 from addon.core import find_capture
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from tests.addon.captures import ROOT, STUDIO, write_capture, write_photo
 
 PINHOLE = {1: ("PINHOLE", 60, 40, (50.0, 50.0, 30.0, 20.0))}

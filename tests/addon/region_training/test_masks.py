@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from addon.cameras.objects import photo_camera_of
-from addon.core import Folder, gray_png, masks_inside
+from addon.core import Folder, masks_inside, png_bytes
 from addon.panels.cameras import CamerasPanel
 from addon.process.incremental_tasks import run_blocking
 from addon.region_training import masks
@@ -44,7 +44,7 @@ def read_mask(file: Path) -> np.ndarray:
 def write_png(file: Path, levels: np.ndarray) -> None:
     """A grey picture."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_bytes(gray_png(levels))
+    file.write_bytes(png_bytes(levels))
 
 
 def painted(image: bpy.types.Image) -> np.ndarray:

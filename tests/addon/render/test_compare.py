@@ -21,7 +21,7 @@ from addon.render import camera_photo as photo_module
 from addon.render import compare
 from addon.splats import objects
 from gscore.io.exposure_json import EXPOSURE_FILE, write_exposures
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from tests.addon import splat_scenes as lab
 from tests.addon.calls import import_capture
 from tests.addon.drawn import drawn

@@ -11,7 +11,7 @@ import pytest
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.datasets import tracks as tracks_module
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from gscore.trainer.analysis.photo_visit import visit_photos
 from gscore.trainer.run import train
 

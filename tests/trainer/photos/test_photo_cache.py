@@ -13,7 +13,7 @@ from gscore.config import DataConfig, TrainConfig
 from gscore.control import Control
 from gscore.datasets import load_dataset
 from gscore.events import Estimated, Event
-from gscore.io.images.read_image import write_png
+from gscore.io.images.png import write_png
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.analysis.photo_loading import check_masks, load_photos
 from gscore.trainer.analysis.photo_visit import visit_photos

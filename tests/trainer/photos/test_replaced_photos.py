@@ -14,7 +14,8 @@ from gscore.control import Control
 from gscore.datasets import Dataset, load_dataset
 from gscore.errors import ConfigError, DatasetError, GsError
 from gscore.events import Event, Progress
-from gscore.io.images.read_image import read_image, write_png
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import read_image
 from gscore.trainer import prepare as prepare_module
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.run import train
