@@ -12,8 +12,4 @@ def glsl_defines(source: str) -> dict[str, str]:
         AttributeError: a macro is not a shared constant.
     """
     names = sorted(set(re.findall(r"\bGS_(\w+)", source)))
-    return {f"GS_{name}": _literal(getattr(shared_constants, name)) for name in names}
-
-
-def _literal(value: float | tuple[float, ...]) -> str:
-    return repr(value).strip("()")
+    return {f"GS_{name}": repr(getattr(shared_constants, name)).strip("()") for name in names}

@@ -44,7 +44,7 @@ def check_complete(runs: Sequence[tuple[Path, BlockRecord]]) -> None:
     first_path, first = runs[0]
     found: dict[int, Path] = {}
     for path, record in runs:
-        if record.split != first.split or not _same_cells(record, first):
+        if record.split != first.split or not replace(record, index=first.index).is_cell_of(first):
             raise ConfigError(
                 f"{path} and {first_path} were trained on blocks that were not cut together. "
                 "Train all blocks of one `gscore split`."
@@ -63,10 +63,6 @@ def check_complete(runs: Sequence[tuple[Path, BlockRecord]]) -> None:
             f"{'is' if len(missing) == 1 else 'are'} missing: {listed}. Train them "
             f"(gscore train BLOCKS --block {missing[0]} -o RUNS), or give their runs too."
         )
-
-
-def _same_cells(one: BlockRecord, other: BlockRecord) -> bool:
-    return replace(one, index=other.index).is_cell_of(other)
 
 
 def merge_blocks(blocks: Sequence[TrainedBlock]) -> Merged:

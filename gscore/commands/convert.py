@@ -145,7 +145,7 @@ def _check_not_read(args: argparse.Namespace, models: list[ModelArgument]) -> No
 
 def _views(args: argparse.Namespace, model: ModelArgument) -> EditViews | None:
     """The cameras of the capture or run; None if there are none and none were given."""
-    if args.source is None and not _has_cameras(model):
+    if args.source is None and not (model.run and (model.run / "cameras.json").is_file()):
         return None
     return EditViews(
         cameras=captured_cameras(args.source, model).cameras,
@@ -153,10 +153,6 @@ def _views(args: argparse.Namespace, model: ModelArgument) -> EditViews | None:
         near=model.near,
         threads=args.threads,
     )
-
-
-def _has_cameras(model: ModelArgument) -> bool:
-    return model.run is not None and (model.run / "cameras.json").is_file()
 
 
 def _with_views(

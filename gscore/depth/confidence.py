@@ -34,7 +34,7 @@ def inner(values: np.ndarray, half: np.ndarray | np.float32) -> np.ndarray:
     0.5 where a second difference within 3 x 3 pixels is `half`, [H, W] or one number; 0 next to
     unknown ones.
     """
-    difference = _spread_by_one(_second_difference(values))
+    difference = -_lowest(-_second_difference(values))  # the maximum over 3 x 3 pixels
     out = 1.0 / (1.0 + (difference / half) ** 2)
     out[~(np.isfinite(values) & np.isfinite(difference))] = 0
     return out
@@ -42,7 +42,8 @@ def inner(values: np.ndarray, half: np.ndarray | np.float32) -> np.ndarray:
 
 def shown_by(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Confidence [H, W] float32 multiplied by a mask [H, W] uint8 without its rim."""
-    return (values * _eroded(mask.astype(np.float32) / 255)).astype(np.float32)
+    # The rim of a mask mixes foreground and background.
+    return (values * _lowest(mask.astype(np.float32) / 255)).astype(np.float32)
 
 
 def _second_difference(values: np.ndarray) -> np.ndarray:
@@ -55,17 +56,8 @@ def _second_difference(values: np.ndarray) -> np.ndarray:
     return out
 
 
-def _spread_by_one(values: np.ndarray) -> np.ndarray:
-    """Maximum over 3 x 3 pixels; NaN if there is one."""
-    return -_lowest(-values)
-
-
-def _eroded(values: np.ndarray) -> np.ndarray:
-    """Minimum over 3 x 3 pixels: the rim of a mask mixes foreground and background."""
-    return _lowest(values)
-
-
 def _lowest(values: np.ndarray) -> np.ndarray:
+    """Minimum over 3 x 3 pixels; NaN if there is one."""
     out = values.copy()
     out[1:] = np.minimum(out[1:], values[:-1])
     out[:-1] = np.minimum(out[:-1], values[1:])

@@ -62,7 +62,7 @@ class EditRequest:
         ):
             raise ConfigError(
                 "A box needs its lower corner first, then its upper one, such as -1 -1 -1 1 1 1, "
-                f"got {_words(self.box)}."
+                f"got {' '.join(f'{value:g}' for value in self.box)}."
             )
         if self.sphere is not None and not self.sphere[3] > 0:
             raise ConfigError(f"The radius of a sphere must be above 0, got {self.sphere[3]:g}.")
@@ -95,10 +95,6 @@ class EditRequest:
             usual[name] = getattr(USUAL, name) if with_cameras else None
         missing = {name: v for name, v in usual.items() if getattr(self, name) is None}
         return replace(self, **missing)
-
-
-def _words(values: Sequence[float]) -> str:
-    return " ".join(f"{value:g}" for value in values)
 
 
 _DUST = 5000

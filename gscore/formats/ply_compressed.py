@@ -5,13 +5,13 @@ their chunk, so they are written in the order of a space-filling curve: nearby s
 steps.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
 from ..importance import importance_of
-from ..io.file_sample import FileSample
 from ..io.files import atomic_write
 from ..io.ply.compressed import CHUNK
 from ..io.ply.elements import header_bytes
@@ -25,7 +25,7 @@ from ..text_format import count_text
 from ..transforms import unit_quats
 from . import ply
 from .far_splats import FAR, cut_extremes, moved_within
-from .splat_file import Decoded, SplatFormat, WriteOptions
+from .splat_file import SplatFormat, WriteOptions
 
 _BOUNDS = [
     *(f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"),
@@ -43,14 +43,6 @@ _PLACE_BITS = (11, 10, 11)
 _MOST_MOVED = 1 / 100
 """Largest displacement that is not reported, as a share of the distance from the middle, or of the
 median distance if that is larger. A chunk that spans all near splats has 1 / 128."""
-
-
-def _is_compressed(path: Path, sample: FileSample) -> bool:
-    return ply.is_ply(path, sample) and b" packed_position" in sample.head
-
-
-def _read(path: Path) -> Decoded:
-    return Decoded(**{**vars(ply.read(path)), "layout": "compressed (SuperSplat)"})
 
 
 def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
@@ -204,8 +196,8 @@ COMPRESSED_PLY = SplatFormat(
     key="compressed-ply",
     name="SuperSplat's compressed PLY",
     endings=(".compressed.ply",),
-    recognizes=_is_compressed,
-    read=_read,
+    recognizes=lambda path, sample: ply.is_ply(path, sample) and b" packed_position" in sample.head,
+    read=lambda path: replace(ply.read(path), layout="compressed (SuperSplat)"),
     write=_write,
     is_antialiased=is_antialiased_ply,
     file_origin=ply.origin_of_ply,

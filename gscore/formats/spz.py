@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ConfigError, FormatError
-from ..io.file_sample import FileSample
 from ..io.files import atomic_write, read_bytes
 from ..io.splat_rows import LOGIT_OF_BYTE, drawable, opacity_bytes
 from ..smallest_three import smallest_three, with_largest
@@ -343,14 +342,6 @@ def _damaged(path: Path, why: str) -> FormatError:
     return FormatError(f"{path} is a damaged SPZ file: {why}. Copy or export it again.")
 
 
-def _is_spz(path: Path, sample: FileSample) -> bool:
-    return _MAGIC in (sample.head[:4], sample.inflated[:4])
-
-
-def _read(path: Path) -> Decoded:
-    return decode_spz(path, read_bytes(path))
-
-
 def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
     raw, notes, _ = encode_spz(splats, antialiased=options.antialiased, version=options.spz_version)
     atomic_write(path, raw)
@@ -361,8 +352,8 @@ SPZ = SplatFormat(
     key="spz",
     name="SPZ",
     endings=(".spz",),
-    recognizes=_is_spz,
-    read=_read,
+    recognizes=lambda path, sample: _MAGIC in (sample.head[:4], sample.inflated[:4]),
+    read=lambda path: decode_spz(path, read_bytes(path)),
     write=_write,
     most_degree=4,
     keeps_origin=False,

@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -58,89 +57,62 @@ def is_number(value: Any) -> bool:
 
 def _is_sound(key: str, value: Any) -> bool:
     kind = next((kind for names, kind in _KEYS if names.fullmatch(key)), None)
-    return kind is None or value is None or kind(value)
+    return kind is None or value is None or _fits(value, kind)
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
+def _fits(value: Any, kind: Any) -> bool:
+    """True if a value has a kind of `_KEYS`."""
+    match kind:
+        case list():
+            return isinstance(value, list) and all(_fits(one, kind[0]) for one in value)
+        case dict():
+            return isinstance(value, dict) and all(
+                _fits(value.get(key), inner) for key, inner in kind.items()
+            )
+        case type():
+            return isinstance(value, kind) and (kind is not int or is_number(value))
+    return kind(value)
 
 
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and is_number(value)
+def _is_counts(value: Any) -> bool:
+    return isinstance(value, dict) and all(_fits(one, int) for one in value.values())
 
 
-def _is_object(value: Any) -> bool:
-    return isinstance(value, dict)
-
-
-def _are_texts(value: Any) -> bool:
-    return isinstance(value, list) and all(map(_is_text, value))
-
-
-def _are_objects(value: Any) -> bool:
-    return isinstance(value, list) and all(map(_is_object, value))
-
-
-def _are_counts(value: Any) -> bool:
-    return _is_object(value) and all(map(_is_whole, value.values()))
-
-
-def _are_rows(value: Any) -> bool:
-    """True for a list of objects with numbers, as of curves; `phase` is a text."""
-    return _are_objects(value) and all(
-        item is None or (_is_text(item) if key == "phase" else is_number(item))
-        for row in value
-        for key, item in row.items()
+def _is_row(value: Any) -> bool:
+    """True for an object with numbers, as of curves; `phase` is a text."""
+    return isinstance(value, dict) and all(
+        item is None or _fits(item, str if key == "phase" else is_number)
+        for key, item in value.items()
     )
 
 
 def _is_exposure(value: Any) -> bool:
-    """True for an object with `learnt`, `why`, `stops_apart` and `known_by`."""
-    return (
-        _is_object(value)
-        and isinstance(value.get("learnt"), bool)
-        and _is_text(value.get("why"))
-        and is_number(value.get("stops_apart"))
-        and (value.get("known_by") is None or _is_text(value["known_by"]))
-    )
+    known_by = value.get("known_by") if isinstance(value, dict) else None
+    kinds = {"learnt": bool, "why": str, "stops_apart": is_number}
+    return _fits(value, kinds) and (known_by is None or isinstance(known_by, str))
 
 
-def _are_poses(value: Any) -> bool:
-    """True for an object with `why`, and `degrees` and `extents` by name under `cameras`."""
-    return (
-        _is_object(value)
-        and _is_text(value.get("why"))
-        and _is_object(value.get("cameras"))
-        and all(
-            _is_object(one) and is_number(one.get("degrees")) and is_number(one.get("extents"))
-            for one in value["cameras"].values()
-        )
-    )
+def _is_cameras(value: Any) -> bool:
+    kinds = {"degrees": is_number, "extents": is_number}
+    return isinstance(value, dict) and all(_fits(one, kinds) for one in value.values())
 
 
-def _are_decisions(value: Any) -> bool:
-    """True for a list of objects with the texts `topic` and `text`."""
-    return _are_objects(value) and all(
-        _is_text(one.get("topic")) and _is_text(one.get("text")) for one in value
-    )
-
-
-_Kind = Callable[[Any], bool]
-_KEYS: tuple[tuple[re.Pattern[str], _Kind], ...] = tuple(
+_KEYS: tuple[tuple[re.Pattern[str], Any], ...] = tuple(
     (re.compile(names), kind)
     for names, kind in (
-        (r"split|reason|mask_mode|gscore|lpips_net|trained_at|model|psnr_masked_of", _is_text),
-        (r"\w+_reason", _is_text),
+        (r"split|reason|mask_mode|gscore|lpips_net|trained_at|model|psnr_masked_of", str),
+        (r"\w+_reason", str),
         (r"psnr\w*|ssim\w*|d_ssim|ms_ssim|lpips\w*|fps|train_seconds", is_number),
-        (r"steps|splats|sh_degree|storage_bytes|peak_memory_bytes", _is_whole),
-        (r"train_views|test_views|decided", _are_texts),
-        (r"decisions", _are_decisions),
-        (r"history|evals", _are_rows),
-        (r"views", _are_objects),
-        (r"machine|depth", _is_object),
-        (r"asked", _are_counts),
+        (r"steps|splats|sh_degree|storage_bytes|peak_memory_bytes", int),
+        (r"train_views|test_views|decided", [str]),
+        (r"decisions", [{"topic": str, "text": str}]),
+        (r"history|evals", [_is_row]),
+        (r"views", [dict]),
+        (r"machine|depth", dict),
+        (r"asked", _is_counts),
         (r"exposure", _is_exposure),
-        (r"poses", _are_poses),
+        (r"poses", {"why": str, "cameras": _is_cameras}),
     )
 )
-"""Type check by key of metrics.json, for values other than null; the first match applies."""
+"""Kind of the values other than null by key of metrics.json, the first match: a type, a list of one
+kind, an object with kinds by key, or a check."""

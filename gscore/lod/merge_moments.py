@@ -66,7 +66,9 @@ def merged_by(splats: Splats, errors: np.ndarray, group: np.ndarray, count: int)
     spread_out = between / np.trace(covariances, axis1=1, axis2=2)
     opacities, widened = _opacities(splats, _shadow(sizes), total, spread_out, group)
     sizes = sizes * widened[:, None]
-    moved = errors**2 + _visible_squares((apart**2).sum(axis=1), median_sizes(splats) ** 2)
+    squares = (apart**2).sum(axis=1)
+    visible = squares * squares / np.maximum(squares + median_sizes(splats) ** 2, 1e-300)
+    moved = errors**2 + visible
     colors = [
         _sums(share[:, None, None] * rest.astype(np.float64), group, count).astype(np.float32)
         for rest in (splats.sh0, splats.shN)
@@ -98,10 +100,6 @@ def _opacities(
     covered = np.minimum(total / shadow, stacked * (1 + spread_out))
     opacities = np.clip(np.minimum(covered, stacked), 1e-9, _MOST_OPAQUE)
     return opacities, np.sqrt(np.maximum(covered / opacities, 1.0))
-
-
-def _visible_squares(squares: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    return squares * squares / np.maximum(squares + sizes, 1e-300)
 
 
 def _sizes(splats: Splats) -> np.ndarray:

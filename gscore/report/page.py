@@ -50,6 +50,7 @@ class Report:
 def report_html(report: Report) -> str:
     """The page as HTML."""
     metrics, views, title = report.metrics, report.views, report.title
+    worths = {view["name"]: headline_psnr(view) for view in metrics["views"]}
     body = "".join(
         (
             head_html(title, metrics, preset=report.preset, command=report.command),
@@ -63,17 +64,12 @@ def report_html(report: Report) -> str:
             _view_table(views),
             depth_html(report.depth) if report.depth else "",
             poses_html(metrics["poses"]) if metrics.get("poses") else "",
-            cameras_html(report.cameras, _worths(metrics)) if report.cameras else "",
+            cameras_html(report.cameras, worths) if report.cameras else "",
             histograms_html(report.histograms),
             _details(metrics, report.config),
         )
     )
     return html_page(f"{title}: gscore report", body, scripts=("report.js",))
-
-
-def _worths(metrics: dict[str, Any]) -> dict[str, float | None]:
-    """Headline PSNR of each measured view, dB."""
-    return {view["name"]: headline_psnr(view) for view in metrics["views"]}
 
 
 def _decisions(report: Report) -> str:
@@ -236,7 +232,8 @@ def _cell(numbers: dict[str, Any], metric: NamedMetric) -> str:
 
 def _details(metrics: dict[str, Any], config: dict[str, dict[str, Any]]) -> str:
     parts = [_definitions(metrics)]
-    machine = {k: _machine_value(k, v) for k, v in metrics["machine"].items()}
+    machine = metrics["machine"].items()
+    machine = {k: size_text(v) if k.endswith("_bytes") else v for k, v in machine}
     parts.append(_table("Machine", machine))
     names = metrics["test_views"]
     listed = "\n".join(names) if names else "none"
@@ -246,10 +243,6 @@ def _details(metrics: dict[str, Any], config: dict[str, dict[str, Any]]) -> str:
     )
     parts += [_table(f"Options: {section}", values) for section, values in config.items()]
     return f'<section class="details">{"".join(parts)}</section>\n'
-
-
-def _machine_value(key: str, value: Any) -> Any:
-    return size_text(value) if key.endswith("_bytes") else value
 
 
 def _table(title: str, values: dict[str, Any]) -> str:

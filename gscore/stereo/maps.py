@@ -176,12 +176,11 @@ def stereo_maps(
     if not found:
         return StereoMaps(maps={}, reason="no depth of a photo is confirmed by two others")
     known = sum(int((one.inverse_depth > 0).sum()) for one in found.values())
-    return StereoMaps(maps=found, known=known / sum(map(_counting, photos)))
-
-
-def _counting(photo: SmallPhoto) -> int:
-    """Number of unmasked pixels of a photo."""
-    return photo.view.grey.size if photo.counts is None else int(photo.counts.sum())
+    unmasked = sum(
+        photo.view.grey.size if photo.counts is None else int(photo.counts.sum())
+        for photo in photos
+    )
+    return StereoMaps(maps=found, known=known / unmasked)
 
 
 def _swept(

@@ -65,7 +65,7 @@ class FrameFolder:
         """Record of an earlier run that wrote the same frames; None: none."""
         if record is not None and self._is_same(record) and self._is_whole(record):
             self.found = record
-        elif self._place.exists() and not _is_empty_folder(self._place):
+        elif self._place.exists() and not (self._place.is_dir() and not any(self._place.iterdir())):
             self._check_replaceable(record)
 
     @contextlib.contextmanager
@@ -201,7 +201,3 @@ def _record(path: Path) -> dict[str, Any] | None:
     except (GsError, ValueError):
         return None
     return found if isinstance(found, dict) else None
-
-
-def _is_empty_folder(path: Path) -> bool:
-    return path.is_dir() and not any(path.iterdir())

@@ -20,9 +20,10 @@ SPZ_VERSION = 3
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb, in the order of the steps."""
     option = partial(add_option, parser)
+    endings = [ending for one in FORMATS if one.write for ending in one.endings]
     parser.description = (
         f"{parser.description or ''} Steps run in the order of this list, regardless of the order "
-        f"of the options. Endings of OUT: {', '.join(_written_endings())}."
+        f"of the options. Endings of OUT: {', '.join(endings)}."
     ).strip()
     option("input IN", "splat file, or the folder of a run", Path)
     option("output OUT", "output file; its ending selects the format", Path)
@@ -46,10 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--views N", "maximum number of views that measure the loss (60)", _count, default=60)
     option("--picture FILE.png", "picture of one view, before and after side by side", Path)
     option("--picture-view NAME", "view of the picture, by name or number; default: the middle one")
-
-
-def _written_endings() -> list[str]:
-    return [ending for one in FORMATS if one.write for ending in one.endings]
 
 
 def _add_join_and_crop(parser: argparse.ArgumentParser) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from ...report.figure import figure
 from ...text_format import count_text, markdown_table, number
 from ..parser import add_option
 
+_seconds = attrgetter("seconds")
 _QUANTITIES = ("splats", "widths", "iterations")
 
 
@@ -121,20 +123,12 @@ def train_sizes(
 
 def _fronts(outcomes: Sequence[SizeOutcome]) -> tuple[list[SizeOutcome], list[SizeOutcome]]:
     """The Pareto fronts of PSNR over time, and over the number of splats."""
-    return pareto_front(outcomes, _seconds), pareto_front(outcomes, _splats)
+    return pareto_front(outcomes, _seconds), pareto_front(outcomes, attrgetter("splats"))
 
 
 def _given(args: argparse.Namespace) -> dict[str, list[int]]:
     """The requested numbers; empty for a quantity that keeps the preset's value."""
     return {name: list(dict.fromkeys(getattr(args, f"sweep_{name}") or [])) for name in _QUANTITIES}
-
-
-def _seconds(outcome: SizeOutcome) -> float:
-    return outcome.seconds
-
-
-def _splats(outcome: SizeOutcome) -> float:
-    return outcome.splats
 
 
 def _draw(

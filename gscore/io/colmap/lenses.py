@@ -50,7 +50,7 @@ def undistorted_rays(model: str, params: Sequence[float], pixels: np.ndarray) ->
         if _DISTORTIONS[model] is _division:
             return target / (1 + of["k"] * (target * target).sum(axis=1))[:, None]
         # Far from the axis of a wide lens, the formula is nearly linear in angles, not in x / z.
-        ray = _tangents if _DISTORTIONS[model] is not _radial else _same
+        ray = _tangents if _DISTORTIONS[model] is not _radial else np.asarray
         return ray(_solve(lambda at: _DISTORTIONS[model](ray(at), of), target))
 
 
@@ -83,10 +83,6 @@ def _solve(distort: Callable[[np.ndarray], np.ndarray], target: np.ndarray) -> n
             break
         left, at = left[going], at[going]
     return solution
-
-
-def _same(rays: np.ndarray) -> np.ndarray:
-    return rays
 
 
 def _tangents(angles: np.ndarray) -> np.ndarray:
