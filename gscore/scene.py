@@ -1,6 +1,7 @@
 """Scene: cameras and points of a capture, COLMAP world, float64."""
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -155,6 +156,13 @@ class Cameras:
     def centers(self) -> np.ndarray:
         """[C, 3] float64, camera positions in the world."""
         return camera_centers(self.viewmats)
+
+    def subset(self, indices: Sequence[int]) -> "Cameras":
+        """The cameras of `indices`, in this order."""
+        at = list(indices)
+        names = tuple(self.names[i] for i in at)
+        arrays = {k: getattr(self, k)[at] for k in ("viewmats", "Ks", "widths", "heights")}
+        return replace(self, names=names, **arrays)
 
     def of_splats(self, origin: np.ndarray | None) -> "Cameras":
         """The cameras in the world of splats with a local origin. Cameras of a file that states no

@@ -145,7 +145,8 @@ def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -
             return interrupt.exit_code or 130
         if sends_events:
             _send(_failed(prog, error))
-        return _failure(prog, error)
+        message = _message(prog, error)
+        return _complain(prog, message) if message else _internal(prog, error)
 
 
 def _check_working_folder() -> None:
@@ -161,12 +162,6 @@ def _check_working_folder() -> None:
             "The working folder was removed, or access to it is denied; change into another one "
             "with cd."
         ) from error
-
-
-def _failure(prog: str, error: BaseException) -> int:
-    """Print an error and return its exit code."""
-    message = _message(prog, error)
-    return _complain(prog, message) if message else _internal(prog, error)
 
 
 def _message(prog: str, error: BaseException) -> str:

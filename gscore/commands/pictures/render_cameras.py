@@ -2,7 +2,6 @@
 
 import argparse
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -74,10 +73,10 @@ def find_shots(
                 "No view was held out, or the split is unknown: give the folder of a run that was "
                 "trained with `--eval`, or select views with `--view` or `--all`."
             )
-        return Shots(cameras=some_cameras(cameras, captured.test), path="")
+        return Shots(cameras=cameras.subset(captured.test), path="")
     if args.view:
         chosen = [view_index(view, cameras.names) for view in args.view]
-        return Shots(cameras=some_cameras(cameras, chosen), path="")
+        return Shots(cameras=cameras.subset(chosen), path="")
     if is_video and not args.all and len(cameras) > 1:
         return _some_path(cameras, args)
     return Shots(cameras=cameras, path="")
@@ -239,20 +238,6 @@ def _fitted(K: np.ndarray, old: tuple[int, int], new: tuple[int, int]) -> np.nda
     K[:2, 2] = np.array(new) / 2 + scale * (K[:2, 2] - np.array(old) / 2)
     K[[0, 1], [0, 1]] *= scale
     return K
-
-
-def some_cameras(cameras: Cameras, indices: Sequence[int]) -> Cameras:
-    """The cameras of `indices`, in this order."""
-    indices = list(indices)
-    return Cameras(
-        viewmats=cameras.viewmats[indices],
-        Ks=cameras.Ks[indices],
-        widths=cameras.widths[indices],
-        heights=cameras.heights[indices],
-        names=tuple(cameras.names[i] for i in indices),
-        up=cameras.up,
-        origin=cameras.origin,
-    )
 
 
 def view_index(view: str, names: tuple[str, ...]) -> int:

@@ -39,13 +39,6 @@ _STOPS = ("paused", "measuring")
 """Phases without steps, which are shown; the number of splats implies the others."""
 
 
-class Silent:
-    """Shows nothing."""
-
-    def __call__(self, event: Event) -> None:
-        """Drop the event."""
-
-
 class JsonLines:
     """Each event as a line of JSON."""
 

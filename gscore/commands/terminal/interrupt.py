@@ -55,11 +55,6 @@ class Interrupt:
         neither."""
         return 128 + self._received if self._received else self._output_code
 
-    @property
-    def output_is_lost(self) -> bool:
-        """Whether the reader of the output closed it."""
-        return self._output_code != 0
-
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
             for number in ending_signals():

@@ -11,7 +11,7 @@ from ...control import Control, listen
 from ...errors import Cancelled
 from ...events import Failed, Show
 from ..parser import add_option
-from .display import JsonLines, Lines, Silent
+from .display import JsonLines, Lines
 from .interrupt import interrupts
 from .output import print_result
 
@@ -105,4 +105,4 @@ def run_verb(
 def _display(shown: OutputOptions, control: Control) -> Show:
     if shown.events:
         return JsonLines(sys.stdout, on_closed=lambda: control.stop("output closed"))
-    return Silent() if shown.quiet else Lines(sys.stderr)
+    return (lambda event: None) if shown.quiet else Lines(sys.stderr)
