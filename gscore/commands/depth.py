@@ -12,8 +12,7 @@ from ..depth.params import DEPTH_FOLDER
 from ..errors import ConfigError
 from ..text_format import count_text
 from .args.data_options import add_mask_options, add_split_options
-from .depth_maps.make_maps import DepthResult, StopMessage, make_maps
-from .depth_maps.networks import list_models
+from .depth_maps.make_maps import DepthResult, StopMessage, list_models, make_maps
 from .parser import add_option, add_threads_option
 from .terminal.run_job import OutputOptions, add_output_options, run_verb
 

@@ -9,8 +9,8 @@ from ..errors import ConfigError
 from ..io.output_paths import check_output_path
 from ..quoting import brief
 from ..sfm import SearchRequest, SearchResult, find_cameras
-from ..sfm.photo_sources import photos_from
 from ..sfm.search_request import MAPPERS, MATCHERS
+from ..sfm.staging import photos_from
 from ..video import is_video
 from .parser import add_option, add_threads_option
 from .terminal.output import check_folder

@@ -2,6 +2,5 @@
 
 from .cameras_plan import cameras_section
 from .histograms import splat_histograms
-from .page import Report, report_html
+from .page import Report, report_html, write_results
 from .pictures import PictureCollector
-from .results import write_results

@@ -1,22 +1,28 @@
-"""Report page, report.html: the results of a run in one self-contained file, refined poses too."""
+"""Results of a run: metrics.json, and report.html, one self-contained file, with refined poses."""
 
 import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..config import DataConfig, TrainConfig
+from ..config_command import depth_command, preset_text, train_command
+from ..config_file import to_dict
 from ..events import Decision, headline_psnr
+from ..io.runs import CAPTURE
 from ..metrics.named import NAMED_METRICS, NamedMetric
+from ..metrics.summary import Metrics, write_metrics
 from ..text_format import count_text, has_exposure_correction, number_text, psnr_name, size_text
-from .cameras_plan import CamerasSection, cameras_html
+from .cameras_plan import CamerasSection, cameras_html, made_of
 from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
 from .histograms import Histogram, histograms_html
-from .html_parts import AXES, SEAM, html_page, switch, warnings_html
+from .html_parts import AXES, SEAM, html_page, switch, warnings_html, write_html
 from .pictures import ERROR_GAIN, ViewPictures
 from .report_header import EXPOSED, TIMES, head_html, meaning_html, tiles_html
 
@@ -296,3 +302,76 @@ def poses_html(poses: Mapping[str, Any]) -> str:
         "<table><thead><tr><th>photo</th><th>rotation, degrees</th><th>move, of the extent</th>"
         f"<th></th></tr></thead><tbody>{rows}</tbody></table></section>\n"
     )
+
+
+def write_results(
+    folder: Path,
+    metrics: Metrics,
+    *,
+    data: DataConfig,
+    run: Path | None = None,
+    trained: tuple[DataConfig, TrainConfig] | None = None,
+    resolved: dict[str, Any] | None = None,
+    views: Sequence[ViewPictures] = (),
+    warnings: Sequence[str] = (),
+    depth: DepthSection | None = None,
+    cameras: CamerasSection | None = None,
+    histograms: Sequence[Histogram] = (),
+) -> dict[str, Any]:
+    """Write both files, each completely or not at all.
+
+    Args:
+        folder: Folder of the files.
+        metrics: The measurements.
+        data: The measured capture.
+        run: Folder of the training, for its command; None: not known.
+        trained: Options of the training; None: not known.
+        resolved: Values of automatic options; None: not known.
+        views: Pictures for the report.
+        warnings: Sentences for the report.
+        depth: Depth section of the report.
+        cameras: Camera section of the report.
+        histograms: Histograms of the splats.
+
+    Returns:
+        Content of metrics.json.
+
+    Raises:
+        GsError: a file cannot be written.
+    """
+    content = metrics.content()
+    config = {"data": to_dict(data)}
+    if trained is not None:
+        config["train"] = to_dict(trained[1])
+    if resolved is not None:
+        config["values of automatic options"] = resolved
+    how = {}
+    if trained is not None and run is not None:
+        how = {"preset": preset_text(*trained)}
+        how["command"] = train_command(*trained, run, requested=metrics.course.asked)
+        how["depth_command"] = depth_command(trained[0])
+    report = Report(
+        title=_title(data.source, cameras),
+        metrics=content,
+        views=views,
+        warnings=warnings,
+        depth=depth,
+        cameras=cameras,
+        histograms=histograms,
+        config=config,
+        **how,
+    )
+    write_html(folder / "report.html", report_html(report))
+    # The last file: its existence shows to a resumed run that all others exist.
+    write_metrics(folder / "metrics.json", content)
+    return content
+
+
+def _title(source: Path, cameras: CamerasSection | None) -> str:
+    """Name of the capture; for a capture made in a training, whose name is the same in every run,
+    the name of its photos or video."""
+    whole = source.resolve()
+    if whole.name != CAPTURE or cameras is None:
+        return whole.name
+    origin = made_of(cameras)
+    return whole.parent.name if origin is None else origin

@@ -14,7 +14,7 @@ from PIL import Image
 from gscore.config import DataConfig, TrainConfig
 from gscore.config_file import config_json, load_config
 from gscore.control import Control
-from gscore.datasets.pku.neus import _projections
+from gscore.datasets.pku.case import _projections
 from gscore.datasets.read import read_capture
 from gscore.datasets.transforms_json import read_transforms
 from gscore.depth.maps import read_map

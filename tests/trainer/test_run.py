@@ -40,7 +40,7 @@ from gscore.io.images.read_image import read_image
 from gscore.io.metrics_file import metrics_problem, read_metrics
 from gscore.io.ply.splats import read_ply, write_splats
 from gscore.io.runs import checkpoints_in, read_course
-from gscore.report import results
+from gscore.report import page as report_page
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.estimate import memory
 from gscore.trainer.estimate.forecast import estimate
@@ -242,7 +242,7 @@ def test_a_run_killed_before_its_report_writes_it_later(
         raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr(results, "write_html", killed)
+        patch.setattr(report_page, "write_html", killed)
         with pytest.raises(Killed):
             train(CONFIG, data_of(capture), tmp_path)
     assert (tmp_path / "point_cloud.ply").is_file()

@@ -1,4 +1,4 @@
-"""Depth map production: prediction or stereo, alignment, output files."""
+"""Depth map production: a network by name or file, or stereo; alignment, output files."""
 
 import argparse
 import time
@@ -9,27 +9,29 @@ from ...config import DataConfig, Switch
 from ...control import Control
 from ...datasets import Dataset, load_dataset
 from ...depth.align import align_official, reliable
+from ...depth.catalogue import all_networks, known, network_names
 from ...depth.fit import NO_FIT, Fit, median_scale
 from ...depth.fitting import Alignment, align_views, resolved_kind, robust
+from ...depth.hub import cached_file, network_file, terms
 from ...depth.maps import SHEET, DepthKind, MapFolder, read_map, stem, to_inverse
-from ...depth.network import NETWORK_HINT, Network
+from ...depth.network import NETWORK_HINT, Network, Normalization
 from ...depth.observations import Observations, observations
 from ...depth.params import params_path, read_params, write_params
 from ...depth.predict import Prediction, predict_views
 from ...depth.priors import fit_table
 from ...depth.samples import Samples, unusable, view_samples
 from ...depth.sheet import write_sheet
-from ...errors import Cancelled, ConfigError, FormatError
+from ...errors import BackendError, Cancelled, ConfigError, FormatError
 from ...events import DepthDone, DepthProgress, Saved, Show, Warn
 from ...extras import need
 from ...io.output_paths import check_output_path
+from ...quoting import brief
 from ...report.colormap import colorize
 from ...stereo import files, stereo_maps
-from ...text_format import count_text
+from ...text_format import count_text, size_text
 from ...trainer.depth.rule import coverage, decide
 from ..args.data_options import with_data_options
-from ..terminal.output import check_folder, check_replaced
-from .networks import network_path, network_text
+from ..terminal.output import check_folder, check_replaced, print_json
 
 _MAKE = f"use `--method stereo`, which needs no network, or `--model FILE.onnx`. {NETWORK_HINT}."
 """Remedy for missing maps without a network."""
@@ -307,3 +309,62 @@ class _Progress:
             raise Cancelled(f"Depth was stopped while {self._phase}.")
         left = (time.monotonic() - self._start) / done * (total - done)
         self._show(DepthProgress(done=done, total=total, view=name, eta_s=left, phase=self._phase))
+
+
+def network_path(args: argparse.Namespace, show: Show) -> tuple[Path, Normalization]:
+    """The file of --model and its input normalisation."""
+    entry = known(args.model)
+    path = Path(args.model)
+    if entry is None or path.is_file():
+        if entry is None and not path.suffix:
+            raise ConfigError(
+                f"There is no model {brief(path)}: give an ONNX file, or one of "
+                f"{', '.join(network_names())}."
+            )
+        return path, args.normalization
+    if args.download and cached_file(entry) is None:
+        phase = f"downloading {entry.name}: {terms(entry)}"
+        show(DepthProgress(done=0, total=0, view="", eta_s=float("nan"), phase=phase))
+    found = network_file(entry, download=args.download)
+    auto = args.normalization is Normalization.AUTO
+    return found, entry.normalization if auto else args.normalization
+
+
+def list_models(args: argparse.Namespace) -> int:
+    """Print the named networks; returns the exit code."""
+    rows = []
+    for network in all_networks():
+        try:
+            here = cached_file(network)
+        except BackendError:  # without the hub's library nothing was downloaded
+            here = None
+        rows.append(
+            {
+                "name": network.name,
+                "bytes": network.bytes,
+                "licence": network.licence,
+                "input": network.input,
+                "kind": network.kind.value,
+                "page": network.page,
+                "source": network.source,
+                "file": None if here is None else str(here),
+            }
+        )
+    if args.json:
+        print_json({"models": rows})
+        return 0
+    for row in rows:
+        here = "on this machine" if row["file"] else f"{size_text(row['bytes'])} to download"
+        print(f"{row['name']}  ({here}; licence {row['licence']}; input {row['input']})")
+        print(f"    {row['page']}, weights of {row['source']}")
+    return 0
+
+
+def network_text(network: Network, dataset: Dataset) -> str:
+    """Description of a network: detected family, input size and normalisation."""
+    profile = network.profile
+    width, height = network.input_size(*dataset.files[0].photo_size)
+    return (
+        f"{network.path.name}, detected as {profile.family}: input {width} x {height} px, "
+        f"normalization {profile.normalization}"
+    )

@@ -1,26 +1,30 @@
 """Camera files of other programs, found by content, and read with the photos in their folder."""
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from ...config import DataConfig
-from ...errors import DatasetError
+from ...errors import DatasetError, FormatError
 from ...io.colmap.camera_models import NO_PINHOLE
 from ...io.colmap.folder import is_safe_name
+from ...io.files import read_bytes
 from ...io.images.read_image import IMAGE_ENDINGS, read_info
+from ...io.npy import read_npy
 from ...io.ply.points import read_point_cloud
 from ...scene import PointCloud, camera_centers
 from ...text_format import count_text
+from ...transforms import invert_rigid
 from ..capture import Capture, View, listing, repeated
 from ..folder import is_marked_mask, masks_by_photos, same_name
+from ..poses import rigid_matrix
 from . import metashape, realityscan
-from .llff import read_llff
 from .metashape import read_metashape
 from .opensfm import read_opensfm
-from .posed import PosedPhoto, PosedPhotos, Size
+from .posed import PosedPhoto, PosedPhotos, Size, brown_camera
 from .realityscan import read_csv, read_xmps, sidecars_in
 
 _HEAD = 1 << 13
@@ -330,3 +334,47 @@ def _share_seen(points: np.ndarray, views: list[View]) -> float:
             near &= (np.abs(pixels - half) <= _MARGIN * half).all(axis=1)
         seen |= near
     return float(seen.mean()) if len(seen) else 1.0
+
+
+_NUMBERS = 17
+
+
+def read_llff(path: Path, names: Sequence[str]) -> PosedPhotos:
+    """Read poses and the shared lens, whose principal point is the middle of the photo.
+
+    Args:
+        path: The file.
+        names: Names of all photos, sorted.
+
+    Raises:
+        DatasetError: the file is missing, or there are more or fewer photos than poses.
+        FormatError: it is not an array of 17 numbers per row, or a pose or size is unusable.
+    """
+    try:
+        rows = read_npy(read_bytes(path)).astype(np.float64)
+    except ValueError as error:
+        raise FormatError(f"{path} is not an array of poses: {error}. Copy it again.") from error
+    if rows.ndim != 2 or rows.shape[1] != _NUMBERS:
+        raise FormatError(
+            f"{path} has the shape {rows.shape}, expected rows of {_NUMBERS} numbers. Make it "
+            "again with LLFF's imgs2poses.py."
+        )
+    if len(rows) != len(names):
+        raise DatasetError(
+            f"{path} has {count_text(len(rows), 'pose')} for {count_text(len(names), 'photo')}, "
+            "without their names, so they cannot be matched. Keep only the photos that it was made "
+            "from."
+        )
+    return PosedPhotos(photos=[_shot(f"{path}: row {i}", *pair)
+                        for i, pair in enumerate(zip(rows, names, strict=True))])  # fmt: skip
+
+
+def _shot(where: str, row: np.ndarray, name: str) -> PosedPhoto:
+    stated = row[:15].reshape(3, 5)
+    down, right, back, center, (height, width, focal) = stated.T
+    pose = rigid_matrix(where, "the pose", np.column_stack([right, down, -back, center]))
+    if not all(0 < side < 2**31 for side in (height, width)):
+        raise FormatError(f"{where}: the size {width:g} x {height:g} is invalid. Make it again.")
+    size = (round(width), round(height))
+    lens = brown_camera(where, size, focal=(focal, focal), center=(size[0] / 2, size[1] / 2))
+    return PosedPhoto(name=name, viewmat=invert_rigid(pose), camera=lambda _: lens, size=size)
