@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import groupby
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from ...report.figure import figure
 from ...text_format import count_text, markdown_table, number
 from ..parser import add_option
 
-_seconds = attrgetter("seconds")
 _QUANTITIES = ("splats", "widths", "iterations")
 
 
@@ -123,12 +121,16 @@ def train_sizes(
 
 def _fronts(outcomes: Sequence[SizeOutcome]) -> tuple[list[SizeOutcome], list[SizeOutcome]]:
     """The Pareto fronts of PSNR over time, and over the number of splats."""
-    return pareto_front(outcomes, _seconds), pareto_front(outcomes, attrgetter("splats"))
+    return pareto_front(outcomes, _seconds), pareto_front(outcomes, lambda one: one.splats)
 
 
 def _given(args: argparse.Namespace) -> dict[str, list[int]]:
     """The requested numbers; empty for a quantity that keeps the preset's value."""
     return {name: list(dict.fromkeys(getattr(args, f"sweep_{name}") or [])) for name in _QUANTITIES}
+
+
+def _seconds(outcome: SizeOutcome) -> float:
+    return outcome.seconds
 
 
 def _draw(
