@@ -7,7 +7,6 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from gscore.io.images.png import write_png
 from gscore.io.images.read_image import read_image
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.schedule import caps
+from tests.forked import Forked
 
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
 
@@ -402,27 +402,22 @@ class Job:
     """A `gscore train --events jsonl` in another process."""
 
     def __init__(self, *arguments: str, stdin: Any = subprocess.PIPE) -> None:
-        command = [sys.executable, "-m", "gscore", "train", *arguments, "--events", "jsonl"]
-        self.process = subprocess.Popen(
-            command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
+        command = ["-m", "gscore", "train", *arguments, "--events", "jsonl"]
+        self.process = Forked(command, stdin=stdin)
         self.events: list[Event] = []
 
     def until(self, kind: type[Event], condition: Callable[[Any], bool] = lambda e: True) -> Event:
         """Read events up to one of a kind."""
-        assert self.process.stdout
         for line in self.process.stdout:
             event = from_line(line)
             assert event is not None, line
             self.events.append(event)
             if isinstance(event, kind) and condition(event):
                 return event
-        assert self.process.stderr
         pytest.fail(f"no {kind.__name__}; stderr: {self.process.stderr.read()}")
 
     def end(self) -> int:
         """Read to the end; return the exit code."""
-        assert self.process.stdout
         self.events += [e for line in self.process.stdout if (e := from_line(line))]
         return self.process.wait(timeout=60)
 
@@ -439,11 +434,7 @@ def job(capture: Path, tmp_path: Path) -> Iterator[Callable[..., Job]]:
 
     yield start
     for made in jobs:
-        made.process.kill()
-        made.process.wait()
-        for stream in (made.process.stdin, made.process.stdout, made.process.stderr):
-            if stream:
-                stream.close()
+        made.process.close()
 
 
 def checkpoint_step(path: Path) -> int:
@@ -474,7 +465,6 @@ def test_stop_on_stdin_ends_well(job: Callable[..., Job], tmp_path: Path) -> Non
     """Oracle: code 0, reason, checkpoint."""
     run = job()
     run.until(Progress, lambda e: e.step > 5)
-    assert run.process.stdin
     run.process.stdin.write("stop\n")
     run.process.stdin.flush()
     assert run.end() == 0
@@ -491,7 +481,6 @@ def test_the_end_of_stdin_means_that_the_parent_died(
     """Oracle: a checkpoint without a request."""
     run = job()
     run.until(Progress, lambda e: e.step > 5)
-    assert run.process.stdin
     run.process.stdin.close()
     assert run.end() == 0
     assert isinstance(run.events[-1], Done)
@@ -523,40 +512,28 @@ def test_a_second_run_in_the_same_folder_is_refused(
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_events_that_cannot_be_written_end_the_run_in_order(capture: Path, tmp_path: Path) -> None:
     """Oracle: a device that is always full: no traceback, and at most a checkpoint."""
+    command = ["-m", "gscore", "train", str(capture), "-o", str(tmp_path), *SHORT]
     with Path("/dev/full").open("w") as full:
-        command = [sys.executable, "-m", "gscore", "train", str(capture), "-o", str(tmp_path)]
-        ended = subprocess.run(
-            [*command, *SHORT, "--events", "jsonl"],
-            stdin=subprocess.DEVNULL,
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
-    assert "Traceback" not in ended.stderr
+        ended = Forked([*command, "--events", "jsonl"], stdout=full)
+        _, err = ended.communicate(timeout=60)
+    ended.close()
+    assert "Traceback" not in err
     assert RunFolder(tmp_path).checkpoints() or not list(tmp_path.iterdir())
-
-
-def _no_large_files() -> None:
-    import resource
-
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 
 
 @pytest.mark.skipif(os.name == "nt", reason="limits of POSIX")
 def test_a_write_that_fails_is_one_sentence(capture: Path, tmp_path: Path) -> None:
     """Oracle: a system limit of 20 kB on files, which fails in mid-write as a full disk would."""
-    command = [sys.executable, "-m", "gscore", "train", str(capture), "-o", str(tmp_path), *SHORT]
-    ended = subprocess.run(
-        [*command, "--quiet"],
-        capture_output=True,
-        text=True,
-        check=False,
-        preexec_fn=_no_large_files,
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))\n"
+        "from gscore.__main__ import main; sys.exit(main())"
     )
+    ended = Forked(["-c", code, "train", str(capture), "-o", str(tmp_path), *SHORT, "--quiet"])
+    _, err = ended.communicate(timeout=60)
+    ended.close()
     assert ended.returncode == 2
-    assert ended.stderr.count("\n") == 1
-    assert "gscore train: error: Cannot write" in ended.stderr
-    assert "checkpoints/step_00000000.safetensors" in ended.stderr
+    assert err.count("\n") == 1
+    assert "gscore train: error: Cannot write" in err
+    assert "checkpoints/step_00000000.safetensors" in err
     left = {p.name for p in tmp_path.rglob("*") if p.is_file()}
     assert left == {"config.json", "cfg_args", "cameras.json"}

@@ -17,6 +17,7 @@ from gscore.events import Failed, from_line
 from gscore.io.ply.splats import read_ply
 from gscore.trainer.files import checkpoint
 from gscore.trainer.files.run_folder import RunFolder
+from tests.forked import Forked
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and shells of POSIX")
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
@@ -28,25 +29,20 @@ def command(capture: Path, out: Path, *options: str) -> list[str]:
 
 
 @pytest.fixture
-def begin() -> Iterator[Callable[..., subprocess.Popen]]:
-    """`start(arguments, **options)`: a process, killed after the test. It handles SIGHUP, which
-    nohup may make these tests ignore."""
-    made: list[subprocess.Popen] = []
-    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+def begin() -> Iterator[Callable[..., Forked]]:
+    """`start(arguments, **options)`: a program, killed after the test."""
+    made: list[Forked] = []
 
-    def start(arguments: list[str], **options: Any) -> subprocess.Popen:
-        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        made.append(subprocess.Popen(arguments, text=True, **pipes | options))
+    def start(arguments: list[str], **options: Any) -> Forked:
+        made.append(Forked(arguments[1:], **options))
         return made[-1]
 
     yield start
-    signal.signal(signal.SIGHUP, before)
     for process in made:
-        process.kill()
-        process.communicate()
+        process.close()
 
 
-def is_training(process: subprocess.Popen, out: Path) -> None:
+def is_training(process: Forked, out: Path) -> None:
     """Wait until there is a checkpoint after the first step."""
     while process.poll() is None and len(RunFolder(out).checkpoints()) < 2:
         time.sleep(0.02)
@@ -58,7 +54,7 @@ def is_training(process: subprocess.Popen, out: Path) -> None:
     [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGPIPE, 141)],
 )
 def test_every_signal_leaves_a_checkpoint(
-    capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen], number: int, code: int
+    capture: Path, tmp_path: Path, begin: Callable[..., Forked], number: int, code: int
 ) -> None:
     """Oracle: 128 + the signal, results and a checkpoint of the last step; a second signal that is
     not from a key changes nothing."""
@@ -77,7 +73,7 @@ def test_every_signal_leaves_a_checkpoint(
 
 
 def test_a_second_ctrl_c_ends_at_once(
-    capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen]
+    capture: Path, tmp_path: Path, begin: Callable[..., Forked]
 ) -> None:
     """Oracle: both sentences and no other output after the progress; intact checkpoints. The steps
     take two seconds, so that the second key comes before the first is handled, and keys are half a
@@ -102,19 +98,17 @@ def test_a_second_ctrl_c_ends_at_once(
 
 
 @pytest.mark.parametrize("runs", [4, pytest.param(30, marks=pytest.mark.slow)])
-def test_ctrl_c_at_any_moment(
-    capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen], runs: int
-) -> None:
+def test_ctrl_c_at_any_moment(capture: Path, tmp_path: Path, runs: int) -> None:
     """Oracle: no traceback and no torn file, for one to three keys at random moments from the start
     of the interpreter on: imports, reading, checkpoints, evaluation, report."""
     chance = random.Random(runs)
     options = ["--iterations", "60", "--max-splats", "200", "--checkpoint-seconds", "0.05"]
-    began = time.monotonic()
-    begin(command(capture, tmp_path / "whole", *options)).communicate(timeout=60)
+    began, pipes = time.monotonic(), {"stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
+    subprocess.run(command(capture, tmp_path / "whole", *options), **pipes, timeout=60)
     usual = time.monotonic() - began
     for run in range(runs):
         out = tmp_path / str(run)
-        process = begin(command(capture, out, *options))
+        process = subprocess.Popen(command(capture, out, *options), **pipes, text=True)
         time.sleep(0.15 + chance.uniform(0, usual))
         for _ in range(chance.randint(1, 3)):
             process.send_signal(signal.SIGINT)
@@ -144,40 +138,39 @@ def test_streams_that_are_closed_from_the_start_are_not_missed(
 
 @pytest.mark.parametrize("stream", ["stdout", "stderr"])
 def test_a_reader_that_goes_away_ends_a_run_with_a_checkpoint(
-    capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen], stream: str
+    capture: Path, tmp_path: Path, begin: Callable[..., Forked], stream: str
 ) -> None:
     """Oracle: 141, the shells' code for a closed pipe, and a run that can be resumed."""
     events = ["--events", "jsonl"] if stream == "stdout" else []
-    process = begin(command(capture, tmp_path, *LONG, *events))
+    often = (  # a progress line for people comes every ten seconds
+        "import sys; from gscore.__main__ import main\n"
+        "from gscore.commands.terminal import status; status._LINE_PERIOD = 0.1; sys.exit(main())"
+    )
+    process = begin([sys.executable, "-c", often, *command(capture, tmp_path, *LONG, *events)[3:]])
     is_training(process, tmp_path)
     getattr(process, stream).close()
     other = process.stderr if stream == "stdout" else process.stdout
-    assert other is not None
-    # A progress line for people comes every ten seconds.
     assert process.wait(timeout=60) == 141
     assert "Traceback" not in other.read()
     assert checkpoint.load(RunFolder(tmp_path).checkpoints()[-1]).steps > 0
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_reported_and_loses_nothing(capture: Path, tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_loses_nothing(
+    capture: Path, tmp_path: Path, begin: Callable[..., Forked]
+) -> None:
     """Oracle: the results, a sentence and code 2, although the summary cannot be written."""
     with Path("/dev/full").open("w") as full:
-        ended = subprocess.run(
-            command(capture, tmp_path, *SHORT),
-            stdin=subprocess.DEVNULL,
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-    assert ended.returncode == 2
-    last = ended.stderr.splitlines()[-1]
+        process = begin(command(capture, tmp_path, *SHORT), stdout=full)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 2
+    last = err.splitlines()[-1]
     assert last.startswith("gscore: error: Cannot write the output: the disk is full.")
     assert (tmp_path / "metrics.json").is_file()
 
 
 def test_a_stop_before_the_first_step_has_a_code_of_its_own(
-    capture: Path, tmp_path: Path, begin: Callable[..., subprocess.Popen]
+    capture: Path, tmp_path: Path, begin: Callable[..., Forked]
 ) -> None:
     """Oracle: code 3, its event, and no folder."""
     process = begin(
@@ -192,7 +185,9 @@ def test_a_stop_before_the_first_step_has_a_code_of_its_own(
 
 
 @pytest.mark.parametrize("name", ["SIGHUP", "SIGINT", "SIGTERM"])
-def test_a_signal_that_is_ignored_stays_so(capture: Path, tmp_path: Path, name: str) -> None:
+def test_a_signal_that_is_ignored_stays_so(
+    capture: Path, tmp_path: Path, begin: Callable[..., Forked], name: str
+) -> None:
     """Oracle: a run under nohup, or in the background of a script, to its end."""
     code = (
         f"import os, signal, sys; signal.signal(signal.{name}, signal.SIG_IGN)\n"
@@ -202,8 +197,7 @@ def test_a_signal_that_is_ignored_stays_so(capture: Path, tmp_path: Path, name: 
         "sys.exit(main())"
     )
     arguments = command(capture, tmp_path, *SHORT, "--quiet")[3:]
-    ended = subprocess.run([sys.executable, "-c", code, *arguments], stdin=subprocess.DEVNULL)
-    assert ended.returncode == 0
+    assert begin([sys.executable, "-c", code, *arguments]).wait(timeout=60) == 0
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX shells")

@@ -3,8 +3,6 @@
 import json
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +11,7 @@ import pytest
 import gscore
 from gscore import frontend
 from tests.docs.small_studio import write_small_studio
+from tests.forked import Forked
 
 SAVED = Path(__file__).parents[1] / "saved_before" / "run"
 
@@ -36,15 +35,14 @@ def test_its_checkpoint_continues_to_its_end(run: Path) -> None:
     """Oracle: the splats that the earlier version had after step 60, with the same kernels."""
     before = gscore.read_splats(run / "point_cloud.ply")
     (run / "metrics.json").unlink()
-    done = subprocess.run(
-        [sys.executable, "-m", "gscore", "train", "capture", "-o", "run", "--resume"],
+    done = Forked(
+        ["-m", "gscore", "train", "capture", "-o", "run", "--resume"],
         cwd=run.parent,
         env={**os.environ, "GSCORE_ISA": "scalar"},
-        capture_output=True,
-        text=True,
-        check=False,
     )
-    assert done.returncode == 0, done.stderr
+    _, err = done.communicate(timeout=240)
+    done.close()
+    assert done.returncode == 0, err
     after = gscore.read_splats(run / "point_cloud.ply")
     for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
         np.testing.assert_allclose(

@@ -2,11 +2,11 @@
 
 import os
 import socket
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
+
+from tests.forked import Forked
 
 ROOT = Path(__file__).parents[3]
 PATIENCE = 240
@@ -31,19 +31,12 @@ def start(*arguments: Sequence[object]) -> list[Ended]:
         here = {"RANK": rank, "LOCAL_RANK": rank, "MASTER_PORT": port}
         all_ = {"WORLD_SIZE": len(arguments), "LOCAL_WORLD_SIZE": len(arguments)}
         environment = {name: str(value) for name, value in (here | all_).items()}
-        ranks.append(
-            subprocess.Popen(
-                [sys.executable, *(str(word) for word in words)],
-                env=os.environ | environment | {"MASTER_ADDR": "127.0.0.1", "OMP_NUM_THREADS": "1"},
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                cwd=ROOT,
-            )
-        )
+        environment |= {"MASTER_ADDR": "127.0.0.1", "OMP_NUM_THREADS": "1"}
+        ranks.append(Forked([*map(str, words)], env=os.environ | environment, cwd=ROOT))
     try:
         reported = [rank.communicate(timeout=PATIENCE) for rank in ranks]
+        codes = [rank.wait() for rank in ranks]
     finally:
         for rank in ranks:
-            rank.kill()
-    return [Ended(rank.returncode, *both) for rank, both in zip(ranks, reported, strict=True)]
+            rank.close()
+    return [Ended(code, *both) for code, both in zip(codes, reported, strict=True)]
