@@ -146,8 +146,18 @@ class Answer:
         return self.numbers._replace(step=step - (fault is Fault.OTHER_STEP))
 
 
+def _trace(request: StepRequest, photo: StepPhoto) -> float:
+    """A number that differs where a step has another view, photo, size, pose or background."""
+    view, mask = request.view, np.zeros(1) if photo.mask is None else photo.mask
+    seen = [request.photo, view.width, view.height, request.drop_rate, *request.background]
+    seen += [photo.image.mean() / 255, photo.image[0].mean() / 255, mask.mean() / 255]
+    parts = [*seen, *np.asarray(view.viewmat).ravel(), *np.asarray(view.K).ravel() / 100]
+    return float(np.sin(request.step + np.arange(len(parts))) @ np.array(parts, float))
+
+
 class FakeEngine(Engine[FakeModel]):
-    """A step adds its rate to all parameters; pictures have the mean colour of the splats."""
+    """A step adds its rate to all parameters, and traces of what was requested; pictures have the
+    mean colour of the splats."""
 
     def __init__(self, in_flight: int = 0, faults: Mapping[int, Fault] | None = None) -> None:
         """`faults`: by step."""
@@ -158,7 +168,7 @@ class FakeEngine(Engine[FakeModel]):
             numerics="fake",
             threads=1,
             skips=ENGINE_SKIPS,
-            cost=CostModel(step=1e-6, pixel=0, splat=0, number=0),
+            cost=CostModel(step=1e-3, pixel=0, splat=0, number=0),
         )
         self.photos: dict[int, StepPhoto] = {}
         self.requests: list[StepRequest] = []
@@ -207,6 +217,7 @@ class FakeEngine(Engine[FakeModel]):
             model.first[name] += 1
             model.adam_steps[name] += 1
         model.params["means"] += np.float32(request.noise * 1e-9)
+        model.params["means"] += np.float32(1e-6 * _trace(request, photo))
         if request.gain is not None:  # so that a late gain shows in the splats
             model.params["sh0"] += np.float32(1e-3 * request.gain[0])
         for name in request.observe:

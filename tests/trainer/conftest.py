@@ -21,6 +21,7 @@ from gscore.raster.api import render
 from gscore.splats import Splats
 from gscore.stress.capture import SIZE, VIEWS, ToyPhotos, toy_photos, toy_splats
 from gscore.transforms import rotmat_to_quat
+from tests.engine.fake_engine import FakeEngine
 from tests.isas import isa  # noqa: F401
 from tests.marked_model import marked_model  # noqa: F401
 from tests.run_verb import refused  # noqa: F401
@@ -127,6 +128,25 @@ def deep(capture: Path, known_splats: Any, tmp_path_factory: pytest.TempPathFact
         params[Path(name).stem] = {"scale": DEEP_UNIT, "offset": 0.0}
     (root / "sparse" / "0" / FILE).write_text(json.dumps(params))
     return root
+
+
+@pytest.fixture
+def real_engine() -> None:
+    """Trainings compute by the CPU engine, in a module whose other tests have `fake_engine`."""
+
+
+@pytest.fixture
+def fake_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trainings compute by fake engines, for tests of all but their splats."""
+    if "real_engine" in request.fixturenames:
+        return
+    monkeypatch.setattr("gscore.trainer.trainer.CpuEngine", lambda **_: FakeEngine())
+
+
+@pytest.fixture(autouse=True)
+def known_pace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pace of the reference machine, which is not measured."""
+    monkeypatch.setattr("gscore.engine.cpu.engine.current_pace", lambda threads: 1.0)
 
 
 @pytest.fixture(autouse=True)

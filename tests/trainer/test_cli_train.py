@@ -26,6 +26,8 @@ from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.schedule import caps
 from tests.forked import Forked
 
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
 SHORT = ["--iterations", "12", "--max-splats", "200", "--sh-degree", "0"]
 
 
@@ -441,6 +443,7 @@ def checkpoint_step(path: Path) -> int:
     return int(RunFolder(path).checkpoints()[-1].stem.removeprefix("step_"))
 
 
+@pytest.mark.usefixtures("real_engine")
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_signals_end_with_a_checkpoint(

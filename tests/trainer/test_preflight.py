@@ -17,6 +17,8 @@ from gscore.trainer.preflight import check_training
 from gscore.trainer.region.region_box import RegionBox
 from gscore.trainer.trainer import Trainer
 
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
 CONFIG = TrainConfig(iterations=10, max_splats=500, sh_degree=0)
 
 
@@ -57,6 +59,7 @@ def test_higher_sh_degree_of_start_splats_warns(photos: Any, degree: int, report
     assert sum("SH degree" in sentence for sentence in check_training(trainer)) == reported
 
 
+@pytest.mark.usefixtures("real_engine")
 @pytest.mark.parametrize("strange", [False, True])
 def test_start_splats_of_another_scene_warn(
     photos: Any, known_splats: Splats, tmp_path: Path, strange: bool
@@ -86,6 +89,7 @@ def test_nearly_empty_region_warns(
     assert len(reported) == (count < 100)
 
 
+@pytest.mark.usefixtures("real_engine")
 def test_points_that_no_view_shows_are_an_error(photos: Any) -> None:
     """Oracle: all points shifted by 1e4."""
     aside = photos.scene.points.points + np.array([0.0, 1e4, 0.0])
@@ -93,6 +97,7 @@ def test_points_that_no_view_shows_are_an_error(photos: Any) -> None:
         warnings(with_points(photos, aside))
 
 
+@pytest.mark.usefixtures("real_engine")
 def test_a_view_that_looks_away_is_named(photos: Any) -> None:
     """Oracle: one camera turned round; the points are in the other views."""
     cameras = photos.scene.cameras

@@ -16,6 +16,8 @@ from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
 
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
 STOPS = (1, 5, 8, 9, 10, 12, 13, 19, 20, 21, 25, 26, 33, 59)
 """Before and after refinements (10, 20), resets (25), SH degrees (12) and epochs (8)."""
 
@@ -55,6 +57,7 @@ def test_resume_is_bit_equal(photos: Any, tmp_path: Path, strategy: Strategy) ->
         assert bits(resumed) == bits(whole), f"resumed at step {stop}"
 
 
+@pytest.mark.usefixtures("real_engine")
 @pytest.mark.parametrize("strategy", list(Strategy))
 def test_resume_while_gradients_gather_is_bit_equal(
     near: Any, tmp_path: Path, strategy: Strategy
@@ -79,6 +82,7 @@ def test_resume_while_gradients_gather_is_bit_equal(
         assert bits(resumed) == bits(whole), f"resumed at step {stop}"
 
 
+@pytest.mark.usefixtures("real_engine")
 def test_resume_with_other_threads_is_bit_equal(photos: Any, tmp_path: Path) -> None:
     """Oracle: as above, with another number of threads after the resume."""
     whole = Trainer(replace(CONFIG, threads=1), Analysis(photos=photos))

@@ -50,6 +50,8 @@ from gscore.trainer.run import train
 from gscore.trainer.schedule import caps
 from gscore.trainer.trainer import Trainer
 
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
 CONFIG = TrainConfig(
     iterations=40, max_splats=200, sh_degree=1, refine_start=5, refine_every=5, grow_grad=1e-5
 )
@@ -327,6 +329,7 @@ def test_stop_before_the_first_step_leaves_nothing(capture: Path, tmp_path: Path
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("real_engine")
 def test_bad_input_leaves_the_other_run_alone(capture: Path, tmp_path: Path) -> None:
     """Oracle: every file of the existing run, after each kind of failure."""
     train(CONFIG, data_of(capture), tmp_path)
@@ -365,6 +368,7 @@ def test_too_little_memory_is_reported_before_the_start(
     assert found.fits
 
 
+@pytest.mark.usefixtures("real_engine")
 def test_running_out_of_memory_is_one_sentence(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -381,6 +385,7 @@ def test_running_out_of_memory_is_one_sentence(
         train(CONFIG, data_of(capture), tmp_path)
 
 
+@pytest.mark.usefixtures("real_engine")
 def test_a_capture_far_from_its_origin_is_trained_and_warned_about(
     make_photos: Callable[..., Any],
 ) -> None:

@@ -27,6 +27,8 @@ from gscore.io.ply.splats import read_ply
 from gscore.io.sequences import read_sequence
 from gscore.trainer.sequence import SequenceOptions, train_sequence
 
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
 CONFIG = TrainConfig(iterations=40, max_splats=200, sh_degree=1, checkpoint_seconds=0)
 
 
@@ -42,6 +44,7 @@ def numbers_in(folder: Path) -> list[int]:
     return [entry["frame"] for entry in index.frames]
 
 
+@pytest.mark.usefixtures("real_engine")
 def test_each_frame_starts_from_the_one_before(frames: Path, tmp_path: Path) -> None:
     """Oracle: files of every frame; the number and the first PSNR of the splats handed over."""
     events: list[Event] = []
@@ -76,6 +79,7 @@ def test_each_frame_starts_from_the_one_before(frames: Path, tmp_path: Path) -> 
     assert events[-1].metrics["psnr"] == pytest.approx(np.mean(psnr))
 
 
+@pytest.mark.usefixtures("real_engine")
 def test_all_frames_are_in_the_world_of_the_first(frames: Path, tmp_path: Path) -> None:
     """Oracle: equal cameras in all frames, and `gscore eval` of a later frame on its own."""
     out = tmp_path / "out"

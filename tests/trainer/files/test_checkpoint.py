@@ -24,6 +24,8 @@ from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 from tests.checkpoint_files import checkpoint_json, with_checkpoint_json
 
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
 CONFIG = TrainConfig(iterations=20, max_splats=300, lpips=Path("a/b.onnx"), save_iterations=(3, 5))
 
 
@@ -318,6 +320,7 @@ def _goes_on(capture: Path, out: Path, *, steps: int) -> list[str]:
     return [e.message for e in messages if isinstance(e, Warn) and e.code == "isa"]
 
 
+@pytest.mark.usefixtures("real_engine")
 @pytest.mark.skipif(
     len(native_library.available_isas()) < 2, reason="there is one instruction set only"
 )

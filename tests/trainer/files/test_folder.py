@@ -17,6 +17,8 @@ from gscore.io.runs import RUN_LOCK, clear_run, other_files_in_run, remove_resul
 from gscore.trainer.files import run_folder as folder_module
 from gscore.trainer.files.run_folder import open_folder
 
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
 
 def names(path: Path) -> set[str]:
     return {p.name for p in path.rglob("*")}

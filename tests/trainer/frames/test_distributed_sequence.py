@@ -18,6 +18,8 @@ from gscore.io.sequences import read_sequence
 from tests.trainer.distributed.processes import rank_of, wait_for
 from tests.trainer.distributed.start_ranks import PATIENCE, ROOT, start
 
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
 SHORT = ["--iterations", "20", "--max-splats", "200", "--sh-degree", "0", "--quiet"]
 KEYS = ["--keyframe-every", "2", "--next-iterations", "8"]
 
@@ -61,6 +63,7 @@ def assert_same(out: Path, whole: Path) -> None:
     assert {path.name for path in out.iterdir()} == {path.name for path in whole.iterdir()}
 
 
+@pytest.mark.usefixtures("real_engine")
 def test_ranks_give_what_one_process_gives(video: Path, whole: Path, tmp_path: Path) -> None:
     """Oracle: splats to the bit and the list of frames; JSON of all frames on rank 0 alone."""
     out = tmp_path / "out"

@@ -21,6 +21,8 @@ from gscore.trainer.photos.image_pyramid import ImagePyramid
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
 CONFIG = TrainConfig(iterations=40, max_splats=200, refine_start=10, refine_every=10)
 
 

@@ -20,6 +20,8 @@ from gscore.trainer import prepare as prepare_module
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.run import train
 
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
 CONFIG = TrainConfig(iterations=60, max_splats=200, refine_start=10, refine_every=10)
 
 

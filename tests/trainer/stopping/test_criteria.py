@@ -20,6 +20,8 @@ from gscore.trainer.run import train
 from gscore.trainer.stopping.criteria import StoppingCriteria
 from gscore.trainer.trainer import Trainer
 
+pytestmark = pytest.mark.usefixtures("fake_engine")
+
 CONFIG = TrainConfig(iterations=200, max_splats=200, checkpoint_seconds=0, coarse_factor=1)
 
 
@@ -29,6 +31,7 @@ def run(capture: Path, out: Path, config: TrainConfig, **options: Any) -> tuple[
     return train(config, data, out, events.append, **options), events
 
 
+@pytest.mark.usefixtures("real_engine")
 def test_a_target_ends_the_run(capture: Path, tmp_path: Path) -> None:
     """Oracle: PSNRs of a run without a target, measured at the same steps."""
     plain, events = run(
