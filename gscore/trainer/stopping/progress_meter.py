@@ -14,7 +14,8 @@ from ..schedule.plan import Plan
 
 _EVENTS_PER_SECOND = 5.0
 _HISTORY = 500
-_HISTORY_FIELDS = ("step", "elapsed_s", "loss", "psnr", "splats", "steps_per_s", "phase")
+_ROWS_A_FIT = 8
+"""Rows of the history between two forecasts of the remaining time for `_MEMORY`."""
 _WINDOW = 50
 _WARMUP = 5
 """Number of first steps that are excluded from the pace, because they are slower."""
@@ -105,9 +106,9 @@ class ProgressMeter:
             self._mse = mse if first else self._mse + weight * (mse - self._mse)
         every = max(1, self.plan.iterations // _HISTORY)
         if step // every > (step - photos) // every or step == self.plan.iterations:
-            self._fit_memory()
-            fields = vars(self.progress())
-            row = {key: _finite(fields[key]) for key in _HISTORY_FIELDS}
+            if len(self.history) % _ROWS_A_FIT == 0:
+                self._fit_memory()
+            row = {key: _finite(value) for key, value in self._figures().items()}
             self.history.append(row | {"photo_factor": photo_factor})
 
     @property
@@ -136,20 +137,23 @@ class ProgressMeter:
 
     def progress(self, *, phase: str = "") -> Progress:
         """Return the current progress as an event."""
-        spent = sum(seconds for seconds, _ in self._recent)
         left = self.pace * self._planned_left()
-        rate = sum(photos for _, photos in self._recent) / spent if spent > 0 else 0.0
-        return Progress(
-            step=self._step,
-            iterations=self.plan.iterations,
-            loss=self._loss,
-            psnr=self.psnr,
-            splats=self._splats,
-            steps_per_s=rate,
-            eta_s=min(left, max(self._budget - self.train_seconds, 0.0)),
-            elapsed_s=self.train_seconds,
-            phase=phase or ("adding splats" if self._step <= self.plan.refine_stop else "refining"),
-        )
+        left = min(left, max(self._budget - self.train_seconds, 0.0))
+        figures: dict[str, Any] = self._figures() | ({"phase": phase} if phase else {})
+        return Progress(iterations=self.plan.iterations, eta_s=left, **figures)
+
+    def _figures(self) -> dict[str, Any]:
+        """Fields of Progress for the history."""
+        spent = sum(seconds for seconds, _ in self._recent)
+        return {
+            "step": self._step,
+            "elapsed_s": self.train_seconds,
+            "loss": self._loss,
+            "psnr": self.psnr,
+            "splats": self._splats,
+            "steps_per_s": sum(n for _, n in self._recent) / spent if spent > 0 else 0.0,
+            "phase": "adding splats" if self._step <= self.plan.refine_stop else "refining",
+        }
 
     def due(self) -> bool:
         """Return whether to emit a progress event now: a few per second, and at the last step."""
