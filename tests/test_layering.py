@@ -103,7 +103,7 @@ TRAINER = {
     "trainer": {"depth", "guide", "host", "photos", "distributed", "region", "model", "schedule"}
     | {"analysis", "step", "strategy", "views"},
     "distributed_trainer": {"analysis", "distributed", "model", "schedule", "step", "trainer"},
-    "evaluation": {"trainer"},
+    "evaluation": {"photos", "trainer"},
     "preflight": {"trainer"},
     "stopping": {"estimate", "evaluation", "model", "schedule", "trainer"},
     "files": {
@@ -140,8 +140,8 @@ TRAINER = {
         "step",
         "prepare",
     },
-    "run_start": {"files", "photos", "model", "session", "trainer"},
-    "worker_rank": {"host", "prepare", "distributed", "model", "trainer"},
+    "run_start": {"files", "photos", "model", "prepare", "session", "trainer"},
+    "worker_rank": {"host", "prepare", "distributed", "trainer"},
     "run": {"run_start", "files", "host", "preflight", "prepare", "distributed", "session"},
     "frames": {"files"},
     "sequence": {"files", "frames", "distributed", "run"},

@@ -132,12 +132,12 @@ def bench_raster(
             settings = Settings(threads=threads, disable=disable)
             counting = replace(settings, outputs=header.COUNT_USEFUL)
             raster.forward(arrays, frustum, counting, pictures)
-            useful += raster.stats().as_dict()["useful_pairs"]
+            useful += raster.stats()["useful_pairs"]
             passes = []
             for _ in range(repeats + 1):  # the first one warms up buffers
                 raster.forward(arrays, frustum, settings, pictures)
                 raster.backward(arrays, frustum, settings, {"rgb": v_rgb}, grads)
-                passes.append(raster.stats().as_dict())
+                passes.append(raster.stats())
             best.append(min(passes[1:], key=lambda p: sum(p[key] for key in STAGES)))
     total = {key: sum(b[key] for b in best) for key in best[0]}
     forward_ms = sum(total[key] for key in STAGES[:4])

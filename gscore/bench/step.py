@@ -9,8 +9,7 @@ from ..metrics.machine import peak_memory_bytes
 from ..raster import native_library
 from ..splats import Splats
 from ..trainer.analysis.analysis import Analysis
-from ..trainer.host.isolated_state import isolated_torch_state
-from ..trainer.host.malloc import mmap_large_blocks
+from ..trainer.host.isolated_state import isolated_torch_state, mmap_large_blocks
 from ..trainer.photos.view_sampler import Photos
 from ..trainer.trainer import Trainer
 from .raster import STAGES, BenchSetting

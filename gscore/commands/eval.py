@@ -18,6 +18,7 @@ from ..formats import format_to_write, write_splat_file
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.output_paths import check_output_path
 from ..io.ply.comments import near_comment, stated_near
+from ..io.region_file import read_region
 from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
 from ..metrics.coverage import coverage, state_coverage
 from ..metrics.photo_mismatch import photo_mismatch_warnings
@@ -325,7 +326,7 @@ def _of_region(dataset: Dataset, model: ModelArgument) -> tuple[Dataset, list[st
     from ..trainer.region.region_photos import RegionPhotos
 
     try:
-        box = RegionBox.read(config.region).about(dataset.scene.cameras.origin)
+        box = RegionBox(read_region(config.region)).about(dataset.scene.cameras.origin)
     except GsError as error:
         return dataset, [f"The run trained a region, but whole pictures are measured: {error}"]
     narrow = config.start_splats is None

@@ -262,7 +262,7 @@ class StepRequest:
     less (Park et al. 2025); the opacity o of the others is o / (1 - rate), at most 0.999."""
     noise: float = 0.0
     """Weight of the noise that moves faint splats after Adam, by covariance @ normal numbers of
-    `NOISE_STREAM` (Kheradmand et al. 2024), see `cpu.mcmc.add_noise`; 0: none."""
+    `NOISE_STREAM` (Kheradmand et al. 2024), see `cpu.splat_terms.add_noise`; 0: none."""
     terms: tuple[tuple[TermKind, float], ...]
     """Loss terms with their weights."""
     picture_term: PictureTerm | None = None
@@ -312,6 +312,10 @@ class StepNumbers(NamedTuple):
     """Counts and milliseconds of the rasterizer (gs_stats)."""
     costs: tuple[float, ...] = ()
     """Rendering cost of each photo of the step, any unit; empty: one photo."""
+
+    def result(self) -> "StepNumbers":
+        """Return itself: a step that is done is its own `Pending`."""
+        return self
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,7 @@ from ..io.files import reason
 from ..quoting import brief
 from ..text_format import number
 from . import arguments, header
-from .buffers import INT32, INT64, UINT32, Array, address, optional
+from .buffers import UINT32, Array, address, optional
 from .request import Frustum, Settings
 
 _pointer = ct.c_void_p
@@ -149,77 +149,9 @@ def _declare(lib: ct.CDLL) -> None:
         getattr(lib, name).restype = ct.c_char_p
     lib.gs_default_threads.restype = ct.c_int32
     lib.gs_set_isa.argtypes = [ct.c_char_p]
-    lib.gs_raster_create.argtypes = [ct.POINTER(_pointer)]
-    lib.gs_raster_destroy.argtypes = [_pointer]
     lib.gs_raster_destroy.restype = None
-    lib.gs_raster_forward.argtypes = [
-        _pointer,
-        ct.POINTER(header.SplatsStruct),
-        ct.POINTER(header.ViewStruct),
-        ct.POINTER(header.HostStruct),
-        ct.POINTER(header.ImageStruct),
-    ]
-    lib.gs_raster_backward.argtypes = [
-        _pointer,
-        ct.POINTER(header.SplatsStruct),
-        ct.POINTER(header.ImageGradsStruct),
-        ct.POINTER(header.SplatGradsStruct),
-        ct.POINTER(ct.c_int32),
-    ]
-    lib.gs_raster_stats.argtypes = [_pointer, ct.POINTER(header.StatsStruct)]
-    lib.gs_raster_projected.argtypes = [_pointer] * 6
-    lib.gs_exp2.argtypes = [_pointer, _pointer, ct.c_int64]
-    lib.gs_image_loss.argtypes = [
-        _pointer,
-        ct.POINTER(header.LossArgsStruct),
-        ct.POINTER(header.LossResultStruct),
-        _pointer,
-    ]
-    for name in ("gs_pack_rows", "gs_unpack_rows"):
-        getattr(lib, name).argtypes = [
-            ct.POINTER(header.RowTableStruct),
-            ct.c_int32,
-            ct.c_int64,
-            *[_pointer] * 2,
-            ct.c_int64,
-            ct.c_int32,
-        ]
-    lib.gs_add_screen_gradients.argtypes = [
-        ct.c_int64,
-        *[_pointer] * 4,
-        ct.c_float,
-        ct.c_float,
-        ct.c_int32,
-    ]
-    lib.gs_philox.argtypes = [_pointer] * 3
-    for name in ("gs_random_uniform", "gs_random_normal"):
-        getattr(lib, name).argtypes = [ct.POINTER(header.RandomStruct), _pointer]
-    lib.gs_adam_step.argtypes = [ct.POINTER(header.AdamStruct), ct.POINTER(ct.c_int64)]
-    lib.gs_adam_catch_up.argtypes = [
-        ct.POINTER(header.AdamTensorStruct),
-        ct.POINTER(header.SplatsStruct),
-        ct.POINTER(header.ViewStruct),
-        _pointer,
-        ct.c_int32,
-    ]
-    lib.gs_stereo_sweep.argtypes = [
-        ct.POINTER(header.StereoSweepArgsStruct),
-        ct.POINTER(header.StereoFoundStruct),
-    ]
-    lib.gs_stereo_check.argtypes = [
-        ct.POINTER(header.StereoCheckArgsStruct),
-        *[_pointer] * 3,
-    ]
-    lib.gs_mesh_depth.argtypes = [
-        ct.POINTER(header.MeshStruct),
-        *[ct.c_int32] * 2,
-        _pointer,
-    ]
-    lib.gs_match_descriptors.argtypes = [
-        *[ct.POINTER(header.DescriptorsStruct)] * 2,
-        *[ct.c_double] * 2,
-        _pointer,
-    ]
+    for name, types in header.SIGNATURES.items():
+        getattr(lib, name).argtypes = types
 
 
 _lock = threading.Lock()
@@ -371,20 +303,18 @@ class Raster:
             )
         )
 
-    def image_loss(
-        self, args: header.LossArgsStruct, v_image: Array | None
-    ) -> header.LossResultStruct:
+    def image_loss(self, args: ct.Structure, v_image: Array | None) -> ct.Structure:
         """gs_image_loss; `v_image` [H, W, 3] receives the gradient; None: no gradient."""
         result = header.LossResultStruct()
         found = optional("v_image", v_image, (args.height, args.width, 3))
         raise_status(self._lib.gs_image_loss(self.handle, ct.byref(args), ct.byref(result), found))
         return result
 
-    def stats(self) -> header.StatsStruct:
-        """gs_raster_stats"""
+    def stats(self) -> dict[str, float]:
+        """gs_raster_stats: counts and milliseconds by name."""
         stats = header.StatsStruct()
         raise_status(self._lib.gs_raster_stats(self.handle, ct.byref(stats)))
-        return stats
+        return {name: getattr(stats, name) for name, *_ in stats._fields_}
 
     def projected(self, count: int) -> dict[str, np.ndarray]:
         """gs_raster_projected: means2d, depths, conics, colors, opacities of `count` splats."""
@@ -435,45 +365,6 @@ class RasterPool:
 pool = RasterPool()
 
 
-def adam_step(
-    tensors: Sequence[header.AdamTensorStruct], count: int, radii: Array | None, threads: int
-) -> int:
-    """gs_adam_step: one step for `count` rows; `radii` is [N] int32 or None.
-
-    Returns the number of rows with gradients that were not finite.
-    """
-    array = (header.AdamTensorStruct * len(tensors))(*tensors)
-    drawn = optional("radii", radii, (count,), INT32)
-    threads = arguments.library_threads(threads)
-    args = header.AdamStruct(count, len(tensors), array, drawn, threads)
-    bad = ct.c_int64(0)
-    raise_status(library().gs_adam_step(ct.byref(args), ct.byref(bad)))
-    return bad.value
-
-
-def add_screen_gradients(
-    grad2d: Array,
-    views: Array,
-    v_means2d: Array,
-    radii: Array,
-    scale: tuple[float, float],
-    threads: int,
-) -> None:
-    """gs_add_screen_gradients; arrays of N rows."""
-    n = len(grad2d)
-    raise_status(
-        library().gs_add_screen_gradients(
-            n,
-            address("v_means2d", v_means2d, (n, 2)),
-            address("radii", radii, (n,), INT32),
-            address("grad2d", grad2d, (n,)),
-            address("views", views, (n,)),
-            *scale,
-            arguments.library_threads(threads),
-        )
-    )
-
-
 def philox(counter: np.ndarray, key: np.ndarray) -> np.ndarray:
     """gs_philox: [4] uint32 of `counter` [4] and `key` [2], uint32."""
     words = np.empty(4, np.uint32)
@@ -487,85 +378,3 @@ def philox(counter: np.ndarray, key: np.ndarray) -> np.ndarray:
     ]
     raise_status(library().gs_philox(*found))
     return words
-
-
-def random_numbers(
-    out: Array, *, seed: int, step: int, stream: int, rows: Array | None, threads: int
-) -> None:
-    """gs_random_uniform for `out` [M], gs_random_normal for [M, 3]; `rows` is [M] int64 or None."""
-    count = len(out)
-    random = header.RandomStruct(
-        seed,
-        step,
-        stream,
-        optional("rows", rows, (count,), INT64),
-        count,
-        arguments.library_threads(threads),
-    )
-    normal = len(out.shape) == 2
-    draw = library().gs_random_normal if normal else library().gs_random_uniform
-    shape = (count, 3) if normal else (count,)
-    raise_status(draw(ct.byref(random), address("out", out, shape)))
-
-
-def pack_rows(
-    tables: Sequence[header.RowTableStruct], rows: int, places: Array, packed: Array, threads: int
-) -> None:
-    """gs_pack_rows: `places` is [M] int64, `packed` [M, 1 + widths] int32."""
-    count = len(packed)
-    status = library().gs_pack_rows(
-        (header.RowTableStruct * len(tables))(*tables),
-        len(tables),
-        rows,
-        address("rows", places, (count,), INT64),
-        _packed(tables, packed),
-        count,
-        arguments.library_threads(threads),
-    )
-    raise_status(status)
-
-
-def unpack_rows(
-    tables: Sequence[header.RowTableStruct],
-    rows: int,
-    packed: Array,
-    marks: Array | None,
-    threads: int,
-) -> None:
-    """gs_unpack_rows: `packed` is [M, 1 + widths] int32, `marks` [rows] int32."""
-    status = library().gs_unpack_rows(
-        (header.RowTableStruct * len(tables))(*tables),
-        len(tables),
-        rows,
-        _packed(tables, packed),
-        optional("marks", marks, (rows,), INT32),
-        len(packed),
-        arguments.library_threads(threads),
-    )
-    raise_status(status)
-
-
-def _packed(tables: Sequence[header.RowTableStruct], packed: Array) -> int:
-    return address("packed", packed, (len(packed), 1 + sum(t.width for t in tables)), INT32)
-
-
-def adam_catch_up(
-    tensor: header.AdamTensorStruct,
-    splats: header.SplatsStruct,
-    view: Frustum | None,
-    *,
-    eps2d: float,
-    out: Array | None,
-    shape: tuple[int, ...],
-    threads: int,
-) -> None:
-    """gs_adam_catch_up; `out` is of the tensor's `shape`, or None."""
-    raise_status(
-        library().gs_adam_catch_up(
-            ct.byref(tensor),
-            ct.byref(splats),
-            None if view is None else ct.byref(arguments.view(view, Settings(eps2d=eps2d), 0)),
-            optional("out", out, shape),
-            arguments.library_threads(threads),
-        )
-    )

@@ -1,5 +1,7 @@
 """Native Adam on torch tensors: one step for all parameters of N splats; rows that skip steps."""
 
+import ctypes as ct
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -7,7 +9,8 @@ from torch import Tensor
 
 from ..shared_constants import EPS2D
 from . import _native, arguments, header
-from .request import Frustum
+from .buffers import FLOAT64, INT32, UINT8, address, optional
+from .request import Frustum, Settings
 
 PENDING_SIZE = header.ADAM_PENDING_SIZE
 
@@ -61,9 +64,16 @@ def step(slots: Sequence[Slot], radii: Tensor | None, *, threads: int = 0) -> in
     Raises:
         ShapeError: a tensor has a wrong shape, dtype or layout.
     """
-    count = len(slots[0].value)
-    structs = [_struct(slot, count) for slot in slots]
-    return _native.adam_step(structs, count, radii, threads)
+    count, bad = len(slots[0].value), ct.c_int64(0)
+    args = header.AdamStruct(
+        count,
+        len(slots),
+        (header.AdamTensorStruct * len(slots))(*(_struct(slot, count) for slot in slots)),
+        optional("radii", radii, (count,), INT32),
+        arguments.library_threads(threads),
+    )
+    _native.raise_status(_native.library().gs_adam_step(ct.byref(args), ct.byref(bad)))
+    return bad.value
 
 
 def catch_up(
@@ -89,34 +99,34 @@ def catch_up(
         ShapeError: a tensor has a wrong shape, dtype or layout.
     """
     count = len(slot.value)
-    _native.adam_catch_up(
-        _struct(slot, count),
-        arguments.placed_splats(params["means"], params["scales"], count),
-        view,
-        eps2d=eps2d,
-        out=out,
-        shape=tuple(slot.value.shape),
-        threads=threads,
+    places = {name: address(name, params[name], (count, 3)) for name in ("means", "scales")}
+    seen = None if view is None else arguments.view(view, Settings(eps2d=eps2d), 0)
+    status = _native.library().gs_adam_catch_up(
+        ct.byref(_struct(slot, count)),
+        ct.byref(header.SplatsStruct(count=count, raw=1, **places)),
+        None if seen is None else ct.byref(seen),
+        optional("out", out, tuple(slot.value.shape)),
+        arguments.library_threads(threads),
     )
+    _native.raise_status(status)
 
 
-def _struct(slot: Slot, count: int) -> header.AdamTensorStruct:
-    arrays = {
-        "value": slot.value,
-        "grad": slot.grad,
-        "moment1": slot.moment1,
-        "moment2": slot.moment2,
-    }
-    struct = arguments.adam_tensor(arrays, count=count, rate=slot.rate, number=slot.step)
-    struct.photos = slot.photos
-    skips = slot.skips
-    if skips is not None:
-        arguments.allow_lazy_rows(
-            struct,
-            count=count,
-            visible=skips.visible,
-            pending=skips.pending,
-            factors=skips.factors,
-            mode=header.ADAM_WAIT if skips.wait else header.ADAM_VISIBLE,
-        )
+def _struct(slot: Slot, count: int) -> ct.Structure:
+    """gs_adam_tensor"""
+    width = tuple(slot.value.shape[1:])
+    names = ("value", "grad", "moment1", "moment2")
+    struct = header.AdamTensorStruct(
+        *(address(name, getattr(slot, name), (count, *width)) for name in names),
+        math.prod(width),
+        header.ADAM_ALL,
+        slot.rate,
+        slot.step,
+        photos=slot.photos,
+    )
+    if slot.skips is not None:
+        skips, size = slot.skips, (header.ADAM_PENDING_SIZE,)
+        struct.mode = header.ADAM_WAIT if skips.wait else header.ADAM_VISIBLE
+        struct.visible = address("visible", skips.visible, (count,), UINT8)
+        struct.pending = address("pending", skips.pending, (count,), UINT8)
+        struct.factors = address("factors", skips.factors, size, FLOAT64)
     return struct

@@ -134,7 +134,7 @@ def render(
     pictures |= {name: np.zeros(shape, np.float32) for name in header.DEPTH_OUTPUTS if depths}
     with _native.pool.lend() as raster:
         raster.forward(arrays, view, settings, pictures)
-        visible = raster.stats().visible
+        visible = raster.stats()["visible"]
     if depths:
         depth, alpha = pictures["depth"], pictures["alpha"]
         with np.errstate(all="ignore"):

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import ShapeError
 from ..splats import PARAMETERS, SH_REST_BY_DEGREE
 from . import header
-from .buffers import FLOAT64, INT32, UINT8, Array, address, optional
+from .buffers import INT32, UINT8, Array, address, optional
 from .request import Frustum, Settings
 
 _DEGREE_BY_REST = {rest: degree for degree, rest in SH_REST_BY_DEGREE.items()}
@@ -50,7 +50,7 @@ def evaluated_degree(shN: Array, settings: Settings) -> int:
     return degree
 
 
-def splats(arrays: Sequence[Array], settings: Settings) -> header.SplatsStruct:
+def splats(arrays: Sequence[Array], settings: Settings) -> ct.Structure:
     """gs_splats of `PARAMETERS`, in their order."""
     n, rest = len(arrays[0]), SH_REST_BY_DEGREE[stored_degree(arrays[5])]
     shapes = splat_shapes(n, rest)
@@ -64,17 +64,7 @@ def splat_shapes(n: int, rest: int) -> dict[str, tuple[int, ...]]:
     return dict(zip(PARAMETERS, shapes, strict=True))
 
 
-def placed_splats(means: Array, scales: Array, count: int) -> header.SplatsStruct:
-    """gs_splats with only means and scales of raw splats."""
-    return header.SplatsStruct(
-        count=count,
-        means=address("means", means, (count, 3)),
-        scales=address("scales", scales, (count, 3)),
-        raw=1,
-    )
-
-
-def view(frustum: Frustum, settings: Settings, sh_degree: int) -> header.ViewStruct:
+def view(frustum: Frustum, settings: Settings, sh_degree: int) -> ct.Structure:
     """gs_view; ShapeError if K has skew."""
     check_size(frustum.width, frustum.height)
     viewmat, K = np.asarray(frustum.viewmat), np.asarray(frustum.K)
@@ -107,7 +97,7 @@ def view(frustum: Frustum, settings: Settings, sh_degree: int) -> header.ViewStr
     return found
 
 
-def host(frustum: Frustum, settings: Settings) -> header.HostStruct:
+def host(frustum: Frustum, settings: Settings) -> ct.Structure:
     """gs_host."""
     found = header.HostStruct(disable=settings.disable, threads=library_threads(settings.threads))
     if settings.cancel is not None:
@@ -120,9 +110,7 @@ def host(frustum: Frustum, settings: Settings) -> header.HostStruct:
     return found
 
 
-def image(
-    pictures: Mapping[str, Array], view: Frustum, outputs: int, count: int
-) -> header.ImageStruct:
+def image(pictures: Mapping[str, Array], view: Frustum, outputs: int, count: int) -> ct.Structure:
     """gs_image of the output arrays by its fields' names: `rgb`, `alpha`, those of `outputs` and,
     optionally, `radii` of `count` splats."""
     size = (view.height, view.width)
@@ -139,7 +127,7 @@ def image(
 
 def image_grads(
     v_pictures: Mapping[str, Array | None], view: Frustum, outputs: int
-) -> header.ImageGradsStruct:
+) -> ct.Structure:
     """gs_image_grads by the names of its fields; missing fields and None count as zero."""
     size = (view.height, view.width)
     found = header.ImageGradsStruct(
@@ -156,7 +144,7 @@ def image_grads(
 
 def splat_grads(
     grads: Mapping[str, Array], count: int, rest: int, *, add_shN: bool
-) -> header.SplatGradsStruct:
+) -> ct.Structure:
     """gs_splat_grads of the output arrays by name: `PARAMETERS` and, optionally, `means2d` [N, 2]
     and `viewmat` [4, 4]."""
     shapes = splat_shapes(count, rest)
@@ -166,74 +154,3 @@ def splat_grads(
         optional("v_viewmat", grads.get("viewmat"), (4, 4)),
         int(add_shN),
     )
-
-
-def loss_args(
-    rendered: Array,
-    target: Array,
-    *,
-    ssim_weight: float,
-    mask: Array | None,
-    mask_mode: str,
-    background: tuple[float, float, float],
-    threads: int,
-    gain: Array | None = None,
-) -> header.LossArgsStruct:
-    """gs_loss_args of pictures [H, W, 3], a mask [H, W] unless the mode is `none`, and an optional
-    gain [3]."""
-    shape = tuple(rendered.shape)
-    if len(shape) != 3 or shape[2] != 3:
-        raise ShapeError(f"image must be [H, W, 3] float32, got {list(shape)} {rendered.dtype}.")
-    if mask_mode not in header.MASK_MODES:
-        known = list(header.MASK_MODES)
-        raise ShapeError(f"mask_mode must be one of {known}, got {mask_mode!r}.")
-    height, width = shape[:2]
-    check_size(width, height)
-    found = header.LossArgsStruct(
-        width=width,
-        height=height,
-        image=address("image", rendered, shape),
-        target=address("target", target, shape, UINT8),
-        mask_mode=header.MASK_MODES[mask_mode],
-        ssim_weight=ssim_weight,
-        threads=library_threads(threads),
-        gain=optional("gain", gain, (3,)),
-    )
-    if mask_mode != "none":
-        found.mask = address("mask", mask, (height, width), UINT8)
-    found.background = (ct.c_float * 3)(*background)
-    return found
-
-
-def adam_tensor(
-    arrays: Mapping[str, Array], *, count: int, rate: float, number: int
-) -> header.AdamTensorStruct:
-    """gs_adam_tensor in which every row steps, of `value`, `grad`, `moment1` and `moment2`.
-
-    `rate` is the learning rate, `number` the number of the step.
-    """
-    width = arrays["value"].shape[1:]
-    names = ("value", "grad", "moment1", "moment2")
-    return header.AdamTensorStruct(
-        *(address(name, arrays[name], (count, *width)) for name in names),
-        int(np.prod(width)),
-        header.ADAM_ALL,
-        rate,
-        number,
-    )
-
-
-def allow_lazy_rows(
-    tensor: header.AdamTensorStruct,
-    *,
-    count: int,
-    visible: Array,
-    pending: Array,
-    factors: Array,
-    mode: int,
-) -> None:
-    """Set the fields of a gs_adam_tensor whose rows skip steps; `mode` is one of `ADAM_*`."""
-    tensor.mode = mode
-    tensor.visible = address("visible", visible, (count,), UINT8)
-    tensor.pending = address("pending", pending, (count,), UINT8)
-    tensor.factors = address("factors", factors, (header.ADAM_PENDING_SIZE,), FLOAT64)

@@ -57,7 +57,7 @@ class _Rasterize(torch.autograd.Function):
         try:
             raster.forward(splats, view, settings, pictures | radii)
             if aux is not None:
-                aux.radii, aux.stats = radii["radii"], raster.stats().as_dict()
+                aux.radii, aux.stats = radii["radii"], raster.stats()
         except BaseException:
             _native.pool.release(raster)
             raise
@@ -88,7 +88,7 @@ class _Rasterize(torch.autograd.Function):
         raster = ctx.raster.raster
         raster.backward(splats, view, settings, v_pictures, grads | extra)
         if aux is not None:
-            aux.stats = raster.stats().as_dict()
+            aux.stats = raster.stats()
         found = [*grads.values(), extra.get("viewmat")]
         incoming = [v for v in v_outputs if v is not None]
         return (

@@ -40,11 +40,13 @@ _KINDS = {
     "double": ct.c_double,
     "pointer": ct.c_void_p,
     "int32*": ct.POINTER(ct.c_int32),
+    "int64*": ct.POINTER(ct.c_int64),
 }
 
 
-def _fields(*declarations: str | tuple[str, Any]) -> list[tuple[str, Any]]:
-    """Fields of a struct: a type, such as `float[3]` for an array, and names; or name and type."""
+def _struct(name: str, *declarations: str | tuple[str, Any]) -> type[ct.Structure]:
+    """The struct `name`. Its fields: a type, such as `float[3]` for an array, and names; or a name
+    and a type."""
     found: list[tuple[str, Any]] = []
     for declaration in declarations:
         if isinstance(declaration, tuple):
@@ -54,201 +56,133 @@ def _fields(*declarations: str | tuple[str, Any]) -> list[tuple[str, Any]]:
         kind, _, length = stated.rstrip("]").partition("[")
         of = _KINDS[kind] * int(length) if length else _KINDS[kind]
         found += [(name, of) for name in names]
-    return found
-
-
-class SplatsStruct(ct.Structure):
-    """gs_splats"""
-
-    _fields_ = _fields(
-        "int64 count", "pointer means quats scales opacities sh0 shN", "int32 sh_rest raw"
-    )
-
-
-class ViewStruct(ct.Structure):
-    """gs_view"""
-
-    _fields_ = _fields(
-        "float[16] viewmat",
-        "float fx fy cx cy",
-        "int32 width height",
-        "float near_plane far_plane",
-        "int32 orthographic",
-        "float eps2d",
-        "int32 antialias sh_degree",
-        "float[3] background",
-        "uint32 outputs",
-    )
-
-
-class HostStruct(ct.Structure):
-    """gs_host"""
-
-    _fields_ = _fields(
-        "uint32 disable", "int32 threads", "int32* cancel", "pointer tiles far_depths"
-    )
-
-
-class ImageStruct(ct.Structure):
-    """gs_image"""
-
-    _fields_ = _fields("pointer rgb alpha inverse_depth depth median_depth radii")
-
-
-class ImageGradsStruct(ct.Structure):
-    """gs_image_grads"""
-
-    _fields_ = _fields("pointer rgb alpha inverse_depth depth")
-
-
-class SplatGradsStruct(ct.Structure):
-    """gs_splat_grads"""
-
-    _fields_ = _fields(
-        "pointer means quats scales opacities sh0 shN means2d viewmat", "int32 add_shN"
-    )
-
-
-class StatsStruct(ct.Structure):
-    """gs_stats"""
-
-    _fields_ = _fields(
-        "int64 visible entries forward_pairs useful_pairs backward_pairs",
-        "double project_ms sort_ms bin_ms blend_ms blend_backward_ms project_backward_ms",
-        "int64 workspace_bytes",
-    )
-
-    def as_dict(self) -> dict[str, float]:
-        """Names and values."""
-        return {field[0]: getattr(self, field[0]) for field in self._fields_}
-
-
-class LossArgsStruct(ct.Structure):
-    """gs_loss_args"""
-
-    _fields_ = _fields(
-        "int32 width height",
-        "pointer image target mask",
-        "int32 mask_mode",
-        "float[3] background",
-        "float ssim_weight",
-        "int32 threads",
-        "pointer gain",
-    )
-
-
-class LossResultStruct(ct.Structure):
-    """gs_loss_result"""
-
-    _fields_ = _fields("double loss l1 ssim mse", "double[3] v_log_gain")
-
-
-class RandomStruct(ct.Structure):
-    """gs_random"""
-
-    _fields_ = _fields(
-        "uint64 seed", "uint32 step stream", "pointer rows", "int64 count", "int32 threads"
-    )
-
-
-class RowTableStruct(ct.Structure):
-    """gs_row_table"""
-
-    _fields_ = _fields("pointer data", "int32 width adds", "float divisor")
-
-
-class AdamTensorStruct(ct.Structure):
-    """gs_adam_tensor"""
-
-    _fields_ = _fields(
-        "pointer param grad moment1 moment2",
-        "int32 width mode",
-        "float lr",
-        "int64 step",
-        "pointer visible pending factors",
-        "int32 photos",
-    )
-
-
-class AdamStruct(ct.Structure):
-    """gs_adam"""
-
-    _fields_ = _fields(
-        "int64 count",
-        "int32 tensor_count",
-        ("tensors", ct.POINTER(AdamTensorStruct)),
-        "pointer radii",
-        "int32 threads",
-    )
-
-
-class StereoWarpStruct(ct.Structure):
-    """gs_stereo_warp"""
-
-    _fields_ = _fields("float[9] rotation", "float[3] translation")
-
-
-class StereoSourceStruct(ct.Structure):
-    """gs_stereo_source"""
-
-    _fields_ = _fields("int32 width height", "pointer grey", ("warp", StereoWarpStruct))
-
-
-class StereoSweepArgsStruct(ct.Structure):
-    """gs_stereo_sweep_args"""
-
-    _fields_ = _fields(
-        "int32 width height",
-        "pointer grey",
-        "int32 source_count",
-        ("sources", ct.POINTER(StereoSourceStruct)),
-        "float farthest nearest",
-        "int32 planes radius best",
-        "float noise",
-        "int32 threads",
-        "int32* cancel",
-    )
-
-
-class StereoFoundStruct(ct.Structure):
-    """gs_stereo_found"""
-
-    _fields_ = _fields("pointer inverse_depth score second_best contrast")
-
-
-class StereoNeighbourStruct(ct.Structure):
-    """gs_stereo_neighbour"""
-
-    _fields_ = _fields(
-        "int32 width height",
-        "pointer inverse_depth",
-        ("warp", StereoWarpStruct),
-        ("back", StereoWarpStruct),
-    )
-
-
-class StereoCheckArgsStruct(ct.Structure):
-    """gs_stereo_check_args"""
-
-    _fields_ = _fields(
-        "int32 width height",
-        "pointer inverse_depth",
-        "int32 neighbour_count",
-        ("neighbours", ct.POINTER(StereoNeighbourStruct)),
-        "float pixels relative passed",
-        "int32 threads",
-    )
-
-
-class MeshStruct(ct.Structure):
-    """gs_mesh"""
-
-    _fields_ = _fields(
-        "int64 corner_count", "pointer corners", "int64 triangle_count", "pointer triangles"
-    )
-
-
-class DescriptorsStruct(ct.Structure):
-    """gs_descriptors"""
-
-    _fields_ = _fields("int32 count", "pointer values")
+    return type(name, (ct.Structure,), {"__doc__": name, "_fields_": found})
+
+
+SplatsStruct = _struct(
+    "gs_splats", "int64 count", "pointer means quats scales opacities sh0 shN", "int32 sh_rest raw"
+)
+ViewStruct = _struct(
+    "gs_view",
+    "float[16] viewmat",
+    "float fx fy cx cy",
+    "int32 width height",
+    "float near_plane far_plane",
+    "int32 orthographic",
+    "float eps2d",
+    "int32 antialias sh_degree",
+    "float[3] background",
+    "uint32 outputs",
+)
+HostStruct = _struct(
+    "gs_host", "uint32 disable", "int32 threads", "int32* cancel", "pointer tiles far_depths"
+)
+ImageStruct = _struct("gs_image", "pointer rgb alpha inverse_depth depth median_depth radii")
+ImageGradsStruct = _struct("gs_image_grads", "pointer rgb alpha inverse_depth depth")
+SplatGradsStruct = _struct(
+    "gs_splat_grads",
+    "pointer means quats scales opacities sh0 shN means2d viewmat",
+    "int32 add_shN",
+)
+StatsStruct = _struct(
+    "gs_stats",
+    "int64 visible entries forward_pairs useful_pairs backward_pairs",
+    "double project_ms sort_ms bin_ms blend_ms blend_backward_ms project_backward_ms",
+    "int64 workspace_bytes",
+)
+LossArgsStruct = _struct(
+    "gs_loss_args",
+    "int32 width height",
+    "pointer image target mask",
+    "int32 mask_mode",
+    "float[3] background",
+    "float ssim_weight",
+    "int32 threads",
+    "pointer gain",
+)
+LossResultStruct = _struct("gs_loss_result", "double loss l1 ssim mse", "double[3] v_log_gain")
+RandomStruct = _struct(
+    "gs_random", "uint64 seed", "uint32 step stream", "pointer rows", "int64 count", "int32 threads"
+)
+RowTableStruct = _struct("gs_row_table", "pointer data", "int32 width adds", "float divisor")
+AdamTensorStruct = _struct(
+    "gs_adam_tensor",
+    "pointer param grad moment1 moment2",
+    "int32 width mode",
+    "float lr",
+    "int64 step",
+    "pointer visible pending factors",
+    "int32 photos",
+)
+AdamStruct = _struct(
+    "gs_adam",
+    "int64 count",
+    "int32 tensor_count",
+    ("tensors", ct.POINTER(AdamTensorStruct)),
+    "pointer radii",
+    "int32 threads",
+)
+StereoWarpStruct = _struct("gs_stereo_warp", "float[9] rotation", "float[3] translation")
+StereoSourceStruct = _struct(
+    "gs_stereo_source", "int32 width height", "pointer grey", ("warp", StereoWarpStruct)
+)
+StereoSweepArgsStruct = _struct(
+    "gs_stereo_sweep_args",
+    "int32 width height",
+    "pointer grey",
+    "int32 source_count",
+    ("sources", ct.POINTER(StereoSourceStruct)),
+    "float farthest nearest",
+    "int32 planes radius best",
+    "float noise",
+    "int32 threads",
+    "int32* cancel",
+)
+StereoFoundStruct = _struct("gs_stereo_found", "pointer inverse_depth score second_best contrast")
+StereoNeighbourStruct = _struct(
+    "gs_stereo_neighbour",
+    "int32 width height",
+    "pointer inverse_depth",
+    ("warp", StereoWarpStruct),
+    ("back", StereoWarpStruct),
+)
+StereoCheckArgsStruct = _struct(
+    "gs_stereo_check_args",
+    "int32 width height",
+    "pointer inverse_depth",
+    "int32 neighbour_count",
+    ("neighbours", ct.POINTER(StereoNeighbourStruct)),
+    "float pixels relative passed",
+    "int32 threads",
+)
+MeshStruct = _struct(
+    "gs_mesh", "int64 corner_count", "pointer corners", "int64 triangle_count", "pointer triangles"
+)
+DescriptorsStruct = _struct("gs_descriptors", "int32 count", "pointer values")
+_STRUCTS = {of.__name__: of for of in globals().values() if isinstance(of, type(SplatsStruct))}
+SIGNATURES = {
+    name: [_KINDS[word] if word in _KINDS else ct.POINTER(_STRUCTS[word]) for word in words.split()]
+    for name, words in {
+        "gs_raster_create": "pointer",
+        "gs_raster_destroy": "pointer",
+        "gs_raster_forward": "pointer gs_splats gs_view gs_host gs_image",
+        "gs_raster_backward": "pointer gs_splats gs_image_grads gs_splat_grads int32*",
+        "gs_raster_stats": "pointer gs_stats",
+        "gs_raster_projected": "pointer pointer pointer pointer pointer pointer",
+        "gs_exp2": "pointer pointer int64",
+        "gs_image_loss": "pointer gs_loss_args gs_loss_result pointer",
+        "gs_pack_rows": "gs_row_table int32 int64 pointer pointer int64 int32",
+        "gs_unpack_rows": "gs_row_table int32 int64 pointer pointer int64 int32",
+        "gs_add_screen_gradients": "int64 pointer pointer pointer pointer float float int32",
+        "gs_philox": "pointer pointer pointer",
+        "gs_random_uniform": "gs_random pointer",
+        "gs_random_normal": "gs_random pointer",
+        "gs_adam_step": "gs_adam int64*",
+        "gs_adam_catch_up": "gs_adam_tensor gs_splats gs_view pointer int32",
+        "gs_stereo_sweep": "gs_stereo_sweep_args gs_stereo_found",
+        "gs_stereo_check": "gs_stereo_check_args pointer pointer pointer",
+        "gs_mesh_depth": "gs_mesh int32 int32 pointer",
+        "gs_match_descriptors": "gs_descriptors gs_descriptors double double pointer",
+    }.items()
+}
+"""Argument types of functions; the name of a struct is a pointer to it."""

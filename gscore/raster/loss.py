@@ -1,12 +1,15 @@
 """The fused L1 + SSIM loss of the native library as a differentiable torch function."""
 
+import ctypes as ct
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from ..errors import ShapeError
 from . import _native, arguments, header
+from .buffers import UINT8, address, optional
 from .no_double_backward import no_double_backward
 
 
@@ -84,7 +87,7 @@ def image_loss(
         ShapeError: A tensor has a wrong shape or dtype, or the mode does not exist.
     """
     args, kept = _arguments(image, target, ssim_weight, mask, mask_mode, background, threads)
-    parts: list[header.LossResultStruct] = []
+    parts: list[ct.Structure] = []
     loss = _Loss.apply(kept[0], args, parts)
     return ImageLoss(loss, parts[0].l1, parts[0].ssim, parts[0].mse)  # pyright: ignore[reportArgumentType]
 
@@ -124,19 +127,30 @@ def _arguments(
     background: tuple[float, float, float],
     threads: int,
     gain: Tensor | None = None,
-) -> tuple[header.LossArgsStruct, list[Tensor]]:
-    """Checked arguments, and the tensors they point to, the image first."""
+) -> tuple[ct.Structure, list[Tensor]]:
+    """gs_loss_args, and the tensors they point to, the image first."""
+    shape = tuple(image.shape)
+    if len(shape) != 3 or shape[2] != 3:
+        raise ShapeError(f"image must be [H, W, 3] float32, got {list(shape)} {image.dtype}.")
+    if mask_mode not in header.MASK_MODES:
+        known = list(header.MASK_MODES)
+        raise ShapeError(f"mask_mode must be one of {known}, got {mask_mode!r}.")
+    height, width = shape[:2]
+    arguments.check_size(width, height)
     image, target = image.contiguous(), target.contiguous()
     mask = mask.contiguous() if mask is not None else None
     gain = gain.contiguous() if gain is not None else None
-    args = arguments.loss_args(
-        image,
-        target,
+    args = header.LossArgsStruct(
+        width=width,
+        height=height,
+        image=address("image", image, shape),
+        target=address("target", target, shape, UINT8),
+        mask_mode=header.MASK_MODES[mask_mode],
+        background=(ct.c_float * 3)(*background),
         ssim_weight=ssim_weight,
-        mask=mask,
-        mask_mode=mask_mode,
-        background=background,
-        threads=threads,
-        gain=gain,
+        threads=arguments.library_threads(threads),
+        gain=optional("gain", gain, (3,)),
     )
+    if mask_mode != "none":
+        args.mask = address("mask", mask, (height, width), UINT8)
     return args, [image, *(t for t in (target, mask, gain) if t is not None)]

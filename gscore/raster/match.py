@@ -44,7 +44,7 @@ def match_descriptors(
     return np.stack([rows, matches[rows]], axis=1)
 
 
-def _descriptors(name: str, values: np.ndarray) -> header.DescriptorsStruct:
+def _descriptors(name: str, values: np.ndarray) -> ct.Structure:
     shape = (len(values), header.DESCRIPTOR_SIZE)
     return header.DescriptorsStruct(
         count=min(len(values), np.iinfo(np.int32).max), values=address(name, values, shape, UINT8)

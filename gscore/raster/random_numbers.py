@@ -4,9 +4,12 @@ The same keys give the same numbers on any number of threads and on any engine; 
 definition. A stream is a number: different streams of a step are independent.
 """
 
+import ctypes as ct
+
 import torch
 
-from . import _native
+from . import _native, arguments, header
+from .buffers import INT64, address
 from .memory import empty
 
 
@@ -23,7 +26,9 @@ def uniform_rows(
         threads: 0: all cores.
     """
     out = empty(count)
-    _native.random_numbers(out, seed=seed, step=step, stream=stream, rows=None, threads=threads)
+    key = header.RandomStruct(seed, step, stream, None, count, arguments.library_threads(threads))
+    draw = _native.library().gs_random_uniform
+    _native.raise_status(draw(ct.byref(key), address("out", out, (count,))))
     return out
 
 
@@ -32,6 +37,9 @@ def normal_rows(
 ) -> torch.Tensor:
     """Return [M, 3] float32 of mean 0 and variance 1 for these rows, [M] int64; the other arguments
     are those of `uniform_rows`."""
-    out = empty(len(rows), 3)
-    _native.random_numbers(out, seed=seed, step=step, stream=stream, rows=rows, threads=threads)
+    count, out = len(rows), empty(len(rows), 3)
+    at, threads = address("rows", rows, (count,), INT64), arguments.library_threads(threads)
+    key = header.RandomStruct(seed, step, stream, at, count, threads)
+    draw = _native.library().gs_random_normal
+    _native.raise_status(draw(ct.byref(key), address("out", out, (count, 3))))
     return out

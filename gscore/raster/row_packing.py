@@ -1,13 +1,14 @@
 """Row packing: rows of several tables in one buffer, natively on torch tensors, for transfers."""
 
+import ctypes as ct
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from torch import Tensor
 
-from . import _native, header
-from .buffers import address
+from . import _native, arguments, header
+from .buffers import INT32, INT64, address, optional
 
 
 class Table(NamedTuple):
@@ -40,8 +41,14 @@ def pack_rows(tables: Sequence[Table], rows: Tensor, packed: Tensor, *, threads:
         ShapeError: a tensor has a wrong dtype or layout, before any change; or a row is out of
             range, and was skipped.
     """
-    structs, count = _structs(tables)
-    _native.pack_rows(structs, count, rows, packed, threads)
+    status = _native.library().gs_pack_rows(
+        *_tables(tables),
+        address("rows", rows, (len(packed),), INT64),
+        _packed(tables, packed),
+        len(packed),
+        arguments.library_threads(threads),
+    )
+    _native.raise_status(status)
 
 
 def unpack_rows(
@@ -59,17 +66,28 @@ def unpack_rows(
         ShapeError: a tensor has a wrong dtype or layout, before any change; or a row is out of
             range, and was skipped.
     """
-    structs, count = _structs(tables)
-    _native.unpack_rows(structs, count, packed, marks, threads)
+    status = _native.library().gs_unpack_rows(
+        *_tables(tables),
+        _packed(tables, packed),
+        optional("marks", marks, (len(tables[0].data),), INT32),
+        len(packed),
+        arguments.library_threads(threads),
+    )
+    _native.raise_status(status)
 
 
-def _structs(tables: Sequence[Table]) -> tuple[list[header.RowTableStruct], int]:
-    count = len(tables[0].data)
-    structs = []
-    for data, adds, divisor in tables:
+def _tables(tables: Sequence[Table]) -> tuple[ct.Array[ct.Structure], int, int]:
+    """gs_row_table of each table, their number, and that of their rows."""
+    count, structs = len(tables[0].data), (header.RowTableStruct * len(tables))()
+    for i, (data, adds, divisor) in enumerate(tables):
         place = address("table", data, (count, *data.shape[1:]))
-        structs.append(header.RowTableStruct(place, _width(data), adds, divisor))
-    return structs, count
+        structs[i] = header.RowTableStruct(place, _width(data), adds, divisor)
+    return structs, len(tables), count
+
+
+def _packed(tables: Sequence[Table], packed: Tensor) -> int:
+    shape = (len(packed), 1 + widths_of([table.data for table in tables]))
+    return address("packed", packed, shape, INT32)
 
 
 def _width(data: Tensor) -> int:

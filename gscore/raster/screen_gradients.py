@@ -2,7 +2,8 @@
 
 from torch import Tensor
 
-from . import _native
+from . import _native, arguments
+from .buffers import INT32, address
 
 
 def add_screen_gradients(
@@ -27,4 +28,14 @@ def add_screen_gradients(
     Raises:
         ShapeError: a tensor has a wrong shape, dtype or layout.
     """
-    _native.add_screen_gradients(grad2d, views, v_means2d, radii, scale, threads)
+    n = len(grad2d)
+    status = _native.library().gs_add_screen_gradients(
+        n,
+        address("v_means2d", v_means2d, (n, 2)),
+        address("radii", radii, (n,), INT32),
+        address("grad2d", grad2d, (n,)),
+        address("views", views, (n,)),
+        *scale,
+        arguments.library_threads(threads),
+    )
+    _native.raise_status(status)

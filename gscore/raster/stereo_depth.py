@@ -200,7 +200,7 @@ def _shape(grey: np.ndarray) -> tuple[int, int]:
     return grey.shape[0], grey.shape[1]
 
 
-def _warp(warp: Warp) -> header.StereoWarpStruct:
+def _warp(warp: Warp) -> ct.Structure:
     with np.errstate(over="ignore"):
         rotation, translation = (
             np.float32(part).ravel() for part in (warp.rotation, warp.translation)

@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from ..errors import GsError
+from ..splats import PARAMETERS
 from . import _native, arguments, header
 from .blend_weights import GEOMETRY, blending_weights
-from .memory import empty
+from .memory import empty, zeros
 from .request import Frustum, Settings
 
 
@@ -29,10 +30,18 @@ class Picture:
 class TrainingRasterizer:
     """Renders a view and computes its gradients, in memory reused from call to call.
 
-    The results of `draw` and `radii` are overwritten by the next `draw`.
+    The results of `draw` and `radii` are overwritten by the next `draw`. Frozen splats are drawn
+    before those of a call; radii, gradients and weights are those of the latter only.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, frozen: Mapping[str, Tensor] | None = None) -> None:
+        """`frozen`: raw parameters of frozen splats, whose SH degree may be lower; None: none."""
+        self._frozen = frozen
+        self._first = 0 if frozen is None else len(frozen["means"])
+        """Row of the first splat that is not frozen."""
+        self._joined: dict[str, Tensor] = {}
+        self._room: dict[str, Tensor] = {}
+        """Gradients of all splats, if some are frozen."""
         self._raster = _native.Raster()
         self._memory: dict[str, Tensor] = {}
         self._drawn: tuple[Sequence[Tensor], Frustum, Settings] | None = None
@@ -53,7 +62,7 @@ class TrainingRasterizer:
         settings = settings or Settings()
         arguments.check_size(view.width, view.height)
         size = (view.height, view.width)
-        tensors = [t.detach().contiguous() for t in splats]
+        tensors = [self._whole(*pair) for pair in zip(PARAMETERS, splats, strict=True)]
         pictures = {"rgb": self._kept("rgb", (*size, 3)), "alpha": self._kept("alpha", size)}
         if settings.outputs & header.OUT_INVERSE_DEPTH:
             pictures["inverse_depth"] = self._kept("inverse_depth", size)
@@ -66,7 +75,7 @@ class TrainingRasterizer:
     @property
     def radii(self) -> Tensor:
         """[N] int32 px: half the larger side of a splat's box in the last view, 0 = culled."""
-        return self._memory["radii"]
+        return self._memory["radii"][self._first :]
 
     def gradients(
         self,
@@ -96,17 +105,21 @@ class TrainingRasterizer:
         if self._drawn is None:
             raise GsError("There is no view to take gradients of: call draw first.")
         splats, view, settings = self._drawn
-        means2d = self._kept("means2d", (len(splats[0]), 2))
+        means2d, whole = self._kept("means2d", (len(splats[0]), 2)), self._whole_gradients(into)
+        if self._first:
+            whole["shN"][self._first :] = into["shN"]
         v_pictures = {"rgb": rgb, "alpha": alpha, "inverse_depth": inverse_depth}
         self._raster.backward(
             splats,
             view,
             settings,
             {name: None if v is None else v.contiguous() for name, v in v_pictures.items()},
-            {**into, "means2d": means2d} | ({} if viewmat is None else {"viewmat": viewmat}),
+            {**whole, "means2d": means2d} | ({} if viewmat is None else {"viewmat": viewmat}),
             add_shN=True,
         )
-        return means2d
+        for name, grad in into.items() if self._first else ():
+            grad.copy_(whole[name][self._first :])
+        return means2d[self._first :]
 
     def weights(
         self,
@@ -119,19 +132,46 @@ class TrainingRasterizer:
         """`blending_weights` of splats by name, without their SH coefficients, in the memory of
         this rasterizer; its last view is lost."""
         self._drawn = None
-        geometry = [splats[name].detach().contiguous() for name in GEOMETRY]
+        geometry = [self._whole(name, splats[name]) for name in GEOMETRY]
+        whole = self._whole_gradients(scratch)
         return blending_weights(
-            geometry, view, settings, shares, scratch=scratch, raster=self._raster
-        )
+            geometry, view, settings, shares, scratch=whole, raster=self._raster
+        )[self._first :]
 
     def release(self) -> None:
         """Free memory: the library's workspace, which the next `draw` allocates again, and the
         reference to the last splats, which may be about to be replaced."""
-        self._drawn, self._raster = None, _native.Raster()
+        self._drawn, self._raster, self._room = None, _native.Raster(), {}
 
     def stats(self) -> dict[str, float]:
         """Counts and milliseconds by stage (gs_stats) of the last view and its gradients."""
-        return self._raster.stats().as_dict()
+        return self._raster.stats()
+
+    def _whole(self, name: str, splats: Tensor) -> Tensor:
+        """A parameter of the frozen splats followed by `splats`; valid until the next call."""
+        if self._frozen is None:
+            return splats.detach().contiguous()
+        shape = (self._first + len(splats), *splats.shape[1:])
+        found = self._joined.get(name)
+        if found is None or found.shape != shape:
+            found, frozen = empty(*shape), self._frozen[name]
+            self._joined[name] = found
+            found[: self._first] = 0
+            if frozen.numel():
+                # SH bands that the frozen splats lack stay zero.
+                found[: self._first][tuple(slice(n) for n in frozen.shape)] = frozen
+        found[self._first :] = splats.detach()
+        return found
+
+    def _whole_gradients(self, into: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        """Room for gradients of all splats; `into` itself if none is frozen."""
+        if self._frozen is None:
+            return into
+        for name, grad in into.items():
+            shape = (self._first + len(grad), *grad.shape[1:])
+            if name not in self._room or self._room[name].shape != shape:
+                self._room[name] = zeros(*shape)
+        return {name: self._room[name] for name in into}
 
     def _kept(
         self, name: str, shape: tuple[int, ...], dtype: torch.dtype = torch.float32

@@ -130,7 +130,7 @@ def draw(
         radii=radii,
         projected=raster.projected(n),
         gradients=gradients,
-        stats=raster.stats().as_dict(),
+        stats=raster.stats(),
         guards_broken=memory.broken(),
     )
 

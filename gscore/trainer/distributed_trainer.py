@@ -1,5 +1,6 @@
 """Distributed trainer: a trainer on each of several ranks, with one photo per rank and step."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import torch
@@ -7,12 +8,10 @@ import torch
 from ..config import TrainConfig
 from ..errors import GsError
 from .analysis.analysis import Analysis
-from .distributed import rank_commands
 from .distributed.batch_losses import OtherRankError
 from .distributed.data_parallel import DataParallelEngine
-from .distributed.process_group import ProcessGroup, RankLostError
+from .distributed.process_group import COLLECT, RESTORE, STEP, ProcessGroup, RankLostError
 from .model.ensemble_member import EnsembleMember
-from .schedule.batch_size import batch_size
 from .step.step_edits import SANITIZE_EVERY
 from .step.step_queue import RequestedStep
 from .step.step_result import StepResult
@@ -37,7 +36,8 @@ class DistributedTrainer(Trainer):
     def advance(self) -> list[StepResult]:
         """Take a step with all ranks; errors are those of `Trainer.advance`, and RankLostError if
         another process is gone."""
-        self.group.broadcast(rank_commands.take_step(self.plan.iterations, self.rate_factor))
+        length, factor = self.plan.iterations, self.rate_factor
+        self.group.broadcast({"do": STEP, "iterations": length, "rate_factor": factor})
         with self.group.stepping():
             return self._advance(self._photos_at_once())
 
@@ -63,7 +63,7 @@ class DistributedTrainer(Trainer):
     def collect(self) -> None:
         """Collect on rank 0 the state that only other ranks have; called on rank 0."""
         if not self._engine.collected(self.models.models):
-            self.group.broadcast(rank_commands.collect())
+            self.group.broadcast({"do": COLLECT})
             self._collect_now()
 
     def _collect_now(self) -> None:
@@ -72,7 +72,7 @@ class DistributedTrainer(Trainer):
 
     def _send_restored(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         if self.group.is_rank0:
-            self.group.broadcast(rank_commands.restore(state))
+            self.group.broadcast({"do": RESTORE, "state": state})
             self.group.share(tensors)
 
     def _photos_at_once(self) -> int:
@@ -91,3 +91,22 @@ class DistributedTrainer(Trainer):
             ),
             end=plan.iterations,
         )
+
+
+def batch_size(
+    size: int, taken: int, *, every: Iterable[int], marks: Iterable[int], end: int
+) -> int:
+    """Return the number of photos of the next step: `size`, or less up to the next event.
+
+    Events so occur after the same number of photos for any number of processes.
+
+    Args:
+        size: Size of a full batch, at least 1.
+        taken: Photos before this step.
+        every: Periods of recurring events, in photos; those below 1 are ignored.
+        marks: Numbers of photos after which single events occur.
+        end: Number of photos of the run.
+    """
+    left = [number - taken % number for number in every if number >= 1]
+    left += [mark - taken for mark in (*marks, end) if mark > taken]
+    return min([size, *left])

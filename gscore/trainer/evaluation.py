@@ -12,6 +12,7 @@ from ..metrics.coverage import coverage, state_coverage
 from ..metrics.image import psnr
 from ..report import PictureCollector
 from ..splats import Splats
+from .photos.view_sampler import evenly_spaced
 from .trainer import Trainer
 
 _TRAIN_VIEWS_SHOWN = 8
@@ -29,12 +30,8 @@ class Evaluator:
         photos = trainer.photos
         self.split = "test" if photos.test else "train"
         """`test` if the evaluated views are held out."""
-        self.indices = list(photos.test)
+        self.indices = list(photos.test) or evenly_spaced(photos.train, _TRAIN_VIEWS_SHOWN)
         """Evaluated views."""
-        if not photos.test:
-            count = min(len(photos.train), _TRAIN_VIEWS_SHOWN)
-            places = np.linspace(0, len(photos.train) - 1, count).round().astype(int)
-            self.indices = [photos.train[i] for i in places]
 
     def picture(self, index: int) -> np.ndarray:
         """Render view `index`, [H, W, 3] float32, over the background of metrics."""

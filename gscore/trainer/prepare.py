@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 
 from ..config import LIFTED_BY, DataConfig, TrainConfig
@@ -15,7 +16,9 @@ from ..datasets.dataset import Dataset
 from ..depth.maps import MapFolder
 from ..errors import BackendError, ConfigError
 from ..events import TOPICS, Decision, Event
+from ..formats import Decoded
 from ..io.block_record import read_block
+from ..io.region_file import read_region
 from ..splats import Splats
 from .analysis.analysis import Analysis
 from .analysis.exposure import Exposure, decide_exposure
@@ -27,8 +30,7 @@ from .distributed.consistency import crc_of
 from .distributed.process_group import ProcessGroup
 from .distributed_trainer import DistributedTrainer
 from .guide.setup import GuideSetup, prepare_guide
-from .model.start_state import StartState
-from .model.training_frame import TrainingFrame
+from .model.training_frame import TrainingFrame, checkpoint_origin
 from .region.region_box import RegionBox
 from .region.region_photos import RegionPhotos
 from .schedule.caps import cap_by_photos, expected_points
@@ -51,6 +53,41 @@ _MASKS = {
 """Decision on masks, by `mask_mode`."""
 _KEPT = ("stereo", "drops", "ensemble", "exposure", "poses")
 """Topics that a resumed run may not decide again: its earlier decisions still apply."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartState:
+    """Facts of a checkpoint, if any, and start splats."""
+
+    taken: int = 0
+    """Steps that a resumed run has already taken."""
+    stereo: bool = True
+    """Whether to compute start points by stereo."""
+    frame: dict[str, Any] | None = None
+    """Training frame of the checkpoint, as `TrainingFrame.to_dict`; None: fit a new one."""
+    splats: Decoded | None = None
+    """Start splats, COLMAP world; None: start from points."""
+
+    def facts(self) -> dict[str, Any]:
+        """All but the splats, as JSON values."""
+        return {"taken": self.taken, "stereo": self.stereo, "frame": self.frame}
+
+    @property
+    def origin(self) -> np.ndarray | None:
+        """Local origin of the checkpoint, zeros if it has none; else that of the start splats, so
+        that consecutive models share their origin; None: neither."""
+        if self.frame is not None:
+            return checkpoint_origin(self.frame)
+        return None if self.splats is None else self.splats.origin
+
+    @property
+    def training_frame(self) -> TrainingFrame | None:
+        """The training frame of the checkpoint; None: fit a new one.
+
+        Raises:
+            ValueError, KeyError: it is invalid.
+        """
+        return None if self.frame is None else TrainingFrame.from_dict(self.frame)
 
 
 @dataclass(kw_only=True)
@@ -204,7 +241,7 @@ def _read(
     group: ProcessGroup | None,
 ) -> tuple[Dataset, RegionBox | None, Splats | None]:
     """Read the capture without its photos; region box and start splats are in its local world."""
-    region = None if config.region is None else RegionBox.read(config.region)
+    region = None if config.region is None else RegionBox(read_region(config.region))
     if region is not None and group is not None:
         raise ConfigError(
             "A region can only be trained by one process: start gscore train without torchrun."

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from ..config import DataConfig, Stereo, TrainConfig
+from ..config import DataConfig, TrainConfig
 from ..config_file import to_dict
 from ..control import Control
 from ..errors import GsError
@@ -12,13 +12,11 @@ from ..events import ENDED, Event
 from ..io.runs import AGENT
 from ..live.viewer_clients import ViewerClients
 from ..metrics import find_lpips, lpips_warnings
-from .distributed import rank_commands
 from .distributed.consistency import all_ready, check_equal
-from .distributed.process_group import ProcessGroup, RankLostError
+from .distributed.process_group import BEGIN, ProcessGroup, RankLostError
 from .files.run_folder import RunFolder, open_folder
 from .files.run_result import TrainResult
-from .host.isolated_state import isolated_torch_state
-from .host.malloc import mmap_large_blocks
+from .host.isolated_state import isolated_torch_state, mmap_large_blocks
 from .preflight import check_training
 from .prepare import prepare, readable_memory_errors
 from .run_start import RunStart
@@ -75,8 +73,8 @@ def train(
             return run_start.ended
         lpips, lpips_reason = find_lpips(config.lpips, threads=config.threads)
         if group:
-            order = rank_commands.begin(run_start.state, to_dict(run_start.config), to_dict(data))
-            group.broadcast(order)
+            options = {"config": to_dict(run_start.config), "data": to_dict(data)}
+            group.broadcast({"do": BEGIN, "facts": run_start.state.facts(), **options})
         with all_ready(group):
             found = prepare(
                 run_start.config,
@@ -101,20 +99,18 @@ def train(
                 viewers=viewers,
             )
             run_start.resume(found.trainer, session)
-            notes = (*found.warnings, *check_training(found.trainer))
+            warnings = {
+                "capture": (*found.warnings, *check_training(found.trainer)),
+                "evaluation": lpips_warnings(lpips_reason),
+                "depth": found.depth.warnings,
+                "guide": found.guide.warnings,
+                "stereo": found.stereo.warnings_of(config),
+            }
             if overwrite:
                 folder.clear()
-            for message in notes:
-                session.warn(message, "capture")
-            for message in lpips_warnings(lpips_reason):
-                session.warn(message, "evaluation")
-            for message in found.depth.warnings:
-                session.warn(message, "depth")
-            for message in found.guide.warnings:
-                session.warn(message, "guide")
-            stereo = found.stereo.decision
-            if stereo is not None and not found.stereo.added and config.stereo == Stereo.ON:
-                session.warn(stereo.text, "stereo")
+            for code, messages in warnings.items():
+                for message in messages:
+                    session.warn(message, code)
             with _kept_for(agent, folder) as end:
                 result = session.run()
                 if group and result.reason in ENDED:

@@ -14,9 +14,9 @@ from .files.checkpoint import Checkpoint
 from .files.run_folder import RunFolder
 from .files.run_result import TrainResult, finished_run
 from .model.checkpoint_schema import as_int_dict
-from .model.start_state import StartState
 from .model.training_frame import TrainingFrame
 from .photos.view_sampler import Photos
+from .prepare import StartState
 from .session import Session
 from .trainer import Trainer
 

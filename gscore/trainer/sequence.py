@@ -23,7 +23,7 @@ from .distributed.process_group import ProcessGroup
 from .distributed.work_queue import WorkQueue
 from .files.run_folder import RunFolder
 from .files.run_result import TrainResult
-from .frames.frame_results import SequenceResult, completed, is_measured, result_of
+from .frames.frame_results import SequenceListing, SequenceResult, completed, is_measured, result_of
 from .frames.plan import (
     PER_FRAME,
     PlannedFrame,
@@ -33,7 +33,6 @@ from .frames.plan import (
     plan_frames,
     run_of_frame,
 )
-from .frames.sequence_index import SequenceListing
 from .run import train
 
 _FREE = ("keep_checkpoints",)

@@ -34,8 +34,8 @@ from .stopping.controller import StoppingController
 from .stopping.progress_meter import ProgressMeter
 from .stopping.watchdog import Watchdog
 
-_WARN_BAD_ROWS = (1, 100, 10_000)
-_WARN_LOST_ROWS = (1, 100, 10_000)
+_WARN_ROWS = (1, 100, 10_000)
+"""Numbers of bad and of lost splats at which the user is warned."""
 _CHECKPOINTS_KEPT = 2
 _PAUSE = 0.02
 """Seconds between polls of the viewer clients after the last step."""
@@ -80,13 +80,11 @@ class Session:
         self._results = RunOutputs(trainer, folder, data)
         self._viewers = viewers or ViewerClients()
         self._earlier: list[Decision] = []
-        pace = trainer.engine.pace()
-        budget = self._config.time_budget or math.inf
         self._meter = ProgressMeter(
             trainer.plan,
             splats=trainer.splat_count,
-            pace=pace,
-            budget=budget,
+            pace=trainer.engine.pace(),
+            budget=self._config.time_budget or math.inf,
             cost=trainer.engine.info.cost,
         )
         self._steering = StoppingController(trainer, self._meter, self._evaluator)
@@ -230,7 +228,7 @@ class Session:
                 width=int(cameras.widths.max()),
                 height=int(cameras.heights.max()),
                 isa=self._trainer.engine.info.numerics,
-                threads=self._results.threads,
+                threads=self._trainer.engine.info.threads,
                 models=len(self._trainer.models.members),
                 left_s=self._meter.progress().eta_s,
                 mask_mode=self._prepared.mask_mode,
@@ -242,30 +240,24 @@ class Session:
     def _warn_of_step(self, result: StepResult, later: list[StepResult]) -> None:
         """Emit warnings about a step: losses, gradients, slow ranks, free space, runaways; `later`:
         results that were read with it."""
-        step = result.step
-        count = self._trainer.counts.bad_rows - sum(one.bad_rows for one in later)
+        step, counts, pruner = result.step, self._trainer.counts, self._trainer.pruner
         if result.skipped:
             self.warn(f"Step {step}: the loss was not usable; the step was skipped.", "non_finite")
-        if any(count - result.bad_rows < limit <= count for limit in _WARN_BAD_ROWS):
-            self.warn(
-                f"Step {step}: gradients of splats that were not finite were ignored, {count} "
-                "so far.",
-                "non_finite",
-            )
+        bad = counts.bad_rows - sum(one.bad_rows for one in later)
+        if any(bad - result.bad_rows < limit <= bad for limit in _WARN_ROWS):
+            message = "gradients of splats that were not finite were ignored"
+            self.warn(f"Step {step}: {message}, {bad} so far.", "non_finite")
         group = self._trainer.group
         if group and self._waits and (slow := self._waits.straggler_message(group.accounts[:, 1])):
             self.warn(slow, "slow_rank")
-        pruner = self._trainer.pruner
-        if (pruner.around.crowded or pruner.path.crowded) and _CROWDED not in self._warnings:
-            self.warn(_CROWDED, "crowded")
-        if pruner.guided.crowded and _FILLED not in self._warnings:
-            self.warn(_FILLED, "crowded")
-        lost = self._trainer.counts.lost_rows - sum(one.lost_rows for one in later)
-        if any(lost - result.lost_rows < limit <= lost for limit in _WARN_LOST_ROWS):
-            self.warn(
-                f"Step {step}: splats with runaway values were reset, {lost} so far.",
-                "lost_splats",
-            )
+        crowds = (pruner.around, _CROWDED), (pruner.path, _CROWDED), (pruner.guided, _FILLED)
+        for emptied, text in crowds:
+            if emptied.crowded and text not in self._warnings:
+                self.warn(text, "crowded")
+        lost = counts.lost_rows - sum(one.lost_rows for one in later)
+        if any(lost - result.lost_rows < limit <= lost for limit in _WARN_ROWS):
+            message = "splats with runaway values were reset"
+            self.warn(f"Step {step}: {message}, {lost} so far.", "lost_splats")
 
     @property
     def _guarded(self) -> bool:

@@ -17,16 +17,16 @@ from .distributed.process_group import ProcessGroup
 from .model.checkpoint_schema import as_int
 from .model.ensemble_member import EnsembleMember, count_members
 from .model.training_frame import TrainingFrame
+from .photos.image_pyramid import ImagePyramid
 from .photos.view_sampler import ViewSampler
 from .schedule.plan import Plan
 from .step.engine_check import check_engine
 from .step.loss_terms import LossTerms
 from .step.model_set import ModelSet
-from .step.step_counts import StepCounts
 from .step.step_edits import StepEdits
 from .step.step_queue import RequestedStep, StepQueue
 from .step.step_requests import StepRequests
-from .step.step_result import StepResult, combine_results, result_of
+from .step.step_result import StepCounts, StepResult, combine_results, result_of
 from .step.training_start import training_start
 from .step.training_views import TrainingView, ViewBatcher
 from .strategy import in_cell, make_strategy
@@ -114,11 +114,10 @@ class Trainer:
             config,
             photos,
             self.frame,
-            cameras,
+            ImagePyramid(photos, cameras, near=self.frame.near, limit=analysis.photo_cache),
             self.photo_parameters,
             self.engine,
             lambda: self.models.models,
-            cache=analysis.photo_cache,
             region=frozen,
         )
         """Renderer of the current model."""

@@ -8,13 +8,10 @@ from ..config import DataConfig, TrainConfig
 from ..config_file import from_dict
 from ..control import Control
 from ..formats import read_decoded
-from .distributed import rank_commands
 from .distributed.consistency import all_ready, check_equal
-from .distributed.process_group import ProcessGroup
-from .host.isolated_state import isolated_torch_state
-from .host.malloc import mmap_large_blocks
-from .model.start_state import StartState
-from .prepare import Prepared, prepare, readable_memory_errors
+from .distributed.process_group import COLLECT, END, RESTORE, ProcessGroup
+from .host.isolated_state import isolated_torch_state, mmap_large_blocks
+from .prepare import Prepared, StartState, prepare, readable_memory_errors
 from .trainer import Trainer
 
 _WHERE = "options of rank 0"
@@ -35,7 +32,7 @@ def run_worker(group: ProcessGroup, source: Path | None) -> bool:
     """
     mmap_large_blocks()
     order = group.receive()
-    if order["do"] == rank_commands.END:
+    if order["do"] == END:
         return not order["failed"]
     with isolated_torch_state(), readable_memory_errors():
         with all_ready(group):
@@ -62,12 +59,12 @@ def _run_commands(group: ProcessGroup, trainer: Trainer) -> bool:
     """Run commands until rank 0 sends the end; returns whether the training completed."""
     while True:
         order = group.receive()
-        if order["do"] == rank_commands.END:
+        if order["do"] == END:
             return not order["failed"]
-        if order["do"] == rank_commands.COLLECT:
+        if order["do"] == COLLECT:
             trainer.collect()
             continue
-        if order["do"] == rank_commands.RESTORE:
+        if order["do"] == RESTORE:
             trainer.release()
             trainer.restore(order["state"], group.share(None))
             continue

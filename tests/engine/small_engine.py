@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -138,8 +137,7 @@ class SmallEngine(base.Engine[SmallModel]):
             model.adam(grads, slice(None) if request.update_hidden else rows, request)
         else:
             lost = model.clamp_runaways(request.extent)
-        numbers = base.StepNumbers(request.step, value, mse, lost_rows=lost, skipped=not sane)
-        return SimpleNamespace(result=lambda: numbers)
+        return base.StepNumbers(request.step, value, mse, lost_rows=lost, skipped=not sane)
 
     def draw(self, models: Any, view: Frustum, *, background: Any, **options: Any) -> Any:
         columns = merge_models([model.part(0, len(model)) for model in models])

@@ -4,12 +4,12 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import torch
 
 from ...choices import Skip
+from ...errors import GsError
 from ...raster import native_library
 from ...raster.header import (
     NO_EXACT_CULL,
@@ -24,17 +24,15 @@ from ...raster.request import Frustum, Settings
 from ...raster.screen_gradients import add_screen_gradients
 from ...raster.training_rasterizer import TrainingRasterizer
 from ...splats import PARAMETERS
+from ...text_format import count_text
 from .. import base
 from ..base import ABSURD_MSE, Color, Columns, Contribution, StepNumbers, StepPhoto, StepRequest
 from ..ensemble import merge_models
 from ..stage_timer import StageTimer
-from . import finite_check
-from .dropout import drop_splats
-from .frozen_rasterizer import FrozenRasterizer
 from .loss import LossAndGradients, StepLoss
-from .mcmc import add_noise, add_regularisers
 from .model import CpuModel, Moments, accumulated_of
 from .pace import COST, current_pace
+from .splat_terms import add_noise, add_regularisers, drop_splats
 
 _SKIPS = {
     Skip.EXACT_CULL: NO_EXACT_CULL,
@@ -43,16 +41,6 @@ _SKIPS = {
     Skip.ZERO_TILE: NO_ZERO_TILE,
 }
 """Bits of the rasterizer that disable them."""
-
-
-class FinishedStep(NamedTuple):
-    """A step that is already done."""
-
-    numbers: StepNumbers
-
-    def result(self) -> StepNumbers:
-        """Return its numbers."""
-        return self.numbers
 
 
 @dataclass
@@ -98,7 +86,7 @@ class CpuEngine(base.Engine[CpuModel]):
     ) -> CpuModel:
         """Create a model, see `Engine.model`."""
         if frozen is not None:
-            self._rasterizer = FrozenRasterizer(
+            self._rasterizer = TrainingRasterizer(
                 {name: torch.from_numpy(frozen[name]) for name in PARAMETERS}
             )
         return self._new({name: torch.from_numpy(columns[name]) for name in PARAMETERS}, counters)
@@ -145,23 +133,18 @@ class CpuEngine(base.Engine[CpuModel]):
             step=request.step,
             loss=loss.value,
             mse=loss.mse,
-            slopes=np.zeros((1, 19)),
-            bad_rows=0,
             lost_rows=lost_rows,
             skipped=skipped,
             seconds=drawn.timer.seconds,
-            raster={},
         )
         if skipped:
-            return FinishedStep(numbers)
+            return numbers
         v_means2d = self._backward(request, drawn, model.grads)
         slopes = np.array([self._slopes_of(request, loss)])
         self._observe(request, model.rows, v_means2d)
         bad_rows = self._update(model, request, self._rasterizer.radii)
         drawn.timer.lap("learn")
-        return FinishedStep(
-            numbers._replace(slopes=slopes, bad_rows=bad_rows, raster=drawn.timer.raster)
-        )
+        return numbers._replace(slopes=slopes, bad_rows=bad_rows, raster=drawn.timer.raster)
 
     def _draw_step(self, model: CpuModel, request: StepRequest) -> DrawnStep:
         """Draw the view of a step and compute its loss."""
@@ -266,7 +249,7 @@ class CpuEngine(base.Engine[CpuModel]):
 
     def _assert_finite(self, model: CpuModel, request: StepRequest, value: float) -> None:
         if request.check_finite:
-            finite_check.assert_finite(model, value, step=request.step, view=request.check_finite)
+            assert_finite(model, value, step=request.step, view=request.check_finite)
 
     def draw(
         self,
@@ -362,3 +345,16 @@ class CpuEngine(base.Engine[CpuModel]):
             disable=disable,
             tiles=None if tiles is None else torch.from_numpy(tiles),
         )
+
+
+def assert_finite(model: CpuModel, loss: float, *, step: int, view: str) -> None:
+    """Raise GsError naming the loss or the first gradient that is not finite."""
+    if not math.isfinite(loss):
+        raise GsError(f"Step {step}, view {view}: the loss is {loss}.")
+    for name, grad in model.grads.items():
+        bad = int((~torch.isfinite(grad)).reshape(len(model), -1).any(dim=1).sum())
+        if bad:
+            raise GsError(
+                f"Step {step}, view {view}: the gradient of {name} is not finite for {bad} of "
+                f"{count_text(len(model), 'splat')}."
+            )

@@ -10,8 +10,7 @@ from ...events import Decision
 from ...text_format import count_text, number
 from ..model.checkpoint_schema import as_float
 from ..photos.view_sampler import Photos
-from ..schedule.caps import max_splats_per_model, model_count
-from ..schedule.dropout_rate import drop_rate_of
+from ..schedule.caps import drop_rate_of, max_splats_per_model, model_count
 from ..schedule.plan import Plan
 from .analysis import Analysis
 

@@ -62,26 +62,23 @@ def weight_at(config: TrainConfig, step: int) -> float:
     return weight * min(step / warmup, 1.0) if warmup > 0 else weight
 
 
-class DepthLoss:
-    """The depth loss of a run."""
+class GuideLoss:
+    """Depth loss of a guide's surface mesh, with a constant weight.
 
-    def __init__(self, config: TrainConfig, targets: DepthTargets, *, scale: float) -> None:
+    It acts on both sides of the surface. Without a term for splats in front of the mesh, splats
+    close to cameras compensated for missing opacity behind them, and no gradient pulled them back.
+    """
+
+    def __init__(self, targets: DepthTargets, *, weight: float, scale: float) -> None:
         """`scale`: training units per world unit."""
-        self._config = with_weights(config, targets.views)
         self.targets = targets
+        self._weight = weight
         # Lengths grow by the scale, so inverse depths shrink by it.
         self._unit = targets.unit / scale
 
-    def set_length(self, iterations: int) -> None:
-        """Fit the schedule of the weight to a run of this many steps."""
-        self._config = replace(self._config, iterations=iterations)
-
     def weight(self, index: int, step: int) -> float:
         """Weight of the loss of view `index`; 0: no inverse depth is needed."""
-        if index not in self.targets:
-            return 0.0
-        weight = weight_at(self._config, step)
-        return weight if self.targets.is_aligned(index) else weight * self._config.depth_pearson
+        return self._weight if index in self.targets else 0.0
 
     def __call__(
         self, index: int, inverse_depth: torch.Tensor, alpha: torch.Tensor
@@ -100,6 +97,26 @@ class DepthLoss:
         if target.aligned:
             return l1_loss(inverse_depth, alpha, target, unit=self._unit)
         return pearson_loss(inverse_depth / self._unit, target)
+
+
+class DepthLoss(GuideLoss):
+    """The depth loss of a run, with the weights of its options."""
+
+    def __init__(self, config: TrainConfig, targets: DepthTargets, *, scale: float) -> None:
+        """`scale`: training units per world unit."""
+        super().__init__(targets, weight=1.0, scale=scale)
+        self._config = with_weights(config, targets.views)
+
+    def set_length(self, iterations: int) -> None:
+        """Fit the schedule of the weight to a run of this many steps."""
+        self._config = replace(self._config, iterations=iterations)
+
+    def weight(self, index: int, step: int) -> float:
+        """Weight of the loss of view `index`; 0: no inverse depth is needed."""
+        if index not in self.targets:
+            return 0.0
+        weight = weight_at(self._config, step)
+        return weight if self.targets.is_aligned(index) else weight * self._config.depth_pearson
 
 
 def l1_loss(

@@ -36,6 +36,11 @@ class StereoStart:
     decision: Decision | None = None
     """The number of added points or the reason for none; None without stereo."""
 
+    def warnings_of(self, config: TrainConfig) -> tuple[str, ...]:
+        """The decision, if stereo was requested and added nothing."""
+        missed = self.decision is not None and not self.added and config.stereo == Stereo.ON
+        return (self.decision.text,) if missed and self.decision else ()
+
 
 def stereo_start(
     config: TrainConfig,

@@ -7,7 +7,7 @@ import torch
 
 from ...engine import base
 from ...engine.base import EngineModel, StepNumbers, StepRequest
-from ...engine.cpu.engine import CpuEngine, FinishedStep
+from ...engine.cpu.engine import CpuEngine
 from ...engine.cpu.model import CpuModel, Moments, accumulated_of
 from . import batch_losses
 from .batch_gradients import BatchGradients
@@ -77,15 +77,13 @@ class DataParallelEngine(CpuEngine):
             loss=sum(found.values) / count,
             mse=sum(found.errors) / count,
             slopes=np.zeros((count, 19)),
-            bad_rows=0,
             lost_rows=lost_rows,
             skipped=skipped,
             seconds=drawn.timer.seconds,
-            raster={},
             costs=tuple(found.costs),
         )
         if skipped:
-            return FinishedStep(numbers)
+            return numbers
         v_means2d = self._backward(request, drawn, batch.into(model, count))
         slopes = numbers.slopes
         if request.learn_gain or request.learn_pose:
@@ -96,9 +94,7 @@ class DataParallelEngine(CpuEngine):
         batch.sum_harmonics(model, request.sh_update, threads=self._threads)
         bad_rows = self._update(model, request, radii)
         drawn.timer.lap("learn")
-        return FinishedStep(
-            numbers._replace(slopes=slopes, bad_rows=bad_rows, raster=drawn.timer.raster)
-        )
+        return numbers._replace(slopes=slopes, bad_rows=bad_rows, raster=drawn.timer.raster)
 
     def collect(self, models: Sequence[EngineModel]) -> None:
         """Collect on rank 0 the state that only other ranks have; all ranks call this."""

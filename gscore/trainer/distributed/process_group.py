@@ -22,9 +22,11 @@ from torch import Tensor
 from ...errors import ConfigError, GsError
 from ...json_text import parse_json
 from ...raster.memory import empty
-from . import rank_commands
-from .scratch_buffer import ScratchBuffer
 
+BEGIN, STEP, COLLECT, RESTORE, END = "begin", "step", "collect", "restore", "end"
+"""Commands of rank 0, `do` of JSON messages that the other ranks run: read the photos and create a
+trainer; take a step; send the state that a checkpoint needs; restore the state and the tensors that
+follow; end, because the run is complete or rank 0 failed."""
 _PATIENCE = timedelta(days=7)
 """Rank 0 may be paused, or measure, while the others wait."""
 _MEETING = timedelta(minutes=10)
@@ -39,6 +41,24 @@ _WORLD, _RANK, _LOCAL = "WORLD_SIZE", "RANK", "LOCAL_WORLD_SIZE"
 _ENDED = "gscore ended"
 _RESTARTS = "TORCHELASTIC_RESTART_COUNT"
 _Found = TypeVar("_Found")
+
+
+_SPARE = 1.25
+"""Allocated size relative to the requested size, because requests vary from step to step."""
+
+
+class ScratchBuffer:
+    """Memory of int32 words that grows on demand."""
+
+    def __init__(self) -> None:
+        self._words = empty(0, dtype=torch.int32)
+
+    def of(self, rows: int, width: int) -> Tensor:
+        """Return [rows, width] int32, uninitialised; invalidates earlier results."""
+        count = rows * width
+        if len(self._words) < count:
+            self._words = empty(int(_SPARE * count), dtype=torch.int32)
+        return self._words[:count].view(rows, width)
 
 
 class RankLostError(GsError):
@@ -176,7 +196,7 @@ class ProcessGroup:
         """Send the end command from rank 0, unless the others have been notified."""
         if not (self.notified or self.in_step):
             self.notified = True
-            self.broadcast(rank_commands.end(failed=failed))
+            self.broadcast({"do": END, "failed": failed})
 
     def receive(self) -> dict[str, Any]:
         """Wait for a command of rank 0."""

@@ -14,8 +14,7 @@ from torch import Tensor
 
 from ...raster.memory import zeros
 from ...raster.row_packing import Table, pack_rows, unpack_rows, widths_of
-from .process_group import ProcessGroup
-from .scratch_buffer import ScratchBuffer
+from .process_group import ProcessGroup, ScratchBuffer
 
 
 class SortedRows(NamedTuple):

@@ -72,10 +72,6 @@ class RunFolder:
             if path > self.checkpoint(step):
                 path.unlink(missing_ok=True)
 
-    def results(self) -> list[str]:
-        """Names of files and folders that a run wrote into this folder."""
-        return results_in(self.path)
-
     def clear(self) -> None:
         """Remove only files and folders that a run wrote."""
         remove_results(self.path)
@@ -136,7 +132,7 @@ def _check_begun(folder: RunFolder) -> None:
 
 def _check_room(folder: RunFolder, *, overwrite: bool) -> None:
     """Raise ConfigError unless a new run may be written into a folder."""
-    path, names = folder.path, folder.results()
+    path, names = folder.path, results_in(folder.path)
     if (path / SEQUENCE_FILE).exists():
         raise ConfigError(f"{path} contains a sequence of many runs; choose another folder.")
     check_replaceable(path)

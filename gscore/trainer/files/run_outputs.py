@@ -2,7 +2,7 @@
 
 import datetime
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,43 +32,41 @@ from .run_folder import RunFolder
 _SNAPSHOTS_KEPT = 2
 
 
+@dataclass(eq=False)
 class RunOutputs:
     """Writer of the files of one run."""
 
-    def __init__(self, trainer: Trainer, folder: RunFolder, data: DataConfig) -> None:
-        self._trainer = trainer
-        self._folder = folder
-        self._data = data
-
-    @property
-    def threads(self) -> int:
-        """Number of threads of the engine."""
-        return self._trainer.engine.info.threads
+    trainer: Trainer
+    """The trainer."""
+    folder: RunFolder
+    """The run folder."""
+    data: DataConfig
+    """Capture options."""
 
     def write_inputs(self) -> None:
         """Write the options and cameras, before the first step."""
-        folder, config = self._folder, self._trainer.config
-        folder.write_text("config.json", config_json(self._data, config))
-        if (block := read_block(self._data.source)) is not None:
+        folder, config = self.folder, self.trainer.config
+        folder.write_text("config.json", config_json(self.data, config))
+        if (block := read_block(self.data.source)) is not None:
             block.write(folder.path, RUN_BLOCK)
-        write_cameras(folder.path / "cameras.json", self._trainer.photos.scene.cameras)
+        write_cameras(folder.path / "cameras.json", self.trainer.photos.scene.cameras)
         # The viewers of the 3DGS authors read the SH degree and background from this file.
         arguments = {
             "sh_degree": config.sh_degree,
-            "source_path": str(self._data.source.resolve()),
+            "source_path": str(self.data.source.resolve()),
             "model_path": str(folder.path.resolve()),
-            "images": self._data.images,
-            "resolution": self._data.resolution,
+            "images": self.data.images,
+            "resolution": self.data.resolution,
             "white_background": config.background is Background.WHITE,
             "data_device": "cpu",
-            "eval": self._data.eval,
+            "eval": self.data.eval,
         }
         text = ", ".join(f"{name}={value!r}" for name, value in arguments.items())
         folder.write_text("cfg_args", f"Namespace({text})")
 
     def write_splats(self, path: Any) -> None:
         """Write the current splats in COLMAP world units."""
-        trainer = self._trainer
+        trainer = self.trainer
         # Viewers that know this comment compensate opacities as in training.
         comments = (MIP_COMMENT,) if trainer.config.antialias else ()
         origin = trainer.photos.scene.cameras.origin
@@ -85,15 +83,15 @@ class RunOutputs:
 
     def write_snapshot(self) -> Any:
         """Write the current splats for a front end; the last two files are kept."""
-        path = self._folder.snapshot(self._trainer.steps)
+        path = self.folder.snapshot(self.trainer.steps)
         self.write_splats(path)
-        for old in list(snapshots_in(self._folder.path).values())[:-_SNAPSHOTS_KEPT]:
+        for old in list(snapshots_in(self.folder.path).values())[:-_SNAPSHOTS_KEPT]:
             old.unlink(missing_ok=True)
         return path
 
     def write_preview(self, picture: np.ndarray) -> Any:
         """Write a rendered image, [H, W, 3] float, as a preview."""
-        path = self._folder.preview(self._trainer.steps)
+        path = self.folder.preview(self.trainer.steps)
         write_png(path, (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8))
         return path
 
@@ -127,7 +125,7 @@ class RunOutputs:
             requested: Requested values of options that the number of photos limited.
             reason: Reason why training ended.
         """
-        trainer, folder, photos = self._trainer, self._folder, self._trainer.photos
+        trainer, folder, photos = self.trainer, self.folder, self.trainer.photos
         names = photos.scene.cameras.names
         course = Course(
             steps=trainer.steps,
@@ -155,20 +153,20 @@ class RunOutputs:
             sh_degree=trainer.model.sh_degree,
             storage_bytes=folder.point_cloud.stat().st_size,
             isa=trainer.engine.info.numerics,
-            threads=self.threads,
+            threads=trainer.engine.info.threads,
             course=course,
         )
         return write_results(
             folder.path,
             metrics,
-            data=self._data,
+            data=self.data,
             run=folder.path,
-            trained=(self._data, trainer.config),
+            trained=(self.data, trainer.config),
             resolved=_resolved(trainer),
             views=collector.views if evaluation else (),
             warnings=warnings,
             depth=None if depth is None else depth.section,
-            cameras=cameras_section(self._data.source, photos.scene),
+            cameras=cameras_section(self.data.source, photos.scene),
             histograms=splat_histograms(trainer.models.parts()),
         )
 
@@ -179,14 +177,14 @@ class RunOutputs:
             exposure: Estimated exposures of the photos; None: not estimated.
             poses: Reason for pose refinement.
         """
-        trainer, entries = self._trainer, {}
+        trainer, entries = self.trainer, {}
         if exposure is not None:
             entries["exposure"] = exposure | {"learnt": trainer.photo_parameters.gains is not None}
         gains, names = trainer.photo_parameters.all_gains(), trainer.photos.scene.cameras.names
         if gains is not None:
             views = [*trainer.photos.train, *trainer.photos.test]
             by_name = {names[i]: gains[i] for i in views}
-            write_exposures(self._folder.path / EXPOSURE_FILE, by_name)
+            write_exposures(self.folder.path / EXPOSURE_FILE, by_name)
         if trainer.photo_parameters.poses is not None:
             entries["poses"] = {
                 "why": poses,
@@ -196,13 +194,13 @@ class RunOutputs:
 
     def _write_poses(self, poses: PhotoPoses) -> dict[str, dict[str, float]]:
         """Write poses.json; return the displacement of each training camera from the capture."""
-        frame, photos = self._trainer.frame, self._trainer.photos
+        frame, photos = self.trainer.frame, self.trainer.photos
         cameras, train = photos.scene.cameras, list(photos.train)
         now = replace(cameras, viewmats=poses.viewmats)
         viewmats = frame.similarity.cameras_from_training(now).viewmats[train]
         turned, moved = pose_distances(viewmats, cameras.viewmats[train])
         degrees, names = np.degrees(turned), [cameras.names[i] for i in train]
-        path = self._folder.path / POSES_FILE
+        path = self.folder.path / POSES_FILE
         write_poses(path, names, viewmats, degrees, moved, origin=cameras.origin)
         extents = moved * frame.similarity.scale / frame.extent
         return {

@@ -1,17 +1,20 @@
 """Frame results of a sequence, read from the run folders of its frames."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..._version import __version__
 from ...config import TrainConfig
 from ...config_file import differences
 from ...errors import ConfigError
 from ...events import ENDED
 from ...io.metrics_file import read_metrics
 from ...io.runs import read_run
-from ...io.sequences import FRAME_FOLDER
+from ...io.sequences import FRAME_FOLDER, SequenceIndex, write_sequence
 from ...metrics import headline
+from ...sequence_options import SequenceOptions
 from ..files import checkpoint
 from .plan import PlannedFrame
 
@@ -119,3 +122,57 @@ def _means_of(metrics: list[dict[str, Any]]) -> list[str]:
     """Keys of the averaged metrics, with `psnr_masked` if any frame has it."""
     masked = any("psnr_masked" in m for m in metrics)
     return [key for key in _MEANS if masked or key != "psnr_masked"]
+
+
+class SequenceListing:
+    """Complete frames of a sequence, trained by any process."""
+
+    def __init__(
+        self, output: Path, options: SequenceOptions, frames: Sequence[PlannedFrame]
+    ) -> None:
+        self._output, self._options, self._frames = output, options, frames
+        self._known: dict[int, FrameResult] = {}
+
+    def refresh(self) -> None:
+        """Find frames that other processes have completed.
+
+        Raises:
+            ConfigError: a frame was trained with other options.
+        """
+        for place, frame in enumerate(self._frames):
+            found = None if place in self._known else completed(frame)
+            if found is not None:
+                self._known[place] = found
+
+    def add(self, place: int, result: FrameResult) -> None:
+        """Add a complete frame."""
+        self._known[place] = result
+
+    def result(self, reason: str, places: Sequence[int]) -> SequenceResult:
+        """Return the result of the sequence, or of the part at `places`."""
+        return SequenceResult(
+            reason=reason,
+            total=len(places),
+            frames=[self._known[place] for place in places if place in self._known],
+            output=self._output,
+        )
+
+    def write(self) -> None:
+        """Write sequence.json, and again if another process completed a frame meanwhile, so that
+        the last writer lists all frames in order.
+
+        Raises:
+            GsError: the file cannot be written.
+        """
+        written = -1
+        self.refresh()
+        while written != len(self._known):
+            written = len(self._known)
+            whole = self.result("", range(len(self._frames)))
+            index = SequenceIndex(
+                options=asdict(self._options),
+                frames=[frame.to_dict(self._output) for frame in whole.frames],
+                mean=whole.headline,
+            )
+            write_sequence(self._output, index, version=__version__)
+            self.refresh()

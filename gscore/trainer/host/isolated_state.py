@@ -1,9 +1,12 @@
-"""Isolated torch and numpy state: replaces a host program's settings during a training.
+"""Isolated state: replaces a host program's settings of torch, numpy and malloc during a training.
 
 Torch's default dtype and device stay, because they apply to all threads of the host. Every tensor
 is created with an explicit dtype and device instead (`raster.memory`, `engine.random`).
 """
 
+import contextlib
+import ctypes
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
@@ -24,12 +27,24 @@ def isolated_torch_state() -> Iterator[None]:
             stack.enter_context(torch.inference_mode(False))
             stack.enter_context(torch.enable_grad())
             stack.enter_context(torch.autocast("cpu", enabled=False))
-            stack.enter_context(isolated_numpy_state())
+            # Numpy's default handling of errors.
+            stack.enter_context(np.errstate(all="warn", under="ignore"))
             yield
     finally:
         torch.set_num_threads(threads)
 
 
-def isolated_numpy_state() -> np.errstate:
-    """Numpy's default handling of floating-point errors."""
-    return np.errstate(divide="warn", over="warn", under="ignore", invalid="warn")
+_LARGE = 1 << 20
+_M_MMAP_THRESHOLD = -3
+
+
+def mmap_large_blocks() -> None:
+    """Make malloc map each block of at least 1 MB separately, and unmap it when it is freed.
+
+    glibc raises its threshold up to 32 MB once mapped blocks are freed; the temporary arrays of a
+    refinement then leave holes in the heap that are never reused. Other C libraries have no such
+    setting.
+    """
+    if sys.platform == "linux":
+        with contextlib.suppress(AttributeError, OSError):
+            ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE)

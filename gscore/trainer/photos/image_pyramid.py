@@ -9,9 +9,9 @@ import numpy as np
 from ...datasets.resolution import scale_intrinsics
 from ...engine.base import StepPhoto
 from ...io.images.read_image import resize
+from ...raster import native_library
 from ...raster.request import Frustum
 from ...scene import Cameras
-from .masked_tiles import tiles_of_mask
 from .view_sampler import Photos, training_camera
 
 AHEAD = 3
@@ -127,3 +127,15 @@ class ImagePyramid:
             tiles = tiles_of_mask(mask)
             counted = float(mask.mean()) / 255
         return SizedView(view, image, mask, tiles, counted)
+
+
+def tiles_of_mask(mask: np.ndarray) -> np.ndarray:
+    """Return [ceil(H / 16), ceil(W / 16)] uint8, 1 for tiles with a non-zero pixel of `mask`, which
+    is [H, W] uint8."""
+    tile = native_library.TILE
+    height, width = mask.shape
+    rows, columns = -(-height // tile), -(-width // tile)
+    padded = np.zeros((rows * tile, columns * tile), bool)
+    padded[:height, :width] = mask > 0
+    blocks = padded.reshape(rows, tile, columns, tile)
+    return np.asarray(blocks.any(axis=(1, 3)), np.uint8)

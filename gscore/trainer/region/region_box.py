@@ -1,12 +1,10 @@
 """Region box: an oriented box, tests of points and pixels against it, and clamping to it."""
 
 import hashlib
-from pathlib import Path
 
 import numpy as np
 
 from ...engine.base import RowEdit
-from ...io.region_file import read_region
 from ...scene import offset_between
 from ...transforms import Similarity
 
@@ -21,11 +19,6 @@ class RegionBox:
         self.matrix = matrix
         self.to_unit = np.linalg.inv(matrix)
         """[4, 4] float64, maps the box to the cube."""
-
-    @classmethod
-    def read(cls, path: Path) -> "RegionBox":
-        """Read the box of a region file; errors are those of `read_region`."""
-        return cls(read_region(path))
 
     def about(self, origin: np.ndarray | None) -> "RegionBox":
         """Return the box relative to a local origin."""

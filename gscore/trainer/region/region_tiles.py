@@ -5,8 +5,7 @@ import numpy as np
 from ...raster import native_library
 from ...raster.request import Frustum
 from ...shared_constants import EPS2D, JACOBIAN_MARGIN, REACH
-from ..photos.image_pyramid import SizedView
-from ..photos.masked_tiles import tiles_of_mask
+from ..photos.image_pyramid import SizedView, tiles_of_mask
 
 
 def mask_to_region(found: SizedView, means: np.ndarray, scales: np.ndarray) -> SizedView:

@@ -7,9 +7,8 @@ import torch
 
 from ...config import TrainConfig
 from ...engine.base import PictureTerm, TermGradients, TermKind
-from ..depth.loss import DepthLoss
+from ..depth.loss import DepthLoss, GuideLoss
 from ..depth.targets import DepthTargets
-from ..guide.loss import GuideLoss
 
 
 class LossTerms:
@@ -56,17 +55,13 @@ class LossTerms:
     def picture_term(self, index: int, step: int) -> PictureTerm | None:
         """Return the inverse-depth losses of view `index` at `step`, summed; None: there are
         none."""
-        terms: list[tuple[float, DepthLoss | GuideLoss]] = []
-        if self.depth:
-            terms.append((self.depth.weight(index, step), self.depth))
-        if self._guide:
-            terms.append((self._guide.weight(index), self._guide))
-        terms = [(weight, loss) for weight, loss in terms if weight > 0]
+        losses = [loss for loss in (self.depth, self._guide) if loss is not None]
+        terms = [(w, loss) for loss in losses if (w := loss.weight(index, step)) > 0]
         return partial(_sum_of, terms, index) if terms else None
 
 
 def _sum_of(
-    terms: list[tuple[float, DepthLoss | GuideLoss]],
+    terms: list[tuple[float, GuideLoss]],
     index: int,
     inverse_depth: np.ndarray,
     alpha: np.ndarray,

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from ...config import Skip, TrainConfig
 from ...engine.base import ENGINE_SKIPS, ShUpdate, StepRequest
-from ..schedule.dropout_rate import drop_rate_at
+from ..schedule.caps import drop_rate_at
 from ..schedule.plan import Plan
 from ..strategy import Policy
 from ..views.model_renderer import ModelRenderer
@@ -16,39 +17,24 @@ from .step_edits import SANITIZE_EVERY
 from .training_views import TrainingView
 
 
+@dataclass(eq=False)
 class StepRequests:
     """Requests of a training's steps."""
 
-    def __init__(
-        self,
-        config: TrainConfig,
-        terms: LossTerms,
-        renderer: ModelRenderer,
-        photo_parameters: PhotoParameters,
-        *,
-        names: Sequence[str],
-        extent: float,
-        first_degree: int,
-    ) -> None:
-        """Create the requests of a training.
-
-        Args:
-            config: The options.
-            terms: Loss terms.
-            renderer: Has the views.
-            photo_parameters: Gains and poses of the photos.
-            names: Names of the photos.
-            extent: Camera extent, training units.
-            first_degree: SH degree of the start splats.
-        """
-        self._config = config
-        self._terms = terms
-        self._renderer = renderer
-        self._photo_parameters = photo_parameters
-        self._names = names
-        self._extent = extent
-        self._first_degree = first_degree
-        self._disable = ENGINE_SKIPS & frozenset(config.without)
+    config: TrainConfig
+    """The options."""
+    terms: LossTerms
+    """Loss terms."""
+    renderer: ModelRenderer
+    """Has the views."""
+    photo_parameters: PhotoParameters
+    """Gains and poses of the photos."""
+    names: Sequence[str]
+    """Names of the photos."""
+    extent: float
+    """Camera extent, training units."""
+    first_degree: int
+    """SH degree of the start splats."""
 
     def of(
         self,
@@ -72,20 +58,20 @@ class StepRequests:
             rate_factor: Factor of all learning rates.
             drop_rate: Dropout rate at the last step.
         """
-        config, photos, gain = self._config, self._photo_parameters, training_view.gain
+        config, photos, gain = self.config, self.photo_parameters, training_view.gain
         count, shown = len(training_view.indices), training_view.background
         means_lr = rate_factor * plan.means_lr_at(step) * math.sqrt(count)
         rates = {name: rate_factor * rate for name, rate in plan.rates_at(step, count).items()}
         others, factor = list(training_view.indices), training_view.factor
         others.remove(training_view.index)
-        degree = max(plan.sh_degree_at(step), self._first_degree)
+        degree = max(plan.sh_degree_at(step), self.first_degree)
         update = ShUpdate.STEP if plan.harmonics_update_at(step, count) else ShUpdate.ACCUMULATE
         return StepRequest(
             step=step,
             photo=training_view.index,
             view=training_view.view,
-            others=tuple(self._renderer.view(i, factor) for i in others),
-            background=self._renderer.background_before_gain(shown, gain),
+            others=tuple(self.renderer.view(i, factor) for i in others),
+            background=self.renderer.background_before_gain(shown, gain),
             shown_background=shown,
             gain=None if gain is None else as_color(gain),
             antialias=config.antialias,
@@ -96,16 +82,16 @@ class StepRequests:
             place=place,
             drop_rate=drop_rate_at(drop_rate, step, plan.iterations),
             noise=strategy.noise_at(means_lr),
-            terms=self._terms.terms,
-            picture_term=self._terms.picture_term(training_view.index, step),
+            terms=self.terms.terms,
+            picture_term=self.terms.picture_term(training_view.index, step),
             opacity_reg=strategy.opacity_reg,
             scale_reg=strategy.scale_reg,
             observe=strategy.counters if strategy.observes_at(step) else (),
             learn_gain=photos.gains is not None,
             learn_pose=photos.pose_rate(step / plan.iterations) > 0,
             update_hidden=Skip.UNSEEN_SH in config.without,
-            extent=self._extent,
-            disable=self._disable,
-            check_finite=self._names[training_view.index] if config.detect_anomaly else "",
+            extent=self.extent,
+            disable=ENGINE_SKIPS & frozenset(config.without),
+            check_finite=self.names[training_view.index] if config.detect_anomaly else "",
             compare=(step - count) % SANITIZE_EVERY == 0,
         )

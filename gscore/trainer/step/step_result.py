@@ -1,9 +1,12 @@
-"""Step result: measurements and changes of one training step."""
+"""Step result: measurements and changes of one training step, and their counts so far."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 from ...engine.base import StepNumbers
+from ...errors import GsError
+from ...text_format import count_text
+from ..model.checkpoint_schema import as_int
 from ..strategy import Change
 
 
@@ -48,19 +51,54 @@ def combine_results(results: Sequence[StepResult]) -> StepResult:
     count = len(results)
     if count == 1:
         return results[0]
-    changes = [result.change for result in results]
     return StepResult(
         step=results[0].step,
         photos=results[0].photos,
         loss=sum(result.loss for result in results) / count,
         mse=sum(result.mse for result in results) / count,
-        change=Change(
-            added=sum(change.added for change in changes),
-            removed=sum(change.removed for change in changes),
-            moved=sum(change.moved for change in changes),
-            reset=any(change.reset for change in changes),
-        ),
+        change=sum((result.change for result in results), start=Change()),
         bad_rows=sum(result.bad_rows for result in results),
         skipped=any(result.skipped for result in results),
         lost_rows=sum(result.lost_rows for result in results),
     )
+
+
+_MAX_SKIPPED = 100
+
+
+class StepCounts:
+    """Counts of a training."""
+
+    def __init__(self) -> None:
+        self.steps = 0
+        """Steps taken."""
+        self.bad_rows = 0
+        """Gradient rows skipped because they were not finite."""
+        self.lost_rows = 0
+        """Runaway splats reset, see `engine.cpu.sanitize`."""
+        self.skipped = 0
+        """Skipped steps in a row."""
+
+    def note(self, result: StepResult) -> None:
+        """Count the result of a step; GsError after many skipped ones in a row."""
+        self.bad_rows += result.bad_rows
+        self.lost_rows += result.lost_rows
+        self.skipped = self.skipped + 1 if result.skipped else 0
+        if self.skipped >= _MAX_SKIPPED:
+            raise GsError(
+                f"Training diverged: the loss was not finite for "
+                f"{count_text(_MAX_SKIPPED, 'step')} in a row, the last one at step "
+                f"{result.step}. Lower the learning rates; `--detect-anomaly` finds the first "
+                "number that is not finite."
+            )
+
+    def state(self) -> dict[str, int]:
+        """State for `restore`, as JSON values."""
+        return dict(vars(self))
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Restore the values of `state`; ValueError or KeyError if they are invalid."""
+        self.steps = as_int("steps", state["steps"])
+        self.bad_rows = as_int("bad_rows", state["bad_rows"])
+        self.lost_rows = as_int("lost_rows", state.get("lost_rows", 0))
+        self.skipped = as_int("skipped", state["skipped"])

@@ -1,16 +1,22 @@
 """Training start: the first splats, the frozen ones around them, and what keeps spaces empty."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 from ...config import TrainConfig
+from ...formats.joined import joined
 from ...scene import Cameras
 from ...splats import Splats
 from ..analysis.analysis import Analysis
 from ..guide.mesh_free_space import MeshFreeSpace
+from ..model.initial_splats import splats_from_points, splats_from_start
+from ..model.nearest_points import NearestPoints
 from ..model.training_frame import TrainingFrame
+from ..photos.sky import sky_splats
 from ..region.frozen_splats import FrozenSplats, split_frozen
 from ..schedule.plan import Plan
-from ..strategy.initialization import initial_splats
+from ..strategy.free_path import FreePath
+from ..strategy.free_space import FreeSpace
 from ..strategy.pruning import Pruner
 
 
@@ -53,9 +59,26 @@ def training_start(
     if analysis.region is not None and start is not None:
         start, frozen = split_frozen(start, analysis.region, config, frame)
     cloud = photos.scene.points if analysis.points is None else analysis.points
-    first, (around, path) = initial_splats(
-        config, photos, frame, plan, cameras, cloud, start=start, count=count
-    )
+    cloud = replace(cloud, points=frame.similarity.points_to_training(cloud.points))
+    # One k-d tree for all uses, because for many points it is larger than a model.
+    near = NearestPoints(cloud.points, queries=count)
+    surfaces, train = None if cloud.made_up else near, list(photos.train)
+    around = FreeSpace(cameras.centers[train], surfaces, share=config.free_space)
+    path = FreePath(cameras, train, surfaces, share=config.free_space)
+    if start is not None:
+        first = splats_from_start(start, config, frame)
+    else:
+        sky = sky_splats(config, photos, cameras, cloud.points)
+        first = splats_from_points(
+            cloud,
+            extent=frame.extent,
+            opacity=plan.init_opacity,
+            scale=plan.init_scale,
+            max_splats=max(plan.max_splats - (0 if sky is None else len(sky)), 1),
+            seed=config.seed,
+            near=near,
+        )
+        first = first if sky is None else joined([first, sky])
     guided = None
     if analysis.guide.free:
         guided = MeshFreeSpace(analysis.guide.free, photos.scene.cameras, frame.similarity)

@@ -1,7 +1,7 @@
 """Training views of a step: cameras, photos and backgrounds."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -11,7 +11,6 @@ from ...engine.random import uniform
 from ...errors import GsError
 from ...raster.request import Frustum
 from ..distributed import batch_losses
-from ..distributed.load_balance import batches_of_equal_cost
 from ..distributed.process_group import ProcessGroup
 from ..model.checkpoint_schema import as_float, as_int, as_int_list, as_measurements
 from ..photos.image_pyramid import AHEAD, SizedView
@@ -171,3 +170,37 @@ class ViewBatcher:
             r, g, b = uniform(3, self._generator).tolist()
             return (r, g, b)
         return COLORS[self._background]
+
+
+_BATCHES = 8
+"""Most batches that are sorted together, at most a third of an epoch: their photos are random, so
+that the same photos do not always share a batch."""
+
+
+def batches_of_equal_cost(
+    order: Sequence[int], costs: Mapping[int, float], size: int, *, first: int = 0
+) -> list[int]:
+    """Reorder the photos of an epoch so that those of a batch have similar costs.
+
+    Sorts a few batches at a time, so that the composition and order of batches stay random.
+
+    Args:
+        order: Photos in random order.
+        costs: Last rendering cost of each photo; if one is missing, the order stays.
+        size: Photos of a batch.
+        first: Number of photos that complete the current batch; they stay first.
+    """
+    if any(photo not in costs for photo in order):
+        return list(order)
+    place = {photo: k for k, photo in enumerate(order)}
+    dealt, rest = list(order[:first]), order[first:]
+    width = size * max(1, min(_BATCHES, len(rest) // (3 * size)))
+    for begin in range(0, len(rest), width):
+        some = sorted(rest[begin : begin + width], key=costs.__getitem__)
+        parts = (some[k : k + size] for k in range(0, len(some), size))
+        batches = [sorted(part, key=place.__getitem__) for part in parts]
+        whole = [batch for batch in batches if len(batch) == size]
+        whole.sort(key=lambda batch: place[batch[0]])
+        for batch in (*whole, *batches[len(whole) :]):
+            dealt += batch
+    return dealt

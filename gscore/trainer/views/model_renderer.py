@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,14 +14,13 @@ from ...engine.cpu.loss import mse_of_unmasked
 from ...live.viewer_protocol import FrameRequest
 from ...raster.loss import image_loss
 from ...raster.request import Frustum
-from ...scene import Cameras
 from ..model.training_frame import TrainingFrame
 from ..photos.image_pyramid import ImagePyramid, SizedView, training_camera
 from ..photos.view_sampler import Photos
 from ..region.region_tiles import mask_to_region
 from .photo_gains import background_before_gain
 from .photo_parameters import PhotoParameters
-from .pose_alignment import align_pose
+from .photo_poses import align_pose
 
 COLORS = {Background.BLACK: (0.0, 0.0, 0.0), Background.WHITE: (1.0, 1.0, 1.0)}
 """Constant backgrounds."""
@@ -31,72 +30,54 @@ _CHECK_FACTOR = 8
 """Divisor of a photo's sides for the check whether a view shows any splat."""
 
 
+@dataclass(eq=False)
 class ModelRenderer:
     """Renderer of the current models. Rendering changes no bit of the training.
 
     Pictures are valid until the next one is rendered, unless stated otherwise.
     """
 
-    def __init__(
-        self,
-        config: TrainConfig,
-        photos: Photos,
-        frame: TrainingFrame,
-        cameras: Cameras,
-        photo_parameters: PhotoParameters,
-        engine: Engine[Any],
-        models: Callable[[], list[EngineModel]],
-        *,
-        cache: int | None = None,
-        region: bool = False,
-    ) -> None:
-        """Create the renderer.
-
-        Args:
-            config: The options.
-            photos: The capture.
-            frame: The training frame.
-            cameras: Cameras of `photos` in the training frame.
-            photo_parameters: Optimised gains and poses.
-            engine: Draws the models.
-            models: Returns the models, which are merged for rendering.
-            cache: Bytes of photos to keep; None: all.
-            region: True: frozen splats surround the model, so photos count only where it may be
-                drawn.
-        """
-        self._config = config
-        self._photos = photos
-        self._frame = frame
-        self._photo_parameters = photo_parameters
-        self._pyramid = ImagePyramid(photos, cameras, near=frame.near, limit=cache)
-        self._region = region
-        self._engine = engine
-        self._models = models
+    config: TrainConfig
+    """The options."""
+    photos: Photos
+    """The capture."""
+    frame: TrainingFrame
+    """The training frame."""
+    pyramid: ImagePyramid
+    """The views in the training frame."""
+    photo_parameters: PhotoParameters
+    """Optimised gains and poses."""
+    engine: Engine[Any]
+    """Draws the models."""
+    models: Callable[[], list[EngineModel]]
+    """Returns the models, which are merged for rendering."""
+    region: bool
+    """True: frozen splats surround the model, so photos count only where it may be drawn."""
 
     @property
     def background(self) -> Color:
         """Background colour for viewers and metrics."""
-        return COLORS.get(self._config.background, COLORS[Background.BLACK])
+        return COLORS.get(self.config.background, COLORS[Background.BLACK])
 
     def view(self, index: int, factor: float = 1.0) -> Frustum:
         """View `index` with sides divided by `factor`, at its refined camera pose."""
-        return self._photo_parameters.at_refined_pose(self._pyramid.view(index, factor), index)
+        return self.photo_parameters.at_refined_pose(self.pyramid.view(index, factor), index)
 
     def sized(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> SizedView:
         """View `index` with its photo, sides divided by `factor`, at its refined camera pose.
 
         `upcoming`: the next views, for prefetching.
         """
-        found = self._pyramid.at(index, factor, upcoming=upcoming)
-        if self._region and self._photos.mask_mode == "ignore":
-            (model,) = self._models()
+        found = self.pyramid.at(index, factor, upcoming=upcoming)
+        if self.region and self.photos.mask_mode == "ignore":
+            (model,) = self.models()
             found = mask_to_region(found, model.column("means"), model.column("scales"))
-        return found._replace(view=self._photo_parameters.at_refined_pose(found.view, index))
+        return found._replace(view=self.photo_parameters.at_refined_pose(found.view, index))
 
     def background_before_gain(self, background: Color, gain: torch.Tensor | None) -> Color:
         """Background colour before the gain, so that `background` shows after it, if photos are
         composited over it. Otherwise the background is part of the scene and exposed with it."""
-        if gain is None or self._photos.mask_mode != "composite":
+        if gain is None or self.photos.mask_mode != "composite":
             return background
         return background_before_gain(background, gain)
 
@@ -110,25 +91,25 @@ class ModelRenderer:
         its camera is unchanged."""
         full = self.view(index)
         sized = self.sized(index, max(1.0, max(full.width, full.height) / _ALIGNED_SIDE))
-        photo = sized.photo(self._photos.mask_mode)
+        photo = sized.photo(self.photos.mask_mode)
 
         def gradient(view: Frustum) -> np.ndarray:
-            return self._engine.pose_gradient(
-                self._models(),
+            return self.engine.pose_gradient(
+                self.models(),
                 view,
                 photo,
                 background=background,
-                antialias=self._config.antialias,
+                antialias=self.config.antialias,
             )
 
-        pose = align_pose(gradient, sized.view, unit=self._frame.extent)
+        pose = align_pose(gradient, sized.view, unit=self.frame.extent)
         return self._exposed(index, replace(full, viewmat=pose), background).copy()
 
     def render_request(self, request: FrameRequest) -> np.ndarray:
         """Render a frame request of a viewer, [height, width, 3] float32."""
-        viewmats = self._frame.similarity.viewmats_to_training(request.viewmat[None])
+        viewmats = self.frame.similarity.viewmats_to_training(request.viewmat[None])
         size = request.width, request.height
-        view = training_camera(viewmats[0], request.K, *size, self._frame.near)
+        view = training_camera(viewmats[0], request.K, *size, self.frame.near)
         return self._draw(view, self.background, scaling=request.scaling).rgb
 
     def shows_splats(self, index: int) -> bool:
@@ -150,9 +131,9 @@ class ModelRenderer:
                 torch.from_numpy(self._exposed(index, view, background)),
                 torch.from_numpy(image),
                 mask=None if mask is None else torch.from_numpy(mask),
-                mask_mode="none" if mask is None else self._photos.mask_mode,
+                mask_mode="none" if mask is None else self.photos.mask_mode,
                 background=background,
-                threads=self._config.threads,
+                threads=self.config.threads,
             )
             total += mse_of_unmasked(loss.mse, counted)
         return math.sqrt(total / len(indices))
@@ -162,12 +143,12 @@ class ModelRenderer:
         float32 each."""
         found = self._draw(self.view(index), inverse_depth=True)
         assert found.inverse_depth is not None
-        scale = np.float32(self._frame.similarity.scale)
+        scale = np.float32(self.frame.similarity.scale)
         return found.inverse_depth * scale, found.alpha.copy()
 
     def _exposed(self, index: int, view: Frustum, background: Color) -> np.ndarray:
         """Render `view`, the view of photo `index` at any size, with the photo's gain."""
-        gain = self._photo_parameters.gain_of(index)
+        gain = self.photo_parameters.gain_of(index)
         picture = self._draw(view, self.background_before_gain(background, gain)).rgb
         if gain is not None:
             picture *= gain.numpy()
@@ -181,11 +162,11 @@ class ModelRenderer:
         inverse_depth: bool = False,
         scaling: float = 1.0,
     ) -> DrawnPicture:
-        return self._engine.draw(
-            self._models(),
+        return self.engine.draw(
+            self.models(),
             view,
             background=background,
-            antialias=self._config.antialias,
+            antialias=self.config.antialias,
             inverse_depth=inverse_depth,
             scaling=scaling,
         )

@@ -1,7 +1,7 @@
 """Photo parameters: gains and poses of each photo, optimised together with the splats."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -19,22 +19,18 @@ _START, _STOP = 0.1, 0.8
 end they adapt to the final poses."""
 
 
+@dataclass(eq=False)
 class PhotoParameters:
     """Gains and poses of the photos, each optional, with their updates."""
 
-    def __init__(
-        self,
-        config: TrainConfig,
-        gains: PhotoGains | None,
-        poses: PhotoPoses | None,
-        held_out: HeldOutGains,
-    ) -> None:
-        self._config = config
-        self._held_out = held_out
-        self.gains = gains
-        """Exposure gains; None: photo colours are used unchanged."""
-        self.poses = poses
-        """Poses of the training cameras; None: those of the capture."""
+    config: TrainConfig
+    """The options."""
+    gains: PhotoGains | None
+    """Exposure gains; None: photo colours are used unchanged."""
+    poses: PhotoPoses | None
+    """Poses of the training cameras; None: those of the capture."""
+    held_out: HeldOutGains
+    """Predicts gains of held-out photos."""
 
     def gain_of(self, index: int) -> torch.Tensor | None:
         """Gain of photo `index`, [3] float32, predicted if it is held out; None: no gains."""
@@ -42,14 +38,14 @@ class PhotoParameters:
             return None
         if index in self.gains:
             return self.gains.of(index)
-        predicted = self._held_out.predict(self.gains.log_gains)[index]
+        predicted = self.held_out.predict(self.gains.log_gains)[index]
         return torch.from_numpy(np.exp(predicted).astype(np.float32))
 
     def all_gains(self) -> np.ndarray | None:
         """Gains of all photos, [V, 3] float64, those of held-out ones predicted; None: no gains."""
         if self.gains is None:
             return None
-        values = self._held_out.predict(self.gains.log_gains)
+        values = self.held_out.predict(self.gains.log_gains)
         values[self.gains.train] = self.gains.log_gains[self.gains.train]
         return np.exp(values)
 
@@ -64,7 +60,7 @@ class PhotoParameters:
         since, span = done - _START, _STOP - _START
         if not 0 <= since < span:
             return 0.0
-        return rate_at(self._config.pose_lr, self._config.pose_lr_final, since / span)
+        return rate_at(self.config.pose_lr, self.config.pose_lr_final, since / span)
 
     def learn(
         self, indices: Sequence[int], slopes: np.ndarray, *, done: float, factor: float
@@ -78,7 +74,7 @@ class PhotoParameters:
             done: Share of the run that is done.
             factor: Factor of all rates.
         """
-        pose_rate, config = factor * self.pose_rate(done), self._config
+        pose_rate, config = factor * self.pose_rate(done), self.config
         gain_rate = factor * rate_at(config.exposure_lr, config.exposure_lr_final, done)
         for index, numbers in zip(indices, slopes, strict=False):
             if self.poses is not None and pose_rate:

@@ -7,8 +7,7 @@ import numpy as np
 import torch
 
 from gscore.engine.base import RowEdit
-from gscore.engine.cpu.model import CpuModel
-from gscore.engine.cpu.row_order import morton_order
+from gscore.engine.cpu.model import CpuModel, morton_order
 from gscore.splats import PARAMETERS
 
 Make = Callable[..., CpuModel]

@@ -5,8 +5,8 @@ import pytest
 
 from gscore.engine.base import DROPOUT_STREAM, NOISE_STREAM, STREAMS, StepPhoto
 from gscore.engine.cpu.engine import CpuEngine
-from gscore.engine.cpu.mcmc import GATE_OPACITY, GATE_SHARPNESS
 from gscore.engine.cpu.model import CpuModel
+from gscore.engine.cpu.splat_terms import GATE_OPACITY, GATE_SHARPNESS
 from gscore.raster.reference import random_numbers as twin
 from gscore.splats import PARAMETERS, Splats
 from gscore.stress.capture import ToyPhotos

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gscore.trainer.analysis.gain_fit import fit_gains
-from gscore.trainer.analysis.track_colors import TrackColors
+from gscore.trainer.analysis.exposure import fit_gains
+from gscore.trainer.analysis.photo_visit import TrackColors
 
 
 def seen(truth: np.ndarray, *, points: int, each: int, noise: float, wrong: float) -> TrackColors:

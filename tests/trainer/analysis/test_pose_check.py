@@ -15,8 +15,12 @@ from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.poses_json import read_moves
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.analysis.photo_visit import visit_photos
-from gscore.trainer.analysis.pose_check import check_poses
-from gscore.trainer.analysis.resection import PointObservations, median_residual, resection_pose
+from gscore.trainer.analysis.pose_check import (
+    PointObservations,
+    check_poses,
+    median_residual,
+    resection_pose,
+)
 from gscore.trainer.run import train
 from gscore.trainer.views.photo_poses import PoseCheck
 from gscore.trainer.views.pose_math import moved_pose, pose_distances

@@ -12,9 +12,8 @@ from gscore.errors import DatasetError
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.analysis.exposure import decide_exposure
 from gscore.trainer.analysis.photo_loading import check_masks
-from gscore.trainer.analysis.photo_visit import PhotoFacts
+from gscore.trainer.analysis.photo_visit import PhotoFacts, TrackColors
 from gscore.trainer.analysis.pose_check import check_poses
-from gscore.trainer.analysis.track_colors import TrackColors
 from gscore.trainer.views.pose_math import moved_pose
 
 POINTS = 40

@@ -9,15 +9,12 @@ import pytest
 import torch
 
 from gscore.config import Background, TrainConfig
-from gscore.engine.cpu.dropout import drop_splats
 from gscore.engine.cpu.loss import mean_transmittance, opacity_loss
+from gscore.engine.cpu.splat_terms import drop_splats
 from gscore.presets import PRESETS
 from gscore.raster.random_numbers import uniform_rows
 from gscore.trainer.analysis.analysis import Analysis
-from gscore.trainer.schedule.dropout_rate import (
-    drop_rate_at,
-    drop_rate_of,
-)
+from gscore.trainer.schedule.caps import drop_rate_at, drop_rate_of
 from gscore.trainer.trainer import Trainer
 
 

@@ -75,7 +75,7 @@ def test_true_splats_have_no_depth_loss(
     assert trainer.depth is not None
     for index in (0, 1):  # aligned and not
         for factor, limit in ((1.0, 4e-3), (2.0, 0.03)):
-            view = trainer.renderer._pyramid.at(index, factor).view
+            view = trainer.renderer.pyramid.at(index, factor).view
             with torch.no_grad():
                 out = rasterize(
                     *trainer.model.synced().values(),

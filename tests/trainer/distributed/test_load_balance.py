@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from gscore.trainer.distributed.load_balance import batches_of_equal_cost
+from gscore.trainer.step.training_views import batches_of_equal_cost
 
 MORE = {photo: (photo * 31 % 97) + 50.0 for photo in range(52, 60)}
 COSTS = {photo: (photo * 7919 % 101) + 50.0 for photo in range(52)}

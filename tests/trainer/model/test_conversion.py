@@ -5,7 +5,7 @@ import pytest
 
 from gscore.errors import DatasetError
 from gscore.scene import PointCloud
-from gscore.trainer.model.conversion import splats_from_points
+from gscore.trainer.model.initial_splats import splats_from_points
 
 
 def cloud(points: np.ndarray) -> PointCloud:

@@ -6,7 +6,7 @@ import pytest
 from gscore.scene import PointCloud
 from gscore.splats import PARAMETERS
 from gscore.trainer.model import nearest_points as module
-from gscore.trainer.model.conversion import splats_from_points
+from gscore.trainer.model.initial_splats import splats_from_points
 from gscore.trainer.model.nearest_points import NearestPoints
 
 

@@ -10,7 +10,7 @@ import torch
 from gscore.config import Skip, TrainConfig
 from gscore.splats import PARAMETERS
 from gscore.trainer.analysis.analysis import Analysis
-from gscore.trainer.photos.masked_tiles import tiles_of_mask
+from gscore.trainer.photos.image_pyramid import tiles_of_mask
 from gscore.trainer.trainer import Trainer
 
 _INEXACT = (Skip.SMALL_PHOTOS, Skip.UNSEEN_SH, Skip.RARE_SH)

@@ -11,6 +11,7 @@ import pytest
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.formats import read_splats
+from gscore.io.region_file import read_region
 from gscore.metrics import evaluate
 from gscore.presets import preview
 from gscore.raster.api import render
@@ -53,7 +54,7 @@ def test_a_region_of_plush_gets_better_and_the_rest_stays(tmp_path: Path) -> Non
 
     dataset = load_dataset(data)
     cameras = dataset.scene.cameras
-    evaluated = RegionPhotos(dataset, RegionBox.read(region), near=config.near)
+    evaluated = RegionPhotos(dataset, RegionBox(read_region(region)), near=config.near)
 
     def worth(splats: object, photos: object, key: str) -> float:
         def picture(i: int) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gscore.trainer.schedule.batch_size import batch_size
+from gscore.trainer.distributed_trainer import batch_size
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 8, 64])

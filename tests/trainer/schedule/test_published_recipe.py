@@ -13,8 +13,7 @@ from gscore.control import Control
 from gscore.options import options_of
 from gscore.presets import RECIPES
 from gscore.trainer.files.checkpoint import FREE
-from gscore.trainer.model.start_state import StartState
-from gscore.trainer.prepare import prepare
+from gscore.trainer.prepare import StartState, prepare
 from gscore.trainer.schedule.plan import Plan
 
 DATA, TRAIN = RECIPES["3dgs"](Path("capture"))

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from gscore.config import TrainConfig
-from gscore.trainer.schedule.photo_sizes import photo_size_stages
-from gscore.trainer.schedule.plan import Plan
+from gscore.trainer.schedule.plan import Plan, photo_size_stages
 
 
 @pytest.mark.parametrize("coarse", [1.0, 1.1, 2.0, 5.3, 8.0, 40.0])

@@ -8,7 +8,7 @@ import pytest
 from gscore.config import TrainConfig
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.schedule.plan import Plan
-from gscore.trainer.stopping.step_budget import StepBudget
+from gscore.trainer.stopping.controller import StepBudget
 
 CONFIG = TrainConfig(max_splats=50_000)
 

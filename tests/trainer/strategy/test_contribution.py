@@ -22,11 +22,7 @@ from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.files import checkpoint
 from gscore.trainer.photos.view_sampler import training_camera
 from gscore.trainer.schedule.plan import Plan
-from gscore.trainer.strategy.contribution import (
-    lowest_rows,
-    max_contribution,
-    mostly_masked,
-)
+from gscore.trainer.strategy.pruning import lowest_rows, max_contribution, mostly_masked
 from gscore.trainer.trainer import Trainer
 
 

@@ -11,8 +11,8 @@ import torch
 
 from gscore.config import Doubling, Strategy, TrainConfig
 from gscore.engine.base import RowEdit
-from gscore.engine.cpu.mcmc import add_noise, add_regularisers
 from gscore.engine.cpu.model import CpuModel
+from gscore.engine.cpu.splat_terms import add_noise, add_regularisers
 from gscore.engine.rotation import rotate
 from gscore.raster.random_numbers import normal_rows
 from gscore.raster.screen_gradients import add_screen_gradients
