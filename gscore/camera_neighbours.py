@@ -25,7 +25,7 @@ def neighbours(centers: np.ndarray, names: list[str]) -> Iterator[tuple[int, int
     pairs = {(min(a, b), max(a, b)) for a, b in pairwise(order)}
     _, nearest = KDTree(centers).query(centers, k=min(_NEAREST + 1, len(centers)))
     for a, row in enumerate(np.asarray(nearest)):
-        for b in row[1:].tolist():
+        for b in row[row != a].tolist():
             middle = (centers[a] + centers[b]) / 2
             radius = np.linalg.norm(centers[a] - middle)
             others = [int(c) for c in row if c not in (a, b)]

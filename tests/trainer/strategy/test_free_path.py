@@ -109,6 +109,11 @@ def test_neighbours_are_those_of_the_definition() -> None:
     assert list(neighbours(centers, names)) == sorted(expected)
 
 
+def test_cameras_at_one_place_are_neighbours_of_each_other() -> None:
+    """Oracle: all pairs of different cameras, none of a camera with itself."""
+    assert list(neighbours(np.zeros((3, 3)), ["a", "b", "c"])) == [(0, 1), (0, 2), (1, 2)]
+
+
 def test_support_is_that_of_the_definition() -> None:
     """Oracle: each splat and camera by itself, with projections by hand."""
     cameras, points = yard()
