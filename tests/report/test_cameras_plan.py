@@ -10,7 +10,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from gscore.report.cameras_plan import MOST_POINTS, cameras_html, cameras_section, plan_axes
+from gscore.report.cameras_plan import cameras_html, cameras_section
+from gscore.report.plan import MOST_POINTS, plan_axes
 from gscore.scene import Cameras, PointCloud, Scene
 
 RECORD = {"registered": 4, "photos": 5, "points": 3, "reprojection_px": 0.4, "alone": ["<b>.jpg"]}

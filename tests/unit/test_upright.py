@@ -20,7 +20,7 @@ from gscore.commands.terminal.status import Status
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.io.images.read_image import read_image
-from gscore.report.cameras_plan import plan_axes
+from gscore.report.plan import plan_axes
 from gscore.scene import Cameras
 from gscore.upright import turn_cameras, upright_turns
 
