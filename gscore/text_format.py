@@ -96,6 +96,22 @@ def worst_view_text(metrics: Mapping[str, Any]) -> str:
     return text.strip()
 
 
+def trust_text(metrics: Mapping[str, Any]) -> str:
+    """The trust in views between training photos, as a sentence; empty: not measured.
+
+    Args:
+        metrics: Content of a metrics.json.
+    """
+    lowest = metrics.get("trust_lowest")
+    if not lowest:
+        return ""
+    a, b = map(brief, lowest["between"])
+    return (
+        f"Trust in views between photos: {metrics['trust_median']:.0%} in the median, lowest "
+        f"{lowest['trust']:.0%}, between {a} and {b}."
+    )
+
+
 def stopped_text(metrics: Mapping[str, Any], iterations: int = 0) -> str:
     """Step at which a training was stopped: "stopped after 500 of 1,500 steps"; empty: it was not
     stopped, or this is unknown.

@@ -7,7 +7,7 @@ from typing import ClassVar
 import bpy
 import numpy as np
 
-from ..core import FramesDone, headline_psnr
+from ..core import FramesDone, headline_psnr, trust_text
 from ..interface.images import PictureIcons
 from ..region_training import train_region as steer
 from ..sequence import train_sequence as sequence
@@ -51,6 +51,8 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
         if state.sentence:
             icon = "ERROR" if state.status == run_state.FAILED else "CHECKMARK"
             sentence(layout, state.sentence, icon=icon)
+        if trust := trust_text(state.metrics):
+            sentence(layout, trust, icon="CAMERA_DATA")
         if current.silence:
             sentence(layout, current.silence, icon="QUESTION")
         for text in state.warnings[-_WARNINGS_SHOWN:]:

@@ -22,7 +22,9 @@ from ..io.region_file import read_region
 from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
 from ..metrics.coverage import coverage, state_coverage
 from ..metrics.photo_mismatch import photo_mismatch_warnings
+from ..metrics.photo_renders import PhotoRenders
 from ..metrics.splat_errors import SplatErrors
+from ..metrics.trust import trust_between, trust_figures
 from ..quoting import as_typed, brief
 from ..raster import native_library
 from ..raster.request import Frustum
@@ -37,6 +39,7 @@ from ..text_format import (
     psnr_name,
     quality_text,
     stopped_text,
+    trust_text,
     worst_view_text,
 )
 from .args.data_options import add_data_options
@@ -159,9 +162,11 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         background=model.background,
         on_view=_Views(model, cameras, indices, pictures, errors, show, control),
     )
+    how = {"near": model.near, "antialias": model.antialias, "threads": args.threads}
+    renders = PhotoRenders(model.splats, cameras, **how)
     if split == "test":
-        how = {"near": model.near, "antialias": model.antialias, "threads": args.threads}
-        state_coverage(evaluation, coverage(model.splats, cameras, dataset, **how))
+        state_coverage(evaluation, coverage(renders, dataset))
+    evaluation.mean.update(trust_figures(trust_between(renders, dataset.train)))
     warnings += photo_mismatch_warnings(
         headline_psnr(evaluation.mean), f"The splats of {brief(str(model.path))}"
     )
@@ -346,8 +351,8 @@ def _summary(metrics: dict[str, Any], output: Path) -> str:
     why = metrics.get("psnr_masked_reason") or metrics.get("psnr_reason", "")
     worth = quality_text(metrics) or f"no PSNR ({why})"
     text = f"{views}: {worth}{colour_text(metrics)}\n"
-    if worst := worst_view_text(metrics):
-        text += f"{worst}\n"
+    for sentence in filter(None, (worst_view_text(metrics), trust_text(metrics))):
+        text += f"{sentence}\n"
     text += f"Results: {output / 'metrics.json'}, {output / 'report.html'}"
     if "error_map" in metrics:
         text += f"\nError map: {metrics['error_map']}, brightest from an error of "

@@ -19,6 +19,7 @@ from ..text_format import (
     has_exposure_correction,
     quality_text,
     size_text,
+    trust_text,
     worst_view_text,
 )
 from .args.data_options import add_data_options
@@ -186,8 +187,7 @@ def _summary(result: "TrainResult", config: TrainConfig) -> list[str]:
         view = "test view" if metrics["split"] == "test" else "training view"
         worth += colour_text(metrics) if has_exposure_correction(metrics) else ""
         lines.append(f"{count_text(len(metrics['views']), view)}: {worth}")
-    if worst := worst_view_text(metrics):
-        lines.append(worst)
+    lines += filter(None, (worst_view_text(metrics), trust_text(metrics)))
     if config.target_psnr and result.reason in (FINISHED, CONVERGED):
         lines.append(f"The target of {config.target_psnr:g} dB was not reached.")
     if ranks := metrics.get("ranks"):

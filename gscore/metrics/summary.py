@@ -14,7 +14,7 @@ from .evaluate import Evaluation
 from .machine import machine, peak_memory_bytes
 
 _LISTS = frozenset(
-    {"views", "train_views", "test_views", "history", "evals", "decided", "decisions"}
+    {"views", "train_views", "test_views", "history", "evals", "decided", "decisions", "trust"}
 )
 _PARTS = ("models", "depth", "exposure", "poses", "ranks", "asked")
 """Fields of a `Course` that are omitted when empty."""

@@ -25,6 +25,7 @@ from .histograms import Histogram, histograms_html
 from .html_parts import AXES, SEAM, html_page, switch, warnings_html, write_html
 from .pictures import ERROR_GAIN, ViewPictures
 from .report_header import EXPOSED, TIMES, head_html, meaning_html, tiles_html
+from .trust_map import trust_html
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +72,7 @@ def report_html(report: Report) -> str:
             depth_html(report.depth) if report.depth else "",
             poses_html(metrics["poses"]) if metrics.get("poses") else "",
             cameras_html(report.cameras, worths) if report.cameras else "",
+            trust_html(report.cameras.scene, metrics) if report.cameras else "",
             histograms_html(report.histograms),
             _details(metrics, report.config),
         )

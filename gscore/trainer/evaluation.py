@@ -10,6 +10,8 @@ from ..errors import Cancelled
 from ..metrics import Evaluation, Lpips, LpipsNet, evaluate
 from ..metrics.coverage import coverage, state_coverage
 from ..metrics.image import psnr
+from ..metrics.photo_renders import PhotoRenders
+from ..metrics.trust import trust_between, trust_figures
 from ..report import PictureCollector
 from ..splats import Splats
 from .photos.view_sampler import evenly_spaced
@@ -86,21 +88,26 @@ class Evaluator:
             found.mean["psnr_aligned"] = math.fsum(each) / len(each) if each else None
         return found
 
-    def state_coverage(self, found: Evaluation, splats: Splats) -> None:
-        """Add to an evaluation of held-out views which of them the training photos cover, by the
-        final `splats`."""
-        if self.split != "test":
-            return
+    def state_reach(self, found: Evaluation, splats: Splats) -> None:
+        """Add to the final evaluation what the training photos tell about other views: which of the
+        held-out ones they cover, and the trust in those between them.
+
+        Args:
+            found: The metrics, changed in place.
+            splats: The final splats.
+        """
         trainer = self._trainer
-        shares = coverage(
+        photos = trainer.photos
+        renders = PhotoRenders(
             splats,
-            trainer.photos.scene.cameras,
-            trainer.photos,
+            photos.scene.cameras,
             near=trainer.frame.world_near,
             antialias=trainer.config.antialias,
             threads=trainer.config.threads,
         )
-        state_coverage(found, shares)
+        if self.split == "test":
+            state_coverage(found, coverage(renders, photos))
+        found.mean.update(trust_figures(trust_between(renders, photos.train)))
 
     @property
     def _aligns(self) -> bool:

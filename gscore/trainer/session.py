@@ -423,7 +423,7 @@ class Session:
         collector = PictureCollector(count=len(self._evaluator.indices))
         evaluation = None if self._control.stopping else self._evaluate(collector)
         if evaluation:
-            self._evaluator.state_coverage(evaluation, splats)
+            self._evaluator.state_reach(evaluation, splats)
         metrics = self._results.write_summary(
             evaluation,
             evaluator=self._evaluator,

@@ -1,5 +1,6 @@
 """gscore eval: the numbers of a run or a bare PLY, and its files."""
 
+import html
 import json
 import math
 import shutil
@@ -14,6 +15,7 @@ from gscore.io.exposure_json import EXPOSURE_FILE, write_exposures
 from gscore.io.metrics_file import read_metrics
 from gscore.io.ply.splats import read_ply, write_splats
 from gscore.sh import SH_C0
+from gscore.text_format import trust_text
 from tests.commands.conftest import STEPS
 
 
@@ -65,6 +67,23 @@ def test_coverage_is_that_of_held_out_views(gscore, run_folder):
     folder = run_folder()
     code, out, _ = gscore("eval", folder, "--split", "all", "-o", folder / "all", "--json")
     assert code == 0 and "worst_view" not in json.loads(out.splitlines()[-1])
+
+
+def test_trust_is_stated_of_views_between_training_photos(gscore, run_folder):
+    """Oracle: the file, whose list `--json` lacks; pairs of training photos alone; the sentence in
+    output and report."""
+    folder = run_folder()
+    code, out, _ = gscore("eval", folder, "--json")
+    facts, metrics = json.loads(out.splitlines()[-1]), read_metrics(folder)
+    views = metrics["trust"]
+    assert code == 0 and views and "trust" not in facts
+    assert {name for view in views for name in view["between"]} <= set(metrics["train_views"])
+    shares = [view["trust"] for view in views]
+    assert facts["trust_median"] == metrics["trust_median"] == pytest.approx(np.median(shares))
+    assert facts["trust_lowest"]["trust"] == min(shares)
+    _, out, _ = gscore("eval", folder)
+    assert trust_text(metrics) in " ".join(out.split())
+    assert html.escape(trust_text(metrics)) in (folder / "report.html").read_text()
 
 
 def test_training_facts_are_kept(gscore, run_folder):
@@ -288,13 +307,13 @@ def test_broken_network_of_the_environment_is_reported(gscore, run_folder, tmp_p
 
 def test_reports_show_splats_and_cameras(gscore, trained, run_folder, tmp_path):
     """Oracle: the pages of a training and of an evaluation: three histograms, each camera in two
-    plans, the held-out ones with their PSNR."""
+    plans and the map of trust, the held-out ones with their PSNR."""
     run = run_folder()
     assert gscore("eval", run, "-o", tmp_path / "out")[0] == 0
     for page in (trained / "report.html", tmp_path / "out" / "report.html"):
         text = page.read_text()
         assert text.count('class="bars"') == 3 and "Anisotropy" in text
-        assert text.count("<polygon") == 2 * 9
+        assert text.count("<polygon") == 3 * 9
         assert "<title>a_1.png</title>" in text
     assert 'class="wedge scored"' in (trained / "report.html").read_text()
 

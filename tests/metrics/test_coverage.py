@@ -7,6 +7,7 @@ import pytest
 
 from gscore.metrics import Evaluation
 from gscore.metrics.coverage import coverage, state_coverage
+from gscore.metrics.photo_renders import PhotoRenders
 from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.text_format import worst_view_text
@@ -65,7 +66,8 @@ def share(
         mask_mode="none" if mask is None else "ignore",
         mask=lambda index: mask,
     )
-    return coverage(splats, cameras(view, *photos), dataset, threads=1)["0.jpg"]
+    renders = PhotoRenders(splats, cameras(view, *photos), threads=1)
+    return coverage(renders, dataset)["0.jpg"]
 
 
 ROOM = plane(WALL, 30.0, 150)

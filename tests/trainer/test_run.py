@@ -181,6 +181,7 @@ def test_a_run_tells_everything_in_order_and_leaves_all_files(
     assert metrics["psnr"] == result.metrics["psnr"] == done.metrics["psnr"]
     assert all(0 <= view["coverage"] <= 1 for view in metrics["views"])
     assert metrics["worst_view"] == done.metrics["worst_view"]
+    assert metrics.get("trust_lowest") == done.metrics.get("trust_lowest")
     assert metrics["train_seconds"] == pytest.approx(done.train_seconds)
     assert [entry["step"] for entry in metrics["evals"]] == [10, 40]
     assert [entry["step"] for entry in metrics["history"]] == list(range(1, 41))

@@ -268,6 +268,18 @@ def test_decisions_are_shown_in_words_of_panels(
     assert text == 'Caps: Enough steps. Depth: Depth is not used; "Use Depth: Always" uses it.'
 
 
+def test_the_end_of_a_training_states_trust(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the sentence of its metrics, and none before they are measured."""
+    state = RunState(status=FINISHED, sentence="Finished.")
+    job = SimpleNamespace(state=state, silence="")
+    monkeypatch.setattr(progress, "job", lambda _: job)
+    assert "Trust" not in drawn(progress.ProgressPanel)
+    lowest = {"between": ["a.jpg", "b.jpg"], "trust": 0.04}
+    state.metrics = {"trust_median": 0.55, "trust_lowest": lowest}
+    words = " ".join(drawn(progress.ProgressPanel).split())
+    assert "photos: 55% in the median, lowest 4%, between a.jpg and b.jpg." in words
+
+
 def test_a_training_that_starts_says_so(
     scene: bpy.types.Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
