@@ -13,6 +13,7 @@ from ..events import finite, headline_psnr
 from ..metrics import Lpips, LpipsNet, evaluate, psnr
 from ..metrics.coverage import COVERED, WORST, coverage, lowest_view
 from ..metrics.evaluate import target_picture
+from ..metrics.photo_renders import PhotoRenders
 from .leave_out import CaseChange, LeaveOut, leave_out
 from .paired import (
     CaptureChange,
@@ -153,14 +154,14 @@ def train_scored(
     trained = train_measured(
         config, photos, limited=True, eval_views=eval_views, on_step=on_step, at_end=measure
     )
-    shares = coverage(
+    renders = PhotoRenders(
         trained.splats,
         eval_views.scene.cameras,
-        eval_views,
         near=trained.near,
         antialias=config.antialias,
         threads=config.threads,
     )
+    shares = coverage(renders, eval_views)
     views = tuple(_scored_view(view, shares[view["name"]]) for view in found["views"])
     held_out = [view.psnr for view in views if view.psnr is not None]
     gap = None
