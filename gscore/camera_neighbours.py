@@ -1,5 +1,6 @@
 """Neighbouring cameras: pairs between which views are likely."""
 
+import re
 from collections.abc import Iterator
 from itertools import pairwise
 
@@ -9,11 +10,19 @@ _NEAREST = 12
 """Nearest cameras of each among which its neighbours are searched."""
 
 
+def natural_key(name: str) -> list[tuple[int, str]]:
+    """Key that sorts numbers in names by their value: view_9 before view_10."""
+    parts = re.split(r"(\d+)", name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+
+
 def neighbours(centers: np.ndarray, names: list[str]) -> Iterator[tuple[int, int]]:
     """Yield pairs of neighbouring cameras in ascending order, each once.
 
-    Neighbours are cameras with successive names, and those with no camera in the ball that has them
-    as poles (Gabriel graph, Gabriel and Sokal 1969), tested among the twelve nearest.
+    Neighbours are cameras with successive names in natural order, and those with no camera in the
+    ball that has them as poles (Gabriel graph, Gabriel and Sokal 1969), tested among the twelve
+    nearest places. Of several cameras at one place only the first counts for the latter; no two
+    cameras at one place are neighbours.
 
     Args:
         centers: [C, 3] float64, positions, any unit.
@@ -21,14 +30,16 @@ def neighbours(centers: np.ndarray, names: list[str]) -> Iterator[tuple[int, int
     """
     from scipy.spatial import KDTree
 
-    order = np.argsort(names, kind="stable").tolist()
-    pairs = {(min(a, b), max(a, b)) for a, b in pairwise(order)}
-    _, nearest = KDTree(centers).query(centers, k=min(_NEAREST + 1, len(centers)))
-    for a, row in enumerate(np.asarray(nearest)):
+    order = sorted(range(len(names)), key=lambda index: natural_key(names[index]))
+    pairs = {(min(a, b), max(a, b)) for a, b in pairwise(order) if (centers[a] != centers[b]).any()}
+    first = np.sort(np.unique(centers, axis=0, return_index=True)[1])
+    places = centers[first]
+    _, nearest = KDTree(places).query(places, k=min(_NEAREST + 1, len(places)))
+    for a, row in enumerate(np.asarray(nearest).reshape(len(places), -1)):
         for b in row[row != a].tolist():
-            middle = (centers[a] + centers[b]) / 2
-            radius = np.linalg.norm(centers[a] - middle)
+            middle = (places[a] + places[b]) / 2
+            radius = np.linalg.norm(places[a] - middle)
             others = [int(c) for c in row if c not in (a, b)]
-            if not (np.linalg.norm(centers[others] - middle, axis=1) < radius * (1 - 1e-9)).any():
-                pairs.add((min(a, b), max(a, b)))
+            if not (np.linalg.norm(places[others] - middle, axis=1) < radius * (1 - 1e-9)).any():
+                pairs.add((int(first[min(a, b)]), int(first[max(a, b)])))
     yield from sorted(pairs)

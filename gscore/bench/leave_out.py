@@ -10,6 +10,7 @@ THINNED = ", 1 photo in "
 MOST_LOST = {"psnr_cc": 0.15, "ssim_cc": 0.002, "lpips_cc": 0.003, "worst_psnr_cc": 1.0}
 """Losses that no case may exceed: dB, SSIM, LPIPS, dB."""
 _NAMES = {"psnr_cc": "dB", "ssim_cc": "SSIM", "lpips_cc": "LPIPS", "worst_psnr_cc": "dB"}
+_UNMEASURED = {"psnr_cc": "PSNR", "ssim_cc": "SSIM", "worst_psnr_cc": "a worst view"}
 _LESS_IS_BETTER = "lpips_cc"
 
 
@@ -67,6 +68,9 @@ def leave_out(cases: Mapping[str, CaseChange]) -> LeaveOut:
     }
     for case, change in cases.items():
         for key, limit in MOST_LOST.items():
+            if getattr(change, key) is None and key != _LESS_IS_BETTER:
+                why = f"{case}: {_UNMEASURED[key]} was not measured"
+                return LeaveOut(kept=False, why=why, gains=gains)
             loss = _loss(change, key)
             if round(loss, 6) > limit:
                 where = "its worst view loses " if key == "worst_psnr_cc" else "loses "
@@ -76,6 +80,8 @@ def leave_out(cases: Mapping[str, CaseChange]) -> LeaveOut:
     least = min(gains, key=gains.__getitem__)
     middle = statistics.median(change.psnr_cc for change in cases.values())
     why = f"{middle:+.2f} dB in the median, {gains[least]:+.2f} without {least}"
+    if any(change.lpips_cc is None for change in cases.values()):
+        why += "; LPIPS was not measured"
     return LeaveOut(kept=round(gains[least], 6) > 0, why=why, gains=gains)
 
 

@@ -166,7 +166,8 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     renders = PhotoRenders(model.splats, cameras, **how)
     if split == "test":
         state_coverage(evaluation, coverage(renders, dataset))
-    evaluation.mean.update(trust_figures(trust_between(renders, dataset.train)))
+    if dataset.mask_mode != "composite":  # a background alike in all views confirms any model
+        evaluation.mean.update(trust_figures(trust_between(renders, dataset.train)))
     warnings += photo_mismatch_warnings(
         headline_psnr(evaluation.mean), f"The splats of {brief(str(model.path))}"
     )

@@ -111,7 +111,11 @@ def _check_output(output: Path, model: ModelArgument, *, overwrite: bool) -> Non
     """Raise if the output cannot be written, or is the model or a file of its run."""
     format_to_write(output)
     check_folder(output.parent)
-    if output.name == "point_cloud.ply" and output.resolve().parent == model.run:
+    if (
+        output.name == "point_cloud.ply"
+        and model.run is not None
+        and (output.resolve().parent == model.run.resolve())
+    ):
         raise ConfigError(f"{brief(output)} is the result of the training; choose another output.")
     if any(output.exists() and output.samefile(read) for read in files_of(model.path)):
         raise ConfigError(f"{brief(output)} is the input file; choose another output to keep it.")

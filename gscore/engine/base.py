@@ -206,7 +206,7 @@ class Feature(StrEnum):
     MASKS = "masks (`--mask-mode`)"
     DROPOUT = "dropout of splats (`--set drop_rate=0`)"
     NOISE = "noise and regularisers of splats (`--strategy mcmc`)"
-    GAINS = "exposure gains of photos (`--exposure`)"
+    GAINS = "exposure gains of photos (`--exposure off`)"
     POSES = "refined camera poses (`--set refine_poses=off`)"
     CONTRIBUTIONS = "pruning by contribution (`--set prune_share=0`)"
 

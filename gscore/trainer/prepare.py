@@ -119,8 +119,8 @@ class Prepared:
         counts = {"trained": models.trained_count, "frozen": models.frozen_count}
         found = [*self.trainer.rules.decisions(**counts), self.caps, _MASKS.get(self.mask_mode)]
         found += [rule.decision for rule in rules]
-        by_topic = {one.topic: one for one in earlier if one.topic in _KEPT}
-        by_topic |= {one.topic: one for one in found if one is not None}
+        by_topic = {one.topic: one for one in found if one is not None}
+        by_topic |= {one.topic: one for one in earlier if one.topic in _KEPT}
         return [by_topic[topic] for topic in TOPICS if topic in by_topic]
 
     def facts(self) -> dict[str, Any]:
@@ -199,6 +199,7 @@ def prepare(
         if start.stereo:
             added = stereo_start(config, photos, points, on_view=progress("depth of photos"))
             config, caps = limited(known=added.known, compared=True)
+        block = read_block(photos.source)
         analysis = Analysis(
             photos=photos,
             frame=resumed,
@@ -210,7 +211,8 @@ def prepare(
             guide=guide,
             region=region,
             # Start splats already cover the surroundings of a cell; merging blocks drops those.
-            block=read_block(photos.source) if splats is not None and region is None else None,
+            block=block if splats is not None and region is None else None,
+            is_part=block is not None or region is not None,
             photo_cache=photo_cache,
         )
         exposure, pose_check = decide_exposure(config, analysis), check_poses(config, analysis)

@@ -415,14 +415,18 @@ class Session:
         self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
         splats = trainer.finish()
         poses = self._prepared.pose_check.decision
+        exposure = self._prepared.exposure.numbers
+        if exposure is not None:  # the decision of a resumed run still applies
+            texts = {one.topic: one.text for one in self._decisions()}
+            exposure = exposure | {"why": texts["exposure"]}
         photo_parameters = self._results.write_photo_parameters(
-            self._prepared.exposure.numbers, poses.text if poses else ""
+            exposure, poses.text if poses else ""
         )
         self._results.write_splats(self._folder.point_cloud)
         self._emit(Saved(step=trainer.steps, path=str(self._folder.point_cloud)))
         collector = PictureCollector(count=len(self._evaluator.indices))
         evaluation = None if self._control.stopping else self._evaluate(collector)
-        if evaluation:
+        if evaluation and not self._control.stopping:
             self._evaluator.state_reach(evaluation, splats)
         metrics = self._results.write_summary(
             evaluation,

@@ -44,12 +44,15 @@ def measured(
     """
     names = dataset.scene.cameras.names
     exposures = {index: gains.get(names[index], np.ones(3)) for index in views}
+    behind = dict.fromkeys(views, background)
+    if dataset.mask_mode == "composite":  # the background of the photos has no exposure
+        behind = {index: tuple(np.divide(background, gain)) for index, gain in exposures.items()}
 
     def one(splats: SplatTensors, rules: ViewerRules) -> dict[str, float | None]:
         differences: list[float] = []
         pictures = {}
         for index, view in views.items():
-            pictures[index] = modelled_picture(splats, view, rules, background).numpy()
+            pictures[index] = modelled_picture(splats, view, rules, behind[index]).numpy()
             target = np.clip(own[index] / exposures[index], 0, 1)
             differences.append(255 * float(np.abs(pictures[index] - target).mean()))
             on_picture()

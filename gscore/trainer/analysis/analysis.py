@@ -43,5 +43,7 @@ class Analysis:
     """Box of the splats of `start` that are trained; None: all."""
     block: BlockRecord | None = None
     """Block whose cell limits where splats are added; None: everywhere."""
+    is_part: bool = False
+    """True for a region or a block, whose surroundings are other splats."""
     photo_cache: int | None = None
     """Bytes of photos to keep in memory; None: all."""

@@ -46,8 +46,9 @@ def decide_exposure(config: TrainConfig, analysis: Analysis) -> Exposure:
     known = "points seen in several photos" if measured else "EXIF" if stops is not None else ""
     off = stops_off_neighbours(found, cameras.centers[train])
     spread = float(np.sqrt((off**2).mean())) if len(off) else 0.0
-    learns = len(train) > 1 or config.exposure is Switch.ON
-    why = _reason(learns, spread, float(off.max(initial=0.0)), known=known)
+    why_not = _why_not(analysis)
+    learns = config.exposure is Switch.ON or not why_not
+    why = _reason(spread, float(off.max(initial=0.0)), known=known) if learns else why_not
     log_gains = np.zeros((len(cameras), 3))
     log_gains[train] = found
     return Exposure(
@@ -57,17 +58,30 @@ def decide_exposure(config: TrainConfig, analysis: Analysis) -> Exposure:
     )
 
 
-def _reason(learns: bool, spread: float, farthest: float, *, known: str) -> str:
-    """Return the decision as a sentence.
+def _why_not(analysis: Analysis) -> str:
+    """Return why colours stay as they are unless gains are requested; empty: gains are optimised.
+
+    Gains have the mean 1 over the photos of a training, which for a part of a capture is another
+    exposure than for its surroundings.
+    """
+    if len(analysis.photos.train) < 2:
+        return "A single photo has no other exposure to match, so its colours are used unchanged."
+    if analysis.is_part:
+        return (
+            "Colours are used unchanged, so that this part of the capture has the exposure of its "
+            "surroundings; `--exposure on` optimises gains."
+        )
+    return ""
+
+
+def _reason(spread: float, farthest: float, *, known: str) -> str:
+    """Return the decision to optimise gains as a sentence.
 
     Args:
-        learns: Whether gains are optimised.
         spread: Root mean square of `stops_off_neighbours`; 0 if exposures are unknown.
         farthest: Maximum of these.
         known: Source of the exposures; empty: unknown.
     """
-    if not learns:
-        return "A single photo has no other exposure to match, so its colours are used unchanged."
     fact = f" ({spread:.2f} stops apart, at most {farthest:.2f}, by {known})" if known else ""
     return (
         f"The exposure of each photo is optimised{fact}; held-out photos get that of their "

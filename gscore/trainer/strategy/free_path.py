@@ -21,6 +21,8 @@ _SUPPORT = 2.0
 in their picture at less than this many times d."""
 _SUPPORTING = 3
 """Number of training cameras that must support a splat, as of points of SfM that are reliable."""
+_FEWEST = 2 * _SUPPORTING
+"""Least training cameras for a path: of fewer, support by those nearby cannot be expected."""
 _LARGEST_TURN = np.cos(np.radians(60))
 """Cosine of the largest angle between the directions of two cameras with a path between them."""
 _SPACING = 0.3
@@ -43,10 +45,11 @@ class FreePath:
         Args:
             cameras: Cameras of the capture, training frame.
             train: Indices of the training cameras.
-            surfaces: Surface points, same frame. None or fewer than 500: no balls.
+            surfaces: Surface points, same frame. None or fewer than 500: no balls. Nor are there
+                any with fewer than six training cameras.
             share: As in `FreeSpace`.
         """
-        if share <= 0 or surfaces is None or len(surfaces) < FEWEST_POINTS or len(train) < 2:
+        if share <= 0 or surfaces is None or len(surfaces) < FEWEST_POINTS or len(train) < _FEWEST:
             self.places, self.radii = np.zeros((0, 3)), np.zeros(0)
         else:
             self.places, distances = _places(cameras, train, surfaces)

@@ -1,12 +1,12 @@
 """Gains of held-out photos, predicted from those of the training photos; never from own pixels."""
 
-import re
 from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
 
+from ...camera_neighbours import natural_key
 from .photo_gains import STOP
 
 _NEIGHBOURS = 4
@@ -70,7 +70,7 @@ class HeldOutGains:
 
     @cached_property
     def _means(self) -> tuple[_WeightedMean, _WeightedMean]:
-        order = sorted(range(len(self._names)), key=lambda index: _natural(self._names[index]))
+        order = sorted(range(len(self._names)), key=lambda index: natural_key(self._names[index]))
         rank = np.empty(len(order), np.int64)
         rank[order] = np.arange(len(order))
         return _in_order(rank, self._train), _in_place(self._centers, self._train)
@@ -91,12 +91,6 @@ class HeldOutGains:
         table = np.stack(values, axis=-1)
         weights, _ = nnls(table[self._train].reshape(-1, len(values)), known.ravel())
         return table @ weights
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Key that sorts numbers in names by their value."""
-    parts = re.split(r"(\d+)", name)
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
 
 def _in_order(rank: np.ndarray, train: np.ndarray) -> _WeightedMean:

@@ -105,6 +105,20 @@ def test_the_rule(studio: Dataset, mode: Switch, count: int) -> None:
         assert not found.gains.log_gains.any()
 
 
+@pytest.mark.parametrize("mode", [Switch.AUTO, Switch.ON])
+def test_a_part_of_a_capture_keeps_the_exposure_of_its_surroundings(
+    studio: Dataset, mode: Switch
+) -> None:
+    """Oracle: gains of a region or a block only if requested, because their mean is 1 over its
+    photos."""
+    part: Any = SimpleNamespace(scene=studio.scene, train=studio.train)
+    analysis = Analysis(photos=part, facts=PhotoFacts(), is_part=True)
+    found = decide_exposure(TrainConfig(exposure=mode), analysis)
+    assert (found.gains is not None) is (mode is Switch.ON)
+    assert found.decision is not None
+    assert found.decision.text.startswith("Colours are used unchanged") is (mode is Switch.AUTO)
+
+
 def test_photos_are_compared_with_their_neighbours() -> None:
     """Oracle: the standard deviation of random exposures at any places; along a path the
     differences from four neighbours one by one; cameras in one place; one photo."""

@@ -72,6 +72,8 @@ def test_what_only_far_cameras_show_is_removed() -> None:
     assert contains(path(cameras, points[:499]), veil) == [False]
     assert contains(FreePath(cameras, [0], NearestPoints(points), share=0.4), veil) == [False]
     assert contains(FreePath(cameras, list(range(16)), None, share=0.4), veil) == [False]
+    five = FreePath(cameras, [0, 1, 3, 4, 5], NearestPoints(points), share=0.4)
+    assert len(five.places) == 0, "too few cameras to support anything"
 
 
 def test_no_path_leads_through_an_object() -> None:
@@ -104,14 +106,21 @@ def test_neighbours_are_those_of_the_definition() -> None:
             others = [c for c in range(12) if c not in (a, b)]
             if all(np.linalg.norm(centers[c] - middle) > radius / 2 for c in others):
                 expected.add((b, a))
-    order = sorted(range(12), key=lambda i: names[i])
+    order = sorted(range(12), key=lambda i: int(names[i]))
     expected |= {(min(p), max(p)) for p in pairwise(order)}
     assert list(neighbours(centers, names)) == sorted(expected)
 
 
-def test_cameras_at_one_place_are_neighbours_of_each_other() -> None:
-    """Oracle: all pairs of different cameras, none of a camera with itself."""
-    assert list(neighbours(np.zeros((3, 3)), ["a", "b", "c"])) == [(0, 1), (0, 2), (1, 2)]
+def test_names_are_in_natural_order_and_one_place_has_no_neighbours() -> None:
+    """Oracle: twelve cameras in a line, named 1 to 12, each next to the following one; the same
+    with three more cameras at each place, whose first has the neighbours."""
+    line = np.arange(12.0)[:, None] * [1.0, 0, 0]
+    names = [f"view_{i}.png" for i in range(1, 13)]
+    assert list(neighbours(line, names)) == [(i, i + 1) for i in range(11)]
+    four = np.repeat(line, 4, axis=0)
+    pairs = list(neighbours(four, [f"{i}" for i in range(48)]))
+    assert {(a // 4, b // 4) for a, b in pairs} == {(i, i + 1) for i in range(11)}
+    assert list(neighbours(np.zeros((5, 3)), list("abcde"))) == []
 
 
 def test_support_is_that_of_the_definition() -> None:
@@ -139,8 +148,9 @@ def test_cameras_at_one_place_or_far_apart_are_no_error() -> None:
     _, points = yard()
     same = facing(np.zeros((5, 3)), np.zeros(5, bool))
     assert len(path(same, points).places) == 0
-    apart = facing(np.array([[0, 0, 0], [1000.0, 0, 0]]), np.zeros(2, bool))
-    assert 0 < len(path(apart, points).places) <= 16
+    x = np.array([0, 0.1, 0.2, 1000, 1000.1, 1000.2])
+    apart = facing(np.stack([x, 0 * x, 0 * x], axis=1), np.zeros(6, bool))
+    assert 0 < len(path(apart, points).places) <= 16 + 4
     cameras, points = yard()
     assert contains(path(cameras, points), (np.nan, 0, 0), (np.inf, 0, 0)) == [False, False]
 
