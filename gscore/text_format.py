@@ -102,12 +102,12 @@ def trust_text(metrics: Mapping[str, Any]) -> str:
     Args:
         metrics: Content of a metrics.json.
     """
-    lowest = metrics.get("trust_lowest")
-    if not lowest:
+    lowest, middle = metrics.get("trust_lowest"), metrics.get("trust_median")
+    if not lowest or middle is None:
         return ""
     a, b = map(brief, lowest["between"])
     return (
-        f"Trust in views between photos: {metrics['trust_median']:.0%} in the median, lowest "
+        f"Trust in views between photos: {middle:.0%} in the median, lowest "
         f"{lowest['trust']:.0%}, between {a} and {b}."
     )
 

@@ -93,7 +93,7 @@ class Waiting(BaseOperator):
 
     wait: BoolProperty(
         name="Wait",
-        description="Return when the work has ended and its result is imported; for scripts",
+        description="Return when the work is complete; for scripts",
         options={"HIDDEN", "SKIP_SAVE"},
     )
 

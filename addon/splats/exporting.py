@@ -11,7 +11,7 @@ import numpy as np
 from .. import attributes
 from ..cameras.capture_transform import origin_of
 from ..compat import matrix_to_numpy
-from ..core import BackendError, Splats, file_errors, join_splats, write_splat_file
+from ..core import BackendError, GsError, Splats, file_errors, join_splats, write_splat_file
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import conversion, filters, objects
 from .filters import Filters
@@ -78,7 +78,6 @@ def exporting(
         for one in taken:
             one.drop()
 
-    splats, total = yield from run_in_thread(partial(_same_file, parts, read), "Collecting")
     how = {"antialiased": antialiased, "comments": comments, "origin": origin}
 
     def write(check: Check) -> Sequence[str]:
@@ -86,11 +85,18 @@ def exporting(
             return write_splat_file(path, splats, **how).notes
 
     try:
-        notes = yield from run_in_thread(write, f"Writing {path.name}")
-    except BackendError as error:
-        options = {"antialiased": antialiased, "origin": origin, "missing": error}
-        convert = partial(conversion.write, path, splats, conversion.other_python(), **options)
-        notes = yield from run_in_thread(convert, f"Writing {path.name} in the trainer's Python")
+        splats, total = yield from run_in_thread(partial(_same_file, parts, read), "Collecting")
+        try:
+            notes = yield from run_in_thread(write, f"Writing {path.name}")
+        except BackendError as error:
+            options = {"antialiased": antialiased, "origin": origin, "missing": error}
+            convert = partial(conversion.write, path, splats, conversion.other_python(), **options)
+            name = f"Writing {path.name} in the trainer's Python"
+            notes = yield from run_in_thread(convert, name)
+    except MemoryError as error:
+        raise GsError(
+            "The splats do not fit into memory twice; close other programs and export again."
+        ) from error
     hidden = total - len(splats)
     left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
     return len(splats), (*notes, *left)

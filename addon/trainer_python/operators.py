@@ -1,6 +1,7 @@
 """Operators of the trainer's Python, find, check and install, and its preferences section."""
 
 from pathlib import Path
+from typing import ClassVar
 
 import bpy
 from bpy.props import StringProperty
@@ -18,6 +19,7 @@ class CheckTrainer(Waiting, bpy.types.Operator):
 
     bl_idname = "gscore.check_trainer"
     bl_label = "Check"
+    bl_options: ClassVar = set()
 
     def run(self, context: bpy.types.Context) -> str:
         """Check."""
@@ -37,6 +39,7 @@ class MakeEnvironment(ConfirmMixin, Waiting, bpy.types.Operator):
 
     bl_idname = "gscore.make_environment"
     bl_label = "Make Environment"
+    bl_options: ClassVar = set()
 
     wheel: StringProperty(
         name="Wheel",

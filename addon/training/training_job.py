@@ -76,7 +76,7 @@ class Job:
         `display`."""
         self.preview_shown = ""
         self.has_events = False
-        """True if the last poll received events; set by `training_poller`."""
+        """True if the last poll received events; set by `display`."""
         self._discarding = False
         self._clearer: threading.Thread | None = None
         self._snapshot_requested_at = time.monotonic()

@@ -58,7 +58,7 @@ def add_option(
         facts["nargs"] = len(values)
     if values:
         facts["metavar"] = values[0] if len(values) == 1 else tuple(values)
-    elif usage.startswith("-") and not (kind or facts.keys() & {"action", "choices"}):
+    elif usage.startswith("-") and not (kind or facts.keys() & {"action", "choices", "default"}):
         facts["action"] = "store_true"
     if kind or isinstance(facts.get("default"), int | float):
         facts["type"] = kind or type(facts["default"])

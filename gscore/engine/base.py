@@ -345,8 +345,8 @@ class EngineInfo:
     """CPU threads of its kernels; 0: none."""
     terms: frozenset[TermKind] = frozenset(TermKind)
     """Loss terms that it computes."""
-    features: frozenset[Feature] = frozenset(Feature)
-    """Features that it has."""
+    features: frozenset[Feature] = frozenset()
+    """Features that it has; options that need others are refused."""
     skips: frozenset[Skip] = frozenset()
     """Those of `ENGINE_SKIPS` that it can disable."""
     cost: CostModel

@@ -97,6 +97,19 @@ def _is_cameras(value: Any) -> bool:
     return isinstance(value, dict) and all(_fits(one, kinds) for one in value.values())
 
 
+def _is_worst_view(value: Any) -> bool:
+    kinds = {"view": str, "value": is_number}
+    return isinstance(value, dict) and all(
+        one is None or _fits(one, kinds) for one in value.values()
+    )
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, list) and [type(name) for name in value] == [str, str]
+
+
+_TRUST = {"between": _is_pair, "trust": is_number}
+
 _KEYS: tuple[tuple[re.Pattern[str], Any], ...] = tuple(
     (re.compile(names), kind)
     for names, kind in (
@@ -112,6 +125,11 @@ _KEYS: tuple[tuple[re.Pattern[str], Any], ...] = tuple(
         (r"asked", _is_counts),
         (r"exposure", _is_exposure),
         (r"poses", {"why": str, "cameras": _is_cameras}),
+        (r"worst_view", _is_worst_view),
+        (r"not_covered", [str]),
+        (r"trust", [_TRUST]),
+        (r"trust_lowest", _TRUST),
+        (r"trust_median", is_number),
     )
 )
 """Kind of the values other than null by key of metrics.json, the first match: a type, a list of one

@@ -36,8 +36,8 @@ class TrainingRasterizer:
 
     def __init__(self, frozen: Mapping[str, Tensor] | None = None) -> None:
         """`frozen`: raw parameters of frozen splats, whose SH degree may be lower; None: none."""
-        self._frozen = frozen
         self._first = 0 if frozen is None else len(frozen["means"])
+        self._frozen = frozen if self._first else None
         """Row of the first splat that is not frozen."""
         self._joined: dict[str, Tensor] = {}
         self._room: dict[str, Tensor] = {}

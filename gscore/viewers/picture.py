@@ -72,8 +72,8 @@ def modelled_picture(
     with torch.no_grad():
         view = replace(
             view,
-            viewmat=torch.as_tensor(view.viewmat, dtype=torch.float64),
-            K=torch.as_tensor(view.K, dtype=torch.float64),
+            viewmat=torch.as_tensor(view.viewmat, dtype=torch.float64, device="cpu"),
+            K=torch.as_tensor(view.K, dtype=torch.float64, device="cpu"),
         )
         fields = SplatTensors(*(field.detach().double() for field in splats))
         ellipses = _projected(stored(fields, rules), view, rules)
@@ -114,10 +114,10 @@ def drawn_picture(
         [H, W, 3] float32, sRGB.
     """
     decoded = stored(splats, rules)
-    viewmat = torch.as_tensor(view.viewmat, dtype=torch.float32)
+    viewmat = torch.as_tensor(view.viewmat, dtype=torch.float32, device="cpu")
     colors = _colors(decoded, viewmat, rules)
     seen = decoded.opacities >= rules.opacity_min
-    over = torch.tensor(background)
+    over = torch.tensor(background, dtype=torch.float32, device="cpu")
     over = to_linear(over) if rules.linear else over
     means, scales = _at_distances(decoded, viewmat) if rules.radial else decoded[:3:2]
     share = _integral_share(rules)
@@ -129,7 +129,7 @@ def drawn_picture(
         (colors[:, None] - 0.5) / SH_C0,
         decoded.shN[:, :0],
         viewmat,
-        torch.as_tensor(view.K, dtype=torch.float32),
+        torch.as_tensor(view.K, dtype=torch.float32, device="cpu"),
         view.width,
         view.height,
         background=over,
@@ -182,7 +182,7 @@ def _projected(splats: SplatTensors, view: Frustum, rules: ViewerRules) -> _Elli
     covars = covariance_to_camera(covariance(splats.quats, splats.scales), view.viewmat)
     jacobian = projection_jacobian(means, view.K, view.width, view.height)
     before = project_covariance(covars, jacobian) * rules.widening**2
-    after = before + rules.eps2d * torch.eye(2, dtype=before.dtype)
+    after = before + rules.eps2d * torch.eye(2, dtype=before.dtype, device="cpu")
     variances, axes = torch.linalg.eigh(after)
     opacities = splats.opacities
     if rules.compensated:
@@ -221,7 +221,7 @@ def _bands(
     """Ranges of rows with at most about `_BAND` pairs and `_KEYS` pixels each."""
     low, high = (corner.clamp(min=0) for corner in _boxes(ellipses, rules))
     wide = (high[:, 0] - low[:, 0]).clamp(0, 1 << 14)
-    change = torch.zeros(height + 1, dtype=torch.int64)
+    change = torch.zeros(height + 1, dtype=torch.int64, device="cpu")
     change.index_add_(0, low[:, 1].clamp(max=height), wide)
     change.index_add_(0, torch.maximum(high[:, 1], low[:, 1]).clamp(max=height), -wide)
     bands, top, pairs = [], 0, 0
@@ -238,12 +238,15 @@ def _pairs(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Splats, columns and rows of all pixels in the bounding boxes, in the order of blending."""
     low, high = _boxes(ellipses, rules)
-    ends = torch.tensor([width, bottom])
-    low = torch.maximum(low, torch.tensor([0, top]))
+    ends = torch.tensor([width, bottom], dtype=torch.int64, device="cpu")
+    low = torch.maximum(low, torch.tensor([0, top], dtype=torch.int64, device="cpu"))
     sides = (torch.minimum(high, ends) - low).clamp(min=0)
     counts = sides.prod(1)
-    splat = torch.arange(len(counts)).repeat_interleave(counts)
-    place = torch.arange(len(splat)) - (counts.cumsum(0) - counts)[splat]
+    splat = torch.arange(len(counts), dtype=torch.int64, device="cpu").repeat_interleave(counts)
+    place = (
+        torch.arange(len(splat), dtype=torch.int64, device="cpu")
+        - (counts.cumsum(0) - counts)[splat]
+    )
     wide = sides[splat, 0]
     return splat, low[splat, 0] + place % wide, low[splat, 1] + place // wide
 

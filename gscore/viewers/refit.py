@@ -101,8 +101,8 @@ def _own_picture(splats: SplatTensors, view: Frustum, settings: RefitSettings) -
     with torch.no_grad():
         rgb = rasterize(
             *splats,
-            torch.as_tensor(view.viewmat, dtype=torch.float32),
-            torch.as_tensor(view.K, dtype=torch.float32),
+            torch.as_tensor(view.viewmat, dtype=torch.float32, device="cpu"),
+            torch.as_tensor(view.K, dtype=torch.float32, device="cpu"),
             view.width,
             view.height,
             raw=True,

@@ -15,6 +15,7 @@ from gscore.engine.base import (
     Engine,
     EngineInfo,
     EngineModel,
+    Feature,
     RowEdit,
     StepNumbers,
     StepPhoto,
@@ -167,6 +168,7 @@ class FakeEngine(Engine[FakeModel]):
             name="fake",
             numerics="fake",
             threads=1,
+            features=frozenset(Feature),
             skips=ENGINE_SKIPS,
             cost=CostModel(step=1e-3, pixel=0, splat=0, number=0),
         )

@@ -342,6 +342,11 @@ _NUMBERS = 17
 def read_llff(path: Path, names: Sequence[str]) -> PosedPhotos:
     """Read poses and the shared lens, whose principal point is the middle of the photo.
 
+    Schema: "Using your own poses without running COLMAP" of the readme of Fyusion/LLFF, and its
+    `pose_utils.py`: a row for each photo in the order of the sorted names, a 3 x 5 matrix row by
+    row and two depths. The first three columns are the camera's axes down, right and backwards in
+    the world, the fourth its position, the fifth height, width and focal length in pixels.
+
     Args:
         path: The file.
         names: Names of all photos, sorted.

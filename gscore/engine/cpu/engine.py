@@ -64,6 +64,7 @@ class CpuEngine(base.Engine[CpuModel]):
             name="cpu",
             numerics=native_library.isa(),
             threads=threads or native_library.default_threads(),
+            features=frozenset(base.Feature),
             skips=base.ENGINE_SKIPS,
             cost=COST,
         )

@@ -3,6 +3,10 @@
 Decoders refuse files that are cut off. But they silently pad files whose data end early in a valid
 way: a PNG with fewer rows than its header states becomes black at the bottom, a JPEG grey, and an
 uncompressed TIFF shows the bytes that follow.
+
+The blocks of a JPEG are counted from their Huffman codes without decoding (ITU-T T.81): a scan is a
+sequence of minimum coded units, each with some blocks of each component; a block is a code with
+bits for its mean, then codes with bits for its other coefficients.
 """
 
 import re

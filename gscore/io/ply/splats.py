@@ -1,4 +1,9 @@
-"""PLY splats: reader of every dialect, writer of the official 3DGS layout."""
+"""PLY splats: reader of every dialect, writer of the official 3DGS layout.
+
+Sources of the dialects: `filter_3D` as the code of Mip-Splatting applies it (Yu et al. 2024,
+section 4.1; also written by GOF and RaDe-GS); 2DGS (Huang et al. 2024), whose discs have two
+scales; CloudCompare, which prefixes every property except positions and colours with `scalar_`.
+"""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
