@@ -8,6 +8,7 @@ import pytest
 from gscore.io.metrics_file import metrics_problem, read_metrics
 from gscore.io.runs import read_run
 from gscore.io.sequences import SequenceIndex, write_sequence
+from gscore.text_format import trust_text, worst_view_text
 from gscore.trainer.sequence import SequenceOptions
 
 ODD = (
@@ -96,6 +97,18 @@ def test_a_metrics_json_with_odd_values_goes_through_all_verbs(gscore, measured,
     ):
         (folder / "metrics.json").write_text(text)
         _assert_said(gscore(*arguments))
+
+
+@pytest.mark.parametrize("value", [*ODD, '{"trust": 1}', '{"between": ["a"], "trust": 1}'])
+def test_figures_of_views_may_be_odd(measured, value):
+    """Oracle: an odd value is dropped, the sentences state what is left."""
+    folder, full = measured
+    known = {"between": ["a", "b"], "trust": 0.5}
+    full = full | {"trust_lowest": known, "trust_median": 0.7, "not_covered": ["a"]}
+    for key in ("trust_lowest", "trust_median", "worst_view", "not_covered"):
+        (folder / "metrics.json").write_text(json.dumps(full | {key: "@"}).replace('"@"', value))
+        found = read_metrics(folder)
+        assert isinstance(trust_text(found) + worst_view_text(found), str)
 
 
 @pytest.mark.parametrize("part", ["topic", "text"])

@@ -17,10 +17,19 @@ from gscore.splats import PARAMETERS
 Make = Callable[..., Any]
 
 
+@pytest.mark.parametrize("frozen", [False, True])
 @pytest.mark.parametrize(("antialias", "inverse"), [(False, False), (True, True)])
-def test_bits_are_those_of_autograd(random_scene: Make, antialias: bool, inverse: bool) -> None:
-    """Oracle: picture, radii and all gradients; views of several sizes share one rasterizer."""
-    rasterizer = TrainingRasterizer()
+def test_bits_are_those_of_autograd(
+    random_scene: Make, antialias: bool, inverse: bool, frozen: bool
+) -> None:
+    """Oracle: picture, radii and all gradients; views of several sizes share one rasterizer. An
+    empty set of frozen splats changes nothing."""
+    none = {
+        name: t[:0].detach()
+        for name, t in random_scene(1).inputs(torch.float32).items()
+        if name in PARAMETERS
+    }
+    rasterizer = TrainingRasterizer(none if frozen else None)
     for seed in (1, 2, 3):
         inputs = random_scene(seed).inputs(torch.float32)
         leaves = [inputs[name] for name in PARAMETERS]
