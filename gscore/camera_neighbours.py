@@ -1,11 +1,15 @@
 """Neighbouring cameras: pairs between which views are likely."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
 
+from .scene import Cameras
+
+LARGEST_TURN = float(np.cos(np.radians(60)))
+"""Cosine of the largest angle between the directions of two cameras that show the same."""
 _NEAREST = 12
 """Nearest cameras of each among which its neighbours are searched."""
 
@@ -43,3 +47,17 @@ def neighbours(centers: np.ndarray, names: list[str]) -> Iterator[tuple[int, int
             if not (np.linalg.norm(places[others] - middle, axis=1) < radius * (1 - 1e-9)).any():
                 pairs.add((int(first[min(a, b)]), int(first[max(a, b)])))
     yield from sorted(pairs)
+
+
+def pairs_with_views_between(cameras: Cameras, chosen: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Yield pairs of neighbours among some cameras that look in similar directions, within 60
+    degrees, so that new views are likely between them.
+
+    Args:
+        cameras: The cameras.
+        chosen: Indices of those that are paired.
+    """
+    looks = cameras.viewmats[chosen][:, 2, :3]
+    for a, b in neighbours(cameras.centers[chosen], [cameras.names[i] for i in chosen]):
+        if looks[a] @ looks[b] >= LARGEST_TURN:
+            yield chosen[a], chosen[b]

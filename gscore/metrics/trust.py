@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..camera_neighbours import neighbours
+from ..camera_neighbours import LARGEST_TURN, pairs_with_views_between
 from ..raster.request import Frustum
 from ..scene import Cameras, camera_centers
 from .photo_renders import PhotoRenders, Warped
@@ -21,9 +21,6 @@ _COLOUR = 0.05
 """Largest difference of colours that confirms a place: mean of the channels and photos."""
 _BEHIND = 1.05
 """Points of a photo are hidden in a pixel if they are this many times as far as its nearest one."""
-_LARGEST_TURN = float(np.cos(np.radians(60)))
-"""Cosine of the largest angle between the directions of photos that are compared, and of two photos
-with a view between them."""
 
 
 def trust_between(renders: PhotoRenders, train: Sequence[int]) -> list[dict[str, Any]]:
@@ -42,13 +39,7 @@ def trust_between(renders: PhotoRenders, train: Sequence[int]) -> list[dict[str,
     cameras, train = renders.cameras, list(train)
     if len(train) < 2:
         return []
-    names = [cameras.names[i] for i in train]
-    looks = cameras.viewmats[train][:, 2, :3]
-    pairs = [
-        (train[a], train[b])
-        for a, b in neighbours(cameras.centers[train], names)
-        if looks[a] @ looks[b] >= _LARGEST_TURN
-    ]
+    pairs = list(pairs_with_views_between(cameras, train))
     chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_VIEWS)).round().astype(int)
     return [
         {
@@ -115,7 +106,7 @@ def _shown(warped: Warped, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _nearest(cameras: Cameras, train: Sequence[int], view: Frustum) -> np.ndarray:
     """Indices of the nearest training photos that look in a similar direction."""
-    alike = cameras.viewmats[train][:, 2, :3] @ view.viewmat[2, :3] >= _LARGEST_TURN
+    alike = cameras.viewmats[train][:, 2, :3] @ view.viewmat[2, :3] >= LARGEST_TURN
     photos = np.asarray(train)[alike]
     away = np.linalg.norm(cameras.centers[photos] - camera_centers(view.viewmat[None]), axis=1)
     return photos[np.argsort(away, kind="stable")[:_PHOTOS]]

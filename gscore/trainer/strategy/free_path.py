@@ -8,7 +8,7 @@ No training camera corrects them, because none has them in its picture from near
 import numpy as np
 import torch
 
-from ...camera_neighbours import neighbours
+from ...camera_neighbours import pairs_with_views_between
 from ...raster.memory import zeros
 from ...scene import Cameras
 from ..model.nearest_points import NearestPoints
@@ -23,8 +23,6 @@ _SUPPORTING = 3
 """Number of training cameras that must support a splat, as of points of SfM that are reliable."""
 _FEWEST = 2 * _SUPPORTING
 """Least training cameras for a path: of fewer, support by those nearby cannot be expected."""
-_LARGEST_TURN = np.cos(np.radians(60))
-"""Cosine of the largest angle between the directions of two cameras with a path between them."""
 _SPACING = 0.3
 """Distance of two places on the path, in distances to the nearest points."""
 _MOST_PLACES = 16
@@ -55,6 +53,7 @@ class FreePath:
             self.places, distances = _places(cameras, train, surfaces)
             self.radii = _LARGER * share * distances
             """Radii of the balls around the places."""
+        self._nearest_place = NearestPoints(self.places)
         self._cameras = cameras
         self._train = train
 
@@ -73,11 +72,9 @@ class FreePath:
     def _unsupported(self, means: np.ndarray) -> np.ndarray:
         """Return [N] bool: too few training cameras have `means`, [N, 3], in their picture from
         nearby."""
-        from scipy.spatial import KDTree
-
         if not len(means):
             return np.zeros(0, bool)
-        near, _ = KDTree(self.places).query(means)
+        near = self._nearest_place.distances(means, 1)[:, 0]
         support = np.zeros(len(means), int)
         for camera in self._train:
             support += self._in_picture(camera, means, _SUPPORT * near)
@@ -98,12 +95,10 @@ def _places(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Places between neighbouring cameras, [P, 3], and their distances from the tenth nearest
     point, [P]; of several places close together, one."""
-    centers = cameras.centers[train]
-    clear = surfaces.distances(centers, NEAREST)[:, -1]
+    centers = cameras.centers
+    clear = dict(zip(train, surfaces.distances(centers[train], NEAREST)[:, -1], strict=True))
     places, ends = [], []
-    for a, b in neighbours(centers, [cameras.names[i] for i in train]):
-        if cameras.viewmats[train[a]][2, :3] @ cameras.viewmats[train[b]][2, :3] < _LARGEST_TURN:
-            continue
+    for a, b in pairs_with_views_between(cameras, train):
         least = min(clear[a], clear[b])
         length = float(np.linalg.norm(centers[a] - centers[b]))
         if not 0 < length < np.inf or least <= 0:
