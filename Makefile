@@ -18,9 +18,9 @@ endif
 BLENDER ?= newest
 # The Blender that ends `make demo`: a version, newest, or none; older ones may not open what it saves.
 DEMO_BLENDER ?= newest
-# How pytest-xdist distributes tests: `make test WORKERS="-n logical --dist worksteal"` uses a process per core, each with
-# one thread (tests/conftest.py); empty: one process.
-WORKERS ?=
+# How pytest-xdist distributes tests: to a process per core, as far as memory allows, each with one thread
+# (tests/conftest.py). `make test WORKERS=` uses one process, WORKERS="-n 4" four.
+WORKERS ?= -n logical --dist worksteal
 export WORKERS
 # Platforms of `make extension`: empty for this machine, all, or names like windows-x64.
 PLATFORMS ?=

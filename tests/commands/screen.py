@@ -8,7 +8,6 @@ import struct
 import subprocess
 import sys
 import termios
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,8 +25,6 @@ class Shown:
     """Every byte that was written."""
     code: int
     """Exit code."""
-    first_after: float
-    """Seconds from the start to the first byte."""
     wrapped: list[str] = field(default_factory=list)
     """Moving lines that reached the last column."""
 
@@ -58,13 +55,12 @@ def run_in_terminal(
     """
     master, slave = pty.openpty()
     resize(slave, columns, rows)
-    began = time.monotonic()
     variables = {**os.environ, "TERM": "xterm", **(env or {})}
     with subprocess.Popen(
         arguments, stdin=slave, stdout=slave, stderr=slave, cwd=cwd, env=variables, close_fds=True
     ) as process:
         os.close(slave)
-        raw, first = b"", float("inf")
+        raw = b""
         while True:
             if not select.select([master], [], [], 60)[0]:
                 process.kill()
@@ -75,7 +71,6 @@ def run_in_terminal(
                 text = b""
             if not text:
                 break
-            first = min(first, time.monotonic() - began)
             raw += text
             if on_output is not None:
                 on_output(text.decode("utf-8", "replace"), master)
@@ -87,7 +82,6 @@ def run_in_terminal(
         lines=drawn(text, columns, rows),
         raw=text,
         code=code,
-        first_after=first,
         wrapped=[part for part in moving if len(part) >= columns and "[" in part[:1]],
     )
 
