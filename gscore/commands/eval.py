@@ -328,8 +328,7 @@ def _of_region(dataset: Dataset, model: ModelArgument) -> tuple[Dataset, list[st
     config = model.train
     if config is None or config.region is None:
         return dataset, []
-    from ..trainer.region.region_box import RegionBox
-    from ..trainer.region.region_photos import RegionPhotos
+    from ..trainer.region.region_photos import RegionBox, RegionPhotos
 
     try:
         box = RegionBox(read_region(config.region)).about(dataset.scene.cameras.origin)

@@ -21,7 +21,7 @@ from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.runs import checkpoints_in, read_run, training_in
 from ..io.sequences import read_sequence
 from ..quoting import as_typed, brief
-from ..sfm.photo_folders import check_no_cameras_above, is_photo_folder
+from ..sfm.photos import check_no_cameras_above, is_photo_folder
 from ..splats import Splats, sigmoid
 from ..text_format import (
     count_text,

@@ -10,13 +10,14 @@ from ..io.unsupported_formats import unread_cameras
 from ..quoting import as_typed
 from ..sfm.heic import header_of, readable
 from ..sfm.panorama import possible_panoramas, refused_panoramas
-from ..sfm.photo_folders import excluded_folders, photo_folder_warning
 from ..sfm.photos import (
     LEAST,
     by_camera,
+    excluded_folders,
     list_photos,
     one_of_each_name,
     photo_folder,
+    photo_folder_warning,
     photo_of,
     read_photos,
 )

@@ -45,7 +45,7 @@ from ..io.runs import CAPTURE
 from ..io.unsupported_formats import describe_unsupported
 from ..sfm import SearchRequest, find_cameras
 from ..sfm.output_path import has_no_cameras
-from ..sfm.photo_folders import check_no_cameras_above, photos_of, same_photos
+from ..sfm.photos import check_no_cameras_above, photos_of, same_photos
 from ..sfm.staging import frames_request, is_staged, of_frames, photos_from, stage_photos
 from ..video import extract_frames, is_video
 

@@ -9,9 +9,7 @@ from ..errors import GsError
 from ..io.images.read_image import read_info
 from ..io.unsupported_formats import unread_cameras
 from ..sfm.heic import conversion_hint, readable, size_of
-from ..sfm.masks import mask_folder
-from ..sfm.photo_folders import photo_folder_warning
-from ..sfm.photos import LEAST, list_photos, photo_folder
+from ..sfm.photos import LEAST, list_photos, mask_folder, photo_folder, photo_folder_warning
 from ..text_format import count_text
 from ..video import is_video
 from .capture_facts import CaptureFacts, Problem

@@ -22,14 +22,8 @@ from .forecast import ADJUSTING, FEATURES, MATCHING, RECONSTRUCTION, Forecast
 from .gps_scale import Gps, read_gps, to_metres
 from .heic import conversion_hint
 from .panorama import check_lens, possible_panoramas, refused_panoramas
-from .photo_folders import (
-    captures_inside,
-    excluded_folders,
-    other_cameras,
-    photo_folder_warning,
-    stamp,
-)
 from .photo_quality import PhotoQuality, blurred, exposure_jumps
+from .photos import captures_inside, excluded_folders, other_cameras, photo_folder_warning, stamp
 from .pycolmap_stages import Work
 from .pycolmap_thread import check_space, colmap, log_messages, run_in_thread
 from .search_progress import SearchProgress
@@ -285,7 +279,7 @@ class _Search:
     def _masks(self, names: list[str]) -> dict[str, Path]:
         if not self._request.use_masks:
             return {}
-        folder = masks.mask_folder(self._root, self._request.masks)
+        folder = photos.mask_folder(self._root, self._request.masks)
         return masks.find_masks(folder, self._root, names)
 
     def _write_masks(self, found: dict[str, Path], read: list[photos.Photo]) -> None:

@@ -4,30 +4,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..datasets.folder import Folder, masks_by_photos
-from ..datasets.masks import masks_inside
 from ..errors import Cancelled, DatasetError
 from ..io.images.png import write_png
 from ..io.images.read_image import is_scaled, read_mask, resize_mask
 from ..text_format import count_text
 from .photos import Photo
-
-
-def mask_folder(root: Path, requested: Path | None) -> Path | None:
-    """The folder of the masks: the requested one, else `masks` or `mask` in `root`, or next to it
-    if `root` is a capture's `images`; None: there is none.
-
-    Raises:
-        DatasetError: the requested one does not exist.
-    """
-    if requested is not None:
-        for place in (requested, root / requested, root.parent / requested):
-            if place.is_dir():
-                return place
-        raise DatasetError(f"There is no mask folder {requested}. Give its path with `--masks`.")
-    found = masks_inside(root)
-    if found is None and root.name in ("images", "input"):
-        return masks_inside(root.parent)
-    return found
 
 
 def find_masks(folder: Path | None, root: Path, names: Sequence[str]) -> dict[str, Path]:

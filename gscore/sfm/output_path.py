@@ -7,8 +7,7 @@ from pathlib import Path
 from ..errors import GsError
 from ..video import is_video
 from ..video.frame_folder import FrameFolder
-from .photo_folders import is_photo_folder, photos_of, same_photos
-from .photos import photo_folder
+from .photos import is_photo_folder, photo_folder, photos_of, same_photos
 from .search_request import SearchRequest
 from .staging import IMAGES, frames_request, has_heic, of_frames, staged_photos
 

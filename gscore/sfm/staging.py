@@ -18,8 +18,7 @@ from ..json_text import parse_json
 from ..quoting import brief
 from ..video import ExtractRequest, extract_frames, is_video
 from . import heic, masks
-from .photo_folders import excluded_folders, stamp
-from .photos import list_photos, photo_folder
+from .photos import excluded_folders, list_photos, mask_folder, photo_folder, stamp
 from .search_request import SearchRequest
 from .workspace import check_without_cameras
 
@@ -163,7 +162,7 @@ class _SourceStaging:
         own = self._request.masks if not self._name else None  # one for all is read later
         found = {}
         if self._request.use_masks:
-            found = masks.find_masks(masks.mask_folder(root, own), root, photos)
+            found = masks.find_masks(mask_folder(root, own), root, photos)
         for done, name in enumerate(photos, 1):
             if self._control.stopping:
                 raise Cancelled("Gathering the photos was stopped.")

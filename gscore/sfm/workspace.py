@@ -17,8 +17,7 @@ from ..io.runs import SEARCH_RECORD
 from ..io.world_file import write_up
 from ..json_text import parse_json
 from ..text_format import count_text
-from .photo_folders import stamp
-from .photos import Photo
+from .photos import Photo, stamp
 
 _LOCK = "lock"
 _STATE = "state.json"

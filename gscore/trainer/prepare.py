@@ -31,8 +31,7 @@ from .distributed.process_group import ProcessGroup
 from .distributed_trainer import DistributedTrainer
 from .guide.setup import GuideSetup, prepare_guide
 from .model.training_frame import TrainingFrame, checkpoint_origin
-from .region.region_box import RegionBox
-from .region.region_photos import RegionPhotos
+from .region.region_photos import RegionBox, RegionPhotos
 from .schedule.caps import cap_by_photos, expected_points
 from .trainer import Trainer
 from .views.photo_poses import PoseCheck

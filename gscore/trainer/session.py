@@ -77,7 +77,7 @@ class Session:
         self._emit = emit
         self._control = control
         self._evaluator = Evaluator(trainer, lpips=lpips, lpips_reason=lpips_reason)
-        self._results = RunOutputs(trainer, folder, data)
+        self._results = RunOutputs(trainer, folder)
         self._viewers = viewers or ViewerClients()
         self._earlier: list[Decision] = []
         self._meter = ProgressMeter(
@@ -123,7 +123,7 @@ class Session:
 
     def run(self) -> TrainResult:
         """Train until the last step or a stop request, then write the results."""
-        self._results.write_inputs()
+        self._results.write_inputs(self._data)
         self._started()
         trainer, control = self._trainer, self._control
         self._start_watchdog()
@@ -429,6 +429,7 @@ class Session:
         if evaluation and not self._control.stopping:
             self._evaluator.state_reach(evaluation, splats)
         metrics = self._results.write_summary(
+            self._data,
             evaluation,
             evaluator=self._evaluator,
             collector=collector,

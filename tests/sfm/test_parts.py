@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from PIL import Image, ImageFilter
 
+from gscore.camera_neighbours import natural_key
 from gscore.errors import DatasetError
 from gscore.sfm.database import Overlap, failure_reason
 from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, RECONSTRUCTION, Forecast
 from gscore.sfm.pairs import further_parts, in_parts, sequential_pairs
-from gscore.sfm.photo_folders import stamp
 from gscore.sfm.photo_quality import PhotoQuality, blurred, exposure_jumps, measure_quality
-from gscore.sfm.photos import Photo, by_camera, list_photos, natural, read_photos
+from gscore.sfm.photos import Photo, by_camera, list_photos, read_photos, stamp
 from gscore.sfm.search_result import SearchResult, lens_text
 
 from .conftest import STUDIO
@@ -116,7 +116,7 @@ def test_photos_are_listed_as_people_count(tmp_path: Path) -> None:
     (tmp_path / "x.heic").write_bytes(b"")
     names, unread = list_photos(tmp_path, (tmp_path / "masks",))
     assert names == ["sub/a.PNG", "v9.jpg", "v10.jpg"] and unread == ["x.heic"]
-    assert natural("v9") < natural("v10")
+    assert natural_key("v9") < natural_key("v10")
 
 
 def test_reasons_name_the_first_that_holds() -> None:

@@ -22,7 +22,7 @@ from gscore.errors import Cancelled, DatasetError, GsError
 from gscore.events import Event, SfmDone, SfmEstimated, SfmProgress
 from gscore.io.colmap.folder import read_model
 from gscore.sfm import SearchRequest, database, find_cameras, pairs
-from gscore.sfm.photo_folders import photos_of, same_photos
+from gscore.sfm.photos import photos_of, same_photos
 from gscore.sfm.pycolmap_thread import run_in_thread
 from gscore.sfm.search_result import SearchResult
 

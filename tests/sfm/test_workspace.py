@@ -9,8 +9,7 @@ import pytest
 
 from gscore.errors import ConfigError
 from gscore.io.runs import SEARCH_RECORD
-from gscore.sfm.photo_folders import stamp
-from gscore.sfm.photos import Photo
+from gscore.sfm.photos import Photo, stamp
 from gscore.sfm.workspace import Workspace
 
 

@@ -14,7 +14,7 @@ from gscore.scene import PointCloud
 from gscore.splats import Splats
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.preflight import check_training
-from gscore.trainer.region.region_box import RegionBox
+from gscore.trainer.region.region_photos import RegionBox
 from gscore.trainer.trainer import Trainer
 
 pytestmark = pytest.mark.usefixtures("fake_engine")

@@ -18,7 +18,7 @@ from gscore.errors import FormatError, GsError
 from gscore.inspection import find_capture, inspect
 from gscore.io.colmap.lenses import DISTORTED_MODELS, distorted_pixels
 from gscore.io.images.png import write_png
-from gscore.sfm.photo_folders import is_photo_folder, other_cameras
+from gscore.sfm.photos import is_photo_folder, other_cameras
 from tests import program_files as files
 from tests.program_files import Chunk, Rig
 

@@ -9,7 +9,7 @@ from ..depth.targets import DepthTargets
 from ..guide.setup import GuideSetup
 from ..model.training_frame import TrainingFrame
 from ..photos.view_sampler import Photos
-from ..region.region_box import RegionBox
+from ..region.region_photos import RegionBox
 from ..views.photo_gains import PhotoGains
 from ..views.photo_poses import PoseCheck
 from .photo_visit import PhotoFacts

@@ -40,26 +40,24 @@ class RunOutputs:
     """The trainer."""
     folder: RunFolder
     """The run folder."""
-    data: DataConfig
-    """Capture options."""
 
-    def write_inputs(self) -> None:
+    def write_inputs(self, data: DataConfig) -> None:
         """Write the options and cameras, before the first step."""
         folder, config = self.folder, self.trainer.config
-        folder.write_text("config.json", config_json(self.data, config))
-        if (block := read_block(self.data.source)) is not None:
+        folder.write_text("config.json", config_json(data, config))
+        if (block := read_block(data.source)) is not None:
             block.write(folder.path, RUN_BLOCK)
         write_cameras(folder.path / "cameras.json", self.trainer.photos.scene.cameras)
         # The viewers of the 3DGS authors read the SH degree and background from this file.
         arguments = {
             "sh_degree": config.sh_degree,
-            "source_path": str(self.data.source.resolve()),
+            "source_path": str(data.source.resolve()),
             "model_path": str(folder.path.resolve()),
-            "images": self.data.images,
-            "resolution": self.data.resolution,
+            "images": data.images,
+            "resolution": data.resolution,
             "white_background": config.background is Background.WHITE,
             "data_device": "cpu",
-            "eval": self.data.eval,
+            "eval": data.eval,
         }
         text = ", ".join(f"{name}={value!r}" for name, value in arguments.items())
         folder.write_text("cfg_args", f"Namespace({text})")
@@ -97,6 +95,7 @@ class RunOutputs:
 
     def write_summary(
         self,
+        data: DataConfig,
         evaluation: Evaluation | None,
         *,
         evaluator: Evaluator,
@@ -113,6 +112,7 @@ class RunOutputs:
         """Write report.html and metrics.json; return the metrics.
 
         Args:
+            data: Capture options.
             evaluation: Final evaluation; None: there was none.
             evaluator: Its evaluator.
             collector: Images for the report.
@@ -159,14 +159,14 @@ class RunOutputs:
         return write_results(
             folder.path,
             metrics,
-            data=self.data,
+            data=data,
             run=folder.path,
-            trained=(self.data, trainer.config),
+            trained=(data, trainer.config),
             resolved=_resolved(trainer),
             views=collector.views if evaluation else (),
             warnings=warnings,
             depth=None if depth is None else depth.section,
-            cameras=cameras_section(self.data.source, photos.scene),
+            cameras=cameras_section(data.source, photos.scene),
             histograms=splat_histograms(trainer.models.parts()),
         )
 

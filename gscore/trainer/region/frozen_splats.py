@@ -12,7 +12,7 @@ from ...text_format import number
 from ...transforms import Similarity
 from ..model.initial_splats import check_splat_count
 from ..model.training_frame import TrainingFrame
-from .region_box import RegionBox
+from .region_photos import RegionBox
 
 
 class FrozenSplats:

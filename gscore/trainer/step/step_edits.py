@@ -10,7 +10,7 @@ import torch
 from ...config import TrainConfig
 from ...engine.base import Contribution, Engine, EngineModel, RowEdit
 from ..model.ensemble_member import EnsembleMember
-from ..region.region_box import RegionBox
+from ..region.region_photos import RegionBox
 from ..schedule.plan import Plan
 from ..strategy import Change, Policy
 from ..strategy.min_scale import min_scale_edit

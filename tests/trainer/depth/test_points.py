@@ -8,7 +8,7 @@ import pytest
 
 from gscore.depth import DepthPrior
 from gscore.scene import PointCloud
-from gscore.trainer.depth.points import depth_points
+from gscore.trainer.depth.setup import depth_points
 
 RADIUS = 0.8
 

@@ -15,8 +15,7 @@ from gscore.events import Started
 from gscore.io.region_file import write_region
 from gscore.text_format import psnr_name
 from gscore.trainer.analysis.analysis import Analysis
-from gscore.trainer.region.region_box import RegionBox
-from gscore.trainer.region.region_photos import RegionPhotos
+from gscore.trainer.region.region_photos import RegionBox, RegionPhotos
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG

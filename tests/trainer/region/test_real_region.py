@@ -15,8 +15,7 @@ from gscore.io.region_file import read_region
 from gscore.metrics import evaluate
 from gscore.presets import preview
 from gscore.raster.api import render
-from gscore.trainer.region.region_box import RegionBox
-from gscore.trainer.region.region_photos import RegionPhotos
+from gscore.trainer.region.region_photos import RegionBox, RegionPhotos
 from gscore.trainer.run import train
 
 pytestmark = [

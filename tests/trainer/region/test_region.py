@@ -20,8 +20,7 @@ from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.splats import PARAMETERS, Splats
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
-from gscore.trainer.region.region_box import RegionBox
-from gscore.trainer.region.region_photos import RegionPhotos
+from gscore.trainer.region.region_photos import RegionBox, RegionPhotos
 from gscore.trainer.region.region_tiles import tiles_of_splats
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
