@@ -16,10 +16,51 @@ from .capture.folders import means_capture, same_folder
 from .core import find_capture
 from .paths import absolute
 
-_KEPT = ("output_path", "result", "preview", "guide_surface", "guide_free", "train_within")
+
+class LinkProperties:
+    """Links of one capture, shared by the scene's settings and the stored links of others."""
+
+    output_path: StringProperty(
+        name="Output",
+        description="Folder for the results of the training; empty: chosen when training starts",
+        subtype="DIR_PATH",
+        options=compat.BLEND_RELATIVE,
+    )
+    result: PointerProperty(
+        name="Result",
+        description="Object with the splats of the training",
+        type=bpy.types.Object,
+    )
+    preview: PointerProperty(
+        name="Test View",
+        description="Test view rendered from the current splats",
+        type=bpy.types.Image,
+    )
+    guide_surface: PointerProperty(
+        name="Surface Mesh",
+        description="Collection of meshes onto which splats are pulled: walls, floors, a scan. "
+        "Objects visible in the viewport are used, with modifiers",
+        type=bpy.types.Collection,
+    )
+    guide_free: PointerProperty(
+        name="Free-Space Mesh",
+        description="Collection of meshes with free space up to the cameras of all photos: splats "
+        "there are removed. Objects visible in the viewport are used, with modifiers",
+        type=bpy.types.Collection,
+    )
+    train_within: PointerProperty(
+        name="Limit to Object",
+        description="Crop box, mesh or empty whose bounding box limits the training: only pixels "
+        "that show the box are used. Import the cameras first, then place it",
+        type=bpy.types.Object,
+        poll=lambda settings, ob: ob.type in {"MESH", "EMPTY"} and not ob.get("gs_kind"),
+    )
 
 
-class RunLinks(bpy.types.PropertyGroup):
+_KEPT = tuple(LinkProperties.__annotations__)
+
+
+class RunLinks(LinkProperties, bpy.types.PropertyGroup):
     """Links of a capture other than the chosen one."""
 
     capture_path: StringProperty(
@@ -27,27 +68,6 @@ class RunLinks(bpy.types.PropertyGroup):
         description="Folder of the capture",
         subtype="DIR_PATH",
         options=compat.BLEND_RELATIVE,
-    )
-    output_path: StringProperty(
-        name="Output",
-        description="Folder of the capture's results",
-        subtype="DIR_PATH",
-        options=compat.BLEND_RELATIVE,
-    )
-    result: PointerProperty(
-        name="Result", description="Object with the capture's splats", type=bpy.types.Object
-    )
-    preview: PointerProperty(
-        name="Test View", description="Picture of a test view", type=bpy.types.Image
-    )
-    guide_surface: PointerProperty(
-        name="Surface Mesh", description="Surface meshes", type=bpy.types.Collection
-    )
-    guide_free: PointerProperty(
-        name="Free-Space Mesh", description="Free-space meshes", type=bpy.types.Collection
-    )
-    train_within: PointerProperty(
-        name="Limit to Object", description="Object around the subject", type=bpy.types.Object
     )
 
 

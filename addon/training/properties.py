@@ -120,10 +120,6 @@ _MASK_MODES = (
 )
 
 
-def _may_bound(_: bpy.types.PropertyGroup, ob: bpy.types.Object) -> bool:
-    return ob.type in {"MESH", "EMPTY"} and not ob.get("gs_kind")
-
-
 def purpose_of(preset: str) -> str:
     """The first clause of a preset's docstring. The rest states the duration for a typical capture;
     the panel has an estimate for this one."""
@@ -150,7 +146,7 @@ def _capture_changed(settings: "SceneSettings", context: bpy.types.Context) -> N
     facts.capture(settings.id_data)
 
 
-class SceneSettings(bpy.types.PropertyGroup):
+class SceneSettings(run_links.LinkProperties, bpy.types.PropertyGroup):
     """`Scene.gscore`; properties have the names of gscore's options."""
 
     capture_path: StringProperty(
@@ -159,12 +155,6 @@ class SceneSettings(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
         options=compat.BLEND_RELATIVE,
         update=_capture_changed,
-    )
-    output_path: StringProperty(
-        name="Output",
-        description="Folder for the results of the training; empty: chosen when training starts",
-        subtype="DIR_PATH",
-        options=compat.BLEND_RELATIVE,
     )
     preset: EnumProperty(
         name="Preset",
@@ -231,39 +221,10 @@ class SceneSettings(bpy.types.PropertyGroup):
     )
     target_psnr: declared(_TRAIN, "target_psnr", "Target PSNR", soft_max=40.0)
     early_stop: declared(_TRAIN, "early_stop", "Stop Early")
-    guide_surface: PointerProperty(
-        name="Surface Mesh",
-        description="Collection of meshes onto which splats are pulled: walls, floors, a scan. "
-        "Objects visible in the viewport are used, with modifiers",
-        type=bpy.types.Collection,
-    )
-    guide_free: PointerProperty(
-        name="Free-Space Mesh",
-        description="Collection of meshes with free space up to the cameras of all photos: splats "
-        "there are removed. Objects visible in the viewport are used, with modifiers",
-        type=bpy.types.Collection,
-    )
-    train_within: PointerProperty(
-        name="Limit to Object",
-        description="Crop box, mesh or empty whose bounding box limits the training: only pixels "
-        "that show the box are used. Import the cameras first, then place it",
-        type=bpy.types.Object,
-        poll=_may_bound,
-    )
     live_splats: BoolProperty(
         name="Live Splats",
         description="Show the splats in the viewport while they are trained",
         default=True,
-    )
-    result: PointerProperty(
-        name="Result",
-        description="Object with the splats of the training",
-        type=bpy.types.Object,
-    )
-    preview: PointerProperty(
-        name="Test View",
-        description="Test view rendered from the current splats",
-        type=bpy.types.Image,
     )
     outcome_of: StringProperty(
         name="Outcome Of",
