@@ -4,9 +4,8 @@ import bpy
 
 from .. import preferences
 from ..core import KnownNetwork, depth_networks
-from ..process import poll_timer
 from ..trainer_python import setup
-from ..training import lookups
+from ..training import facts, lookups
 
 OFFLINE = (
     "Blender does not allow add-ons to go online; allow it in Preferences > System > Network, or "
@@ -36,8 +35,7 @@ def is_installed(network: KnownNetwork) -> bool | None:
         ValueError: the query failed; the message gives the reason.
     """
     python = str(setup.trainer_python(preferences.get()))
-    answer, problem = lookups.networks.get(python)
-    poll_timer.ensure()
+    answer, problem = facts.ask(lookups.networks, python)
     if problem:
         raise ValueError(problem)
     return None if answer is None else network.name in answer

@@ -13,7 +13,6 @@ from ..interface.base_operator import BaseOperator, ConfirmMixin, browse
 from ..interface.images import show_image
 from ..interface.option_labels import panel_text
 from ..paths import absolute, capture_folder, output_folder
-from ..process import poll_timer
 from ..training import facts, lookups, options
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS, Cancelling, Starting
@@ -147,9 +146,7 @@ def run_report(scene: bpy.types.Scene) -> tuple[DepthReport | None, str]:
         folder = output_folder(scene, preferences.get().output_folder)
     except ValueError:
         return None, ""
-    answer = lookups.depth_runs.get(folder)
-    poll_timer.ensure()
-    return answer
+    return facts.ask(lookups.depth_runs, folder)
 
 
 def sheet(scene: bpy.types.Scene) -> Path:

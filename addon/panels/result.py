@@ -15,17 +15,15 @@ from ..histograms.counting import OPACITY, SIZE
 from ..histograms.histogram_cache import ICONS
 from ..interface.option_labels import error_text
 from ..live import draw_handler
-from ..process import poll_timer
 from ..splats import edit, lag, live_display, operators
 from ..splats.mend_operators import outdated
 from ..splats.objects import active_splats, in_question, is_native, is_splats
 from ..stored_paths import RUN
 from ..timeline import frame_sync
 from ..timeline.frame_at import moment_of, series_of
-from ..timeline.frames import Series
 from ..timeline.library import LIBRARY
 from ..timeline.settings import is_sequence
-from ..training import lookups
+from ..training import facts, lookups
 from .widgets import SplatsPanel, TabPanel, draw_verb, has_python, job, limit, rows, sentence
 
 _HISTOGRAM_SCALE = 4.0
@@ -64,7 +62,10 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         layout.prop(settings, "display")
         is_live = settings.display == "SPLATS"
         if is_live:
-            draw_live(layout, context)
+            if problem := draw_handler.problem_of(_main_region(context)):
+                sentence(layout, problem, icon="ERROR")
+            elif not live_display.SESSION.works:
+                sentence(layout, "Splats are drawn live only in a window.", icon="INFO")
         else:
             layout.prop(settings, "colour_by")
             draw_viewpoint(layout, context, ob)
@@ -126,7 +127,10 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
         layout, ob = self.layout, in_question(context)
         settings = ob.gscore
         draw_limits(layout, ob)
-        draw_handles(layout, context)
+        switch = context.window_manager  # of the histograms in the view, with handles to drag
+        layout.prop(switch, "gscore_histograms", icon="ARROW_LEFTRIGHT")
+        if switch.gscore_histograms and (text := gizmos.problem(context, _main_region(context))):
+            sentence(layout, text, icon="INFO")
         column = layout.column(align=True)
         column.prop(settings, "crop_object", text="Crop")
         if settings.crop_object is not None:
@@ -176,24 +180,8 @@ def draw_limits(layout: bpy.types.UILayout, ob: bpy.types.Object) -> None:
         limit(column, ob.gscore, name)
 
 
-def draw_handles(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the switch of the histograms in the view, with handles to drag."""
-    switch = context.window_manager
-    layout.prop(switch, "gscore_histograms", icon="ARROW_LEFTRIGHT")
-    if switch.gscore_histograms and (text := gizmos.problem(context, _main_region(context))):
-        sentence(layout, text, icon="INFO")
-
-
 def _main_region(context: bpy.types.Context) -> bpy.types.Region:
     return next(one for one in context.area.regions if one.type == "WINDOW")
-
-
-def draw_live(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the reason why splats are not drawn live, or their number."""
-    if problem := draw_handler.problem_of(_main_region(context)):
-        sentence(layout, problem, icon="ERROR")
-    elif not live_display.SESSION.works:
-        sentence(layout, "Splats are drawn live only in a window.", icon="INFO")
 
 
 def draw_viewpoint(
@@ -262,8 +250,7 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
                 sentence(layout, _COLORS.format(job.done.error_bright))
         if has_python(layout):
             layout.operator("gscore.measure_errors", icon="VIEWZOOM")
-        figures, problem = lookups.figures.get(measure_errors.run_of(ob))
-        poll_timer.ensure()  # collects the lookup
+        figures, problem = facts.ask(lookups.figures, measure_errors.run_of(ob))
         if problem:
             sentence(layout, problem, icon="ERROR")
         draw_switches(layout, ob, figures)
@@ -352,8 +339,10 @@ def draw_frames(
         sentence(layout, text, icon="ERROR" if problem else "TIME")
         return
     count, size = LIBRARY.loaded
+    first, last = series.files[0].number, series.files[-1].number
+    steps = f", every {series.stride}" if series.stride > 1 else ""
     pairs = [
-        ("Frames", f"{len(series.files):,}: {_range(series)}"),
+        ("Frames", f"{len(series.files):,}: {first} to {last}{steps}"),
         ("Now", _now(context, ob)),
         ("In memory", f"{count}, {size / 1e6:,.0f} MB"),
     ]
@@ -367,12 +356,6 @@ def draw_frames(
     elif ob.library is not None or not ob.data.is_editable:
         text = "Linked: EEVEE and Cycles show the frame that was saved in its file."
         sentence(layout, text, icon="INFO")
-
-
-def _range(series: Series) -> str:
-    first, last = series.files[0].number, series.files[-1].number
-    steps = f", every {series.stride}" if series.stride > 1 else ""
-    return f"{first} to {last}{steps}"
 
 
 def _now(context: bpy.types.Context, ob: bpy.types.Object) -> str:

@@ -13,8 +13,7 @@ from ..core import PRESETS, Estimate, FrameStarted, GsError, RunInfo, SequenceFr
 from ..interface.option_labels import error_text
 from ..paths import output_folder
 from ..sequence import train_sequence
-from ..sequence import train_sequence as sequence
-from ..training import facts, forecast, guides, results, start_training
+from ..training import facts, forecast, guides, lookups, results, start_training
 from ..training.existing_run import EarlierRun
 from ..training.options import AS_PRESET, BY_WIDTH, continuation
 from ..training.properties import purpose_of
@@ -116,7 +115,11 @@ class GuidesPanel(TabPanel, bpy.types.Panel):
             row.prop(settings, name)
             row.operator("gscore.add_guides", text="", icon="ADD").role = role
         used = any(getattr(settings, name) is not None for name in guides.ROLES.values())
-        if used and panel_root(context.scene) is None and not sequence.frames_of(context.scene)[0]:
+        if (
+            used
+            and panel_root(context.scene) is None
+            and not train_sequence.frames_of(context.scene)[0]
+        ):
             text = "Import the cameras first, to place these meshes relative to the photos."
             sentence(layout, text, icon="ERROR")
 
@@ -305,7 +308,7 @@ def draw_sequence(
         if not job.ended:
             return
     output = train_sequence.output_of(context.scene)
-    there, problem = train_sequence.trained_in(output)
+    there, problem = facts.ask(lookups.sequences, output)
     if problem:
         sentence(layout, problem, icon="ERROR")
     if there is not None and there.frames:

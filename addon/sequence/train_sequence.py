@@ -12,7 +12,6 @@ from ..core import (
     Progress,
     SequenceDone,
     SequenceFrame,
-    SequenceIndex,
     SequenceOptions,
     choose_frames,
     find_frames,
@@ -21,8 +20,7 @@ from ..core import (
 from ..interface.base_operator import ConfirmMixin
 from ..interface.option_labels import error_text
 from ..paths import absolute, output_folder
-from ..process import poll_timer
-from ..training import lookups, options, start_training
+from ..training import facts, lookups, options, start_training
 from ..training.guides import unused_objects
 from ..training.properties import declared
 from ..training.verb_job import Verb, VerbJob
@@ -155,16 +153,7 @@ def frames_of(scene: bpy.types.Scene) -> tuple[list[SequenceFrame] | None, str]:
         source = source_of(scene)
     except ValueError as error:
         return None, error_text(error)
-    answer = lookups.frames.get((str(source), scene.gscore.images))
-    poll_timer.ensure()
-    return answer
-
-
-def trained_in(output: Path) -> tuple[SequenceIndex | None, str]:
-    """The cached index of an output folder, or the reason why it cannot be read."""
-    answer = lookups.sequences.get(output)
-    poll_timer.ensure()
-    return answer
+    return facts.ask(lookups.frames, (str(source), scene.gscore.images))
 
 
 class TrainSequence(ConfirmMixin, Starting, bpy.types.Operator):

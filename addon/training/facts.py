@@ -1,15 +1,29 @@
 """Cached facts about a scene's folders for panels; never waits for the disk."""
 
+from collections.abc import Hashable
+from typing import TypeVar
+
 import bpy
 
 from .. import preferences
 from ..capture.inspection import ShownFacts
 from ..core import Estimate
+from ..interface.lookup import Lookup
 from ..interface.option_labels import error_text
 from ..paths import absolute, output_folder
 from ..process import poll_timer
 from . import forecast, lookups
 from .existing_run import EarlierRun
+
+KeyT = TypeVar("KeyT", bound=Hashable)
+AnswerT = TypeVar("AnswerT")
+
+
+def ask(lookup: Lookup[KeyT, AnswerT], key: KeyT) -> tuple[AnswerT | None, str]:
+    """`Lookup.get`, whose answer is then collected by the poll timer."""
+    answer = lookup.get(key)
+    poll_timer.ensure()
+    return answer
 
 
 def capture(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
@@ -21,9 +35,7 @@ def capture(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
         path = absolute(settings.capture_path, "Capture")
     except ValueError as error:
         return None, error_text(error)
-    answer = lookups.captures.get((str(path), settings.images))
-    poll_timer.ensure()
-    return answer
+    return ask(lookups.captures, (str(path), settings.images))
 
 
 def refresh(scene: bpy.types.Scene) -> tuple[ShownFacts | None, str]:
@@ -38,9 +50,7 @@ def forecast_of(scene: bpy.types.Scene) -> tuple[Estimate | None, str]:
     if found is None or not found.can_train:
         return None, ""
     question = forecast.question(scene.gscore, found, threads=preferences.get().threads)
-    answer = lookups.forecasts.get(question)
-    poll_timer.ensure()
-    return answer
+    return ask(lookups.forecasts, question)
 
 
 def run(scene: bpy.types.Scene) -> tuple[EarlierRun | None, str]:
@@ -51,6 +61,4 @@ def run(scene: bpy.types.Scene) -> tuple[EarlierRun | None, str]:
         folder = output_folder(scene, preferences.get().output_folder)
     except ValueError:
         return None, ""  # the Capture panel reports what is missing
-    answer = lookups.runs.get((folder, chosen))
-    poll_timer.ensure()
-    return answer
+    return ask(lookups.runs, (folder, chosen))
