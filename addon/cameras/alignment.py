@@ -47,12 +47,14 @@ def align(viewmats: np.ndarray, points: np.ndarray, up: np.ndarray | None = None
     if len(viewmats) == 0:
         raise ValueError("There are no cameras to align by.")
     up = find_up(viewmats) if up is None else _unit(np.asarray(up, np.float64))
-    centers = _centers(viewmats)
+    centers = camera_centers(viewmats)
     ground = find_ground(points, centers, up)
     if ground is not None:
         up, height = ground
     else:
-        height = _lowest(points, centers, up)
+        near, _ = _neighbourhood(points, centers)
+        # Of the lowest points, as a low quantile; of cameras without points.
+        height = float(np.quantile(near @ up, 0.02) if len(near) else (centers @ up).min())
     origin = focus(viewmats)
     origin = origin + (height - origin @ up) * up
     return Alignment(
@@ -98,7 +100,7 @@ def find_ground(
 
 def focus(viewmats: np.ndarray) -> np.ndarray:
     """The point [3] nearest to all optical axes, or the cameras' centre if they face away."""
-    z, centers = viewmats[:, 2, :3], _centers(viewmats)
+    z, centers = viewmats[:, 2, :3], camera_centers(viewmats)
     across = np.eye(3) - z[:, :, None] * z[:, None, :]
     total = across.mean(axis=0)
     middle = np.median(centers, axis=0)
@@ -140,14 +142,6 @@ def _neighbourhood(points: np.ndarray, centers: np.ndarray) -> tuple[np.ndarray,
     return near, 2 * float(np.median(np.linalg.norm(near - np.median(near, axis=0), axis=1)))
 
 
-def _lowest(points: np.ndarray, centers: np.ndarray, up: np.ndarray) -> float:
-    """Height of the lowest points, as a low quantile; of cameras without points."""
-    near, _ = _neighbourhood(points, centers)
-    if len(near) == 0:
-        return float((centers @ up).min())
-    return float(np.quantile(near @ up, 0.02))
-
-
 def _upright(up: np.ndarray, forward: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """[4, 4] that maps `up` to +z, `forward` above +y and `origin` to 0."""
     ahead = forward - (forward @ up) * up
@@ -161,7 +155,8 @@ def _upright(up: np.ndarray, forward: np.ndarray, origin: np.ndarray) -> np.ndar
     return matrix
 
 
-def _centers(viewmats: np.ndarray) -> np.ndarray:
+def camera_centers(viewmats: np.ndarray) -> np.ndarray:
+    """Camera positions [C, 3]."""
     return -np.einsum("cji,cj->ci", viewmats[:, :3, :3], viewmats[:, :3, 3])
 
 

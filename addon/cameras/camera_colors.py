@@ -10,7 +10,6 @@ import bpy
 import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
-from mathutils import Matrix
 
 from .objects import cameras_of
 
@@ -131,7 +130,9 @@ def draw() -> None:
     gpu.state.blend_set("ALPHA")
     gpu.state.depth_test_set("LESS_EQUAL")
     with gpu.matrix.push_pop_projection():
-        gpu.matrix.load_projection_matrix(_nearer(gpu.matrix.get_projection_matrix()))
+        projection = gpu.matrix.get_projection_matrix()
+        projection[2] -= _NEARER * projection[3]  # so that Blender's lines do not show through
+        gpu.matrix.load_projection_matrix(projection)
         fill[0].bind()
         fill[1].draw(fill[0])
         lines[0].bind()
@@ -140,13 +141,6 @@ def draw() -> None:
         lines[1].draw(lines[0])
     gpu.state.depth_test_set("NONE")
     gpu.state.blend_set("NONE")
-
-
-def _nearer(projection: Matrix) -> Matrix:
-    """The projection with a small depth offset, so that Blender's lines do not show through."""
-    result = projection.copy()
-    result[2] = projection[2] - _NEARER * projection[3]
-    return result
 
 
 class _Drawing:

@@ -3,8 +3,7 @@ export and import.
 """
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -97,7 +96,8 @@ def _some_frames(tracked: Tracked, numbers: Sequence[int]) -> list[ExportView]:
     """The camera at the first of some frames, until the time budget is used up."""
     views, scene = [], tracked.scene
     until = time.perf_counter() + BUDGET
-    with _own_frame(scene):
+    current, part = scene.frame_current, scene.frame_subframe
+    try:
         for number in numbers:
             scene.frame_set(number)
             # Not the context's, because the window may show another scene by now.
@@ -106,17 +106,9 @@ def _some_frames(tracked: Tracked, numbers: Sequence[int]) -> list[ExportView]:
             views.append(replace(view, name=f"frame_{number:06d}.png", photo=None))
             if time.perf_counter() > until:
                 break
-    return views
-
-
-@contextmanager
-def _own_frame(scene: bpy.types.Scene) -> Iterator[None]:
-    """Restore the scene's current frame afterwards."""
-    number, part = scene.frame_current, scene.frame_subframe
-    try:
-        yield
     finally:
-        scene.frame_set(number, subframe=part)
+        scene.frame_set(current, subframe=part)
+    return views
 
 
 def _write(

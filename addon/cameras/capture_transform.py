@@ -13,7 +13,6 @@ from ..compat import matrix_to_numpy
 from ..core import offset_between, rotmat_to_quat
 from ..interface import editable_check, framing
 from . import alignment, sfm_points
-from . import camera_math as cm
 from . import objects as co
 from .lookup import OnCapture, find_root, roots_of
 from .objects import cameras_of
@@ -93,7 +92,7 @@ def world_extent(root: bpy.types.Object) -> float:
     """Largest distance between two of a capture's cameras, in Blender's units."""
     cameras = cameras_of(root)
     viewmats = np.array([co.photo_camera_of(ob).viewmat for ob in cameras]).reshape(-1, 4, 4)
-    return alignment.camera_extent(centers_of(viewmats)) * root_scale(root)
+    return alignment.camera_extent(alignment.camera_centers(viewmats)) * root_scale(root)
 
 
 def set_extent(root: bpy.types.Object, extent: float) -> None:
@@ -125,11 +124,6 @@ def set_root_matrix(root: bpy.types.Object, matrix: np.ndarray) -> None:
     root.location = matrix[:3, 3]
     root.rotation_quaternion = rotmat_to_quat(matrix[:3, :3] / scale)
     root.scale = (scale, scale, scale)
-
-
-def centers_of(viewmats: np.ndarray) -> np.ndarray:
-    """Camera positions [C, 3]."""
-    return np.array([cm.matrix_world_from_viewmat(v)[:3, 3] for v in viewmats]).reshape(-1, 3)
 
 
 @dataclass(frozen=True)

@@ -114,8 +114,8 @@ def choose(scene: bpy.types.Scene, made: ImportedCapture, *, set_up_views: bool 
             space.shading.color_type = "VERTEX"
             space.shading.show_object_outline = False  # it would cover the small points
             space.overlay.show_relationship_lines = False
-    settings = getattr(scene, "gscore", None)  # None if only cameras are registered
-    if settings is not None and not settings.capture_path.strip():
+    settings = scene.gscore
+    if not settings.capture_path.strip():
         settings.capture_path = made.root[stored_paths.SOURCE]
         settings.images = made.root["gs_images"]
 

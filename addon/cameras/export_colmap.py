@@ -53,7 +53,8 @@ def _write(
     """Write the files; no bpy."""
     views, source = inputs.views, inputs.source
     for known in inputs.captures:
-        if _same(folder, _model_folder(known)):
+        own = _model_folder(known)
+        if own is not None and own.resolve() == folder.resolve():
             raise ValueError(f"{folder} is the own model of {known}. Choose another folder.")
     if not binary and (folder / "cameras.bin").exists():
         raise ValueError(
@@ -66,8 +67,9 @@ def _write(
     cloud, more = points_to_export(inputs.capture_points, source, model, origin=inputs.origin)
     ids, table = _camera_table(views, model)
     images = _images(views, ids, model)
-    other = _restated(views, model)
-    if other:
+    known = {image.name: image for image in model.images} if model else {}
+    stated = [(known[v.name], v) for v in views if not v.is_moved and v.name in known]
+    if other := sum(not _same_pose(image, view) for image, view in stated):
         warnings.append(
             f"{other} cameras have changed in {source} since the import; they are written as "
             f"imported, without observations."
@@ -86,10 +88,6 @@ def _model_folder(source: Path) -> Path | None:
         return None
 
 
-def _same(a: Path, b: Path | None) -> bool:
-    return b is not None and a.resolve() == b.resolve()
-
-
 def _source_model(
     source: Path | None, origin: np.ndarray | None
 ) -> tuple[ColmapModel | None, list[str]]:
@@ -101,13 +99,6 @@ def _source_model(
         return None, [
             f"Observations are left out, because the capture cannot be read: {error_text(error)}"
         ]
-
-
-def _restated(views: list[ExportView], model: ColmapModel | None) -> int:
-    """Number of unmoved cameras whose poses have changed in the capture's files."""
-    known = {image.name: image for image in model.images} if model else {}
-    pairs = [(known[v.name], v) for v in views if not v.is_moved and v.name in known]
-    return sum(1 for image, view in pairs if not _same_pose(image, view))
 
 
 def _camera_table(

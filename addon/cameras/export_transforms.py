@@ -98,7 +98,9 @@ def transforms_text(
     frames = [_frame(view, folder) for view in views]
     for frame, time in zip(frames, times or (), strict=times is not None):
         frame["time"] = time
-    shared = {key: frames[0][key] for key in frames[0] if _is_shared(frames, key)}
+    own = ("file_path", "transform_matrix", "time")
+    first = {key: value for key, value in frames[0].items() if key not in own}
+    shared = {k: v for k, v in first.items() if all(k in f and f[k] == v for f in frames)}
     own_keys = [{k: v for k, v in frame.items() if k not in shared} for frame in frames]
     return _text({**shared, **(further or {})}, own_keys)
 
@@ -128,27 +130,18 @@ def _frame(view: ExportView, folder: Path) -> dict[str, Any]:
     for name, value in named.items():
         for key in _KEYS.get(name, ("k1" if name == "k" else name,)):
             values[key] = value
+    file = f"images/{view.name}"
+    if view.photo is not None and _is_below(view.photo, folder):
+        file = view.photo.resolve().relative_to(folder.resolve()).as_posix()
     return {
-        "file_path": _file_path(view, folder),
+        "file_path": file,
         **values,
         "transform_matrix": cm.matrix_world_from_viewmat(view.viewmat).tolist(),
     }
 
 
-def _file_path(view: ExportView, folder: Path) -> str:
-    if view.photo is not None and _is_below(view.photo, folder):
-        return view.photo.resolve().relative_to(folder.resolve()).as_posix()
-    return f"images/{view.name}"
-
-
 def _is_below(file: Path, folder: Path) -> bool:
     return file.resolve().is_relative_to(folder.resolve())
-
-
-def _is_shared(frames: list[dict[str, Any]], key: str) -> bool:
-    if key in ("file_path", "transform_matrix", "time"):
-        return False
-    return all(key in frame and frame[key] == frames[0][key] for frame in frames)
 
 
 def _ply(points: ColmapPoints) -> bytes:

@@ -1,6 +1,5 @@
 """Lookup of the capture and the camera of an operator, and the base of operators on a capture."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -54,18 +53,14 @@ def chosen_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
     Without an exact match, a capture imported from a folder of the same name that no longer exists
     counts as moved to the chosen one.
     """
-    settings = getattr(scene, "gscore", None)
-    if settings is None or not settings.capture_path.strip():
-        return None
     try:
-        chosen = absolute(settings.capture_path, "Capture")
+        chosen = absolute(scene.gscore.capture_path, "Capture")
     except ValueError:
         return None
-    roots = roots_of(scene)
-    exact = _from(roots, chosen)
+    exact = root_from(scene, chosen)
     if exact is not None:
         return exact
-    for root in roots:
+    for root in roots_of(scene):
         source = Path(stored_paths.read(root, stored_paths.SOURCE))
         if source.name and source.name in chosen.parts[-3:] and not source.exists():
             return root
@@ -74,11 +69,7 @@ def chosen_root(scene: bpy.types.Scene) -> bpy.types.Object | None:
 
 def root_from(scene: bpy.types.Scene, chosen: Path) -> bpy.types.Object | None:
     """The empty of the capture in a folder or one of its parents, if it was imported."""
-    return _from(roots_of(scene), chosen)
-
-
-def _from(roots: Sequence[bpy.types.Object], chosen: Path) -> bpy.types.Object | None:
-    for root in roots:
+    for root in roots_of(scene):
         if means_capture(chosen, Path(stored_paths.read(root, stored_paths.SOURCE))):
             return root
     return None

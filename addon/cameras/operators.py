@@ -96,7 +96,7 @@ class ImportCameras(IncrementalOperator, OnScene, bpy.types.Operator):
         path = absolute(self.directory or _panel_path(context), "Capture")
         images = self.images
         if not self.properties.is_property_set("images"):
-            images = getattr(_settings(context), "images", self.images)
+            images = scene.gscore.images
         choices = {name: getattr(self, name) for name in ("photos", "points", "align")}
         set_up_views = self.set_up_views
         into = find_root(context, self.capture) if self.capture else None
@@ -316,13 +316,8 @@ def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     self.layout.operator(ImportCameras.bl_idname, text=text).browse = True
 
 
-def _settings(context: bpy.types.Context) -> Any:
-    """The scene's settings; None if only these operators are registered."""
-    return getattr(context.scene, "gscore", None)
-
-
 def _panel_path(context: bpy.types.Context) -> str:
-    return getattr(_settings(context), "capture_path", "").strip()
+    return context.scene.gscore.capture_path.strip()
 
 
 def _chosen(

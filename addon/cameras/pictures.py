@@ -64,7 +64,9 @@ def decode(path: str) -> Decoded:
             f"The picture {path} cannot be read: find the capture's folder again."
         ) from error
     try:
-        return _decoded(image, path)
+        if not image.size[0] * image.size[1] or image.channels not in (1, 3, 4):
+            raise ValueError(f"{path} is not a picture that Blender can decode.")
+        return Decoded(path, pixels_of(image), image.is_float)
     finally:
         bpy.data.images.remove(image)
 
@@ -75,13 +77,6 @@ def levels_of(values: np.ndarray) -> np.ndarray:
     np.clip(levels, 0, 255, out=levels)
     levels += np.float32(0.5)
     return levels.astype(np.uint8)
-
-
-def _decoded(image: bpy.types.Image, path: str) -> Decoded:
-    width, height = image.size
-    if not width * height or image.channels not in (1, 3, 4):
-        raise ValueError(f"{path} is not a picture that Blender can decode.")
-    return Decoded(path, pixels_of(image), image.is_float)
 
 
 def pixels_of(image: bpy.types.Image) -> np.ndarray:

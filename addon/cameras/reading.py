@@ -25,7 +25,7 @@ from ..process.incremental_tasks import Check
 from . import alignment, sfm_points
 from . import objects as co
 from .backgrounds import Photo, photo_on_disk
-from .capture_transform import Drawing, centers_of, drawing_of
+from .capture_transform import Drawing, drawing_of
 from .undistort_program import task_of
 
 FAR = 1e4
@@ -135,7 +135,7 @@ def read(
         if copy is not None and not copy.is_file():
             copies.append(task_of(own, copy))
         cameras.append(ReadCamera(name=Path(view.name).stem, setup=co.setup_of(own), photo=photo))
-    centers = centers_of(viewmats)
+    centers = alignment.camera_centers(viewmats)
     read_points = None
     if points and len(cloud):
         columns = sfm_points.columns(cloud, capture.points.colors[finite], np.flatnonzero(finite))

@@ -51,11 +51,6 @@ class MissingCopies:
     """Errors of unreadable cameras, sentences."""
 
 
-def missing_copies(cameras: Iterable[bpy.types.Object]) -> MissingCopies:
-    """Missing copies of cameras; reads the disk."""
-    return _check(*_backgrounds(cameras))
-
-
 class MissingCopiesCache:
     """Missing copies of captures by session uid of their empty; main thread only."""
 
@@ -232,7 +227,7 @@ class UndistortPhotos(OnCapture, bpy.types.Operator):
             wait()
         elif count:
             return f"Undistorting {count} photos in the background."
-        problems = problems_of(missing_copies(cameras))
+        problems = problems_of(_check(*_backgrounds(cameras)))
         if problems:
             raise ValueError(problems[0])
         if not count:

@@ -266,7 +266,8 @@ def draw(
     for i, place in enumerate(places):
         color, x = (_BRIGHT if i == bright else _HANDLE), box.x + box.width * place
         shapes.append((_rectangle(x - scale, box.y, x + scale, box.top), color))
-        shapes.append((_foot(x, box.y, _GRIP * scale), color))
+        left, low, right = x - _GRIP * scale, box.y - _GRIP * scale, x + _GRIP * scale
+        shapes.append(([(left, low), (right, low), (x, box.y + _GRIP * scale)], color))
     _fill(shapes)
     text, above = limit_text(*limits), box.top + 1.5 * pad
     viewport_text.write(title, box.x, above, scale, _BRIGHT)
@@ -293,11 +294,6 @@ def _rectangle(left: float, low: float, right: float, high: float) -> list[tuple
     """Two triangles."""
     corners = (left, low), (right, low), (right, high), (left, high)
     return [corners[i] for i in (0, 1, 2, 0, 2, 3)]
-
-
-def _foot(x: float, y: float, size: float) -> list[tuple[float, float]]:
-    """A triangle that points up to a position on the axis."""
-    return [(x - size, y - size), (x + size, y - size), (x, y + size)]
 
 
 def _fill(shapes: list[tuple[list[tuple[float, float]], tuple[float, ...]]]) -> None:

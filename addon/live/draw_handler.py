@@ -33,7 +33,7 @@ from .views import View
 
 
 class LiveFallback:
-    """Live drawing as a `render.viewport.LiveFallback`."""
+    """Live drawing, for `render.viewport.FALLBACKS`."""
 
     def __init__(self, views: Mapping[int, View]) -> None:
         """Keep the known views, by the pointer of their region."""
@@ -46,12 +46,13 @@ class LiveFallback:
         return wanted and (not changes_colors(context.scene) or self.stays(context))
 
     def moves(self, context: bpy.types.Context) -> bool:
-        """Whether its view has just changed."""
+        """Whether its view has just changed, so that a picture would be outdated."""
         view = self._views.get(context.region.as_pointer())
         return view is not None and view.level.moving
 
     def stays(self, context: bpy.types.Context) -> bool:
-        """Whether there is a photo behind the splats, which Blender would draw over a picture."""
+        """Whether there is a photo behind the splats, which Blender would draw over a picture; no
+        picture is needed then, unless there are holdouts."""
         return "BACK" in view_context.photo_depths(context)
 
     def covers_photos(self, context: bpy.types.Context) -> bool:

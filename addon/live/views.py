@@ -253,7 +253,11 @@ class View:
             camera=smaller(camera, detail.factor),
             viewmats=_viewmats(shown.request, request, camera),
             window=window,
-            antialias=_antialias(placed, antialias),
+            antialias=picture.compensates(
+                antialias,
+                trained=tuple(p.name for p in placed if p.antialias),
+                plain=tuple(p.name for p in placed if not p.antialias),
+            ),
             limit=detail.count,
             cuts=cuts,
         )
@@ -303,11 +307,3 @@ def _viewmats(
         return request.eye.viewmats
     places = {p.uid: p.matrix for p in request.placed}
     return tuple(camera.viewmat @ places.get(p.uid, p.matrix) for p in shown.placed)
-
-
-def _antialias(placed: list[Placed], setting: str) -> bool:
-    return picture.compensates(
-        setting,
-        trained=tuple(p.name for p in placed if p.antialias),
-        plain=tuple(p.name for p in placed if not p.antialias),
-    )

@@ -141,12 +141,8 @@ class Session:
     @property
     def painting(self) -> bool:
         """True during a stroke."""
-        return self._stroke is not None or self._is_awaited
-
-    @property
-    def _is_awaited(self) -> bool:
-        """True if a stroke has started and its splats are still being collected."""
-        return self._search is not None and self._search.way is not None
+        collects = self._search is not None and self._search.way is not None
+        return self._stroke is not None or collects
 
     def close(self) -> None:
         """End the session; a running stroke is cancelled."""
@@ -168,7 +164,10 @@ class Session:
         self._step_search()
         if self._undone:
             self._undone = False
-            self._show_undone(context)
+            ob = objects.active_splats(context)
+            if objects.is_splats(ob):
+                paint_target.show_as_kept(ob)
+                redraw_views()
         spot = spot_of(context.window, event.mouse_x, event.mouse_y)
         brush = context.window_manager.gscore_paint
         if event.type.startswith(_UNTOUCHED):
@@ -316,12 +315,6 @@ class Session:
         steps = visible_splats.color_at(paintable(context), spot.view, spot.point)
         self._search = _Search(context, steps)
         self._step_search(wait=bpy.app.background)
-
-    def _show_undone(self, context: bpy.types.Context) -> None:
-        ob = objects.active_splats(context)
-        if objects.is_splats(ob):
-            paint_target.show_as_kept(ob)
-            redraw_views()
 
     def _place_cursor(self, spot: Spot | None, brush: BrushSettings) -> None:
         before = self.cursor.state

@@ -126,8 +126,10 @@ class HoldoutMeshes:
                     if uid not in self._grown:
                         self._grown[uid] = instances.generated_instances(ob, depsgraph)
                     parts = self._grown[uid]
-                itself = is_shown or ob != shown_by
-                if itself and may_hold_out(ob) and not _hides_itself(ob, depsgraph, bool(parts)):
+                itself = (is_shown or ob != shown_by) and may_hold_out(ob)
+                grows = bool(parts) or instances.always_grows(ob)
+                # Without Show Instancer it shows its instances in place of its own faces.
+                if itself and (_shows_instancer(ob, depsgraph) or not grows):
                     parts = [self._own(ob), *parts]
                 for triangles, places in parts:
                     if len(triangles.triangles):
@@ -184,11 +186,6 @@ def _is_on(
 def _shows_instancer(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
     render = depsgraph.mode == "RENDER"
     return ob.show_instancer_for_render if render else ob.show_instancer_for_viewport
-
-
-def _hides_itself(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph, grows: bool) -> bool:
-    """Whether an evaluated object hides its own faces in favor of its instances."""
-    return not _shows_instancer(ob, depsgraph) and (grows or instances.always_grows(ob))
 
 
 def _cuts(ob: bpy.types.Object, shown_by: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:

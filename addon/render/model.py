@@ -71,7 +71,10 @@ class SplatCache:
             counts = [len(parts[p.part]) for p in placed]
             if any(p.holdout for p in placed):
                 runs = [(n, p.holdout) for n, p in zip(counts, placed, strict=True)]
-                splats, shares = self._hold_out(splats, runs)
+                last = self._holdouts
+                if last is None or last[0] is not splats or last[1] != runs:
+                    self._holdouts = last = splats, runs, apply_holdout(splats, runs)
+                splats, shares = last[2]
         owners = [None if p.holdout else p.identity for p in placed]
         return Model(
             splats=splats,
@@ -106,13 +109,6 @@ class SplatCache:
             self.decoded += 1
         self._parts[placed.part] = made
         return made[1]
-
-    def _hold_out(self, splats: Splats, runs: list[tuple[int, bool]]) -> tuple[Splats, Splats]:
-        """`Model.splats` and `shares`; `runs` as for `apply_holdout`."""
-        last = self._holdouts
-        if last is None or last[0] is not splats or last[1] != runs:
-            self._holdouts = last = splats, runs, apply_holdout(splats, runs)
-        return last[2]
 
     def _merge(self, turned: list[tuple[Splats, np.ndarray]]) -> Splats:
         """Splats, each with the matrix to the common space, as one model."""

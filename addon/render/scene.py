@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ..splats.filters import Filters, filters_of
-from ..splats.objects import ANTIALIAS, chain, is_native, is_splats
+from ..splats.objects import ANTIALIAS, can_export, chain
 from ..timeline.frame_at import Moment, moment_of
 from . import compositing_scene
 from .instances import instances
@@ -154,7 +154,7 @@ def sources(depsgraph: bpy.types.Depsgraph) -> list[Source]:
     """The visible splat objects of a depsgraph, including those in collection instances."""
     found = []
     for ob in depsgraph.objects:  # without objects hidden or excluded in the depsgraph's mode
-        found += [_source(o, m, ob, depsgraph) for o, m in instances(ob, depsgraph, _may_show)]
+        found += [_source(o, m, ob, depsgraph) for o, m in instances(ob, depsgraph, can_export)]
     if depsgraph.mode == "RENDER":
         return [source for source in found if source.is_camera_visible]
     return found
@@ -206,7 +206,3 @@ def place(source: Source, frozen: Frozen | None = None, *, always_filtered: bool
         edited=source.is_edited,
         holdout=source.is_holdout,
     )
-
-
-def _may_show(ob: bpy.types.Object) -> bool:
-    return is_splats(ob) or is_native(ob)

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any
 from weakref import WeakValueDictionary
 
 import bpy
@@ -267,25 +267,9 @@ def _from(width: int, height: int) -> Matrix:
     return Matrix(((2 / width, 0, 0, -1), (0, 2 / height, 0, -1), (0, 0, 1, 0), (0, 0, 0, 1)))
 
 
-class Fallback(Protocol):
-    """Draws splats over views whose picture is not ready (live drawing)."""
-
-    def draws_live(self, context: bpy.types.Context) -> bool:
-        """Whether it draws the view of a context."""
-
-    def moves(self, context: bpy.types.Context) -> bool:
-        """Whether the view of a context is moving, so that a picture would be outdated."""
-
-    def stays(self, context: bpy.types.Context) -> bool:
-        """Whether it always draws the view of a context, unless there are holdouts, so that no
-        picture is needed."""
-
-    def covers_photos(self, context: bpy.types.Context) -> bool:
-        """Whether it draws the picture in `OVER` of a context's view over Blender's drawing."""
-
-
-FALLBACKS: list[Fallback] = []
-"""Registered live drawing."""
+FALLBACKS: list[Any] = []
+"""Registered live drawing, `live.draw_handler.LiveFallback`: it draws views whose picture is not
+ready."""
 EXACT: set[int] = set()
 """Pointers of regions that show a finished, current picture."""
 OVER: WeakValueDictionary[int, Viewport] = WeakValueDictionary()

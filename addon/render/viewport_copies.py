@@ -75,7 +75,8 @@ class Copies:
                 data = update.id.original.data
                 uid = None if data is None else data.session_uid
             elif not update.is_updated_geometry:
-                if _is_edited(update.id):
+                # In Edit Mode a selection updates a mesh without a geometry change.
+                if isinstance(update.id, bpy.types.Mesh) and update.id.original.is_editmode:
                     self._unmarked.add(uid)
                 continue
             self._freezers.pop(uid, None)
@@ -197,11 +198,6 @@ class Copies:
                 self._frozen[uid] = frozen
                 self._stale.pop(uid, None)
         return self._frozen[uid]
-
-
-def _is_edited(block: bpy.types.ID) -> bool:
-    """Whether a mesh is in Edit Mode, where a selection updates it without a geometry change."""
-    return isinstance(block, bpy.types.Mesh) and block.original.is_editmode
 
 
 SHARED = Copies()

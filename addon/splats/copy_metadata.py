@@ -1,6 +1,4 @@
-"""Metadata of a mesh, copied to its replacement: custom properties, materials, action, drivers and
-the asset mark.
-"""
+"""Metadata of a mesh, copied to its replacement: custom properties, materials, action, drivers."""
 
 import bmesh
 import bpy
@@ -67,13 +65,6 @@ def copy_user_data(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
         if not name.startswith(_OURS):
             _copy_property(old, mesh, name, value)
     _copy_animation(old, mesh)
-
-
-def copy_asset_mark(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
-    """Mark a mesh as the same asset as another, with catalog, tags and texts."""
-    if old.asset_data is not None:
-        mesh.asset_mark()
-        mesh.asset_data = old.asset_data
 
 
 def _copy_property(old: bpy.types.Mesh, mesh: bpy.types.Mesh, name: str, value: object) -> None:

@@ -26,7 +26,7 @@ _DTYPES = {
     TEXT: np.object_,
 }
 _HIDDEN = ".hide_vert"
-_GROUP_NAME = ".group:"
+GROUP_NAME = ".group:"
 """Prefix of group names in columns, to distinguish them from attribute names."""
 _ENTRIES = np.dtype([("row", np.int32), ("weight", np.float32)])
 _TEXTS = np.dtype([("row", np.int32), ("text", np.object_)])
@@ -110,14 +110,6 @@ def marks(mesh: Any) -> list[Column]:
     return columns
 
 
-def of_groups(names: list[str], weights: np.ndarray) -> list[Column]:
-    """A column for each vertex group, from weights [G, N] float32."""
-    return [
-        Column(f"{_GROUP_NAME}{name}", GROUP, values[:, None])
-        for name, values in zip(names, weights, strict=True)
-    ]
-
-
 def blocks(column: Column) -> list[tuple[str, str, np.ndarray]]:
     """A vertex group or string column as blocks of splats, at least one: name without prefix, data
     type, and entries with `row` and `weight` or `text`, for splats that have one.
@@ -136,7 +128,7 @@ def blocks(column: Column) -> list[tuple[str, str, np.ndarray]]:
             some = some[np.argsort(values[some], kind="stable")]
         entries = np.empty(len(some), _ENTRIES if grouped else _TEXTS)
         entries["row"], entries["weight" if grouped else "text"] = some, values[some]
-        made.append((column.name.removeprefix(_GROUP_NAME), column.kind, entries))
+        made.append((column.name.removeprefix(GROUP_NAME), column.kind, entries))
     return made
 
 
@@ -198,10 +190,3 @@ def read_texts(
     # One by one, because the Python objects of a slice would trigger garbage collection.
     texts = (data[row].value for row in range(begin, min(begin + BLOCK, len(values))))
     values[begin : begin + BLOCK, 0] = [known.setdefault(text, text) for text in texts]
-
-
-def set_texts(mesh: Any, name: str, entries: np.ndarray) -> None:
-    """Set strings of an existing attribute, from entries of `blocks`."""
-    data = mesh.attributes[name].data
-    for row, text in entries.tolist():
-        data[row].value = text

@@ -11,7 +11,7 @@ from .. import attributes
 from ..interface.temporary_data import Temporary
 from ..process.incremental_tasks import BUDGET, Check, Steps, run_in_thread
 from . import objects, point_attributes, vertex_groups
-from .point_attributes import TEXT, Column
+from .point_attributes import GROUP, TEXT, Column
 
 
 class ChunkedRead:
@@ -109,7 +109,8 @@ class ChunkedRead:
                 yield f"Reading vertex groups of {self._of}: {begin / count:.0%}"
                 until = time.perf_counter() + BUDGET
             vertex_groups.read(self._copy(), begin, made)
-        return point_attributes.of_groups(groups, made)
+        names = (f"{point_attributes.GROUP_NAME}{name}" for name in groups)
+        return [Column(n, GROUP, w[:, None]) for n, w in zip(names, made, strict=True)]
 
     def _text(self, name: str, values: np.ndarray) -> Steps[None]:
         known: dict[bytes, bytes] = {}

@@ -111,14 +111,11 @@ def _turn_harmonics(columns: list[np.ndarray], rows: np.ndarray, turn: np.ndarra
     while (end := (band + 1) ** 2 - 1) <= len(columns):
         own = slice(band * band - 1, end)
         for values in np.array_split(rows, max(len(rows) // _BLOCK, 1)):
-            _turn_band(columns[own], _range(values), turn[own, own])
+            at = _range(values)
+            old = np.stack([column[at].reshape(-1) for column in columns[own]])
+            for column, new in zip(columns[own], turn[own, own] @ old, strict=True):
+                column[at] = new.reshape(-1, 3)
         band += 1
-
-
-def _turn_band(columns: list[np.ndarray], rows: Rows, turn: np.ndarray) -> None:
-    old = np.stack([values[rows].reshape(-1) for values in columns])
-    for values, new in zip(columns, turn @ old, strict=True):
-        values[rows] = new.reshape(-1, 3)
 
 
 def _range(rows: np.ndarray) -> Rows:

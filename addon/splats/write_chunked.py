@@ -13,20 +13,20 @@ import bpy
 from .. import attributes
 from ..interface.temporary_data import Temporary
 from ..process.incremental_tasks import BUDGET, Steps
-from . import copy_metadata, objects, point_attributes, vertex_groups
+from . import copy_metadata, objects, vertex_groups
 from .mesh_buffers import ReadyT
 from .point_attributes import GROUP, TEXT
-
-
-def _new() -> bpy.types.Mesh:
-    return bpy.data.meshes.new("splats")
 
 
 class ChunkedWrite(Generic[ReadyT]):
     """A mesh being filled. If undo or a file load removes it, filling starts again."""
 
-    # Quoted: see mesh_buffers.py.
-    def __init__(self, loaded: ReadyT, make: "Callable[[], bpy.types.Mesh]" = _new) -> None:
+    def __init__(
+        self,
+        loaded: ReadyT,
+        # Quoted: see mesh_buffers.py.
+        make: "Callable[[], bpy.types.Mesh]" = lambda: bpy.data.meshes.new("splats"),
+    ) -> None:
         """Start.
 
         Args:
@@ -61,7 +61,9 @@ class ChunkedWrite(Generic[ReadyT]):
                     if time.perf_counter() > until:
                         return False
                 if kind == TEXT:
-                    point_attributes.set_texts(mesh, name, values)
+                    data = mesh.attributes[name].data
+                    for row, text in values.tolist():
+                        data[row].value = text
                 else:
                     attributes.fill(mesh, name, kind, values)
             self._next += 1
@@ -138,7 +140,9 @@ def swap(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> None:
     """
     old = ob.data
     name = old.name
-    copy_metadata.copy_asset_mark(old, mesh)
+    if old.asset_data is not None:  # the same asset, with catalog, tags and texts
+        mesh.asset_mark()
+        mesh.asset_data = old.asset_data
     mesh.use_fake_user = old.use_fake_user
     attributes.copy_active(mesh, old)
     with vertex_groups.settings_kept(ob):

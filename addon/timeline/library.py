@@ -76,14 +76,6 @@ NOTHING = Frame(FrameFile(0, Path(), (0, 0)), NO_SPLATS)
 
 
 @dataclass
-class _Request:
-    """Requests of one object."""
-
-    files: tuple[FrameFile, ...] = ()
-    """The current frame, then the next ones."""
-
-
-@dataclass
 class _Known:
     """Result of a folder scan, or its error."""
 
@@ -116,7 +108,8 @@ class Library:
         self._folders_to_scan: OrderedDict[Folder, None] = OrderedDict()
         self._frames: OrderedDict[FrameFile, Frame] = OrderedDict()
         self._problems: OrderedDict[FrameFile, str] = OrderedDict()
-        self._requests: dict[Hashable, _Request] = {}
+        self._requests: dict[Hashable, tuple[FrameFile, ...]] = {}
+        """The current frame, then the next ones, by requesting object."""
         self._under_way: FrameFile | None = None
         self._typical = 0
         self._era = 0
@@ -200,7 +193,7 @@ class Library:
             files: The current frame, then the next ones.
         """
         with self._changed:
-            self._requests[owner] = _Request(tuple(files))
+            self._requests[owner] = tuple(files)
             if self._next() is not None:
                 self._wake()
 
@@ -267,7 +260,7 @@ class Library:
 
     def _in_order(self) -> list[FrameFile]:
         """Requested files that fit into memory, by urgency."""
-        queues = [wanted.files for wanted in self._requests.values()]
+        queues = list(self._requests.values())
         chosen: dict[FrameFile, None] = {}
         taken = 0
         for place in range(max(map(len, queues), default=0)):

@@ -89,7 +89,9 @@ class ImportSequence(Browsing, IncrementalOperator, OnScene, bpy.types.Operator)
     def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Find the frames and read the first in a thread, then write it to Blender."""
         folder, called = self._chosen()
-        parent = self._parent(context)
+        parent = root_of(context.object) if self.under_capture else None
+        if self.capture:
+            parent = find_root(context, self.capture)
         options = {"called": called, "start": self.start, "parent": parent, "up": self.up}
         made = yield from importing_sequence(context, folder, **options)
         return self._finish(context, *made)
@@ -115,12 +117,6 @@ class ImportSequence(Browsing, IncrementalOperator, OnScene, bpy.types.Operator)
         poll_timer.ensure()
         first, last = series.files[0].number, series.files[-1].number
         return f"Imported {len(series.files):,} frames, {first} to {last}."
-
-    def _parent(self, context: bpy.types.Context) -> bpy.types.Object | None:
-        """The capture's empty, if any."""
-        if self.capture:
-            return find_root(context, self.capture)
-        return root_of(context.object) if self.under_capture else None
 
     def _chosen(self) -> tuple[Path, str]:
         """The folder, and the name pattern of its frames."""

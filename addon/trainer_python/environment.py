@@ -4,7 +4,7 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -109,7 +109,8 @@ def _candidates(chosen: str, private: Path | None) -> Iterator[Path]:
     if command := shutil.which("gscore"):
         # The command is next to the Python of its environment, or a link to there.
         for folder in (Path(command).resolve().parent, Path(command).parent):
-            yield from (folder / name for name in _program_names(("python", "python3")))
+            for name in ("python", "python3"):
+                yield folder / (f"{name}.exe" if os.name == "nt" else name)
     for variable in ("VIRTUAL_ENV", "CONDA_PREFIX"):
         if folder := os.environ.get(variable):
             yield python_in(Path(folder))
@@ -118,10 +119,6 @@ def _candidates(chosen: str, private: Path | None) -> Iterator[Path]:
         if path := shutil.which(name):
             yield Path(path)
     yield Path(sys.executable)
-
-
-def _program_names(names: Iterable[str]) -> list[str]:
-    return [f"{name}.exe" if os.name == "nt" else name for name in names]
 
 
 def _verdict(python: Path, output: list[str], stderr: list[str]) -> Verdict:

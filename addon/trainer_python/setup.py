@@ -19,12 +19,6 @@ def private_folder() -> Path:
     return own_folder() / "trainer"
 
 
-def bundled_wheel() -> Path | None:
-    """gscore's wheel in the extension, for this system."""
-    root = Path(__file__).parents[2]
-    return installer.find_wheel([root / "wheels", root / "dist"], __version__)
-
-
 def trainer_python(prefs: Any) -> Path:
     """The trainer's Python: the chosen one, the add-on's own, or one that was found.
 
@@ -64,7 +58,8 @@ def contents(prefs: Any, *, wheel: Path | None = None) -> list[str]:
 
 
 def _wheel(chosen: Path | None) -> Path:
-    wheel = chosen or bundled_wheel()
+    root = Path(__file__).parents[2]
+    wheel = chosen or installer.find_wheel([root / "wheels", root / "dist"], __version__)
     if wheel is None:
         raise ValueError(
             f"This copy of the add-on has no gscore {__version__} for this system; install the "

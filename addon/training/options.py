@@ -98,20 +98,15 @@ def continuation(settings: Settings, info: RunInfo) -> dict[str, float]:
             )
         return {}
     iterations = info.iterations
-    if not _limited(settings, info):
+    capped = info.train is not None and info.train.steps_a_photo > 0
+    preset = PRESETS[settings.preset](Path())[1]
+    if not capped or settings.iterations != preset.iterations:  # else the photos cap the preset's
         iterations = max(settings.iterations, iterations)
     if info.steps >= iterations:
         raise ValueError(
             f"The run has taken all of its {info.steps:,} steps; raise Steps to continue."
         )
     return {"iterations": iterations} if iterations != info.iterations else {}
-
-
-def _limited(settings: Settings, info: RunInfo) -> bool:
-    """True if the steps are the preset's, which the number of photos caps."""
-    preset = PRESETS[settings.preset](Path())[1]
-    capped = info.train is not None and info.train.steps_a_photo > 0
-    return capped and settings.iterations == preset.iterations
 
 
 def resumed_run(

@@ -132,7 +132,9 @@ class Job:
             return True
         if self.state.status == run_state.STOPPING and self.silent_s > STOP_GRACE:
             self._process.kill()
-        self._request_live()
+        due = time.monotonic() - self._snapshot_requested_at >= self.live_seconds > 0
+        if due and not self._snapshot_pending and self.state.status == run_state.RUNNING:
+            self.snapshot()
         return changed
 
     def load(self, path: Path, *, most: int = 0, final: bool = False) -> None:
@@ -203,8 +205,3 @@ class Job:
         if self._clearer is None:
             self._clearer = start_thread(lambda: clear_run(self.output), "gscore-clearer")
         return self._clearer.is_alive()
-
-    def _request_live(self) -> None:
-        due = time.monotonic() - self._snapshot_requested_at >= self.live_seconds > 0
-        if due and not self._snapshot_pending and self.state.status == run_state.RUNNING:
-            self.snapshot()

@@ -259,7 +259,7 @@ def test_progress_is_redrawn(prefs: preferences.Preferences) -> None:
 
 def test_a_wheel_is_needed(prefs: preferences.Preferences, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the error of a copy that was not installed from the zip file."""
-    monkeypatch.setattr(setup, "bundled_wheel", lambda: None)
+    monkeypatch.setattr(installer, "find_wheel", lambda *_: None)
     with pytest.raises(RuntimeError, match="has no gscore"):
         bpy.ops.gscore.make_environment()
 
