@@ -1,8 +1,12 @@
 """Captures for the depth experiment: fewer views, exact depth, and depth as a network errs."""
 
+import json
 import shutil
+import subprocess
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
@@ -47,6 +51,16 @@ def studio() -> Source:
         unit=STUDIO_UNIT,
         test=tuple((folder / "test.txt").read_text().split()),
     )
+
+
+def train(folder: Path, out: Path, options: list[str]) -> dict[str, Any]:
+    """Train as `gscore train` does, without checkpoints; returns what it prints as JSON."""
+    command = [sys.executable, "-m", "gscore", "train", folder, "-o", out, "--overwrite"]
+    command += ["--quiet", "--json", "--checkpoint-seconds", "0", *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(map(str, command))}\n{done.stderr}")
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def few_views(source: Source, count: int, folder: Path) -> list[str]:

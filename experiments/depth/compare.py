@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from gscore.bench.quality import COMPARED, CORRECTED
+from gscore.commands.bench.shared import ResultsFile
 from gscore.io.files import atomic_write
 from gscore.io.images.png import write_png
 from gscore.io.images.read_image import resize
@@ -40,6 +41,7 @@ from .captures import (
     few_views,
     photo,
     studio,
+    train,
     training_views,
     write_depths,
     write_mono,
@@ -71,9 +73,8 @@ def main() -> int:
             ]
             _pictures(source, found, args.output / f"{source.name}-{count}-{setting.folder}.png")
     rows = [json.loads(path.read_text()) for path in sorted(runs.glob("*/row.json"))]
-    atomic_write(args.output / "results.json", (json.dumps(rows, indent=1) + "\n").encode())
     table = tables(rows, list(ARMS))
-    atomic_write(args.output / "results.md", table.encode())
+    ResultsFile(args.output).write(table, trainings=rows, finished=True)
     print(table)
     return 0
 
@@ -155,7 +156,8 @@ def _with_reference(args: argparse.Namespace, name: str) -> Source:
     done = out / "source.json"
     if not done.is_file():
         setting = Setting(**REFERENCE, threads=args.threads)
-        _train(folder, out / "run", setting, ["--eval", "--mask-mode", "none"], seed=0)
+        options = ["--seed", "0", *setting.options, "--eval", "--mask-mode", "none"]
+        train(folder, out / "run", options)
         cameras = json.loads((out / "run" / "cameras.json").read_text())
         metrics = json.loads((out / "run" / "metrics.json").read_text())
         splats = read_ply(out / "run" / "point_cloud.ply")
@@ -239,7 +241,7 @@ def _run(
         options += ["--mask-mode", "none"]
     options += ["--hold-out", str(folder / "test.txt")]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    measured = _train(folder, out, setting, options, seed=seed)
+    measured = train(folder, out, ["--seed", str(seed), *setting.options, *options])
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return {
         "capture": source.name,
@@ -254,18 +256,6 @@ def _run(
         "splats_sha256": hashlib.sha256((out / "point_cloud.ply").read_bytes()).hexdigest(),
         **measure(source, out, masked=masked),
     }
-
-
-def _train(
-    folder: Path, out: Path, setting: Setting, options: list[str], *, seed: int
-) -> dict[str, Any]:
-    command = [sys.executable, "-m", "gscore", "train", folder, "-o", out, "--overwrite"]
-    command += ["--quiet", "--json", "--seed", str(seed), *setting.options]
-    command += ["--checkpoint-seconds", "0", *options]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(f"{' '.join(map(str, command))}\n{done.stderr}")
-    return json.loads(done.stdout.splitlines()[-1])
 
 
 def _known(folder: Path, options: list[str]) -> float | None:

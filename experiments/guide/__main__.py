@@ -10,13 +10,11 @@ the held-out ones shows, or studio's exact depth. What is there already is not t
 import argparse
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 
-from experiments.depth.captures import Source, few_views, studio
+from experiments.depth.captures import Source, few_views, studio, train
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.io.colmap.folder import read_model
@@ -85,12 +83,8 @@ def _prepared(root: Path, capture: str, views: int) -> Path:
 def _train(source: Path, out: Path, options: list[str], test: Path, seed: int) -> None:
     if (out / "metrics.json").is_file():
         return
-    line = [sys.executable, "-m", "gscore", "train", str(source), "-o", str(out), "--eval"]
-    line += ["--preset", "preview", "--hold-out", str(test), "--seed", str(seed), *options]
-    line += ["--mask-mode", "none", "--checkpoint-seconds", "0", "--overwrite", "--threads", "1"]
-    done = subprocess.run(line, capture_output=True, text=True, check=False)
-    if done.returncode:
-        sys.exit(done.stdout[-2000:] + done.stderr[-2000:])
+    line = ["--eval", "--preset", "preview", "--hold-out", str(test), "--seed", str(seed)]
+    train(source, out, [*line, *options, "--mask-mode", "none", "--threads", "1"])
 
 
 def _tell(folder: Path, out: Path) -> None:

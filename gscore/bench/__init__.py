@@ -1,1 +1,1 @@
-"""Benchmarks that a user can repeat: speed, memory, run time against error, held-out quality."""
+"""Measured trainings, paired statistics and synthetic captures of the benchmarks."""

@@ -8,9 +8,10 @@ import numpy as np
 
 from ..io.colmap.folder import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints, write_model
 from ..io.files import atomic_write
+from ..io.ply.splats import write_splats
 from ..raster.api import render
 from ..scene import Cameras, PointCloud, Scene
-from .raster import synthetic_scene
+from ..splats import Splats
 
 _VIEWS = 6
 """Camera positions around the cloud."""
@@ -18,6 +19,35 @@ _POINTS = 1000
 """Splats whose means become the points of a capture on disk."""
 _QUALITY = 90
 """Quality of its JPEG files."""
+
+
+def synthetic_scene(
+    count: int = 100_000, width: int = 640, height: int = 360, seed: int = 0
+) -> tuple[Splats, Cameras]:
+    """A seeded cloud of small splats in front of one camera, for machines without a capture."""
+    rng = np.random.default_rng(seed)
+    z = rng.uniform(2, 5, count)
+    means = np.stack(
+        [rng.uniform(-0.65, 0.65, count) * z, rng.uniform(-0.375, 0.375, count) * z, z], axis=1
+    )
+    splats = Splats(
+        means=means.astype(np.float32),
+        quats=rng.normal(size=(count, 4)).astype(np.float32),
+        scales=(rng.normal(size=(count, 3)) * 0.7 + np.log(0.008)).astype(np.float32),
+        opacities=(rng.normal(size=count) * 1.5 - 0.5).astype(np.float32),
+        sh0=rng.normal(size=(count, 1, 3)).astype(np.float32),
+        shN=(rng.normal(size=(count, 15, 3)) * 0.1).astype(np.float32),
+    )
+    focal = 500.0 * width / 640
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    cameras = Cameras(
+        viewmats=np.eye(4)[None],
+        Ks=K[None],
+        widths=np.array([width]),
+        heights=np.array([height]),
+        names=("synthetic",),
+    )
+    return splats, cameras
 
 
 class SyntheticPhotos:
@@ -108,3 +138,10 @@ class SyntheticPhotos:
             ),
         )
         write_model(model, folder / "sparse" / "0")
+
+
+def write_capture(folder: Path, splats: int, views: int, width: int, height: int) -> None:
+    """Write `splats.ply` and `capture`, with photos of the splats, into a folder; SH degree 3."""
+    photos = SyntheticPhotos(splats, width, height)
+    write_splats(folder / "splats.ply", photos.splats)
+    photos.write(folder / "capture", views)

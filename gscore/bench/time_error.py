@@ -9,30 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from ..config import TrainConfig
-from ..datasets import Dataset
 from ..errors import FormatError
 from ..events import finite
 from ..io.files import read_bytes
 from ..json_text import parse_json
 from ..quoting import brief, quoted
-from .training import Point, first_size, train_measured
+from .training import Point, Variant, first_size, train_measured
 
 _POINTS = 12
 """Measurements along a training, evenly spread over the logarithm of the step."""
 _BELOW = (1.0, 0.5, 0.0)
 """Distances from the best final PSNR whose times the table lists, dB."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Variant:
-    """One way to train."""
-
-    label: str
-    config: TrainConfig
-    photos: Dataset
-    eval_views: Dataset
-    """The views at the size for measurements; may be `photos`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -84,27 +84,44 @@ def load_for_bench(data: DataConfig) -> Dataset:
     return photos
 
 
-def open_sizes(datas: Sequence[DataConfig]) -> tuple[list[Dataset], Dataset]:
-    """The photos of one capture at several sizes, not decoded yet.
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """One way to train."""
+
+    label: str
+    data: DataConfig
+    config: TrainConfig
+    photos: Dataset
+    eval_views: Dataset
+    """The views at the size for measurements; may be `photos`."""
+
+
+def open_variants(options: Sequence[tuple[str, DataConfig, TrainConfig]]) -> list[Variant]:
+    """Variants of one capture, perhaps with photos of several sizes, not decoded yet.
+
+    Args:
+        options: Label and options of each.
 
     Returns:
-        The photos of each config, the same object for equal sizes; and the largest of them, for
-        all measurements.
+        The variants. Those with photos of one size share them; all are measured on the largest.
 
     Raises:
         DatasetError: no views are held out.
     """
     opened: dict[DataConfig, Dataset] = {}
     sizes: dict[bytes, Dataset] = {}
-    for data in datas:
+    for _, data, _ in options:
         if data not in opened:
             photos = open_for_bench(data)
             cameras = photos.scene.cameras
             opened[data] = sizes.setdefault(
                 np.stack([cameras.widths, cameras.heights]).tobytes(), photos
             )
-    found = [opened[data] for data in datas]
-    return found, max(found, key=_pixels)
+    eval_views = max(opened.values(), key=_pixels)
+    return [
+        Variant(label=label, data=data, config=config, photos=opened[data], eval_views=eval_views)
+        for label, data, config in options
+    ]
 
 
 def first_size(photos: Dataset) -> tuple[int, int]:

@@ -3,10 +3,10 @@
 import pytest
 
 from gscore.bench.child_process import run_child
-from gscore.bench.raster import synthetic_scene
-from gscore.bench.scaling import fit_line
+from gscore.bench.synthetic import synthetic_scene
 from gscore.bench.training import Point, Trained
 from gscore.commands import main
+from gscore.commands.bench.scaling import fit_line
 from gscore.config import Skip
 from gscore.errors import BackendError
 from gscore.metrics.machine import machine
@@ -122,7 +122,9 @@ def test_skips_are_trained_once_each_and_named(
         splats=synthetic_scene(1)[0],
         near=0.01,
     )
-    monkeypatch.setattr("gscore.bench.skips.train_measured", lambda config, photos: trained)
+    monkeypatch.setattr(
+        "gscore.commands.bench.skips.train_measured", lambda config, photos: trained
+    )
     monkeypatch.setattr("gscore.commands.bench.skips.load_for_bench", lambda data: None)
 
     def names(*options: str) -> list[str]:

@@ -10,11 +10,9 @@ import pytest
 
 import gscore
 from gscore.bench.pareto_front import Size, SizeOutcome, pareto_front
-from gscore.bench.raster import synthetic_scene
-from gscore.bench.synthetic import SyntheticPhotos
+from gscore.bench.synthetic import SyntheticPhotos, synthetic_scene
 from gscore.bench.time_error import (
     Curve,
-    Variant,
     curve_json,
     labels,
     measure_variant,
@@ -22,10 +20,18 @@ from gscore.bench.time_error import (
     read_peers,
     time_to_psnr,
 )
-from gscore.bench.training import Point, Trained, load_for_bench, open_sizes, train_measured
+from gscore.bench.training import (
+    Point,
+    Trained,
+    Variant,
+    load_for_bench,
+    open_variants,
+    train_measured,
+)
 from gscore.commands import main
-from gscore.commands.bench.curve_figures import table, write_curves
-from gscore.config import Skip, Strategy, TrainConfig
+from gscore.commands.bench.time_error import table, write_curves
+from gscore.config import DataConfig, Skip, Strategy, TrainConfig
+from gscore.datasets import Dataset
 from gscore.presets import PRESETS
 from gscore.trainer.trainer import Trainer
 from tests.commands.small_bench import EXAMPLE, bench_json
@@ -227,7 +233,13 @@ def test_curves_and_sizes_are_medians(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gscore.bench.time_error.train_measured", trained)
     size = Size(preset="p", max_splats=1, width=1, iterations=1)
     photos: Any = SyntheticPhotos(1, 16, 16)
-    variant = Variant(label="p", config=TrainConfig(), photos=photos, eval_views=photos)
+    variant = Variant(
+        label="p",
+        data=DataConfig(source=EXAMPLE),
+        config=TrainConfig(),
+        photos=photos,
+        eval_views=photos,
+    )
     found = SizeOutcome.of(size, measure_variant(variant, [0, 1, 2], along=False))
     assert (found.seconds, found.psnr, found.splats, found.ssim) == (2, 20, 20, 0.5)
     assert found.seeds == [10, 30, 20]
@@ -378,8 +390,14 @@ def test_presets_are_evaluated_at_one_size() -> None:
     data = PRESETS["preview"](EXAMPLE)[0]
     data = replace(data, mask_mode="none", test_every=20, eval=True)
     widths = [60, 120, 60, 120]
-    found, evaluated = open_sizes([replace(data, max_width=width) for width in widths])
+
+    def opened(*widths: int) -> tuple[list[Dataset], list[Dataset]]:
+        sizes = [("", replace(data, max_width=width), TrainConfig()) for width in widths]
+        variants = open_variants(sizes)
+        return [one.photos for one in variants], [one.eval_views for one in variants]
+
+    found, evaluated = opened(*widths)
     assert [int(p.scene.cameras.widths[0]) for p in found] == widths
-    assert evaluated is found[1] is found[3] and found[0] is found[2]
-    wide, _ = open_sizes([replace(data, max_width=width) for width in (10_000, 20_000)])
+    assert all(one is found[1] is found[3] for one in evaluated) and found[0] is found[2]
+    wide, _ = opened(10_000, 20_000)
     assert wide[0] is wide[1]

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import gscore
-from gscore.bench.raster import synthetic_scene
+from gscore.bench.synthetic import synthetic_scene
 from gscore.splats import Splats
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from gscore.bench.raster import synthetic_scene
+from gscore.bench.synthetic import synthetic_scene
 from gscore.raster.api import render
 from gscore.raster.autograd import rasterize
 from gscore.splats import PARAMETERS

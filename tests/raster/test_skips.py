@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import gscore
-from gscore.bench.raster import synthetic_scene
+from gscore.bench.synthetic import synthetic_scene
 from gscore.errors import ShapeError
 from gscore.raster import header
 

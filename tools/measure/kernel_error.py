@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gscore.bench.raster import bench_raster, synthetic_scene
+from gscore.bench.synthetic import synthetic_scene
+from gscore.commands.bench.raster import bench_raster
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.io.files import atomic_write

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 import gscore
-from gscore.bench.raster import synthetic_scene
+from gscore.bench.synthetic import synthetic_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))

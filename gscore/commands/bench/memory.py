@@ -2,19 +2,136 @@
 
 import argparse
 import sys
-from dataclasses import asdict
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 
-from ...bench.memory import MIN_STEPS, MemoryBench, bench_memory
+from ...bench.child_process import run_child
+from ...config import DataConfig, TrainConfig
 from ...errors import BackendError
-from ...metrics.machine import machine
+from ...events import Estimated, Event
+from ...metrics.machine import machine, peak_memory_bytes
 from ...raster import native_library
+from ...splats import SH_REST_BY_DEGREE
 from ...text_format import count_text, number
+from ...trainer.run import train
 from ..parser import add_option, add_threads_option
 from ..terminal.output import print_json
 from ..terminal.status import show_while, wrapped
 from .scaling import size
 from .shared import check_numbers
+
+MIN_STEPS = 10
+"""Minimum steps, so that refinements, a snapshot and a checkpoint have different steps."""
+_REFINEMENTS = 3
+"""Consecutive refinements in the middle of the run, each of which moves all rows."""
+
+_WRITER = """
+import sys
+from pathlib import Path
+from gscore.bench.synthetic import write_capture
+write_capture(Path(sys.argv[1]), *map(int, sys.argv[2:]))
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MemoryBench:
+    """Memory of a run and its parts."""
+
+    splats: int
+    views: int
+    width: int
+    """Width of each view, px."""
+    height: int
+    steps: int
+    forecast_bytes: int
+    """Estimate before the run."""
+    peak_bytes: int
+    """Largest resident memory."""
+    parts: dict[str, int]
+    """Bytes at the peak: the process before the run, photos, parameters, their gradients and
+    moments, and the rest, mostly of the rasterizer."""
+
+
+def bench_memory(
+    *,
+    splats: int,
+    views: int,
+    width: int,
+    height: int,
+    steps: int = 40,
+    threads: int = 0,
+    on_event: Callable[[Event], None] | None = None,
+) -> MemoryBench | None:
+    """Train for some steps at full size from given splats of SH degree 3, with all parts of a long
+    run: refinements, snapshots, checkpoints and an evaluation.
+
+    Call it once in a new process: the peak is that of the whole process.
+
+    Args:
+        splats: Number of splats of the cloud, and maximum of the training.
+        views: Number of photos, of which every eighth is held out.
+        width: Width of a photo, px.
+        height: Height of a photo, px.
+        steps: Steps of the training, at least MIN_STEPS.
+        threads: 0: all cores.
+        on_event: Receives the events of the run.
+
+    Returns:
+        The measurement; None if the system does not report the memory of a process.
+    """
+    before = peak_memory_bytes()
+    estimates: list[int] = []
+
+    def on_any_event(event: Event) -> None:
+        if isinstance(event, Estimated):
+            estimates.append(event.peak_bytes)
+        if on_event is not None:
+            on_event(event)
+
+    with tempfile.TemporaryDirectory(prefix="gscore-") as name:
+        folder = Path(name)
+        # In another process, whose memory is not measured.
+        values = [str(value) for value in (folder, splats, views, width, height)]
+        run_child(["-c", _WRITER, *values], what="writes the capture")
+        config = TrainConfig(
+            iterations=steps,
+            max_splats=splats,
+            sh_degree=3,
+            start_splats=folder / "splats.ply",
+            refine_start=steps // 2,
+            refine_stop=steps // 2 + _REFINEMENTS,
+            refine_every=1,
+            coarse_factor=1.0,
+            snapshot_every=steps // 2 + 1,
+            checkpoint_iterations=(steps // 2 + 2,),
+            threads=threads,
+        )
+        data = DataConfig(source=folder / "capture", resolution=1, eval=True)
+        train(config, data, folder / "out", on_any_event)
+    peak = peak_memory_bytes()
+    if peak is None or before is None:
+        return None
+    numbers = 4 * splats * (11 + 3 * (1 + SH_REST_BY_DEGREE[3]))
+    parts = {
+        "before the run": before,
+        "photos": 3 * views * width * height,
+        "parameters": numbers,
+        "gradients": numbers,
+        "moments": 2 * numbers,
+    }
+    return MemoryBench(
+        splats=splats,
+        views=views,
+        width=width,
+        height=height,
+        steps=steps,
+        forecast_bytes=estimates[0],
+        peak_bytes=peak,
+        parts=parts | {"the rest": peak - sum(parts.values())},
+    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

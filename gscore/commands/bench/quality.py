@@ -1,24 +1,36 @@
 """`gscore bench quality`: held-out quality over captures, seeds and splits."""
 
 import argparse
-import sys
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from ...bench.leave_out import THINNED
 from ...bench.quality import train_scored
-from ...config import DataConfig
-from ...io.output_paths import check_output_path
+from ...bench.training import open_variants
+from ...config import DataConfig, TrainConfig
+from ...errors import ConfigError
 from ...metrics import Lpips, LpipsNet, find_lpips
 from ...presets import RECIPES
+from ...quoting import quoted
 from ...trainer.schedule.caps import cap_by_photos
 from ..parser import add_option
-from ..terminal.output import check_folder, check_replaced
+from ..terminal.output import check_replaced
 from ..terminal.status import Status
-from .quality_plans import Cell, cells_of, variants_of
 from .quality_results import QualityResults, tables
-from .shared import Ticker, add_training_options, check_numbers
+from .shared import (
+    Cell,
+    Ticker,
+    add_training_options,
+    changed,
+    check_bench,
+    check_numbers,
+    named_sources,
+    train_cells,
+    training_configs,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,33 +72,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the trainings that results.json lacks; print the tables and verdicts."""
-    args.seeds = list(dict.fromkeys(args.seeds))
+    check_bench(args)
     args.offsets = list(dict.fromkeys(args.offsets))
     args.thin = list(dict.fromkeys(args.thin))
     check_numbers(args, 0, "seeds", "offsets")
     check_numbers(args, 1, "thin")
-    check_folder(args.output)
-    for source in args.sources:
-        check_output_path(args.output, DataConfig(source=source))
     written = [args.output / name for name in ("results.json", "results.md")]
     check_replaced(written, overwrite=args.overwrite)
     lpips, _ = find_lpips(args.lpips, threads=args.threads)
-    cells = deque(cells_of(args, variants_of(args)))
+    cells = deque(cells_of(args))
     results = QualityResults(args, cells, lpips.net if lpips else None)
-    with Status(sys.stderr) as status:
-        while cells:
-            _train(cells.popleft(), results, lpips, status)  # frees the photos afterwards
-    results.finish()
+    train_cells(cells, lambda cell, status: _train(cell, args.seeds, results, lpips, status))
+    results.write_report(finished=True)
     print(results.text() if args.json else tables(results.report()), flush=True)
     return 0
 
 
 def _train(
-    cell: Cell, results: QualityResults, lpips: Lpips | LpipsNet | None, status: Status
+    cell: Cell,
+    seeds: list[int],
+    results: QualityResults,
+    lpips: Lpips | LpipsNet | None,
+    status: Status,
 ) -> None:
     """Train the variants in turn for each seed, so that slow hours of the machine affect all."""
     ticker = Ticker(f"{cell.capture}, offset {cell.offset}", status)
-    for seed in cell.seeds:
+    for seed in seeds:
         for variant in cell.variants:
             label, photos = variant.label, variant.photos
             if results.has(cell.capture, label, seed, cell.offset):
@@ -108,3 +119,88 @@ def _train(
                 on_step=partial(ticker, label, seed, iterations=config.iterations),
             )
             results.add(training)
+
+
+_Request = tuple[str, str, tuple[str, ...]]
+"""Label, preset and changes of a variant on the command line."""
+
+
+def _requests(args: argparse.Namespace) -> list[_Request]:
+    """The unchanged preset, and each variant of `--compare`.
+
+    Raises:
+        ConfigError: two variants have one name, or a text is not NAME=CHANGES.
+    """
+    variants: list[_Request] = [(args.preset, args.preset, ())]
+    for text in args.compare:
+        name, equals, changes = text.partition("=")
+        if not (name and equals and changes):
+            raise ConfigError(
+                "`--compare` takes NAME=CHANGES, such as both=mcmc,free-space=0, got "
+                f"{quoted(text)}."
+            )
+        if name in [label for label, *_ in variants]:
+            raise ConfigError(f"`--compare`: two variants are called {quoted(name)}.")
+        variants.append(_request(args, name, changes.split(",")))
+    return variants
+
+
+def _request(args: argparse.Namespace, label: str, changes: Sequence[str]) -> _Request:
+    presets = [part.removeprefix("preset=") for part in changes if part.startswith("preset=")]
+    for preset in presets:
+        if preset not in RECIPES:
+            raise ConfigError(
+                f"`--compare {label}`: there is no preset {quoted(preset)}; there are: "
+                f"{', '.join(RECIPES)}."
+            )
+    rest = tuple(part for part in changes if not part.startswith("preset="))
+    return label, [args.preset, *presets][-1], rest
+
+
+def cells_of(args: argparse.Namespace) -> list[Cell]:
+    """One cell per capture, thinning and offset; no photo is decoded yet.
+
+    Raises:
+        GsError: an invalid capture, option or offset, or a variant of `--compare`.
+    """
+    requests = _requests(args)
+    return [
+        _cell(args, name, source, offset, thin, requests)
+        for name, source in named_sources(args.sources).items()
+        for thin in args.thin
+        for offset in args.offsets
+    ]
+
+
+def _cell(
+    args: argparse.Namespace,
+    name: str,
+    source: Path,
+    offset: int,
+    thin: int,
+    requests: Sequence[_Request],
+) -> Cell:
+    options: list[tuple[str, DataConfig, TrainConfig]] = []
+    for label, preset, changes in requests:
+        data, config = training_configs(args, source, preset)
+        one = _held_out(data, offset), changed(config, changes, flag="--compare")
+        for first, *other in options:
+            if other == [*one]:  # their difference would be noise
+                raise ConfigError(
+                    f"`--compare {label}` changes nothing: it is the same as {first}."
+                )
+        options.append((label, *one))
+    variants = open_variants(options)
+    for photos in {id(variant.photos): variant.photos for variant in variants}.values():
+        photos.train = photos.train[::thin]
+    capture = name if thin == 1 else f"{name}{THINNED}{thin}"
+    return Cell(capture=capture, offset=offset, variants=variants)
+
+
+def _held_out(data: DataConfig, offset: int) -> DataConfig:
+    if data.test_list is not None or data.test_first or data.test_last:
+        raise ConfigError(
+            "This bench selects test views by `--offsets`; leave out other options that select "
+            "test views."
+        )
+    return replace(data, eval=True, test_offset=offset)

@@ -4,7 +4,6 @@ import argparse
 import shlex
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 from ..._version import __version__
@@ -21,14 +20,12 @@ from ...bench.quality import (
 from ...bench.training import first_size
 from ...config_file import to_dict
 from ...errors import ConfigError, FormatError
-from ...events import finite, strict_json
-from ...io.files import atomic_write, read_bytes
+from ...events import finite
+from ...io.files import read_bytes
 from ...json_text import parse_json
-from ...metrics.machine import machine
 from ...raster import native_library
 from ...text_format import markdown_table, number, number_text
-from ..terminal.output import MARKDOWN_MARK
-from .quality_plans import Cell
+from .shared import Cell, ResultsFile
 
 Report = tuple[dict[str, dict[str, Summary]], list[Comparison]]
 """Metrics by capture and variant; comparisons of the other variants with the first."""
@@ -36,7 +33,7 @@ _SEPARATOR = ("source", "test_offset", "max_width")
 """Options of a capture that are recorded elsewhere or differ by training."""
 
 
-class QualityResults:
+class QualityResults(ResultsFile):
     """The results so far; docs/quality.md describes the file."""
 
     def __init__(self, args: argparse.Namespace, cells: Collection[Cell], net: str | None) -> None:
@@ -45,13 +42,16 @@ class QualityResults:
         Raises:
             ConfigError: that call had other settings, or the file is damaged.
         """
-        self._path: Path = args.output / "results.json"
-        self._command = command_text(args)
-        self._requested = [key for cell in cells for key in _keys(cell)]
         self._setting = _setting(args, cells, net)
+        super().__init__(args.output, command=command_text(args), setting=self._setting)
+        self._requested = [
+            (cell.capture, variant.label, seed, cell.offset)
+            for cell in cells
+            for variant in cell.variants
+            for seed in args.seeds
+        ]
         self._trainings: dict[tuple[str, str, int, int], Training] = {}
-        self._finished = False
-        if self._path.is_file() and not args.overwrite:
+        if self.path.is_file() and not args.overwrite:
             self._read()
 
     def has(self, capture: str, variant: str, seed: int, offset: int) -> bool:
@@ -61,12 +61,7 @@ class QualityResults:
     def add(self, training: Training) -> None:
         """Add a training and write the file."""
         self._trainings[training.key] = training
-        self._write()
-
-    def finish(self) -> None:
-        """Mark the results as complete."""
-        self._finished = True
-        self._write()
+        self.write_report()
 
     def report(self) -> Report:
         """The tables of the requested results, as far as they exist."""
@@ -84,44 +79,34 @@ class QualityResults:
         compared = [compare(done, variants[0], label) for label in variants[1:]]
         return summaries, [found for found in compared if found is not None]
 
-    def text(self) -> str:
-        """The content of the file."""
-        summaries, compared = self.report()
-        content = {
-            "gscore": __version__,
-            "finished": self._finished,
-            "machine": machine(),
-            "isa": native_library.isa(),
-            "command": self._command,
-            "setting": self._setting,
-            "captures": {
+    def write_report(self, *, finished: bool = False) -> None:
+        """Write the files with the tables so far."""
+        summaries, compared = report = self.report()
+        self.write(
+            f"```\n{self.content['command']}\n```\n\n{tables(report)}",
+            finished=finished,
+            captures={
                 name: {label: asdict(summary) for label, summary in variants.items()}
                 for name, variants in summaries.items()
             },
-            "comparisons": [asdict(comparison) for comparison in compared],
-            "trainings": [training_json(training) for training in self._trainings.values()],
-        }
-        return strict_json(content)
-
-    def _write(self) -> None:
-        atomic_write(self._path, (self.text() + "\n").encode())
-        page = f"{MARKDOWN_MARK}```\n{self._command}\n```\n\n{tables(self.report())}\n"
-        atomic_write(self._path.with_suffix(".md"), page.encode())
+            comparisons=[asdict(comparison) for comparison in compared],
+            trainings=[training_json(training) for training in self._trainings.values()],
+        )
 
     def _read(self) -> None:
         try:
-            content = parse_json(read_bytes(self._path))
+            content = parse_json(read_bytes(self.path))
             setting, trainings = content["setting"], content["trainings"]
             differing = list(_differing(setting, self._setting))
             found = [read_training(training) for training in trainings]
         except (AttributeError, KeyError, TypeError, ValueError, FormatError) as error:
             raise ConfigError(
-                f"{self._path} is not a results.json of this bench, or damaged ({error}); move it "
+                f"{self.path} is not a results.json of this bench, or damaged ({error}); move it "
                 "away or choose another output."
             ) from error
         if differing:
             raise ConfigError(
-                f"{self._path} has other settings: {'; '.join(differing[:5])}. Give the same "
+                f"{self.path} has other settings: {'; '.join(differing[:5])}. Give the same "
                 "options to continue, or choose another output."
             )
         self._trainings = {training.key: training for training in found}
@@ -143,23 +128,17 @@ def command_text(args: argparse.Namespace) -> str:
     return shlex.join(words)
 
 
-def _keys(cell: Cell) -> Iterator[tuple[str, str, int, int]]:
-    for variant in cell.variants:
-        for seed in cell.seeds:
-            yield cell.capture, variant.label, seed, cell.offset
-
-
 def _setting(args: argparse.Namespace, cells: Iterable[Cell], net: str | None) -> dict[str, Any]:
     """Settings that must be equal for comparable trainings."""
     variants: dict[str, Any] = {}
     captures: dict[str, Any] = {}
     for cell in cells:
-        for variant, data in zip(cell.variants, cell.datas, strict=True):
-            options = to_dict(replace(variant.config, seed=0)) | {"max_width": data.max_width}
-            variants[variant.label] = options
-        data = {k: v for k, v in to_dict(cell.datas[0]).items() if k not in _SEPARATOR}
-        size = list(first_size(cell.variants[0].eval_views))
-        source = str(cell.datas[0].source.resolve())
+        for variant in cell.variants:
+            options = to_dict(replace(variant.config, seed=0))
+            variants[variant.label] = options | {"max_width": variant.data.max_width}
+        first = cell.variants[0]
+        data = {k: v for k, v in to_dict(first.data).items() if k not in _SEPARATOR}
+        size, source = list(first_size(first.eval_views)), str(first.data.source.resolve())
         captures[cell.capture] = data | {"source": source, "judged_on": size}
     return finite(
         {

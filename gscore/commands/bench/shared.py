@@ -1,16 +1,24 @@
-"""Shared parts of several benches: options of trainings, changes, instruction sets, progress."""
+"""Shared parts of several benches: options of trainings, changes, cells, results, progress."""
 
 import argparse
 import sys
+from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ..._version import __version__
+from ...bench.pareto_front import Size
+from ...bench.time_error import Curve
+from ...bench.training import Variant
 from ...config import LIFTED_BY, DataConfig, Skip, Strategy, TrainConfig
 from ...config_file import from_dict, to_dict
 from ...errors import ConfigError
+from ...events import strict_json
+from ...io.files import atomic_write
+from ...io.output_paths import check_output_path
 from ...json_text import parse_json
 from ...metrics.machine import machine
 from ...option_marks import mark_option
@@ -21,7 +29,7 @@ from ...text_format import number
 from ...trainer.files.checkpoint import FREE
 from ..args.data_options import add_data_options, with_data_options
 from ..parser import add_option, add_threads_option
-from ..terminal.output import print_json
+from ..terminal.output import MARKDOWN_MARK, check_folder, print_json
 from ..terminal.status import Status, show_while, wrapped
 
 _EVERY = 8
@@ -85,6 +93,66 @@ class Ticker:
         self._status.show([which, far], share=step / iterations)
         if step == iterations:
             self._status.clear()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One split of one capture, and the trainings on it."""
+
+    capture: str
+    """Its name, with the thinning if any."""
+    offset: int = 0
+    variants: list[Variant]
+    """All are measured on the same photos; the first is the baseline."""
+    sizes: list[tuple[Size, Variant]] = field(default_factory=list)
+    """Model sizes, measured on the largest photos among them."""
+    peers: list[Curve] = field(default_factory=list)
+    """Curves of other programs."""
+
+
+class ResultsFile:
+    """results.json in the output folder, written after each training."""
+
+    def __init__(self, output: Path, **content: Any) -> None:
+        """Start the content, with the version and the machine."""
+        self.path = output / "results.json"
+        self.content: dict[str, Any] = {
+            "gscore": __version__,
+            "finished": False,
+            "machine": machine(),
+            "isa": native_library.isa(),
+            **content,
+        }
+
+    def write(self, page: str = "", **content: Any) -> None:
+        """Update the content and write the file, and results.md with `page` if there is one."""
+        self.content |= content
+        atomic_write(self.path, (self.text() + "\n").encode())
+        if page:
+            atomic_write(self.path.with_suffix(".md"), f"{MARKDOWN_MARK}{page}\n".encode())
+
+    def text(self) -> str:
+        """The content of the file."""
+        return strict_json(self.content)
+
+
+def check_bench(args: argparse.Namespace) -> None:
+    """Remove repeated seeds, and check the output folder.
+
+    Raises:
+        ConfigError: it cannot be written, or is that of a capture.
+    """
+    args.seeds = list(dict.fromkeys(args.seeds))
+    check_folder(args.output)
+    for source in args.sources:
+        check_output_path(args.output, DataConfig(source=source))
+
+
+def train_cells(cells: deque[Cell], train: Callable[[Cell, Status], None]) -> None:
+    """Call `train` with each cell, with a status line, and free its photos afterwards."""
+    with Status(sys.stderr) as status:
+        while cells:
+            train(cells.popleft(), status)
 
 
 _MOST = 10**8

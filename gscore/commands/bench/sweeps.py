@@ -2,17 +2,16 @@
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from ...bench.pareto_front import Size, SizeOutcome, pareto_front, sizes_of
-from ...bench.time_error import Variant, measure_variant
-from ...bench.training import first_size, open_sizes
+from ...bench.time_error import measure_variant
+from ...bench.training import Variant, first_size, open_variants
 from ...config import DataConfig, TrainConfig
-from ...datasets import Dataset
 from ...datasets.resolution import SMALLEST_WIDTH
 from ...errors import ConfigError
 from ...io.files import atomic_write
@@ -20,6 +19,7 @@ from ...report.curves import Series
 from ...report.figure import figure
 from ...text_format import count_text, markdown_table, number
 from ..parser import add_option
+from .shared import Cell
 
 _QUANTITIES = ("splats", "widths", "iterations")
 
@@ -52,28 +52,16 @@ def check_sweeps(args: argparse.Namespace) -> None:
         raise ConfigError("Give either `--sweep-iterations` or `--iterations`.")
 
 
-@dataclass(frozen=True, kw_only=True)
-class SizesPlan:
-    """Sizes of one capture to train, and the photos on which all are measured."""
-
-    runs: list[tuple[Size, Variant]]
-    eval_views: Dataset
-
-
 def plan_sizes(
     args: argparse.Namespace, presets: Sequence[tuple[str, DataConfig, TrainConfig]]
-) -> SizesPlan | None:
-    """The requested sizes of these presets; None without any. No photo is decoded yet."""
+) -> list[tuple[Size, Variant]]:
+    """The requested sizes of these presets; no photo is decoded yet."""
     numbers = _given(args)
     if not any(numbers.values()):
-        return None
+        return []
     sizes = [run for preset in presets for run in sizes_of(*preset, **numbers)]
-    photos, eval_views = open_sizes([data for _, data, _ in sizes])
-    runs = [
-        (size, Variant(label=str(size), config=config, photos=own, eval_views=eval_views))
-        for (size, _, config), own in zip(sizes, photos, strict=True)
-    ]
-    return SizesPlan(runs=runs, eval_views=eval_views)
+    variants = open_variants([(str(size), data, config) for size, data, config in sizes])
+    return [(size, variant) for (size, *_), variant in zip(sizes, variants, strict=True)]
 
 
 def sizes_file(output: Path, name: str) -> Path:
@@ -83,8 +71,7 @@ def sizes_file(output: Path, name: str) -> Path:
 
 def train_sizes(
     args: argparse.Namespace,
-    name: str,
-    plan: SizesPlan,
+    cell: Cell,
     *,
     on_step: Callable[[str, int, int, int], None],
     on_found: Callable[[dict[str, Any]], None],
@@ -93,15 +80,14 @@ def train_sizes(
 
     Args:
         args: Arguments of the command.
-        name: Name of the capture.
-        plan: The sizes.
+        cell: The capture with its sizes.
         on_step: Called with size, seed, step and number of steps after each step.
         on_found: Called after each size with `judged_on` (px) and `outcomes` so far, each with
             `best_for_its_time` and `best_for_its_splats`.
     """
-    eval_size = first_size(plan.eval_views)
+    name, eval_size = cell.capture, first_size(cell.sizes[0][1].eval_views)
     outcomes: list[SizeOutcome] = []
-    for size, variant in plan.runs:
+    for size, variant in cell.sizes:
         curve = measure_variant(variant, args.seeds, along=False, on_step=on_step)
         outcomes.append(SizeOutcome.of(size, curve))
         fast, small = _fronts(outcomes)
