@@ -51,7 +51,6 @@ def predict(
     overwrite: bool = False,
     download: bool = False,
     wait: bool = False,
-    python: str | Path | None = None,
 ) -> VerbJob:
     """Predict the depth maps of the scene's capture with a network, and align them.
 
@@ -61,7 +60,6 @@ def predict(
         overwrite: Predict all views again; else only views without a map of this network.
         download: Download a named network if it is not on this computer.
         wait: Return when the job has ended.
-        python: The Python that predicts; None: the one of the preferences.
 
     Raises:
         ValueError: an input is missing, a download is not allowed, or a job is running.
@@ -85,7 +83,7 @@ def predict(
         overwrite=overwrite,
     )
     _show(scene, MAPS)
-    return JOBS.start(VERB, arguments, source=source, wait=wait, python=python)
+    return JOBS.start(VERB, arguments, source=source, wait=wait)
 
 
 def replaced(scene: bpy.types.Scene) -> list[str]:
@@ -100,9 +98,7 @@ def replaced(scene: bpy.types.Scene) -> list[str]:
     return [f"{count or 'All'} depth maps in {source / options.DEPTHS} are overwritten."]
 
 
-def check(
-    scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None
-) -> VerbJob:
+def check(scene: bpy.types.Scene, *, wait: bool = False) -> VerbJob:
     """Compare the maps of the scene's capture with its points, as a training would.
 
     No files are written. Arguments and errors as in `predict`.
@@ -110,7 +106,7 @@ def check(
     source = capture_folder(scene)
     arguments = options.depth_run(scene.gscore, source=source, threads=preferences.get().threads)
     _show(scene, MAPS)
-    return JOBS.start(VERB, arguments, source=source, wait=wait, python=python)
+    return JOBS.start(VERB, arguments, source=source, wait=wait)
 
 
 def job_of(scene: bpy.types.Scene) -> VerbJob | None:

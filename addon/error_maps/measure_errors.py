@@ -54,15 +54,12 @@ VERB = Verb(
 """`gscore eval` of a run, the folder of which is `source`."""
 
 
-def measure(
-    ob: bpy.types.Object, *, wait: bool = False, python: str | Path | None = None
-) -> VerbJob:
+def measure(ob: bpy.types.Object, *, wait: bool = False) -> VerbJob:
     """Measure the run of a splat object on all its photos, training photos included.
 
     Args:
         ob: A splat object that comes from a training.
         wait: Return when the job has ended and the error map is in the scene.
-        python: The Python that measures; None: that of the preferences.
 
     Raises:
         ValueError: something is missing or in the way; the message says what to do.
@@ -79,7 +76,7 @@ def measure(
         line += ["-s", source]
     if threads := preferences.get().threads:
         line += ["--threads", str(threads)]
-    return JOBS.start(VERB, line, source=run, arrive=_arriving, wait=wait, python=python)
+    return JOBS.start(VERB, line, source=run, arrive=_arriving, wait=wait)
 
 
 def job_of(ob: bpy.types.Object) -> VerbJob | None:

@@ -70,13 +70,7 @@ class _Options:
         return getattr(self._settings, name)
 
 
-def train_region(
-    scene: bpy.types.Scene,
-    ob: bpy.types.Object,
-    *,
-    wait: bool = False,
-    python: str | Path | None = None,
-) -> VerbJob:
+def train_region(scene: bpy.types.Scene, ob: bpy.types.Object, *, wait: bool = False) -> VerbJob:
     """Train the splats in an object's crop box again; all others are frozen.
 
     The current splats, the box and all results are written to a new folder next to the scene's
@@ -86,7 +80,6 @@ def train_region(
         scene: Its settings are used.
         ob: A splat object with a crop object.
         wait: Return when the job has ended and its splats are imported.
-        python: The Python that trains; None: that of the preferences.
 
     Raises:
         ValueError: something is missing or in the way; the message says what to do.
@@ -120,7 +113,6 @@ def train_region(
         prepare=partial(start_files, ob, box, splats_file=start_file, region_file=region_file),
         arrive=partial(_arriving, ob.session_uid, signature(ob)),
         wait=wait,
-        python=python,
     )
 
 

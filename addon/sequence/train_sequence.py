@@ -59,7 +59,6 @@ def train_sequence(
     resume: bool = False,
     overwrite: bool = False,
     wait: bool = False,
-    python: str | Path | None = None,
 ) -> VerbJob:
     """Train the frames of the scene's capture, one after the other.
 
@@ -68,7 +67,6 @@ def train_sequence(
         resume: Resume the sequence in the output folder.
         overwrite: Replace it.
         wait: Return when the job has ended.
-        python: The Python that trains; None: that of the preferences.
 
     Raises:
         GsError, ValueError: something is missing or in the way; the message says what to do.
@@ -92,7 +90,7 @@ def train_sequence(
         )
     line += guide_options
     known = {"source": source, "output": output, "begun": replace_guides}
-    return JOBS.start(VERB, line, **known, wait=wait, python=python)
+    return JOBS.start(VERB, line, **known, wait=wait)
 
 
 def job_of(scene: bpy.types.Scene) -> VerbJob | None:

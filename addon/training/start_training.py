@@ -45,7 +45,6 @@ def train(
     *,
     overwrite: bool = False,
     wait: bool = False,
-    python: str | Path | None = None,
 ) -> Job:
     """Start a training of the scene's capture.
 
@@ -53,7 +52,6 @@ def train(
         scene: Has the `gscore` settings; its output folder is set.
         overwrite: Replace another run in the output folder.
         wait: Return when it has ended and its splats are in the scene.
-        python: The Python that trains; None: the one of the preferences.
 
     Raises:
         ValueError: an input is missing or invalid, or the output folder is in use.
@@ -81,7 +79,7 @@ def train(
     scene.gscore.output_path = relative(output)
     scene.gscore.outcome_of = scene.gscore.capture_path
     scene.gscore.depth_shown = "RUN"  # once there is one
-    job = _start(arguments, source, output, python=python, scene=scene, replaces=overwrite)
+    job = _start(arguments, source, output, scene=scene, replaces=overwrite)
     if wait:
         wait_for(job)
     return job
@@ -117,7 +115,7 @@ def unsaved(scene: bpy.types.Scene) -> list[str]:
     return lines + guides.unused_objects(scene)
 
 
-def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | None = None) -> Job:
+def resume(scene: bpy.types.Scene, *, wait: bool = False) -> Job:
     """Resume the run in the scene's output folder from its last checkpoint.
 
     If the settings have more steps or a longer time budget than the run, it continues up to those.
@@ -125,7 +123,6 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
     Args:
         scene: Its output folder has the run.
         wait: As in `train`.
-        python: As in `train`.
 
     Raises:
         ValueError: there is no checkpoint, or the run cannot continue.
@@ -155,7 +152,7 @@ def resume(scene: bpy.types.Scene, *, wait: bool = False, python: str | Path | N
     )
     began_from = info.data.source
     course = read_course(info.checkpoint)
-    job = _start(arguments, source, output, python=python, scene=scene, earlier_source=began_from)
+    job = _start(arguments, source, output, scene=scene, earlier_source=began_from)
     job.state.curve = Curve.of(course)
     if wait:
         wait_for(job)
@@ -168,15 +165,12 @@ def follow(scene: bpy.types.Scene, job: Job) -> None:
     scene.gscore.output_path = relative(job.output)
 
 
-def wait_for(
-    job: Job, *, timeout: float = float("inf"), on_tick: Callable[[Job], None] | None = None
-) -> bool:
+def wait_for(job: Job, *, timeout: float = float("inf")) -> bool:
     """Follow a training until it has ended and its splats are in the scene; for scripts.
 
     Args:
         job: The training.
         timeout: Seconds after which to return; the training continues.
-        on_tick: Called several times a second.
 
     Returns:
         True if it has ended.
@@ -184,8 +178,6 @@ def wait_for(
     until = time.monotonic() + timeout
     while display.waits(job):
         poll_timer.poll()
-        if on_tick is not None:
-            on_tick(job)
         if time.monotonic() > until:
             return False
         time.sleep(_INTERVAL)
@@ -273,7 +265,6 @@ def _start(
     source: Path,
     output: Path,
     *,
-    python: str | Path | None,
     scene: bpy.types.Scene,
     replaces: bool = False,
     earlier_source: Path | None = None,
@@ -281,9 +272,7 @@ def _start(
     """Start the trainer; with `earlier_source` it resumes a run."""
     places = {"source": source, "output": output, "scene_uid": scene.session_uid}
     began = {"resumed": earlier_source is not None, "earlier_source": earlier_source}
-    job = launch(
-        lambda program: Job(program, arguments, **places, **began, replaces=replaces), python
-    )
+    job = launch(lambda python: Job(python, arguments, **places, **began, replaces=replaces))
     job.live_most = preferences.get().live_most
     registry.add(job)
     lookups.runs.expire()

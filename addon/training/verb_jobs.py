@@ -29,17 +29,13 @@ _INTERVAL = 0.02
 """Seconds between two polls of pending work."""
 
 
-def launch(make: Callable[[str | Path], JobT], python: str | Path | None) -> JobT:
-    """Start a job in the background.
-
-    Args:
-        make: Starts it with a given Python; raises OSError if that cannot be run.
-        python: The Python to run; None: the one of the preferences.
+def launch(make: Callable[[Path], JobT]) -> JobT:
+    """Start a job in the background, by `make` with the Python of the preferences.
 
     Raises:
         ValueError: there is no such Python, or it cannot be run.
     """
-    program = python or setup.trainer_python(preferences.get())
+    program = setup.trainer_python(preferences.get())
     return begin(program, lambda: make(program))
 
 
@@ -105,7 +101,6 @@ class VerbJobs:
         *,
         source: Path,
         wait: bool = False,
-        python: str | Path | None = None,
         **more: Any,
     ) -> VerbJob:
         """Start a job in the background, and follow it.
@@ -115,7 +110,6 @@ class VerbJobs:
             arguments: As `VerbJob`.
             source: As `VerbJob`.
             wait: Return when the job has ended and its result is imported.
-            python: The Python to run; None: the one of the preferences.
             more: Further arguments of `VerbJob`.
 
         Raises:
@@ -123,7 +117,7 @@ class VerbJobs:
         """
         self.check_free(verb, source)
         known = {"source": source, "after": self.of_source(verb, source), **more}
-        job = launch(lambda program: VerbJob(verb, program, arguments, **known), python)
+        job = launch(lambda python: VerbJob(verb, python, arguments, **known))
         self._jobs = [other for other in self._jobs if other is not known["after"]]
         self._jobs.append(job)
         poll_timer.ensure()

@@ -197,7 +197,7 @@ def test_a_beat_with_a_thousand_views_is_short(studio: bpy.types.Scene, play) ->
 
 
 @needs_trainer
-def test_the_real_thing(scene: bpy.types.Scene, tmp_path: Path) -> None:
+def test_the_real_thing(scene: bpy.types.Scene, tmp_path: Path, no_work: None) -> None:
     """Oracle: files of the real `gscore depth` with a network that is affine in grey."""
     capture, model = tmp_path / "cap", tmp_path / "net.onnx"
     whole = read_colmap(STUDIO)
@@ -212,7 +212,8 @@ def test_the_real_thing(scene: bpy.types.Scene, tmp_path: Path) -> None:
     scene.gscore.capture_path = str(capture)
     scene.gscore.output_path = str(tmp_path / "out")
     assert facts.refresh(scene)[0].depths == 0 and predict_depth.report(scene) is None
-    job = predict_depth.predict(scene, model, wait=True, python=REAL)
+    preferences.get().python_path = REAL
+    job = predict_depth.predict(scene, model, wait=True)
     assert job.status == verb_job.FINISHED, job.sentence
     assert len(list((capture / "depths").glob("*.png"))) == 10 + 1  # the contact sheet
     params = json.loads((capture / "sparse" / "0" / "depth_params.json").read_text())
@@ -223,7 +224,7 @@ def test_the_real_thing(scene: bpy.types.Scene, tmp_path: Path) -> None:
         assert (row.verdict == depth_maps.ACCEPTED) == entry["accepted"]
         assert row.points == entry["points"]
     before = {path: path.stat().st_mtime_ns for path in capture.rglob("*")}
-    checked = predict_depth.check(scene, wait=True, python=REAL)
+    checked = predict_depth.check(scene, wait=True)
     assert checked.status == verb_job.FINISHED, checked.sentence
     assert {path: path.stat().st_mtime_ns for path in capture.rglob("*")} == before
     assert [r.verdict for r in predict_depth.report(scene).rows] == [r.verdict for r in rows]

@@ -9,6 +9,7 @@ import numpy as np
 import plyfile
 import pytest
 
+from addon import preferences
 from addon.cameras.objects import cameras_of
 from addon.panels.train import GuidesPanel, TrainSequencePanel
 from addon.sequence import train_sequence
@@ -149,8 +150,11 @@ def test_meshes_of_a_sequence_stay_until_another_begins(
     folder = reported(called).parent
     before = set(folder.iterdir())
     assert len(before) == 4
+    python = tmp_path / "python that cannot be run"
+    python.touch(mode=0o600)
+    preferences.get().python_path = str(python)
     with pytest.raises(ValueError, match="cannot be run"):
-        train_sequence.train_sequence(video, overwrite=True, python=tmp_path / "no python")
+        train_sequence.train_sequence(video, overwrite=True)
     assert before < set(folder.iterdir())
     refused = {"event": "error", "type": "ConfigError", "message": "No such mesh."}
     play({"say": refused}, {"exit": 2})
