@@ -71,17 +71,6 @@ _EDGES = np.array([(0, 1), (0, 2), (0, 3), (0, 4), (1, 2), (2, 3), (3, 4), (4, 1
 _FACES = np.array([(1, 2, 3), (1, 3, 4)])
 
 
-def colored_cameras(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The visible colored cameras of a 3D view, without the one of a camera view."""
-    space = context.space_data
-    through = space.camera if space.region_3d.view_perspective == "CAMERA" else None
-    return [
-        ob
-        for ob in context.view_layer.objects
-        if ob.type == "CAMERA" and MARK in ob and ob != through and ob.visible_get(viewport=space)
-    ]
-
-
 def corners(cameras: list[bpy.types.Object], scene: bpy.types.Scene) -> np.ndarray:
     """[C, 5, 3] positions of C cameras and the corners of their drawn frames, Blender's world."""
     frames = np.array([[tuple(c) for c in ob.data.view_frame(scene=scene)] for ob in cameras])
@@ -118,11 +107,15 @@ def geometry(
 
 def draw() -> None:
     """Draw the overlay; called by Blender for each 3D view, after its own overlays."""
-    context = bpy.context
-    overlay = context.space_data.overlay
-    if not (overlay.show_overlays and overlay.show_extras):
+    context, space = bpy.context, bpy.context.space_data
+    if not (space.overlay.show_overlays and space.overlay.show_extras):
         return
-    cameras = colored_cameras(context)
+    through = space.camera if space.region_3d.view_perspective == "CAMERA" else None
+    cameras = [
+        ob
+        for ob in context.view_layer.objects
+        if ob.type == "CAMERA" and MARK in ob and ob != through and ob.visible_get(viewport=space)
+    ]
     if not cameras:
         return
     fill, lines = _drawing.batches(*geometry(cameras, context.scene))

@@ -1,7 +1,7 @@
 """Export sources: the captures behind an export, with the points of their files and of Blender."""
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import bpy
@@ -151,7 +151,9 @@ def points_to_export(
         return kept, []
     first = int(exact.ids.max(initial=0)) + 1
     added = _new_points(now[~own], capture_points.colors[~own], first)
-    return _joined(kept, added), []
+    names = (field.name for field in fields(ColmapPoints))
+    both = {name: np.concatenate([getattr(kept, name), getattr(added, name)]) for name in names}
+    return ColmapPoints(**both), []
 
 
 def source_of(root: bpy.types.Object | None) -> Path | None:
@@ -195,14 +197,4 @@ def _new_points(xyz: np.ndarray, rgb: np.ndarray, first: int = 1) -> ColmapPoint
         rgb=rgb,
         error=np.full(count, UNKNOWN_ERROR),
         track_lengths=np.zeros(count, np.int32),
-    )
-
-
-def _joined(a: ColmapPoints, b: ColmapPoints) -> ColmapPoints:
-    return ColmapPoints(
-        ids=np.concatenate([a.ids, b.ids]),
-        xyz=np.concatenate([a.xyz, b.xyz]),
-        rgb=np.concatenate([a.rgb, b.rgb]),
-        error=np.concatenate([a.error, b.error]),
-        track_lengths=np.concatenate([a.track_lengths, b.track_lengths]),
     )

@@ -323,7 +323,11 @@ class _PendingCapture:
         if gone:
             self._take_away(gone, outer)
         if new is not None and old is not None:
-            _exchange(old, new)
+            mesh, name = old.data, old.data.name  # display settings stay
+            old.data, new.data = new.data, mesh
+            if mesh.users == 1:
+                mesh.name = new.name  # frees the name now; removal scans the whole file, later
+            old.data.name = name
         elif new is not None:
             _move(new, outer, _collection_of(root, scene))
             _parent(new, root)
@@ -370,12 +374,3 @@ def _parent(ob: bpy.types.Object, root: bpy.types.Object) -> None:
         ob.parent, ob.parent_type = root, "OBJECT"
     if ob.matrix_parent_inverse != Matrix.Identity(4):
         ob.matrix_parent_inverse.identity()
-
-
-def _exchange(old: bpy.types.Object, new: bpy.types.Object) -> None:
-    """Swap the meshes of two objects of points; display settings stay."""
-    mesh, name = old.data, old.data.name
-    old.data, new.data = new.data, mesh
-    if mesh.users == 1:
-        mesh.name = new.name  # frees the name now; removal scans the whole file and follows later
-    old.data.name = name

@@ -132,13 +132,8 @@ def make(setup: Setup, name: str, collection: bpy.types.Collection) -> bpy.types
     """A Blender camera with a photo's pose and intrinsics."""
     ob = bpy.data.objects.new(name, bpy.data.cameras.new(name))
     collection.objects.link(ob)
-    state(ob, setup)
-    return ob
-
-
-def state(ob: bpy.types.Object, setup: Setup) -> None:
-    """Write a photo's pose, intrinsics and custom properties to a camera, except `gs_photo`."""
     apply_changes(ob, changes_of(ob, setup))
+    return ob
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +149,8 @@ class CameraChanges:
 
 
 def changes_of(ob: bpy.types.Object, setup: Setup) -> CameraChanges:
-    """Changes for `state`; Blender writes several times slower than it compares."""
+    """Changes that give a camera a photo's pose, intrinsics and custom properties, except
+    `gs_photo`; Blender writes several times slower than it compares."""
     own, size = setup.own, setup.own.photo_size
     properties = {
         KIND: "camera",
@@ -190,7 +186,7 @@ def _as_list(value: Any) -> Any:
 
 
 def is_as_stated(ob: bpy.types.Object, setup: Setup) -> bool:
-    """True if a camera already has the values of `state`."""
+    """True if `changes_of` a camera would have no effect."""
     try:
         own = photo_camera_of(ob)
     except ValueError:

@@ -60,22 +60,18 @@ def _kind_of(model: str) -> str:
     return "" if model.endswith("PINHOLE") else "with lens distortion"
 
 
-def inspect(
-    path: str | Path, *, images: str = "images", masks: str = "", depths: str = DEPTHS
-) -> ShownFacts:
+def inspect(path: str | Path, *, images: str = "images") -> ShownFacts:
     """Inspect a capture; never raises for a bad one, its facts list the problems.
 
     Args:
         path: Path chosen by the user.
         images: Folder of the photos in a COLMAP capture.
-        masks: Folder of the masks; empty: `masks` if it exists.
-        depths: Folder of the depth maps.
     """
     if not str(path):
         problem = Problem(is_error=True, text="Choose a folder of photos, or a video.")
         return ShownFacts(source=Path(), problems=(problem,))
-    config = DataConfig(source=find_capture(path), images=images, masks=masks)
-    facts = inspect_capture(config, depths=depths)
+    config = DataConfig(source=find_capture(path), images=images)
+    facts = inspect_capture(config, depths=DEPTHS)
     notes = [Problem(is_error=False, text=text) for text in _blender_limits(facts)]
     return ShownFacts(**{**vars(facts), "problems": (*facts.problems, *notes)})
 

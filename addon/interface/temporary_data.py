@@ -28,7 +28,7 @@ class Temporary:
 
     def found(self) -> Block | None:
         """The datablock, if it exists."""
-        block = _all(self._kind).get(self._name)
+        block = _kinds()[self._kind].get(self._name)
         return block if block is not None and block.get(_MARK) == self._mark else None
 
     def mark(self, block: bpy.types.Collection | bpy.types.Object) -> None:
@@ -66,13 +66,12 @@ def release(block: bpy.types.ID) -> None:
     block.pop(_MARK, None)
 
 
-def _all(kind: type) -> bpy.types.bpy_prop_collection:
-    own = {
+def _kinds() -> dict[type, bpy.types.bpy_prop_collection]:
+    return {
         bpy.types.Mesh: bpy.data.meshes,
         bpy.types.PointCloud: bpy.data.pointclouds,
         bpy.types.Collection: bpy.data.collections,
     }
-    return own[kind]
 
 
 def _inside(block: Block) -> list[bpy.types.ID]:
@@ -97,8 +96,7 @@ def _remove(blocks: Iterable[bpy.types.ID]) -> None:
 
 
 def _marked() -> list[Block]:
-    kinds = (bpy.data.meshes, bpy.data.pointclouds, bpy.data.collections)
-    return [block for own in kinds for block in own if _MARK in block]
+    return [block for own in _kinds().values() for block in own if _MARK in block]
 
 
 @persistent

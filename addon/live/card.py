@@ -66,7 +66,9 @@ class Canvas:
             exact: Whether to store float32 instead of float16, in which hundreds of faint splats
                 are lost; a moving view does not need it.
         """
-        self.width, self.height, self.exact = width, height, exact
+        self.width, self.height = width, height
+        self.kind = width, height, nearness, exact
+        """The arguments."""
         kind = "RGBA32F" if exact and blends_float32() else "RGBA16F"
         self.picture = gpu.types.GPUTexture((width, height), format=kind)
         self.nearness = gpu.types.GPUTexture((width, height), format="R32F") if nearness else None
@@ -150,7 +152,9 @@ class Card:
         """
         camera = shot.camera
         shader = self._splats if target.nearness is None else self._near_splats
-        rows = np.concatenate([*(m[:3] for m in shot.viewmats), _planes(shot)])
+        planes = np.zeros((PLANES, 4))  # in camera space; padding with zeros cuts nothing
+        planes[: len(shot.cuts.planes)] = shot.cuts.planes @ np.linalg.inv(camera.viewmat)
+        rows = np.concatenate([*(m[:3] for m in shot.viewmats), planes])
         places = texture(rows[None].astype(np.float32))  # must live until all is drawn
         with target.bind():
             gpu.state.active_framebuffer_get().clear(color=(0, 0, 0, 0))
@@ -264,13 +268,6 @@ class Card:
         gpu.state.blend_set("NONE")
 
 
-def _planes(shot: Shot) -> np.ndarray:
-    """Clipping planes in camera space, [PLANES, 4] float64; padding with zeros cuts nothing."""
-    out = np.zeros((PLANES, 4))
-    out[: len(shot.cuts.planes)] = shot.cuts.planes @ np.linalg.inv(shot.camera.viewmat)
-    return out
-
-
 class ViewPicture:
     """Keeps the drawn picture until it changes, because Blender redraws views often, for example
     at each mouse move over a panel."""
@@ -305,7 +302,9 @@ class ViewPicture:
             took: Called with the seconds that the card needed to draw, which means waiting for it.
         """
         size = shot.camera.width, shot.camera.height
-        canvas = self._fitting(*size, nearness, exact)
+        canvas, kind = self._canvas, (*size, nearness, exact)
+        if canvas is not None and canvas.kind != kind:
+            canvas = None
         if canvas is not None and self._holds is not None:
             order_, shot_, meshes_ = self._holds
             if order_ is order and meshes_ is meshes and shot.same(shot_):
@@ -323,14 +322,6 @@ class ViewPicture:
             took(time.perf_counter() - began)
         self._holds = order, shot, meshes
         return canvas
-
-    def _fitting(self, width: int, height: int, nearness: bool, exact: bool) -> Canvas | None:
-        """The canvas, if it has this size and kind."""
-        canvas = self._canvas
-        if canvas is None or (canvas.width, canvas.height) != (width, height):
-            return None
-        kind = canvas.nearness is not None, canvas.exact
-        return canvas if kind == (nearness, exact) else None
 
 
 def _wait(canvas: Canvas) -> None:

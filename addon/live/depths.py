@@ -32,21 +32,15 @@ class Depths:
         """
         part = left, bottom, width, height
         found = [_read_depths(*part), *([_read_alphas(*part)] if front else [])]
-        if self._texture is None or not self._same((width, height), found):
+        size, pairs = (width, height), zip(found, self._read, strict=False)
+        same = self._size == size and len(found) == len(self._read)
+        if self._texture is None or not (same and all(np.array_equal(*pair) for pair in pairs)):
             shown = found[0].view(np.float32).reshape(height, width)
             if front:
                 shown = np.where(in_front(shown, found[1].reshape(height, width)), 0, shown)
             self._texture = texture(shown.astype(np.float32, copy=False)[..., None])
             self._size, self._read = (width, height), found
         return self._texture
-
-    def _same(self, size: tuple[int, int], found: list[np.ndarray]) -> bool:
-        """Whether the same was read before."""
-        return (
-            self._size == size
-            and len(found) == len(self._read)
-            and all(map(np.array_equal, found, self._read))
-        )
 
 
 def _read_depths(left: int, bottom: int, width: int, height: int) -> np.ndarray:

@@ -19,11 +19,6 @@ from ..training.verb_job import VerbJob
 from .widgets import SplatsPanel, draw_verb, has_python, sentence
 
 
-def _is_large(ob: bpy.types.Object) -> bool:
-    """True if the display Splats shows edits only after Edit Mode."""
-    return len(ob.data.vertices) > EDITED_AT_ONCE
-
-
 class EditPanel(SplatsPanel, bpy.types.Panel):
     """Manual edits of splats; settings are in the Adjust Last Operation panel at the lower left"""
 
@@ -34,7 +29,8 @@ class EditPanel(SplatsPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, ob = self.layout, active_splats(context)
-        if ob.mode == "EDIT" and ob.gscore.display == "SPLATS" and _is_large(ob):
+        large = len(ob.data.vertices) > EDITED_AT_ONCE  # Splats shows edits after Edit Mode only
+        if ob.mode == "EDIT" and ob.gscore.display == "SPLATS" and large:
             layout.prop_enum(ob.gscore, "display", "POINTS", text="Show Edits Live")
         layout.label(text="Select", icon="RESTRICT_SELECT_OFF")
         row = layout.row(align=True)

@@ -56,7 +56,8 @@ def manual_map() -> tuple[str, list[tuple[str, str]]]:
             name = f"bpy.ops.{kind.bl_idname}*"
         else:
             name = f"bpy.types.{kind.__name__}.*"
-        section = _section(kind.__module__.removeprefix(own))
+        module = kind.__module__.removeprefix(own)
+        section = _SECTIONS.get(module) or _SECTIONS.get(module.partition(".")[0]) or _TOUR
         if first == _INSTALLED:
             section = f"{first.name}#{section.partition('#')[2]}"
         found.append((name.lower(), f"/{section}"))
@@ -78,11 +79,6 @@ class OpenManual(BaseOperator, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         """Open it."""
         bpy.ops.wm.url_open(url=page().as_uri())
-
-
-def _section(module: str) -> str:
-    room = module.partition(".")[0]
-    return _SECTIONS.get(module) or _SECTIONS.get(room) or _TOUR
 
 
 def on_register() -> None:

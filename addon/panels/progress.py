@@ -214,13 +214,9 @@ class CurveIcons(PictureIcons):
 
     def swatch(self, line: str) -> int:
         """An icon in the color of a line, LOSS or PSNR; 0 without a window."""
-        return self.show(line, line, lambda: _swatch(_COLORS[line]))
-
-
-def _swatch(color: tuple[float, ...]) -> np.ndarray:
-    pixels = np.zeros((_SWATCH, _SWATCH, 4), np.float32)
-    pixels[_SWATCH // 2 - 3 : _SWATCH // 2 + 3] = (*color, 1)
-    return pixels
+        pixels = np.zeros((_SWATCH, _SWATCH, 4), np.float32)
+        pixels[_SWATCH // 2 - 3 : _SWATCH // 2 + 3] = (*_COLORS[line], 1)
+        return self.show(line, line, lambda: pixels)
 
 
 ICONS = CurveIcons()

@@ -6,7 +6,7 @@ floats that are neither infinite, NaN nor denormal; each pixel lists ids with th
 
 import json
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import bpy
@@ -168,7 +168,10 @@ class RequestedPasses:
         if self.index:
             found[index_pass_name()] = _index_pass(covered, shape, self.threshold)
         for kind in self.kinds:
-            named = _summed(covered, _NAMES[kind])
+            named: dict[str, np.ndarray] = {}  # coverage summed over the objects of one name
+            for owner, part in covered.items():
+                name = _NAMES[kind](owner)
+                named[name] = named[name] + part if name in named else part
             found |= ranked(named, shape, kind, self.levels)
             stamps |= metadata(layer, kind, sorted(named))
         return found, stamps
@@ -199,17 +202,6 @@ def requested_passes(layer: bpy.types.ViewLayer, main: bpy.types.Scene | None) -
         levels=layer.pass_cryptomatte_depth,
         threshold=layer.pass_alpha_threshold,
     )
-
-
-def _summed(
-    covered: Mapping[Identity, np.ndarray], name_of: Callable[[Identity], str]
-) -> dict[str, np.ndarray]:
-    """Coverage summed over the objects of one name, by name."""
-    total: dict[str, np.ndarray] = {}
-    for owner, part in covered.items():
-        name = name_of(owner)
-        total[name] = total[name] + part if name in total else part
-    return total
 
 
 def _index_pass(

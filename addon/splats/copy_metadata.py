@@ -1,5 +1,7 @@
 """Metadata of a mesh, copied to its replacement: custom properties, materials, action, drivers."""
 
+from contextlib import suppress
+
 import bmesh
 import bpy
 
@@ -63,16 +65,10 @@ def copy_user_data(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:
         mesh.materials.append(material)
     for name, value in old.items():
         if not name.startswith(_OURS):
-            _copy_property(old, mesh, name, value)
+            mesh[name] = value
+            with suppress(TypeError):  # a type without limits and descriptions
+                mesh.id_properties_ui(name).update_from(old.id_properties_ui(name))
     _copy_animation(old, mesh)
-
-
-def _copy_property(old: bpy.types.Mesh, mesh: bpy.types.Mesh, name: str, value: object) -> None:
-    mesh[name] = value
-    try:
-        mesh.id_properties_ui(name).update_from(old.id_properties_ui(name))
-    except TypeError:  # a type without limits and descriptions
-        return
 
 
 def _copy_animation(old: bpy.types.Mesh, mesh: bpy.types.Mesh) -> None:

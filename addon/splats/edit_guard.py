@@ -102,13 +102,6 @@ class EditGuard:
         """Stop watching."""
         _GUARDS.discard(self)
 
-    def _check_mode(self) -> None:
-        if bpy.context.mode != self._mode:  # undo steps of a mode store only its own object
-            raise ValueError(
-                f"The mode was changed during the operation, so nothing was done to {self.name}: "
-                "try again in Object Mode."
-            )
-
 
 def _stands(ob: bpy.types.Object) -> tuple[Matrix, Matrix]:
     """World matrix and basis matrix of an object."""
@@ -120,7 +113,11 @@ def all_to_change(guards: "Sequence[EditGuard]") -> list[bpy.types.Object]:
     obs = [guard.there() for guard in guards]
     for guard, ob in zip(guards, obs, strict=True):
         objects.check_writable(ob)
-        guard._check_mode()
+        if bpy.context.mode != guard._mode:  # undo steps of a mode store only its own object
+            raise ValueError(
+                f"The mode was changed during the operation, so nothing was done to {guard.name}: "
+                "try again in Object Mode."
+            )
     meshes = {guard.mesh_uid for guard in guards}
     for other in _GUARDS:
         other.is_changed |= other not in guards and other.mesh_uid in meshes

@@ -90,20 +90,15 @@ def is_cropped(ob: Any) -> bool:
     return crop is not None and any(any(row[:3]) for row in crop.matrix_world[:3])
 
 
-def visible_mask(ob: Any, data: Any = None) -> np.ndarray:
+def visible_mask(ob: Any) -> np.ndarray:
     """[N] bool: vertices of a splat object that its display shows.
-
-    Args:
-        ob: The object with the settings.
-        data: Mesh or point cloud in place of the object's own.
 
     Raises:
         ValueError: attributes are missing or not accessible in Edit Mode.
     """
-    data = ob.data if data is None else data
     # Blender drops `position` from a mesh without vertices.
-    names = ATTRIBUTES if attributes.point_count(data) else (attributes.BASE,)
-    return passing({name: attributes.column(data, name) for name in names}, filters_of(ob))
+    names = ATTRIBUTES if attributes.point_count(ob.data) else (attributes.BASE,)
+    return passing({name: attributes.column(ob.data, name) for name in names}, filters_of(ob))
 
 
 def crop_matrix(ob: Any, crop: Any) -> np.ndarray:

@@ -35,18 +35,10 @@ def python_in(folder: Path) -> Path:
     return folder / "Scripts" / "python.exe" if os.name == "nt" else folder / "bin" / "python"
 
 
-def candidates(*, chosen: str = "", private: Path | None = None) -> list[Path]:
-    """Pythons that may have gscore, the most likely first.
-
-    Args:
-        chosen: The user's choice: a Python, or the folder of a virtual environment.
-        private: Folder of the add-on's own environment.
-    """
-    found: list[Path] = []
-    for path in _candidates(chosen, private):
-        if path.is_file() and path not in found:
-            found.append(path)
-    return found
+def candidates(*, private: Path | None = None) -> list[Path]:
+    """Pythons that may have gscore, the most likely first; `private` is the folder of the add-on's
+    own environment."""
+    return list(dict.fromkeys(path for path in _candidates(private) if path.is_file()))
 
 
 def chosen_python(text: str) -> Path:
@@ -101,9 +93,7 @@ def find(task: BackgroundTask, *, chosen: str = "", private: Path | None = None)
     )
 
 
-def _candidates(chosen: str, private: Path | None) -> Iterator[Path]:
-    if chosen:
-        yield chosen_python(chosen)
+def _candidates(private: Path | None) -> Iterator[Path]:
     if private is not None:
         yield python_in(private)
     if command := shutil.which("gscore"):

@@ -148,8 +148,6 @@ def test_masks(capture: Path) -> None:
     write_photo(capture / "masks" / "sub" / "v003.png.png", 60, 41)
     facts = inspect(capture)
     assert not facts.can_train and "60 x 41" in texts(facts, True)
-    facts = inspect(capture, masks="nothing")
-    assert f"no mask folder {capture / 'nothing'}" in texts(facts, True)
 
 
 def test_depths(capture: Path) -> None:

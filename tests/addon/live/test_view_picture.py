@@ -12,7 +12,7 @@ SHOT = SimpleNamespace(camera=SimpleNamespace(width=4, height=3), same=lambda ot
 def with_canvas() -> tuple[ViewPicture, SimpleNamespace]:
     """A picture with a canvas, and the canvas."""
     picture = ViewPicture()
-    picture._canvas = SimpleNamespace(width=4, height=3, nearness=None, exact=False)
+    picture._canvas = SimpleNamespace(kind=(4, 3, False, False))
     return picture, picture._canvas
 
 
