@@ -1,11 +1,54 @@
 """Optional packages (extras): the extra that installs each, and the message if one is missing."""
 
+import ctypes
+import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from typing import Any
 
 from .errors import BackendError
+
+_ROOM = 1024
+"""Buffer for a `struct sigaction`, bytes; it has 152 on Linux and 16 on macOS."""
+_lock = threading.Lock()
+
+
+@contextmanager
+def keep_signal_handlers() -> Iterator[None]:
+    """Context after which all signal handlers are as before; usable from any thread.
+
+    Imported libraries may replace handlers: pycolmap installs a crash handler that answers SIGTERM
+    with a stack trace, so a terminated run would leave no checkpoint. Python's `signal.signal`
+    works in the main thread only, so this calls the system's `sigaction`. On systems without it
+    (Windows) this does nothing.
+    """
+    if os.name != "posix":
+        yield
+        return
+    with _lock:
+        before = _handlers()
+        try:
+            yield
+        finally:
+            library = ctypes.CDLL(None)
+            for number, handler in before.items():
+                library.sigaction(number, handler, None)
+
+
+def _handlers() -> dict[int, Any]:
+    """The raw `struct sigaction` of each signal that can be handled."""
+    library, handlers = ctypes.CDLL(None), {}
+    for number in sorted(signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}):
+        handler = ctypes.create_string_buffer(_ROOM)
+        if library.sigaction(number, None, handler) == 0:
+            handlers[int(number)] = handler
+    return handlers
+
 
 _TRAIN = "train"
 _EXTRAS = {
@@ -72,7 +115,6 @@ def need(module: str, purpose: str) -> Any:
     if loaded is not None and not _is_loading(loaded):
         return loaded
     # A local import, because it loads ctypes and threading, which `import gscore` does not need.
-    from .signal_guard import keep_signal_handlers
 
     try:
         with keep_signal_handlers():

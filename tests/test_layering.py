@@ -21,7 +21,6 @@ BOTTOM = {
     "scene",
     "sequence_options",
     "quoting",
-    "signal_guard",
     "smallest_three",
     "json_text",
     "option_marks",

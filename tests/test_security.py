@@ -19,10 +19,9 @@ from gscore.commands.pictures.video import write_video
 from gscore.config import DataConfig
 from gscore.datasets import read_capture
 from gscore.datasets.transforms_json import read_transforms
-from gscore.depth.maps import MapFolder, _read_picture, read_map
+from gscore.depth.maps import MapFolder, _read_picture, check_exr_size, read_map
 from gscore.errors import FormatError, GsError
 from gscore.io.colmap.folder import is_safe_name
-from gscore.io.images.exr_header import check_exr_size
 from gscore.io.images.png import write_png
 from gscore.io.images.read_image import read_image, read_info, read_mask
 from gscore.io.npy import read_npy

@@ -48,7 +48,7 @@ class Case:
 
 
 CASES: list[Case] = []
-"""All cases, filled as their modules are imported; see `catalogue`."""
+"""All cases, filled as their modules are imported; see `run`."""
 
 
 def case(

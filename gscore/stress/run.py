@@ -49,7 +49,9 @@ def select(only: Sequence[str] = (), *, full: bool = False) -> list[Case]:
     Raises:
         ConfigError: a word of `only` matches no case.
     """
-    _load()
+    from . import chain, depth, files, optimizer, pictures, sizes, threads, training  # noqa: F401
+
+    CASES.sort(key=lambda c: c.name)
     for word in only:
         if not any(word.lower() in c.name.lower() for c in CASES):
             names = "; ".join(c.name for c in CASES)
@@ -124,7 +126,3 @@ def _quiet_torch() -> AbstractContextManager[None]:
     from ..trainer.host.isolated_state import isolated_torch_state
 
     return isolated_torch_state()
-
-
-def _load() -> None:
-    from . import catalogue  # noqa: F401

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gscore.blocks.block_cells import make_cells
-from gscore.blocks.merge_splats import TrainedBlock, check_complete, merge_blocks
 from gscore.blocks.split_capture import cut_capture
+from gscore.commands.merge import TrainedBlock, check_complete, merge_blocks
 from gscore.config import DataConfig
 from gscore.errors import ConfigError, FormatError
 from gscore.io.block_record import BlockRecord, read_block

@@ -14,6 +14,7 @@ from PIL import Image
 from gscore.config import DataConfig, TrainConfig
 from gscore.config_file import config_json, load_config
 from gscore.control import Control
+from gscore.datasets.pku.cams import read_cam
 from gscore.datasets.pku.case import _projections
 from gscore.datasets.read import read_capture
 from gscore.datasets.transforms_json import read_transforms
@@ -22,7 +23,6 @@ from gscore.depth.params import read_params
 from gscore.events import Event, Progress, from_line, to_line
 from gscore.formats import read_splat_file, write_splat_file
 from gscore.io.cameras_json import read_cameras_json, write_cameras
-from gscore.io.cams_txt import read_cam
 from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from gscore.io.images.png import write_png

@@ -42,7 +42,7 @@ from gscore.io.ply.splats import read_ply, write_splats
 from gscore.io.runs import checkpoints_in, read_course
 from gscore.report import page as report_page
 from gscore.trainer.analysis.analysis import Analysis
-from gscore.trainer.estimate import memory
+from gscore.trainer.estimate import forecast
 from gscore.trainer.estimate.forecast import estimate
 from gscore.trainer.files.checkpoint import load
 from gscore.trainer.files.run_folder import RunFolder
@@ -358,7 +358,7 @@ def test_too_little_memory_is_reported_before_the_start(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: 10 million splats, too many for 2 GB; the proposed number fits."""
-    monkeypatch.setattr(memory, "available_memory_bytes", lambda: 2_000_000_000)
+    monkeypatch.setattr(forecast, "available_memory_bytes", lambda: 2_000_000_000)
     config = replace(CONFIG, max_splats=10_000_000, sh_degree=3)
     with pytest.raises(GsError, match=r"use `--max-splats \d+`") as error:
         train(config, data_of(capture), tmp_path / "out")

@@ -8,11 +8,11 @@ import pytest
 
 from gscore.config import DataConfig, TrainConfig
 from gscore.config_file import config_json, load_config
+from gscore.datasets.pku.cams import read_cam
 from gscore.datasets.split import split_views
 from gscore.datasets.transforms_json import load_transforms
 from gscore.depth.params import read_params
 from gscore.io.cameras_json import read_cameras_json
-from gscore.io.cams_txt import read_cam
 from gscore.io.sequences import SequenceIndex, read_sequence, write_sequence
 
 MARKS = pytest.mark.parametrize("mark", ["", "\ufeff"])

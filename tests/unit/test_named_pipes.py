@@ -14,12 +14,11 @@ from gscore.config import DataConfig
 from gscore.config_file import load_config
 from gscore.datasets import load_dataset
 from gscore.datasets.dataset import _hash
-from gscore.depth.maps import MapFolder, read_map
+from gscore.depth.maps import MapFolder, check_exr_size, read_map
 from gscore.errors import Cancelled, ConfigError, DatasetError
 from gscore.io.cameras_json import read_cameras_json
 from gscore.io.colmap.binary import count_images
 from gscore.io.files import read_bytes
-from gscore.io.images.exr_header import check_exr_size
 from gscore.io.images.read_image import read_image, read_info, read_mask
 from gscore.io.metrics_file import read_metrics
 from gscore.io.ply.splats import is_antialiased_ply, read_ply

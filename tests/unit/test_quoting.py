@@ -8,8 +8,8 @@ import pytest
 
 import gscore
 from gscore.datasets.capture import listing
+from gscore.datasets.pku.cams import read_cam
 from gscore.errors import FormatError
-from gscore.io.cams_txt import read_cam
 from gscore.io.colmap.binary import read_images
 from gscore.io.colmap.text import read_cameras
 from gscore.quoting import as_typed, brief, quoted

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gscore.errors import Cancelled
-from gscore.video.frame_selection import choose
+from gscore.video.extract import choose
 from gscore.video.frame_survey import AccumulatedMotion, Survey, survey
 from gscore.video.source import opened_video
 

@@ -13,7 +13,6 @@ from PIL import Image
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.events import Started
-from gscore.io.images.exposure_exif import stated_exposure
 from gscore.io.images.read_image import read_image
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.analysis.exposure import (
@@ -21,7 +20,7 @@ from gscore.trainer.analysis.exposure import (
     decide_exposure,
     stops_off_neighbours,
 )
-from gscore.trainer.analysis.photo_visit import PhotoFacts, visit_photos
+from gscore.trainer.analysis.photo_visit import PhotoFacts, stated_exposure, visit_photos
 from gscore.trainer.run import train
 
 STUDIO = Path(__file__).parents[3] / "examples" / "studio"

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 
 from gscore.raster.row_packing import Table, unpack_rows
+from gscore.trainer.distributed.batch_gradients import RowSums
 from gscore.trainer.distributed.process_group import ProcessGroup
-from gscore.trainer.distributed.row_sums import RowSums
 
 ROWS, WIDTH = 1000, 7
 PARTS = slice(0, 3), slice(3, 4), slice(4, 7)

@@ -22,10 +22,10 @@ from gscore.presets import PRESETS
 from gscore.trainer.estimate.cost import Cost, reading_seconds
 from gscore.trainer.estimate.forecast import (
     Estimate,
+    cache_bytes,
     check_fits,
     estimate,
 )
-from gscore.trainer.estimate.memory import cache_bytes
 from gscore.trainer.schedule.plan import Plan
 
 SIZES = [(640, 480)] * 60

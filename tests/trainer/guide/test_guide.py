@@ -23,12 +23,10 @@ from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.depth.targets import DepthTargets
-from gscore.trainer.estimate.forecast import estimate
-from gscore.trainer.estimate.memory import depth_bytes
+from gscore.trainer.estimate.forecast import depth_bytes, estimate
 from gscore.trainer.guide.mesh_free_space import MeshFreeSpace
-from gscore.trainer.guide.mesh_support import MeshSupport, weighted_views
 from gscore.trainer.guide.mesh_views import MeshView
-from gscore.trainer.guide.setup import GuideSetup, prepare_guide
+from gscore.trainer.guide.setup import GuideSetup, MeshSupport, prepare_guide, weighted_views
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 from gscore.transforms import Similarity

@@ -21,9 +21,9 @@ from gscore.splats import PARAMETERS, Splats
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
 from gscore.trainer.region.region_photos import RegionBox, RegionPhotos
-from gscore.trainer.region.region_tiles import tiles_of_splats
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
+from gscore.trainer.views.model_renderer import tiles_of_splats
 from tests.trainer.short_run import CONFIG
 
 TURNED = np.array(

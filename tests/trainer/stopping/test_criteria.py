@@ -17,7 +17,7 @@ from gscore.metrics.image import psnr
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.evaluation import Evaluator
 from gscore.trainer.run import train
-from gscore.trainer.stopping.criteria import StoppingCriteria
+from gscore.trainer.stopping.controller import StoppingCriteria
 from gscore.trainer.trainer import Trainer
 
 pytestmark = pytest.mark.usefixtures("fake_engine")

@@ -13,7 +13,7 @@ from gscore.engine.cpu.model import CpuModel
 from gscore.io.ply.splats import read_ply
 from gscore.raster.request import Frustum
 from gscore.trainer.run import train
-from gscore.trainer.strategy.min_scale import min_scale_edit, sampling_rates
+from gscore.trainer.step.step_edits import min_scale_edit, sampling_rates
 
 PIXELS = 2.0
 SHORT = TrainConfig(

@@ -7,7 +7,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from gscore.engine.cpu.model import CpuModel
-from gscore.trainer.strategy import splitting
+from gscore.trainer.strategy import default as splitting
 
 Make = Callable[..., CpuModel]
 
