@@ -1,0 +1,111 @@
+/* gscore_gpu: splats drawn by a graphics card, with Vulkan 1.2. A library of its own, which a program may lack.
+ *
+ * Devices. The Vulkan loader of the system is opened at the first call; nothing is linked. gs_gpu_devices lists all
+ * devices, also those that cannot be used, with the reason. A device needs: Vulkan 1.2, a queue for compute, buffer
+ * addresses, 32 KiB of shared memory, workgroups of 256 invocations, 128 bytes of push constants. It needs no float
+ * atomics, no 8-, 16- or 64-bit integers, no double precision and no particular subgroup size.
+ *
+ * Numbers. Results are those of gscore/raster.h within docs/accuracy.md. For one device, driver and version of this
+ * library, the same call gives the same bits. Sums have a fixed order; no atomic operation on floats is used.
+ *
+ * Memory. A model takes 56 + 12 sh_rest bytes per splat on the device, a draw about 100 bytes per splat in the picture,
+ * 24 per (tile, splat) entry and 4 per pixel and output channel. Buffers grow as needed and are reused; GS_OUT_OF_MEMORY
+ * leaves the device usable.
+ *
+ * Errors. As in gscore/base.h, with gs_gpu_last_error() for the message. After GS_DEVICE_LOST or GS_TIMED_OUT all calls
+ * of that gs_gpu fail with GS_DEVICE_LOST; close it and open it again. A call may run for GSCORE_GPU_SECONDS (20).
+ *
+ * Threads. One thread at a time may use a gs_gpu; several may be open at once. A forked process must open its own.
+ *
+ * Environment. GSCORE_VULKAN_LOADER: path of a Vulkan loader or driver. GSCORE_GPU_CHECK=1: validation layers; an error
+ * of theirs fails the call. GSCORE_GPU_FAULT=lost|oom|wrong|hang, optionally :N: the N-th draw (first: 1) fails so, for
+ * tests. */
+#pragma once
+
+#include "gscore/raster.h"
+
+/* Changes whenever a struct or a signature of this header changes. */
+#define GS_GPU_ABI_VERSION 1
+
+/* Further values of gs_status. */
+enum {
+    GS_DEVICE_LOST = 7, /* the driver gave the device up, or an earlier call did not end */
+    GS_TIMED_OUT = 8    /* the device did not finish in time */
+};
+
+/* gs_gpu_info.kind: the values of VkPhysicalDeviceType. */
+enum { GS_GPU_OTHER = 0, GS_GPU_INTEGRATED = 1, GS_GPU_DISCRETE = 2, GS_GPU_VIRTUAL = 3, GS_GPU_SOFTWARE = 4 };
+
+/* A device of this machine. Texts are UTF-8. */
+typedef struct gs_gpu_info {
+    char name[256];
+    char driver[256];         /* name and version of the driver */
+    char missing[256];        /* what it lacks, comma-separated; empty: it can be used */
+    uint8_t uuid[16];         /* of the device */
+    uint32_t vendor;          /* PCI numbers */
+    uint32_t device;
+    uint32_t driver_version;  /* in the driver's own format */
+    uint32_t api_version;     /* as Vulkan packs it: 10 bits major from bit 22 on, 10 bits minor, 12 bits patch */
+    int32_t kind;             /* GS_GPU_* */
+    int32_t subgroup;         /* invocations of a subgroup */
+    uint32_t shared_memory;   /* bytes per workgroup */
+    uint32_t workgroup;       /* most invocations of a workgroup */
+    uint64_t memory;          /* bytes of the device's own memory */
+    uint64_t memory_free;     /* of these not in use by any program; 0: unknown */
+    uint64_t largest_buffer;  /* bytes */
+} gs_gpu_info;
+
+/* Statistics of the last draw. */
+typedef struct gs_gpu_stats {
+    int64_t visible;       /* splats in the picture */
+    int64_t entries;       /* (tile, splat) entries; tiles of GS_TILE x GS_TILE px */
+    int64_t device_bytes;  /* device memory in use by this gs_gpu */
+    double project_ms, sort_ms, bin_ms, blend_ms; /* on the device; 0 where it has no timer */
+    double download_ms;    /* wall time of the copy to the arrays of gs_image */
+    double total_ms;       /* wall time of the call */
+} gs_gpu_stats;
+
+typedef struct gs_gpu gs_gpu;
+typedef struct gs_gpu_splats gs_gpu_splats;
+
+/* GS_GPU_ABI_VERSION of the header with which the library was built. */
+GS_API int32_t gs_gpu_abi_version(void);
+/* Message of the last failure on this thread, UTF-8, valid until the next call on this thread. */
+GS_API const char *gs_gpu_last_error(void);
+
+/* List the devices: `count` receives their number, of which the first `capacity` are written to `out`, which may be null
+ * if that is 0. GS_UNSUPPORTED if there is no Vulkan loader or it has no driver; then count is 0. */
+GS_API gs_status gs_gpu_devices(gs_gpu_info *out, int32_t capacity, int32_t *count);
+
+/* Open a device by its index in that list. GS_UNSUPPORTED if it lacks something. Compiles all pipelines, which takes a
+ * driver from milliseconds to a minute the first time. */
+GS_API gs_status gs_gpu_open(int32_t index, gs_gpu **out);
+GS_API void gs_gpu_close(gs_gpu *gpu);
+
+/* Copy splats to the device. */
+GS_API gs_status gs_gpu_upload(gs_gpu *gpu, const gs_splats *splats, gs_gpu_splats **out);
+/* Free them, before their device is closed. */
+GS_API void gs_gpu_release(gs_gpu_splats *splats);
+
+/* Draw, as gs_raster_forward does. Of gs_host, `threads` and `disable` are not used. */
+GS_API gs_status gs_gpu_draw(gs_gpu *gpu, const gs_gpu_splats *splats, const gs_view *view, const gs_host *host,
+                             const gs_image *image);
+/* Blending weights of the splats in the last draw, summed over pixels with three weights per pixel: shares [H, W, 3],
+ * sums [N, 3]. GS_BAD_ARGUMENT if these splats were not drawn last. */
+GS_API gs_status gs_gpu_weights(gs_gpu *gpu, const gs_gpu_splats *splats, const float *shares, float *sums);
+GS_API gs_status gs_gpu_draw_stats(const gs_gpu *gpu, gs_gpu_stats *out);
+/* Screen-space values of the last draw, as gs_raster_projected. */
+GS_API gs_status gs_gpu_projected(gs_gpu *gpu, float *means2d, float *depths, float *conics, float *colors,
+                                  float *opacities);
+
+/* Kernels of the self-test; all arrays have `count` words. */
+enum {
+    GS_GPU_TEST_EXP2 = 0,        /* a float to 2^a by the exponential of the blend kernel */
+    GS_GPU_TEST_NATIVE_EXP2 = 1, /* the same by the device's own function */
+    GS_GPU_TEST_PRODUCT = 2,     /* floats a, b to the rounding error of a b, which a pair of floats keeps */
+    GS_GPU_TEST_SUM = 3,         /* floats a, b to the rounding error of a + b */
+    GS_GPU_TEST_FMA = 4,         /* floats a, b to fma(a, b, -a b): 0 where fma() rounds twice */
+    GS_GPU_TEST_SORT = 5         /* words a to the row numbers that sort them stably */
+};
+GS_API gs_status gs_gpu_test(gs_gpu *gpu, int32_t kernel, const uint32_t *a, const uint32_t *b, uint32_t *out,
+                             int64_t count);
