@@ -1,19 +1,14 @@
-// C API: failures, library and instruction sets, checks of several entry points.
+// C API: library, instruction sets and threads.
 #include "api.h"
 
 #include "cpu_dispatch.h"
 #include "thread_count.h"
 
-#include <cmath>
-#include <cstdarg>
-#include <cstdio>
 #include <cstdlib>
 
 namespace gs {
 
 namespace {
-
-thread_local char last_error[256] = "";
 
 gs_status fail_default_threads() {
     const char *const text = std::getenv("GSCORE_THREADS");
@@ -24,14 +19,6 @@ gs_status fail_default_threads() {
 
 } // namespace
 
-gs_status fail(gs_status status, const char *format, ...) {
-    std::va_list args;
-    va_start(args, format);
-    std::vsnprintf(last_error, sizeof last_error, format, args);
-    va_end(args);
-    return status;
-}
-
 gs_status check_threads(int32_t threads) {
     if (threads < 0 || threads > GS_THREADS_MAX)
         return fail(GS_BAD_ARGUMENT, "threads must be 0 (all) to %d, got %d", GS_THREADS_MAX, threads);
@@ -40,61 +27,12 @@ gs_status check_threads(int32_t threads) {
     return GS_OK;
 }
 
-gs_status check_image_size(int32_t width, int32_t height) {
-    if (width < 1 || width > 65536 || height < 1 || height > 65536)
-        return fail(GS_BAD_ARGUMENT, "image size must be 1 to 65536 px per side, got %d x %d", width, height);
-    return GS_OK;
-}
-
-gs_status check_splat_count(int64_t count, const char *what) {
-    if (count < 0 || count > INT32_MAX)
-        return fail(GS_BAD_ARGUMENT, "%s must be 0 to 2147483647, got %lld", what, (long long)count);
-    return GS_OK;
-}
-
-gs_status check_splats(const gs_splats &s) {
-    if (const gs_status status = check_splat_count(s.count, "splats.count"))
-        return status;
-    if (s.sh_rest != 0 && s.sh_rest != 3 && s.sh_rest != 8 && s.sh_rest != 15 && s.sh_rest != 24)
-        return fail(GS_BAD_ARGUMENT, "splats.sh_rest must be 0, 3, 8, 15 or 24, got %d", s.sh_rest);
-    if (s.count > 0 && (!s.means || !s.quats || !s.scales || !s.opacities || !s.sh0 || (s.sh_rest && !s.shN)))
-        return fail(GS_BAD_ARGUMENT, "an array of splats is null");
-    return GS_OK;
-}
-
-gs_status check_view(const gs_view &v) {
-    if (const gs_status s = check_image_size(v.width, v.height))
-        return s;
-    for (const float x : v.viewmat)
-        if (!std::isfinite(x))
-            return fail(GS_BAD_ARGUMENT, "view.viewmat has a value that is not finite");
-    if (!(v.fx > 0 && v.fy > 0 && std::isfinite(v.fx) && std::isfinite(v.fy)))
-        return fail(GS_BAD_ARGUMENT, "focal lengths must be positive, got fx = %g, fy = %g", double(v.fx),
-                    double(v.fy));
-    if (!std::isfinite(v.cx) || !std::isfinite(v.cy))
-        return fail(GS_BAD_ARGUMENT, "the principal point must be finite, got cx = %g, cy = %g", double(v.cx),
-                    double(v.cy));
-    if (!(v.near_plane > 0) || !(v.far_plane > v.near_plane))
-        return fail(GS_BAD_ARGUMENT, "near must be positive and below far, got near = %g, far = %g",
-                    double(v.near_plane), double(v.far_plane));
-    if (v.orthographic != 0 && v.orthographic != 1)
-        return fail(GS_BAD_ARGUMENT, "view.orthographic must be 0 or 1, got %d", v.orthographic);
-    if (!(v.eps2d > 0 && v.eps2d < 1e6f))
-        return fail(GS_BAD_ARGUMENT, "eps2d must be positive, got %g", double(v.eps2d));
-    if (v.sh_degree < 0 || v.sh_degree > 4)
-        return fail(GS_BAD_ARGUMENT, "view.sh_degree must be 0 to 4, got %d", v.sh_degree);
-    for (const float b : v.background)
-        if (!std::isfinite(b))
-            return fail(GS_BAD_ARGUMENT, "the background must be finite");
-    return GS_OK;
-}
-
 } // namespace gs
 
 using namespace gs;
 
 int32_t gs_abi_version(void) { return GS_ABI_VERSION; }
-const char *gs_last_error(void) { return last_error; }
+const char *gs_last_error(void) { return last_failure(); }
 const char *gs_isas(void) { return available_kernels(); }
 const char *gs_isa(void) { return kernels().name; }
 

@@ -22,17 +22,10 @@ gs_status gs_raster_forward(gs_raster *raster, const gs_splats *splats, const gs
         return fail(GS_BAD_ARGUMENT, "gs_raster_forward: an argument, image.rgb or image.alpha is null");
     if (const gs_status s = check_splats(*splats))
         return s;
-    if (const gs_status s = check_view(*view))
+    if (const gs_status s = check_draw(splats->sh_rest, *view, *image))
         return s;
     if (const gs_status s = check_threads(host->threads))
         return s;
-    if (sh_rest_of(view->sh_degree) > splats->sh_rest)
-        return fail(GS_BAD_ARGUMENT, "view.sh_degree must be at most the degree of sh_rest = %d, got %d",
-                    splats->sh_rest, view->sh_degree);
-    if ((view->outputs & GS_OUT_INVERSE_DEPTH && !image->inverse_depth) ||
-        (view->outputs & GS_OUT_DEPTH && !image->depth) ||
-        (view->outputs & GS_OUT_MEDIAN_DEPTH && !image->median_depth))
-        return fail(GS_BAD_ARGUMENT, "gs_raster_forward: a requested output has no array");
     return guarded("gs_raster_forward", [&] {
         const gs_status s = raster->forward(*splats, *view, *host, *image);
         if (s == GS_TOO_MANY)

@@ -1,0 +1,125 @@
+// C API of gscore_gpu: checks arguments and calls it.
+#include "api.h"
+#include "gpu.h"
+
+#include <memory>
+
+using namespace gs;
+
+namespace {
+
+// As `guarded`, for failures of this library too.
+template <class Body> gs_status run(const char *what, Body body) {
+    return guarded(what, [&] {
+        try {
+            return gs_status(body());
+        } catch (const GpuFailure &failure) {
+            return fail(failure.status, "%s", failure.text);
+        }
+    });
+}
+
+} // namespace
+
+int32_t gs_gpu_abi_version(void) { return GS_GPU_ABI_VERSION; }
+const char *gs_gpu_last_error(void) { return last_failure(); }
+
+gs_status gs_gpu_devices(gs_gpu_info *out, int32_t capacity, int32_t *count) {
+    if (!count || capacity < 0 || (capacity && !out))
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_devices: an argument is null or the capacity negative");
+    *count = 0;
+    return run("gs_gpu_devices", [&] {
+        const std::vector<VkPhysicalDevice> devices = physical_devices();
+        for (size_t i = 0; i < devices.size() && i < size_t(capacity); ++i)
+            out[i] = describe(devices[i]);
+        *count = int32_t(devices.size());
+        return GS_OK;
+    });
+}
+
+gs_status gs_gpu_open(int32_t index, gs_gpu **out) {
+    if (!out)
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_open: out is null");
+    return run("gs_gpu_open", [&] {
+        const std::vector<VkPhysicalDevice> devices = physical_devices();
+        if (index < 0 || size_t(index) >= devices.size())
+            return fail(GS_BAD_ARGUMENT, "gs_gpu_open: there is no device %d; there are %zu", index, devices.size());
+        *out = new gs_gpu(devices[size_t(index)]);
+        return GS_OK;
+    });
+}
+
+void gs_gpu_close(gs_gpu *gpu) { delete gpu; }
+
+gs_status gs_gpu_upload(gs_gpu *gpu, const gs_splats *splats, gs_gpu_splats **out) {
+    if (!gpu || !splats || !out)
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_upload: an argument is null");
+    if (const gs_status s = check_splats(*splats))
+        return s;
+    return run("gs_gpu_upload", [&] {
+        auto made = std::make_unique<gs_gpu_splats>();
+        try {
+            gpu->upload(*splats, *made);
+        } catch (...) {
+            gpu->device.free(made->model);
+            throw;
+        }
+        *out = made.release();
+        return GS_OK;
+    });
+}
+
+void gs_gpu_release(gs_gpu_splats *splats) {
+    if (splats && !splats->gpu->device.is_lost())
+        splats->gpu->device.free(splats->model);
+    delete splats;
+}
+
+gs_status gs_gpu_draw(gs_gpu *gpu, const gs_gpu_splats *splats, const gs_view *view, const gs_host *host,
+                      const gs_image *image) {
+    if (!gpu || !splats || !view || !host || !image || !image->rgb || !image->alpha)
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_draw: an argument, image.rgb or image.alpha is null");
+    if (const gs_status s = check_draw(splats->sh_rest, *view, *image))
+        return s;
+    return run("gs_gpu_draw", [&] {
+        const gs_status s = gpu->draw(*splats, *view, *host, *image);
+        return s == GS_CANCELLED ? fail(s, "cancelled") : s;
+    });
+}
+
+gs_status gs_gpu_weights(gs_gpu *gpu, const gs_gpu_splats *splats, const float *shares, float *sums) {
+    if (!gpu || !splats || !shares || (!sums && splats->count))
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_weights: an argument is null");
+    return run("gs_gpu_weights", [&] {
+        gpu->weights(*splats, shares, sums);
+        return GS_OK;
+    });
+}
+
+gs_status gs_gpu_draw_stats(const gs_gpu *gpu, gs_gpu_stats *out) {
+    if (!gpu || !out)
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_draw_stats: an argument is null");
+    *out = gpu->stats;
+    return GS_OK;
+}
+
+gs_status gs_gpu_projected(gs_gpu *gpu, float *means2d, float *depths, float *conics, float *colors,
+                           float *opacities) {
+    if (!gpu)
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_projected: gpu is null");
+    return run("gs_gpu_projected", [&] {
+        gpu->projected(means2d, depths, conics, colors, opacities);
+        return GS_OK;
+    });
+}
+
+gs_status gs_gpu_test(gs_gpu *gpu, int32_t kernel, const uint32_t *a, const uint32_t *b, uint32_t *out, int64_t count) {
+    const bool two = kernel >= GS_GPU_TEST_PRODUCT && kernel <= GS_GPU_TEST_FMA;
+    if (!gpu || kernel < 0 || kernel > GS_GPU_TEST_SORT || count < 0 || count > (int64_t(1) << 28) ||
+        (count && (!a || !out || (two && !b))))
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_test: an argument is null or out of range");
+    return run("gs_gpu_test", [&] {
+        gpu->test(kernel, a, b, out, count);
+        return GS_OK;
+    });
+}

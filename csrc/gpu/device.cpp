@@ -1,0 +1,317 @@
+#include "device.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cstdlib>
+#include <cstring>
+#include <vector>
+
+namespace gs {
+
+namespace {
+
+double seconds_allowed() {
+    const char *const text = std::getenv("GSCORE_GPU_SECONDS");
+    const double found = text ? std::atof(text) : 0;
+    return found > 0 ? found : 20;
+}
+
+} // namespace
+
+Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(physical)) {
+    if (*info_.missing)
+        throw_failure(GS_UNSUPPORTED, "%.80s lacks %.150s", info_.name, info_.missing);
+    vkGetPhysicalDeviceMemoryProperties(physical, &memory_);
+    const uint32_t family = compute_family(physical);
+    const float priority = 1;
+    VkDeviceQueueCreateInfo queue = {VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO};
+    queue.queueFamilyIndex = family;
+    queue.queueCount = 1;
+    queue.pQueuePriorities = &priority;
+    VkPhysicalDeviceVulkan12Features features = {VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES};
+    features.bufferDeviceAddress = VK_TRUE;
+    std::vector<const char *> extensions;
+    if (has_extension(physical, "VK_KHR_portability_subset"))
+        extensions.push_back("VK_KHR_portability_subset");
+    VkDeviceCreateInfo create = {VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO};
+    create.pNext = &features;
+    create.queueCreateInfoCount = 1;
+    create.pQueueCreateInfos = &queue;
+    create.enabledExtensionCount = uint32_t(extensions.size());
+    create.ppEnabledExtensionNames = extensions.data();
+    check(vkCreateDevice(physical, &create, nullptr, &device_), "vkCreateDevice");
+    volkLoadDeviceTable(&vk_, device_);
+    try {
+        vk_.vkGetDeviceQueue(device_, family, 0, &queue_);
+        VkCommandPoolCreateInfo pool = {VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
+        pool.flags = VK_COMMAND_POOL_CREATE_RESET_COMMAND_BUFFER_BIT;
+        pool.queueFamilyIndex = family;
+        check(vk_.vkCreateCommandPool(device_, &pool, nullptr, &pool_), "vkCreateCommandPool");
+        VkCommandBufferAllocateInfo allocate = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
+        allocate.commandPool = pool_;
+        allocate.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
+        allocate.commandBufferCount = 1;
+        check(vk_.vkAllocateCommandBuffers(device_, &allocate, &commands_), "vkAllocateCommandBuffers");
+        const VkFenceCreateInfo fence = {VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
+        check(vk_.vkCreateFence(device_, &fence, nullptr, &fence_), "vkCreateFence");
+
+        uint32_t count = 0;
+        vkGetPhysicalDeviceQueueFamilyProperties(physical, &count, nullptr);
+        std::vector<VkQueueFamilyProperties> families(count);
+        vkGetPhysicalDeviceQueueFamilyProperties(physical, &count, families.data());
+        VkPhysicalDeviceProperties properties;
+        vkGetPhysicalDeviceProperties(physical, &properties);
+        if (families[family].timestampValidBits) {
+            nanoseconds_ = double(properties.limits.timestampPeriod);
+            VkQueryPoolCreateInfo queries = {VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
+            queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
+            queries.queryCount = kMostTimestamps;
+            check(vk_.vkCreateQueryPool(device_, &queries, nullptr, &queries_), "vkCreateQueryPool");
+        }
+
+        const VkPushConstantRange range = {VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(gs_push)};
+        VkPipelineLayoutCreateInfo layout = {VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO};
+        layout.pushConstantRangeCount = 1;
+        layout.pPushConstantRanges = &range;
+        check(vk_.vkCreatePipelineLayout(device_, &layout, nullptr, &layout_), "vkCreatePipelineLayout");
+        for (int i = 0; i < kShaders; ++i) {
+            const ShaderCode code = shader_code(Shader(i)); 
+            VkShaderModuleCreateInfo module = {VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
+            module.codeSize = code.bytes;
+            module.pCode = code.words;
+            VkShaderModule made;
+            check(vk_.vkCreateShaderModule(device_, &module, nullptr, &made), "vkCreateShaderModule");
+            VkComputePipelineCreateInfo pipeline = {VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
+            pipeline.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
+            pipeline.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
+            pipeline.stage.module = made;
+            pipeline.stage.pName = "main";
+            pipeline.layout = layout_;
+            const VkResult result =
+                vk_.vkCreateComputePipelines(device_, VK_NULL_HANDLE, 1, &pipeline, nullptr, &pipelines_[i]);
+            vk_.vkDestroyShaderModule(device_, made, nullptr);
+            check(result, "vkCreateComputePipelines");
+        }
+    } catch (...) {
+        destroy();
+        throw;
+    }
+}
+
+Device::~Device() { destroy(); }
+
+void Device::destroy() {
+    if (lost_)
+        return; // a driver may wait forever for a device that hangs
+    vk_.vkDeviceWaitIdle(device_);
+    for (const VkPipeline p : pipelines_)
+        vk_.vkDestroyPipeline(device_, p, nullptr);
+    vk_.vkDestroyPipelineLayout(device_, layout_, nullptr);
+    vk_.vkDestroyQueryPool(device_, queries_, nullptr);
+    vk_.vkDestroyFence(device_, fence_, nullptr);
+    vk_.vkDestroyCommandPool(device_, pool_, nullptr);
+    vk_.vkDestroyDevice(device_, nullptr);
+}
+
+uint32_t Device::memory_type(uint32_t allowed, Place place) const {
+    // In order of preference; the last is one that every implementation has.
+    const VkMemoryPropertyFlags own = VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT, cached = VK_MEMORY_PROPERTY_HOST_CACHED_BIT;
+    const VkMemoryPropertyFlags host = VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
+    const VkMemoryPropertyFlags wanted[2] = {place == Place::kDevice     ? own
+                                             : place == Place::kDownload ? host | cached
+                                                                         : host,
+                                             place == Place::kDevice ? 0 : host};
+    for (const VkMemoryPropertyFlags flags : wanted)
+        for (uint32_t i = 0; i < memory_.memoryTypeCount; ++i)
+            if (allowed >> i & 1 && (memory_.memoryTypes[i].propertyFlags & flags) == flags)
+                return i;
+    throw_failure(GS_UNSUPPORTED, "%.150s has no memory of the kind needed", info_.name);
+}
+
+void Device::ensure(DeviceBuffer &b, size_t bytes, Place place) {
+    bytes = std::max<size_t>((bytes + 255) / 256 * 256, 256);
+    if (b.bytes < bytes) {
+        if (b.bytes) // by half at least, so that slow growth does not allocate each time
+            bytes = std::max(bytes, (b.bytes + b.bytes / 2 + 255) / 256 * 256);
+        free(b);
+        VkBufferCreateInfo create = {VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
+        create.size = bytes;
+        create.usage = VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
+        if (place == Place::kDevice)
+            create.usage |= VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_INDIRECT_BUFFER_BIT |
+                            VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT;
+        try {
+            check(vk_.vkCreateBuffer(device_, &create, nullptr, &b.buffer), "vkCreateBuffer");
+            VkMemoryRequirements needs;
+            vk_.vkGetBufferMemoryRequirements(device_, b.buffer, &needs);
+            VkMemoryAllocateFlagsInfo flags = {VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO};
+            flags.flags = place == Place::kDevice ? VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT : 0;
+            VkMemoryAllocateInfo allocate = {VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO};
+            allocate.pNext = &flags;
+            allocate.allocationSize = needs.size;
+            allocate.memoryTypeIndex = memory_type(needs.memoryTypeBits, place);
+            if (needs.size > info_.largest_buffer)
+                throw_failure(GS_OUT_OF_MEMORY, "%.100s allows %llu MiB in one buffer; %llu MiB are needed", info_.name,
+                              (unsigned long long)(info_.largest_buffer >> 20), (unsigned long long)(needs.size >> 20));
+            const VkResult result = vk_.vkAllocateMemory(device_, &allocate, nullptr, &b.memory);
+            if (result == VK_ERROR_OUT_OF_DEVICE_MEMORY || result == VK_ERROR_OUT_OF_HOST_MEMORY)
+                throw_failure(GS_OUT_OF_MEMORY, "%.100s has no %llu MiB more; %llu MiB are in use here", info_.name,
+                              (unsigned long long)(needs.size >> 20), (unsigned long long)(bytes_ >> 20));
+            check(result, "vkAllocateMemory");
+            check(vk_.vkBindBufferMemory(device_, b.buffer, b.memory, 0), "vkBindBufferMemory");
+            if (place != Place::kDevice)
+                check(vk_.vkMapMemory(device_, b.memory, 0, VK_WHOLE_SIZE, 0, &b.mapped), "vkMapMemory");
+        } catch (...) {
+            free(b);
+            throw;
+        }
+        if (place == Place::kDevice) {
+            VkBufferDeviceAddressInfo address = {VK_STRUCTURE_TYPE_BUFFER_DEVICE_ADDRESS_INFO};
+            address.buffer = b.buffer;
+            b.address = vk_.vkGetBufferDeviceAddress(device_, &address);
+        }
+        b.bytes = bytes;
+        bytes_ += bytes;
+    }
+}
+
+void Device::free(DeviceBuffer &b) {
+    vk_.vkDestroyBuffer(device_, b.buffer, nullptr);
+    vk_.vkFreeMemory(device_, b.memory, nullptr);
+    bytes_ -= b.bytes;
+    b = {};
+}
+
+void Device::begin() {
+    if (lost_)
+        throw_failure(gs_status(GS_DEVICE_LOST), "%.100s was lost in an earlier call", info_.name);
+    check(vk_.vkResetCommandBuffer(commands_, 0), "vkResetCommandBuffer");
+    VkCommandBufferBeginInfo begin = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
+    begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
+    check(vk_.vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
+}
+
+void Device::barrier() {
+    VkMemoryBarrier all = {VK_STRUCTURE_TYPE_MEMORY_BARRIER};
+    all.srcAccessMask = VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT;
+    all.dstAccessMask = VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_INDIRECT_COMMAND_READ_BIT |
+                        VK_ACCESS_TRANSFER_READ_BIT | VK_ACCESS_TRANSFER_WRITE_BIT;
+    const VkPipelineStageFlags from = VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT | VK_PIPELINE_STAGE_TRANSFER_BIT;
+    vk_.vkCmdPipelineBarrier(commands_, from, from | VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT, 0, 1, &all, 0, nullptr, 0,
+                             nullptr);
+}
+
+void Device::bind(Shader shader, const gs_push &push) {
+    vk_.vkCmdBindPipeline(commands_, VK_PIPELINE_BIND_POINT_COMPUTE, pipelines_[int(shader)]);
+    vk_.vkCmdPushConstants(commands_, layout_, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof push, &push);
+}
+
+void Device::dispatch(Shader shader, const gs_push &push, uint32_t x, uint32_t y) {
+    if (x == 0 || y == 0)
+        return;
+    bind(shader, push);
+    vk_.vkCmdDispatch(commands_, x, y, 1);
+    barrier();
+}
+
+void Device::dispatch(Shader shader, const gs_push &push, const DeviceBuffer &arguments, size_t word) {
+    bind(shader, push);
+    vk_.vkCmdDispatchIndirect(commands_, arguments.buffer, word * sizeof(uint32_t));
+    barrier();
+}
+
+void Device::fill(const DeviceBuffer &b, size_t bytes, uint32_t word) {
+    vk_.vkCmdFillBuffer(commands_, b.buffer, 0, (bytes + 3) / 4 * 4, word);
+    barrier();
+}
+
+void Device::copy(const DeviceBuffer &from, const DeviceBuffer &to, size_t bytes, size_t from_byte, size_t to_byte) {
+    if (bytes == 0)
+        return;
+    const VkBufferCopy region = {from_byte, to_byte, bytes};
+    vk_.vkCmdCopyBuffer(commands_, from.buffer, to.buffer, 1, &region);
+    barrier();
+}
+
+void Device::timestamp(uint32_t index) {
+    if (nanoseconds_ == 0)
+        return;
+    if (index == 0)
+        vk_.vkCmdResetQueryPool(commands_, queries_, 0, kMostTimestamps);
+    vk_.vkCmdWriteTimestamp(commands_, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, index);
+}
+
+double Device::milliseconds(uint32_t from, uint32_t to) {
+    if (nanoseconds_ == 0)
+        return 0;
+    uint64_t ticks[kMostTimestamps] = {};
+    vk_.vkGetQueryPoolResults(device_, queries_, from, to - from + 1, sizeof ticks, ticks, sizeof *ticks,
+                              VK_QUERY_RESULT_64_BIT);
+    return double(ticks[to - from] - ticks[0]) * nanoseconds_ * 1e-6;
+}
+
+void Device::wait(const volatile int32_t *cancel, bool &cancelled) {
+    // Short waits, so that a cancel flag is polled; a device that hangs ends the call.
+    const auto begin = std::chrono::steady_clock::now();
+    for (;;) {
+        const VkResult result = vk_.vkWaitForFences(device_, 1, &fence_, VK_TRUE, 5'000'000);
+        if (result == VK_ERROR_DEVICE_LOST)
+            lost_ = true;
+        if (result != VK_TIMEOUT) {
+            check(result, "vkWaitForFences");
+            return;
+        }
+        cancelled = cancelled || (cancel && *cancel);
+        const std::chrono::duration<double> passed = std::chrono::steady_clock::now() - begin;
+        if (passed.count() > seconds_allowed()) {
+            lost_ = true;
+            throw_failure(gs_status(GS_TIMED_OUT), "%.100s did not finish within %g s", info_.name, seconds_allowed());
+        }
+    }
+}
+
+gs_status Device::finish(const volatile int32_t *cancel) {
+    VkMemoryBarrier to_host = {VK_STRUCTURE_TYPE_MEMORY_BARRIER};
+    to_host.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
+    to_host.dstAccessMask = VK_ACCESS_HOST_READ_BIT;
+    vk_.vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_PIPELINE_STAGE_HOST_BIT, 0, 1, &to_host, 0,
+                             nullptr, 0, nullptr);
+    check(vk_.vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
+    check(vk_.vkResetFences(device_, 1, &fence_), "vkResetFences");
+    VkSubmitInfo submit = {VK_STRUCTURE_TYPE_SUBMIT_INFO};
+    submit.commandBufferCount = 1;
+    submit.pCommandBuffers = &commands_;
+    const VkResult result = vk_.vkQueueSubmit(queue_, 1, &submit, fence_);
+    lost_ = lost_ || result == VK_ERROR_DEVICE_LOST;
+    check(result, "vkQueueSubmit");
+    bool cancelled = cancel && *cancel;
+    wait(cancel, cancelled);
+    if (checks_enabled())
+        throw_validation_errors();
+    return cancelled ? GS_CANCELLED : GS_OK;
+}
+
+bool Device::inject_fault() {
+    ++draws_;
+    const char *const text = std::getenv("GSCORE_GPU_FAULT");
+    if (!text || !*text)
+        return false;
+    const char *const colon = std::strchr(text, ':');
+    if (draws_ != (colon ? std::atoi(colon + 1) : 1))
+        return false;
+    const size_t length = colon ? size_t(colon - text) : std::strlen(text);
+    const auto is = [&](const char *name) { return std::strlen(name) == length && !std::strncmp(text, name, length); };
+    if (is("oom"))
+        throw_failure(GS_OUT_OF_MEMORY, "%.100s has no memory (GSCORE_GPU_FAULT)", info_.name);
+    if (is("lost")) {
+        lost_ = true;
+        throw_failure(gs_status(GS_DEVICE_LOST), "%.100s is lost (GSCORE_GPU_FAULT)", info_.name);
+    }
+    if (is("hang")) {
+        lost_ = true;
+        throw_failure(gs_status(GS_TIMED_OUT), "%.100s did not finish (GSCORE_GPU_FAULT)", info_.name);
+    }
+    return is("wrong");
+}
+
+} // namespace gs

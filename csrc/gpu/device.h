@@ -1,0 +1,80 @@
+// A device in use: memory, pipelines, and commands that are waited for.
+#pragma once
+
+#include "frame.h"
+#include "instance.h"
+#include "shaders.h"
+
+namespace gs {
+
+// A buffer of the device that grows; contents are lost when it does.
+struct DeviceBuffer {
+    VkBuffer buffer = VK_NULL_HANDLE;
+    VkDeviceMemory memory = VK_NULL_HANDLE;
+    VkDeviceAddress address = 0;
+    void *mapped = nullptr; // of host memory
+    size_t bytes = 0;
+};
+
+// Where a buffer is.
+enum class Place { kDevice, kUpload, kDownload };
+
+// Timestamps of a draw.
+constexpr uint32_t kMostTimestamps = 8;
+
+class Device {
+  public:
+    explicit Device(VkPhysicalDevice);
+    ~Device();
+    Device(const Device &) = delete;
+    Device &operator=(const Device &) = delete;
+
+    const gs_gpu_info &info() const { return info_; }
+    // At least `bytes` of memory, zero bytes included, so that no address is null.
+    void ensure(DeviceBuffer &, size_t bytes, Place = Place::kDevice);
+    void free(DeviceBuffer &);
+    size_t bytes_in_use() const { return bytes_; }
+    bool is_lost() const { return lost_; }
+
+    // Commands between `begin` and `finish`, which waits for them and polls `cancel`, which may be null; a cancelled
+    // call still waits. Each command sees what earlier ones wrote.
+    void begin();
+    void dispatch(Shader, const gs_push &, uint32_t x, uint32_t y = 1);
+    // The arguments are three words of a buffer.
+    void dispatch(Shader, const gs_push &, const DeviceBuffer &arguments, size_t word);
+    void fill(const DeviceBuffer &, size_t bytes, uint32_t word);
+    void copy(const DeviceBuffer &from, const DeviceBuffer &to, size_t bytes, size_t from_byte = 0, size_t to_byte = 0);
+    void timestamp(uint32_t index);
+    gs_status finish(const volatile int32_t *cancel);
+    // Milliseconds between two timestamps; 0 where the device has no timer.
+    double milliseconds(uint32_t from, uint32_t to);
+
+    // Fails as GSCORE_GPU_FAULT demands; to be called once per draw. True: the picture is to be damaged.
+    bool inject_fault();
+
+  private:
+    void wait(const volatile int32_t *cancel, bool &cancelled);
+    void barrier();
+    void bind(Shader, const gs_push &);
+    uint32_t memory_type(uint32_t allowed, Place) const;
+    void destroy();
+
+    VkPhysicalDevice physical_;
+    gs_gpu_info info_;
+    VkPhysicalDeviceMemoryProperties memory_ = {};
+    VkDevice device_ = VK_NULL_HANDLE;
+    VolkDeviceTable vk_ = {};
+    VkQueue queue_ = VK_NULL_HANDLE;
+    VkCommandPool pool_ = VK_NULL_HANDLE;
+    VkCommandBuffer commands_ = VK_NULL_HANDLE;
+    VkFence fence_ = VK_NULL_HANDLE;
+    VkQueryPool queries_ = VK_NULL_HANDLE;
+    double nanoseconds_ = 0; // per tick; 0: no timer
+    VkPipelineLayout layout_ = VK_NULL_HANDLE;
+    VkPipeline pipelines_[kShaders] = {};
+    size_t bytes_ = 0;
+    bool lost_ = false;
+    int draws_ = 0;
+};
+
+} // namespace gs

@@ -1,0 +1,444 @@
+#include "gpu.h"
+
+#include <algorithm>
+#include <bit>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+#include <iterator>
+
+using namespace gs;
+
+namespace {
+
+// Bytes of a transfer at a time, so that host memory stays small.
+constexpr size_t kChunkBytes = size_t(64) << 20;
+// Pixels of a submission: a long one freezes the screen, and systems end it after two seconds.
+constexpr int64_t kPixelsAtOnce = int64_t(1) << 21;
+// Fills all buffers before a draw under GSCORE_GPU_CHECK: a large negative float, an index far beyond any buffer.
+constexpr uint32_t kPoison = 0xCDCDCDCD;
+constexpr size_t kWord = sizeof(uint32_t);
+
+enum Stage { kBegin, kProjected, kSorted, kBinned, kBlended };
+
+uint32_t ceil_div(int64_t a, int64_t b) { return uint32_t((a + b - 1) / b); }
+
+// Groups of a dispatch of any number of workgroups, folded into rows of at most 65535.
+struct Groups {
+    uint32_t x, y;
+    explicit Groups(int64_t count) : x(uint32_t(std::min<int64_t>(count, 65535))), y(ceil_div(count, 65535)) {}
+};
+
+class Timer {
+  public:
+    double milliseconds() const {
+        return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - begin_).count();
+    }
+
+  private:
+    std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
+};
+
+// Writes rows from `begin` to `end` of a plane of a model, see frame.h.
+void write_plane(const gs_splats &in, size_t plane, size_t begin, size_t end, float *to) {
+    const size_t rest = size_t(in.sh_rest);
+    for (size_t row = begin; row < end; ++row, to += 4) {
+        switch (plane) {
+        case GS_PLANE_MEAN:
+            std::copy_n(in.means + 3 * row, 3, to);
+            to[3] = in.opacities[row];
+            break;
+        case GS_PLANE_QUAT:
+            std::copy_n(in.quats + 4 * row, 4, to);
+            break;
+        case GS_PLANE_SCALE:
+            std::copy_n(in.scales + 3 * row, 3, to);
+            to[3] = 0;
+            break;
+        default:
+            for (size_t k = 0; k < 4; ++k) {
+                const size_t at = 4 * (plane - GS_PLANE_SH) + k;
+                to[k] = at < 3                 ? in.sh0[3 * row + at]
+                        : at - 3 < 3 * rest ? in.shN[3 * rest * row + at - 3]
+                                            : 0;
+            }
+        }
+    }
+}
+
+} // namespace
+
+template <class F> void gs_gpu::each_buffer(F f) {
+    DeviceBuffer *const all[] = {&frame_buffer_,    &records_,         &keys_,           &tile_counts_,    &radii_,
+                                 &sums_,            &counters_,        &visible_keys_[0], &visible_keys_[1],
+                                 &visible_rows_[0], &visible_rows_[1], &offsets_,        &entry_rows_,
+                                 &entry_keys_[0],   &entry_keys_[1],   &entry_slots_[0], &entry_slots_[1],
+                                 &tile_ranges_,     &tiles_,           &far_depths_,     &rgb_,            &alpha_,
+                                 &inverse_depth_,   &depth_,           &median_depth_,   &shares_,         &entry_sums_,
+                                 &row_sums_};
+    for (DeviceBuffer *b : all)
+        f(*b);
+}
+
+gs_gpu::~gs_gpu() {
+    if (device.is_lost())
+        return;
+    each_buffer([&](DeviceBuffer &b) { device.free(b); });
+    device.free(upload_);
+    device.free(download_);
+}
+
+void gs_gpu::send(std::initializer_list<Transfer> transfers) {
+    for (const Transfer &t : transfers)
+        for (size_t at = 0; at < t.bytes; at += kChunkBytes) {
+            const size_t bytes = std::min(kChunkBytes, t.bytes - at);
+            device.ensure(upload_, bytes, Place::kUpload);
+            std::memcpy(upload_.mapped, static_cast<const char *>(t.array) + at, bytes);
+            device.begin();
+            device.copy(upload_, *t.buffer, bytes, 0, at);
+            device.finish(nullptr);
+        }
+}
+
+void gs_gpu::fetch(std::initializer_list<Transfer> transfers) {
+    for (const Transfer &t : transfers)
+        for (size_t at = 0; at < t.bytes; at += kChunkBytes) {
+            const size_t bytes = std::min(kChunkBytes, t.bytes - at);
+            device.ensure(download_, bytes, Place::kDownload);
+            device.begin();
+            device.copy(*t.buffer, download_, bytes, at, 0);
+            device.finish(nullptr);
+            std::memcpy(static_cast<char *>(t.array) + at, download_.mapped, bytes);
+        }
+}
+
+void gs_gpu::upload(const gs_splats &in, gs_gpu_splats &out) {
+    const size_t count = size_t(in.count), planes = planes_of(in.sh_rest);
+    device.ensure(out.model, planes * count * 4 * sizeof(float));
+    const size_t rows = std::max<size_t>(kChunkBytes / (4 * sizeof(float)), 1);
+    for (size_t plane = 0; plane < planes; ++plane)
+        for (size_t begin = 0; begin < count; begin += rows) {
+            const size_t end = std::min(begin + rows, count), bytes = (end - begin) * 4 * sizeof(float);
+            device.ensure(upload_, bytes, Place::kUpload);
+            write_plane(in, plane, begin, end, static_cast<float *>(upload_.mapped));
+            device.begin();
+            device.copy(upload_, out.model, bytes, 0, (plane * count + begin) * 4 * sizeof(float));
+            device.finish(nullptr);
+        }
+    out.gpu = this;
+    out.count = in.count;
+    out.sh_rest = in.sh_rest;
+    out.raw = in.raw;
+}
+
+void gs_gpu::ensure_splats(size_t count) {
+    device.ensure(frame_buffer_, sizeof(gs_frame));
+    device.ensure(counters_, GS_COUNTERS * kWord);
+    device.ensure(records_, count * 64);
+    for (DeviceBuffer *b : {&keys_, &tile_counts_, &radii_, &visible_keys_[0], &visible_keys_[1], &visible_rows_[0],
+                            &visible_rows_[1], &offsets_})
+        device.ensure(*b, count * kWord);
+    // Of the workgroups of the projection, or the digits of a sort; and a total.
+    device.ensure(sums_, std::max<size_t>(ceil_div(int64_t(count), GS_GROUP),
+                                          size_t(GS_DIGITS) * ceil_div(int64_t(count), GS_BLOCK)) *
+                                 kWord +
+                             kWord);
+    frame_.records = records_.address;
+    frame_.keys = keys_.address;
+    frame_.tile_counts = tile_counts_.address;
+    frame_.radii = radii_.address;
+    frame_.counters = counters_.address;
+    frame_.visible_keys = visible_keys_[0].address;
+    frame_.visible_rows = visible_rows_[0].address;
+    frame_.offsets = offsets_.address;
+    frame_.sums = sums_.address;
+}
+
+void gs_gpu::ensure_entries(size_t count) {
+    for (DeviceBuffer *b : {&entry_rows_, &entry_keys_[0], &entry_keys_[1], &entry_slots_[0], &entry_slots_[1]})
+        device.ensure(*b, count * kWord);
+    device.ensure(sums_, size_t(GS_DIGITS) * ceil_div(int64_t(count), GS_BLOCK) * kWord + kWord);
+    frame_.entry_capacity = uint32_t(std::min(entry_rows_.bytes / kWord, size_t(INT32_MAX)));
+    frame_.entry_rows = entry_rows_.address;
+    frame_.sums = sums_.address;
+}
+
+void gs_gpu::ensure_picture(const gs_view &view, const gs_host &host) {
+    const size_t pixels = size_t(view.width) * size_t(view.height);
+    const uint32_t tiles_x = ceil_div(view.width, GS_TILE), tiles_y = ceil_div(view.height, GS_TILE);
+    frame_.tiles_x = tiles_x;
+    frame_.tiles_y = tiles_y;
+    device.ensure(tile_ranges_, size_t(tiles_x) * tiles_y * 2 * kWord);
+    frame_.tile_ranges = tile_ranges_.address;
+    const struct {
+        DeviceBuffer &buffer;
+        uint64_t &address;
+        size_t floats;
+    } pictures[] = {
+        {rgb_, frame_.rgb, 3 * pixels},
+        {alpha_, frame_.alpha, pixels},
+        {inverse_depth_, frame_.inverse_depth, view.outputs & GS_OUT_INVERSE_DEPTH ? pixels : 0},
+        {depth_, frame_.depth, view.outputs & GS_OUT_DEPTH ? pixels : 0},
+        {median_depth_, frame_.median_depth, view.outputs & GS_OUT_MEDIAN_DEPTH ? pixels : 0},
+        {far_depths_, frame_.far_depths, host.far_depths ? pixels : 0},
+    };
+    for (const auto &p : pictures) {
+        device.ensure(p.buffer, p.floats * sizeof(float));
+        p.address = p.buffer.address;
+    }
+    frame_.has_far = host.far_depths != nullptr;
+    frame_.has_tiles = host.tiles != nullptr;
+    frame_.tile_x0 = frame_.tile_y0 = 0;
+    frame_.tile_x1 = tiles_x;
+    frame_.tile_y1 = tiles_y;
+    if (host.far_depths)
+        send({{&far_depths_, const_cast<float *>(host.far_depths), pixels * sizeof(float)}});
+    std::vector<uint32_t> drawn(host.tiles ? size_t(tiles_x) * tiles_y : 0);
+    device.ensure(tiles_, drawn.size() * kWord);
+    frame_.tiles = tiles_.address;
+    if (host.tiles) {
+        uint32_t x0 = tiles_x, y0 = tiles_y, x1 = 0, y1 = 0;
+        for (uint32_t y = 0; y < tiles_y; ++y)
+            for (uint32_t x = 0; x < tiles_x; ++x)
+                if ((drawn[size_t(y) * tiles_x + x] = host.tiles[size_t(y) * tiles_x + x])) {
+                    x0 = std::min(x0, x);
+                    y0 = std::min(y0, y);
+                    x1 = std::max(x1, x + 1);
+                    y1 = std::max(y1, y + 1);
+                }
+        frame_.tile_x0 = x0;
+        frame_.tile_y0 = y0;
+        frame_.tile_x1 = x1;
+        frame_.tile_y1 = y1;
+        send({{&tiles_, drawn.data(), drawn.size() * kWord}});
+    }
+}
+
+void gs_gpu::send_frame() { send({{&frame_buffer_, &frame_, sizeof frame_}}); }
+
+gs_push gs_gpu::push(uint32_t word0, uint32_t word1, uint32_t word2) const {
+    gs_push p = {};
+    p.block = frame_buffer_.address;
+    // No address is null, because drivers may read ahead of a condition.
+    p.keys_in = p.values_in = p.keys_out = p.values_out = counters_.address;
+    p.word0 = word0;
+    p.word1 = word1;
+    p.word2 = word2;
+    return p;
+}
+
+int gs_gpu::sort(DeviceBuffer *keys, DeviceBuffer *values, uint32_t counter, size_t arguments, uint32_t bits) {
+    int from = 0;
+    for (uint32_t bit = 0; bit < bits; bit += GS_DIGIT_BITS, from = 1 - from) {
+        gs_push p = push(counter, bit);
+        p.keys_in = keys[from].address;
+        p.values_in = values[from].address;
+        p.keys_out = keys[1 - from].address;
+        p.values_out = values[1 - from].address;
+        device.dispatch(Shader::kSortCount, p, counters_, arguments);
+        device.dispatch(Shader::kScan, push(counter, GS_DIGITS, GS_BLOCK), 1);
+        device.dispatch(Shader::kSortScatter, p, counters_, arguments);
+    }
+    return from;
+}
+
+// Projects, and lists the entries of each tile in the order of their depths.
+void gs_gpu::record_lists() {
+    const uint32_t group_count = ceil_div(frame_.count, GS_GROUP);
+    const Groups groups(group_count);
+    device.timestamp(kBegin);
+    device.dispatch(Shader::kProject, push(), groups.x, groups.y);
+    device.dispatch(Shader::kScan, push(0, 0, group_count), 1);
+    device.dispatch(Shader::kCompact, push(), groups.x, groups.y);
+    device.dispatch(Shader::kArguments, push(0, 0, group_count), 1);
+    device.timestamp(kProjected);
+    static_assert(32 / GS_DIGIT_BITS % 2 == 0, "the sorted splats are in the first pair of buffers");
+    sort(visible_keys_, visible_rows_, GS_COUNT_VISIBLE, GS_ARGS_VISIBLE_BLOCKS, 32);
+    device.dispatch(Shader::kTileSums, push(), counters_, GS_ARGS_VISIBLE_BLOCKS);
+    device.dispatch(Shader::kScan, push(GS_COUNT_VISIBLE, 1, GS_BLOCK), 1);
+    device.dispatch(Shader::kOffsets, push(), counters_, GS_ARGS_VISIBLE_BLOCKS);
+    device.dispatch(Shader::kArguments, push(1), 1);
+    device.timestamp(kSorted);
+    device.fill(tile_ranges_, size_t(frame_.tiles_x) * frame_.tiles_y * 2 * kWord, 0);
+    gs_push p = push();
+    p.keys_out = entry_keys_[0].address;
+    p.values_out = entry_slots_[0].address;
+    device.dispatch(Shader::kEmit, p, counters_, GS_ARGS_ENTRIES);
+    sorted_entries_ = sort(entry_keys_, entry_slots_, GS_COUNT_ENTRIES, GS_ARGS_ENTRY_BLOCKS,
+                           uint32_t(std::bit_width(frame_.tiles_x * frame_.tiles_y - 1)));
+    p = push();
+    p.keys_in = entry_keys_[sorted_entries_].address;
+    device.dispatch(Shader::kRanges, p, counters_, GS_ARGS_ENTRIES);
+    device.timestamp(kBinned);
+}
+
+gs_status gs_gpu::blend(const gs_host &host) {
+    const uint32_t rows_at_once = uint32_t(std::max<int64_t>(kPixelsAtOnce / (GS_TILE * frame_.view.width), 1));
+    const uint32_t band = std::max(rows_at_once / GS_TILE, 1u);
+    for (uint32_t row = 0; row < frame_.tiles_y; row += band) {
+        device.begin();
+        device.timestamp(0);
+        gs_push p = push(row);
+        p.values_in = entry_slots_[sorted_entries_].address;
+        device.dispatch(Shader::kBlend, p, frame_.tiles_x, std::min(band, frame_.tiles_y - row));
+        device.timestamp(1);
+        if (const gs_status s = device.finish(host.cancel))
+            return s;
+        stats.blend_ms += device.milliseconds(0, 1);
+    }
+    return GS_OK;
+}
+
+gs_status gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const gs_host &host, const gs_image &image) {
+    const Timer timer;
+    drawn_ = nullptr;
+    stats = {};
+    const bool damage = device.inject_fault();
+    frame_.view = view;
+    frame_.count = uint32_t(splats.count);
+    frame_.raw = uint32_t(splats.raw);
+    frame_.model = splats.model.address;
+    ensure_splats(size_t(splats.count));
+    ensure_picture(view, host);
+    uint32_t counters[GS_COUNTERS];
+    // Most often the entries fit into the buffers of an earlier draw; else they are made larger, once.
+    for (size_t entries = std::max<size_t>(size_t(splats.count) * 4, 1 << 12);; entries = counters[GS_COUNT_OVERFLOW]) {
+        if (entries > size_t(INT32_MAX))
+            throw_failure(GS_TOO_MANY, "the splats cover too many tiles: more than 2147483647 entries; use a smaller "
+                                       "image or fewer screen-filling splats");
+        ensure_entries(entries);
+        if (checks_enabled()) {
+            device.begin();
+            each_buffer([&](DeviceBuffer &b) {
+                if (&b != &far_depths_ && &b != &tiles_ && b.bytes)
+                    device.fill(b, b.bytes, kPoison);
+            });
+            device.finish(nullptr);
+        }
+        send_frame();
+        device.begin();
+        record_lists();
+        if (const gs_status s = device.finish(host.cancel))
+            return s;
+        fetch({{&counters_, counters, sizeof counters}});
+        if (counters[GS_COUNT_OVERFLOW] == 0)
+            break;
+    }
+    stats.visible = counters[GS_COUNT_VISIBLE];
+    stats.entries = counters[GS_COUNT_ENTRIES];
+    stats.project_ms = device.milliseconds(kBegin, kProjected);
+    stats.sort_ms = device.milliseconds(kProjected, kSorted);
+    stats.bin_ms = device.milliseconds(kSorted, kBinned);
+    if (const gs_status s = blend(host))
+        return s;
+    const Timer download;
+    read_picture(image, damage);
+    stats.download_ms = download.milliseconds();
+    stats.device_bytes = int64_t(device.bytes_in_use());
+    stats.total_ms = timer.milliseconds();
+    drawn_ = &splats;
+    return GS_OK;
+}
+
+void gs_gpu::read_picture(const gs_image &image, bool damage) {
+    const size_t bytes = size_t(frame_.view.width) * size_t(frame_.view.height) * sizeof(float);
+    const uint32_t outputs = frame_.view.outputs;
+    fetch({{&rgb_, image.rgb, 3 * bytes},
+           {&alpha_, image.alpha, bytes},
+           {&inverse_depth_, image.inverse_depth, outputs & GS_OUT_INVERSE_DEPTH ? bytes : 0},
+           {&depth_, image.depth, outputs & GS_OUT_DEPTH ? bytes : 0},
+           {&median_depth_, image.median_depth, outputs & GS_OUT_MEDIAN_DEPTH ? bytes : 0},
+           {&radii_, image.radii, image.radii ? size_t(frame_.count) * kWord : 0}});
+    if (damage)
+        image.rgb[0] = 1 - image.rgb[0];
+}
+
+void gs_gpu::weights(const gs_gpu_splats &splats, const float *shares, float *sums) {
+    if (drawn_ != &splats)
+        throw_failure(GS_BAD_ARGUMENT, "gs_gpu_weights: these splats were not drawn last");
+    const size_t floats = 3 * size_t(frame_.view.width) * size_t(frame_.view.height), rows = 3 * size_t(frame_.count);
+    device.ensure(shares_, floats * sizeof(float));
+    device.ensure(entry_sums_, 3 * size_t(frame_.entry_capacity) * sizeof(float));
+    device.ensure(row_sums_, rows * sizeof(float));
+    frame_.shares = shares_.address;
+    frame_.entry_sums = entry_sums_.address;
+    frame_.row_sums = row_sums_.address;
+    send({{&shares_, const_cast<float *>(shares), floats * sizeof(float)}});
+    send_frame();
+    device.begin();
+    device.fill(row_sums_, rows * sizeof(float), 0);
+    gs_push p = push();
+    p.values_in = entry_slots_[sorted_entries_].address;
+    device.dispatch(Shader::kWeights, p, frame_.tiles_x, frame_.tiles_y);
+    device.dispatch(Shader::kRowSums, push(), counters_, GS_ARGS_VISIBLE_BLOCKS);
+    device.finish(nullptr);
+    fetch({{&row_sums_, sums, rows * sizeof(float)}});
+}
+
+void gs_gpu::projected(float *means2d, float *depths, float *conics, float *colors, float *opacities) {
+    if (!drawn_)
+        throw_failure(GS_BAD_ARGUMENT, "gs_gpu_projected: no draw has succeeded");
+    const size_t count = size_t(frame_.count);
+    std::vector<uint32_t> keys(count);
+    std::vector<float> records(16 * count);
+    fetch({{&keys_, keys.data(), count * kWord}, {&records_, records.data(), records.size() * sizeof(float)}});
+    const auto clear = [&](float *p, size_t width) {
+        if (p)
+            std::fill_n(p, count * width, 0.0f);
+    };
+    clear(means2d, 2);
+    clear(depths, 1);
+    clear(conics, 3);
+    clear(colors, 3);
+    clear(opacities, 1);
+    for (size_t i = 0; i < count; ++i) {
+        if (keys[i] == GS_NO_KEY)
+            continue;
+        // In the order of ellipse.glsl.
+        const float *const r = &records[16 * i], ua = r[2], ub = r[3], vc = r[4];
+        if (means2d)
+            std::copy_n(r, 2, means2d + 2 * i);
+        if (depths)
+            depths[i] = r[10];
+        if (conics) {
+            conics[3 * i] = ua * ua / GS_HALF_LOG2E;
+            conics[3 * i + 1] = ua * ub / GS_HALF_LOG2E;
+            conics[3 * i + 2] = (ub * ub + vc * vc) / GS_HALF_LOG2E;
+        }
+        if (colors)
+            std::copy_n(r + 6, 3, colors + 3 * i);
+        if (opacities)
+            opacities[i] = std::exp2(r[5]);
+    }
+}
+
+void gs_gpu::test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *out, int64_t count) {
+    drawn_ = nullptr;
+    const size_t bytes = size_t(count) * kWord;
+    ensure_splats(size_t(count));
+    send_frame();
+    send({{&visible_keys_[0], const_cast<uint32_t *>(a), bytes}});
+    if (kernel != GS_GPU_TEST_SORT) {
+        send({{&visible_rows_[0], const_cast<uint32_t *>(b), b ? bytes : 0}});
+        gs_push p = push(uint32_t(kernel), uint32_t(count));
+        p.keys_in = visible_keys_[0].address;
+        p.values_in = visible_rows_[0].address;
+        p.keys_out = visible_keys_[1].address;
+        const Groups groups(ceil_div(count, GS_GROUP));
+        device.begin();
+        device.dispatch(Shader::kTest, p, groups.x, groups.y);
+        device.finish(nullptr);
+        fetch({{&visible_keys_[1], out, bytes}});
+        return;
+    }
+    std::vector<uint32_t> rows(static_cast<size_t>(count));
+    for (size_t i = 0; i < rows.size(); ++i)
+        rows[i] = uint32_t(i);
+    uint32_t visible = uint32_t(count);
+    send({{&visible_rows_[0], rows.data(), bytes}, {&sums_, &visible, kWord}});
+    device.begin();
+    device.dispatch(Shader::kArguments, push(), 1); // the count is the first sum
+    sort(visible_keys_, visible_rows_, GS_COUNT_VISIBLE, GS_ARGS_VISIBLE_BLOCKS, 32);
+    device.finish(nullptr);
+    fetch({{&visible_rows_[0], out, bytes}});
+}

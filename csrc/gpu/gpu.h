@@ -1,0 +1,65 @@
+// Drawing splats on a device.
+#pragma once
+
+#include "device.h"
+
+#include <initializer_list>
+
+namespace gs {
+
+// Number of planes of a model with `sh_rest` coefficients beyond the constant one, see frame.h.
+constexpr size_t planes_of(int sh_rest) { return GS_PLANE_SH + size_t(3 * (1 + sh_rest) + 3) / 4; }
+
+} // namespace gs
+
+struct gs_gpu_splats {
+    gs_gpu *gpu;
+    gs::DeviceBuffer model;
+    int64_t count;
+    int32_t sh_rest, raw;
+};
+
+struct gs_gpu {
+    explicit gs_gpu(VkPhysicalDevice physical) : device(physical) {}
+    ~gs_gpu();
+
+    void upload(const gs_splats &, gs_gpu_splats &);
+    gs_status draw(const gs_gpu_splats &, const gs_view &, const gs_host &, const gs_image &);
+    void weights(const gs_gpu_splats &, const float *shares, float *sums);
+    void projected(float *means2d, float *depths, float *conics, float *colors, float *opacities);
+    void test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *out, int64_t count);
+
+    gs::Device device;
+    gs_gpu_stats stats = {};
+
+  private:
+    void ensure_splats(size_t count);
+    void ensure_entries(size_t count);
+    void ensure_picture(const gs_view &, const gs_host &);
+    void record_lists();
+    // Sorts pairs of buffers by the lowest bits of their keys; returns which of the two has the result.
+    int sort(gs::DeviceBuffer *keys, gs::DeviceBuffer *values, uint32_t counter, size_t arguments, uint32_t bits);
+    gs_push push(uint32_t word0 = 0, uint32_t word1 = 0, uint32_t word2 = 0) const;
+    gs_status blend(const gs_host &);
+    void read_picture(const gs_image &, bool damage);
+    // Copies arrays to buffers of the device, and back.
+    struct Transfer {
+        gs::DeviceBuffer *buffer;
+        void *array;
+        size_t bytes;
+    };
+    void send(std::initializer_list<Transfer>);
+    void fetch(std::initializer_list<Transfer>);
+    void send_frame();
+    template <class F> void each_buffer(F f);
+
+    gs_frame frame_ = {};
+    const gs_gpu_splats *drawn_ = nullptr; // by the last draw, if it succeeded
+    int sorted_entries_ = 0;               // which pair of buffers has them
+    gs::DeviceBuffer frame_buffer_, records_, keys_, tile_counts_, radii_, sums_, counters_;
+    gs::DeviceBuffer visible_keys_[2], visible_rows_[2], offsets_;
+    gs::DeviceBuffer entry_rows_, entry_keys_[2], entry_slots_[2], tile_ranges_;
+    gs::DeviceBuffer tiles_, far_depths_, rgb_, alpha_, inverse_depth_, depth_, median_depth_;
+    gs::DeviceBuffer shares_, entry_sums_, row_sums_;
+    gs::DeviceBuffer upload_, download_;
+};

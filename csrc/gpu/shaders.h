@@ -1,0 +1,35 @@
+// The embedded shaders.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace gs {
+
+// In the order of CMakeLists.txt's list.
+enum class Shader {
+    kArguments,
+    kBlend,
+    kCompact,
+    kEmit,
+    kOffsets,
+    kProject,
+    kRanges,
+    kRowSums,
+    kScan,
+    kSortCount,
+    kSortScatter,
+    kTest,
+    kTileSums,
+    kWeights,
+    kCount
+};
+constexpr int kShaders = int(Shader::kCount);
+
+struct ShaderCode {
+    const uint32_t *words;
+    size_t bytes;
+};
+ShaderCode shader_code(Shader);
+
+} // namespace gs

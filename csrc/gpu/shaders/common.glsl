@@ -1,0 +1,28 @@
+// What all shaders share: buffers, the frame of a draw, the push constants.
+#extension GL_EXT_buffer_reference : require
+
+layout(buffer_reference, std430, buffer_reference_align = 4) buffer gs_words { uint at[]; };
+layout(buffer_reference, std430, buffer_reference_align = 4) buffer gs_floats { float at[]; };
+layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_quads { vec4 at[]; };
+layout(buffer_reference, std430, buffer_reference_align = 16) buffer gs_records { uvec4 at[]; };
+
+layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_frame_block;
+
+#include "constants.h"
+#include "frame.h"
+
+layout(buffer_reference, std430, row_major, buffer_reference_align = 16) readonly buffer gs_frame_block {
+    gs_frame frame;
+};
+
+layout(push_constant) uniform gs_push_block {
+    gs_push push;
+};
+
+#define frame push.block.frame
+
+layout(local_size_x = GS_GROUP) in;
+
+// Number of this workgroup: a dispatch of more than 65535 is folded into rows.
+uint group_number() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
+uint lane() { return gl_LocalInvocationIndex; }
