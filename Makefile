@@ -54,7 +54,7 @@ $(DEVELOPED): $(INSTALLED)
 	@touch $@
 
 # The native library in the checkout, rebuilt after changes in csrc/.
-$(LIBRARY): $(INSTALLED) $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/include/gscore/*.h csrc/shared/* csrc/src/*)
+$(LIBRARY): $(INSTALLED) $(wildcard csrc/CMakeLists.txt csrc/include/*.h csrc/include/gscore/*.h csrc/shared/* csrc/src/* csrc/gpu/*.* csrc/gpu/shaders/spirv/*)
 	@echo "Building the native library"
 	@$(CMAKE) -B build/native -DGS_TESTS=OFF > /dev/null
 	@$(BIN)/cmake --build build/native
@@ -158,14 +158,14 @@ lint: $(DEVELOPED)  ## ruff, pyright, clang-format, and checks of the workflows
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/pyright -p tools/build/addon_pyright.json
-	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'csrc/*.h' 'csrc/*.cpp')
+	$(BIN)/clang-format --dry-run --Werror $$(git ls-files 'csrc/*.h' 'csrc/*.cpp' ':!csrc/third_party')
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-issue-forms .github/ISSUE_TEMPLATE/*.yml
 	$(BIN)/zizmor --offline --quiet --min-severity medium .github/workflows
 
 format: $(DEVELOPED)  ## clang-format, ruff's formatter and safe fixes, and text wrapped at 120 columns
 	$(BIN)/python tools/build/wrap_text.py $$(git ls-files '*.md')
-	$(BIN)/clang-format -i $$(git ls-files 'csrc/*.h' 'csrc/*.cpp')
+	$(BIN)/clang-format -i $$(git ls-files 'csrc/*.h' 'csrc/*.cpp' ':!csrc/third_party')
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 

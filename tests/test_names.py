@@ -7,13 +7,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.for_each import for_each
+from tests.native_sources import own_sources
 
 ROOT = Path(__file__).parent.parent
 FILES = sorted(
     path for name in ("gscore", "addon", "tools", "tests") for path in (ROOT / name).rglob("*.py")
 )
 PRODUCT = [path for path in FILES if path.relative_to(ROOT).parts[0] in ("gscore", "addon")]
-NATIVE = sorted(path for path in (ROOT / "csrc").rglob("*") if path.suffix in (".h", ".cpp"))
+NATIVE = own_sources(ROOT / "csrc")
 GLOSSARY = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
 STOPPED = {
     *("told", "hear", "heard", "glance", "glances", "sight", "sightings", "beside", "aside"),

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.for_each import for_each
+from tests.native_sources import own_sources
 
 CSRC = Path(__file__).parents[1] / "csrc"
 LONGEST = 80
@@ -44,7 +45,7 @@ def _blank(pattern: re.Pattern[str], text: str) -> str:
     return pattern.sub(lambda found: re.sub(r"[^\n]", " ", found.group()), text)
 
 
-@for_each(sorted(p for p in CSRC.rglob("*") if p.suffix in {".cpp", ".h"}))
+@for_each(own_sources(CSRC))
 def test_no_function_is_long(path: Path) -> None:
     """Oracle: `LONGEST`."""
     long = [

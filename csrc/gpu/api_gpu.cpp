@@ -103,8 +103,7 @@ gs_status gs_gpu_draw_stats(const gs_gpu *gpu, gs_gpu_stats *out) {
     return GS_OK;
 }
 
-gs_status gs_gpu_projected(gs_gpu *gpu, float *means2d, float *depths, float *conics, float *colors,
-                           float *opacities) {
+gs_status gs_gpu_projected(gs_gpu *gpu, float *means2d, float *depths, float *conics, float *colors, float *opacities) {
     if (!gpu)
         return fail(GS_BAD_ARGUMENT, "gs_gpu_projected: gpu is null");
     return run("gs_gpu_projected", [&] {

@@ -75,7 +75,7 @@ Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(
         layout.pPushConstantRanges = &range;
         check(vk_.vkCreatePipelineLayout(device_, &layout, nullptr, &layout_), "vkCreatePipelineLayout");
         for (int i = 0; i < kShaders; ++i) {
-            const ShaderCode code = shader_code(Shader(i)); 
+            const ShaderCode code = shader_code(Shader(i));
             VkShaderModuleCreateInfo module = {VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
             module.codeSize = code.bytes;
             module.pCode = code.words;

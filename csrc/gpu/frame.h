@@ -47,43 +47,44 @@
 
 struct gs_frame {
     gs_view view;
-    gs_uint count;          /* N */
-    gs_uint raw;            /* 1: scales are logs and opacities logits */
+    gs_uint count; /* N */
+    gs_uint raw;   /* 1: scales are logs and opacities logits */
     gs_uint tiles_x, tiles_y;
     gs_uint tile_x0, tile_y0; /* the tiles in which splats are drawn are in the box x0 <= x < x1, y0 <= y < y1 */
     gs_uint tile_x1, tile_y1;
     gs_uint entry_capacity;
     gs_uint has_tiles, has_far;
     gs_uint unused;
-    GS_POINTER(gs_quads) model;          /* [planes, N] */
-    GS_POINTER(gs_records) records;      /* [N, 4] of four words, see project.comp; rows that are not drawn are undefined */
-    GS_POINTER(gs_words) keys;           /* [N] bits of the depth, or GS_NO_KEY */
-    GS_POINTER(gs_words) tile_counts;    /* [N] entries of a splat */
-    GS_POINTER(gs_words) radii;          /* [N] as gs_image.radii */
-    GS_POINTER(gs_words) sums;           /* scratch of the scans */
-    GS_POINTER(gs_words) counters;       /* [GS_COUNTERS] */
-    GS_POINTER(gs_words) visible_keys;   /* [V] keys and rows of the splats in the picture, sorted by depth in the end */
+    GS_POINTER(gs_quads) model;     /* [planes, N] */
+    GS_POINTER(gs_records) records; /* [N, 4] of four words, see project.comp; rows that are not drawn are undefined */
+    GS_POINTER(gs_words) keys;      /* [N] bits of the depth, or GS_NO_KEY */
+    GS_POINTER(gs_words) tile_counts;  /* [N] entries of a splat */
+    GS_POINTER(gs_words) radii;        /* [N] as gs_image.radii */
+    GS_POINTER(gs_words) sums;         /* scratch of the scans */
+    GS_POINTER(gs_words) counters;     /* [GS_COUNTERS] */
+    GS_POINTER(gs_words) visible_keys; /* [V] keys and rows of the splats in the picture, sorted by depth in the end */
     GS_POINTER(gs_words) visible_rows;
-    GS_POINTER(gs_words) offsets;        /* [V] first entry of a splat, in their order by depth */
-    GS_POINTER(gs_words) entry_rows;     /* [E] row of an entry's splat */
-    GS_POINTER(gs_words) tile_ranges;    /* [tiles, 2] first entry and end, in the sorted order */
-    GS_POINTER(gs_words) tiles;          /* [tiles] gs_host.tiles, if has_tiles */
-    GS_POINTER(gs_floats) far_depths;    /* [H, W], if has_far */
-    GS_POINTER(gs_floats) rgb;           /* [H, W, 3], then the others of gs_image */
+    GS_POINTER(gs_words) offsets;     /* [V] first entry of a splat, in their order by depth */
+    GS_POINTER(gs_words) entry_rows;  /* [E] row of an entry's splat */
+    GS_POINTER(gs_words) tile_ranges; /* [tiles, 2] first entry and end, in the sorted order */
+    GS_POINTER(gs_words) tiles;       /* [tiles] gs_host.tiles, if has_tiles */
+    GS_POINTER(gs_floats) far_depths; /* [H, W], if has_far */
+    GS_POINTER(gs_floats) rgb;        /* [H, W, 3], then the others of gs_image */
     GS_POINTER(gs_floats) alpha;
     GS_POINTER(gs_floats) inverse_depth;
     GS_POINTER(gs_floats) depth;
     GS_POINTER(gs_floats) median_depth;
-    GS_POINTER(gs_floats) shares;        /* [H, W, 3] of gs_gpu_weights */
-    GS_POINTER(gs_floats) entry_sums;    /* [3, entry_capacity] */
-    GS_POINTER(gs_floats) row_sums;      /* [N, 3] */
+    GS_POINTER(gs_floats) shares;     /* [H, W, 3] of gs_gpu_weights */
+    GS_POINTER(gs_floats) entry_sums; /* [3, entry_capacity] */
+    GS_POINTER(gs_floats) row_sums;   /* [N, 3] */
 };
 
 /* Push constants: the frame, and what differs between dispatches of a shader. A shader gets these addresses ready, because
  * some drivers cannot choose between two. */
 struct gs_push {
     GS_POINTER(gs_frame_block) block;
-    GS_POINTER(gs_words) keys_in; /* keys and values, to sort or sorted: depths and rows, or tiles and numbers of entries */
+    GS_POINTER(gs_words)
+    keys_in; /* keys and values, to sort or sorted: depths and rows, or tiles and numbers of entries */
     GS_POINTER(gs_words) values_in;
     GS_POINTER(gs_words) keys_out;
     GS_POINTER(gs_words) values_out;

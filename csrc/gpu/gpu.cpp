@@ -58,9 +58,7 @@ void write_plane(const gs_splats &in, size_t plane, size_t begin, size_t end, fl
         default:
             for (size_t k = 0; k < 4; ++k) {
                 const size_t at = 4 * (plane - GS_PLANE_SH) + k;
-                to[k] = at < 3                 ? in.sh0[3 * row + at]
-                        : at - 3 < 3 * rest ? in.shN[3 * rest * row + at - 3]
-                                            : 0;
+                to[k] = at < 3 ? in.sh0[3 * row + at] : at - 3 < 3 * rest ? in.shN[3 * rest * row + at - 3] : 0;
             }
         }
     }
@@ -69,12 +67,15 @@ void write_plane(const gs_splats &in, size_t plane, size_t begin, size_t end, fl
 } // namespace
 
 template <class F> void gs_gpu::each_buffer(F f) {
-    DeviceBuffer *const all[] = {&frame_buffer_,    &records_,         &keys_,           &tile_counts_,    &radii_,
-                                 &sums_,            &counters_,        &visible_keys_[0], &visible_keys_[1],
-                                 &visible_rows_[0], &visible_rows_[1], &offsets_,        &entry_rows_,
-                                 &entry_keys_[0],   &entry_keys_[1],   &entry_slots_[0], &entry_slots_[1],
-                                 &tile_ranges_,     &tiles_,           &far_depths_,     &rgb_,            &alpha_,
-                                 &inverse_depth_,   &depth_,           &median_depth_,   &shares_,         &entry_sums_,
+    DeviceBuffer *const all[] = {&frame_buffer_,    &records_,         &keys_,
+                                 &tile_counts_,     &radii_,           &sums_,
+                                 &counters_,        &visible_keys_[0], &visible_keys_[1],
+                                 &visible_rows_[0], &visible_rows_[1], &offsets_,
+                                 &entry_rows_,      &entry_keys_[0],   &entry_keys_[1],
+                                 &entry_slots_[0],  &entry_slots_[1],  &tile_ranges_,
+                                 &tiles_,           &far_depths_,      &rgb_,
+                                 &alpha_,           &inverse_depth_,   &depth_,
+                                 &median_depth_,    &shares_,          &entry_sums_,
                                  &row_sums_};
     for (DeviceBuffer *b : all)
         f(*b);

@@ -39,30 +39,30 @@ enum { GS_GPU_OTHER = 0, GS_GPU_INTEGRATED = 1, GS_GPU_DISCRETE = 2, GS_GPU_VIRT
 /* A device of this machine. Texts are UTF-8. */
 typedef struct gs_gpu_info {
     char name[256];
-    char driver[256];         /* name and version of the driver */
-    char missing[256];        /* what it lacks, comma-separated; empty: it can be used */
-    uint8_t uuid[16];         /* of the device */
-    uint32_t vendor;          /* PCI numbers */
+    char driver[256];  /* name and version of the driver */
+    char missing[256]; /* what it lacks, comma-separated; empty: it can be used */
+    uint8_t uuid[16];  /* of the device */
+    uint32_t vendor;   /* PCI numbers */
     uint32_t device;
-    uint32_t driver_version;  /* in the driver's own format */
-    uint32_t api_version;     /* as Vulkan packs it: 10 bits major from bit 22 on, 10 bits minor, 12 bits patch */
-    int32_t kind;             /* GS_GPU_* */
-    int32_t subgroup;         /* invocations of a subgroup */
-    uint32_t shared_memory;   /* bytes per workgroup */
-    uint32_t workgroup;       /* most invocations of a workgroup */
-    uint64_t memory;          /* bytes of the device's own memory */
-    uint64_t memory_free;     /* of these not in use by any program; 0: unknown */
-    uint64_t largest_buffer;  /* bytes */
+    uint32_t driver_version; /* in the driver's own format */
+    uint32_t api_version;    /* as Vulkan packs it: 10 bits major from bit 22 on, 10 bits minor, 12 bits patch */
+    int32_t kind;            /* GS_GPU_* */
+    int32_t subgroup;        /* invocations of a subgroup */
+    uint32_t shared_memory;  /* bytes per workgroup */
+    uint32_t workgroup;      /* most invocations of a workgroup */
+    uint64_t memory;         /* bytes of the device's own memory */
+    uint64_t memory_free;    /* of these not in use by any program; 0: unknown */
+    uint64_t largest_buffer; /* bytes */
 } gs_gpu_info;
 
 /* Statistics of the last draw. */
 typedef struct gs_gpu_stats {
-    int64_t visible;       /* splats in the picture */
-    int64_t entries;       /* (tile, splat) entries; tiles of GS_TILE x GS_TILE px */
-    int64_t device_bytes;  /* device memory in use by this gs_gpu */
+    int64_t visible;                              /* splats in the picture */
+    int64_t entries;                              /* (tile, splat) entries; tiles of GS_TILE x GS_TILE px */
+    int64_t device_bytes;                         /* device memory in use by this gs_gpu */
     double project_ms, sort_ms, bin_ms, blend_ms; /* on the device; 0 where it has no timer */
-    double download_ms;    /* wall time of the copy to the arrays of gs_image */
-    double total_ms;       /* wall time of the call */
+    double download_ms;                           /* wall time of the copy to the arrays of gs_image */
+    double total_ms;                              /* wall time of the call */
 } gs_gpu_stats;
 
 typedef struct gs_gpu gs_gpu;

@@ -78,8 +78,8 @@ gs_status check_draw(int32_t sh_rest, const gs_view &view, const gs_image &image
     if ((view.sh_degree + 1) * (view.sh_degree + 1) - 1 > sh_rest)
         return fail(GS_BAD_ARGUMENT, "view.sh_degree must be at most the degree of sh_rest = %d, got %d", sh_rest,
                     view.sh_degree);
-    if ((view.outputs & GS_OUT_INVERSE_DEPTH && !image.inverse_depth) || (view.outputs & GS_OUT_DEPTH && !image.depth) ||
-        (view.outputs & GS_OUT_MEDIAN_DEPTH && !image.median_depth))
+    if ((view.outputs & GS_OUT_INVERSE_DEPTH && !image.inverse_depth) ||
+        (view.outputs & GS_OUT_DEPTH && !image.depth) || (view.outputs & GS_OUT_MEDIAN_DEPTH && !image.median_depth))
         return fail(GS_BAD_ARGUMENT, "a requested output has no array");
     return GS_OK;
 }

@@ -193,13 +193,13 @@ def _marked(wheel: bytes, name: str, folder: Path) -> Path:
     """A copy of this wheel with one more line of source, built by the tool."""
     project, version, *_, tag = Path(name).stem.split("-")
     plain = version.split("+")[0]
-    parts = {}
+    parts, libraries = {}, {}
     with zipfile.ZipFile(io.BytesIO(wheel)) as archive:
         for entry in archive.namelist():
             data = archive.read(entry)
             if entry.endswith((".so", ".dll", ".dylib")):
-                library = folder / Path(entry).name
-                library.write_bytes(data)
+                libraries[Path(entry).name] = folder / Path(entry).name
+                libraries[Path(entry).name].write_bytes(data)
                 continue
             if entry.endswith("METADATA"):
                 data = data.replace(version.encode(), plain.encode(), 1)
@@ -207,7 +207,7 @@ def _marked(wheel: bytes, name: str, folder: Path) -> Path:
     parts["gscore/_version.py"] += b"MARK = 1\n"
     bare = folder / f"{project}-{plain}-py3-none-any.whl"
     build_extension.write_zip(bare, parts)
-    made = build_extension.add_library(bare, library, library.name, tag, folder)
+    made = build_extension.add_libraries(bare, libraries, tag, folder)
     assert made.name != name
     return made
 

@@ -35,7 +35,7 @@ _DATE = (2020, 1, 1, 0, 0, 0)
 
 
 def build_wheels() -> tuple[Path, Path]:
-    """The wheels of gscore, without its library, and of plyfile, both for any platform."""
+    """The wheels of gscore, without its libraries, and of plyfile, both for any platform."""
     folder = STAGE / "wheels"
     shutil.rmtree(folder, ignore_errors=True)
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
@@ -48,10 +48,10 @@ def build_wheels() -> tuple[Path, Path]:
     return gscore, plyfile
 
 
-def add_library(
-    wheel: Path, library: Path, name: str, tag: str, folder: Path, *, for_blender: bool = True
+def add_libraries(
+    wheel: Path, libraries: dict[str, Path], tag: str, folder: Path, *, for_blender: bool = True
 ) -> Path:
-    """A copy of a wheel with the native library and the platform's tag.
+    """A copy of a wheel with the native libraries and the platform's tag.
 
     For Blender it leaves out measurements, and its version includes a hash of the content, because
     Blender does not unpack a wheel again if it knows its name and version.
@@ -63,7 +63,7 @@ def add_library(
         kept = [entry for entry in archive.namelist() if not entry.startswith(left_out)]
         members = {entry: archive.read(entry) for entry in kept if entry[-1] != "/"}
     del members[f"{old}/RECORD"]
-    members[f"gscore/raster/{name}"] = library.read_bytes()
+    members |= {f"gscore/raster/{name}": path.read_bytes() for name, path in libraries.items()}
     tags = members[f"{old}/WHEEL"].decode()
     tags = tags.replace("Root-Is-Purelib: true", "Root-Is-Purelib: false")
     members[f"{old}/WHEEL"] = tags.replace("py3-none-any", f"py3-none-{tag}").encode()
@@ -116,14 +116,13 @@ def manifest(platform: str, wheels: list[Path]) -> str:
 
 
 def build_zip(
-    platform: str, library: Path, tag: str, wheels: tuple[Path, Path], output: Path
+    platform: str, libraries: dict[str, Path], tag: str, wheels: tuple[Path, Path], output: Path
 ) -> Path:
     """Put add-on, manifest and wheels of a platform into a zip in the folder `output`."""
     stage = STAGE / platform
     shutil.rmtree(stage, ignore_errors=True)
     stage.mkdir(parents=True)
-    name = native_builds.PLATFORMS[platform].library
-    gscore = add_library(wheels[0], library, name, tag, stage)
+    gscore = add_libraries(wheels[0], libraries, tag, stage)
     text = manifest(platform, [gscore, wheels[1]])
     sources = [ROOT / "__init__.py", ROOT / "LICENSE"]
     sources += [p for p in (ROOT / "addon").rglob("*") if p.is_file() and p.suffix != ".pyc"]
@@ -171,16 +170,16 @@ def zig_python() -> Path | None:
     return python
 
 
-def compile_all(platforms: list[str]) -> dict[str, tuple[Path, str]]:
-    """The library and the wheel's tag for each platform, with the best available compiler."""
+def compile_all(platforms: list[str]) -> dict[str, tuple[dict[str, Path], str]]:
+    """The libraries and the wheel's tag for each platform, with the best available compiler."""
     if (zig := zig_python()) is not None:
         return {name: native_builds.compile_with_zig(name, zig) for name in platforms}
     here = native_builds.this_platform()
     if platforms != [here]:
         raise RuntimeError(f"{ZIGLANG}, needed for other platforms, cannot be installed")
-    library, tag = native_builds.compile_here()
+    libraries, tag = native_builds.compile_here()
     print(f"{ZIGLANG} cannot be installed; using the system's compiler: {tag}")
-    return {here: (library, tag)}
+    return {here: (libraries, tag)}
 
 
 def parse() -> argparse.Namespace:
@@ -204,13 +203,13 @@ def main() -> None:
     """Build and validate the zips, and print their paths."""
     options = parse()
     if options.library:
-        tag = native_builds.tag_of(options.library)
-        libraries = {options.platforms[0]: (options.library, tag)}
+        libraries = native_builds.libraries_at(options.library)
+        builds = {options.platforms[0]: (libraries, native_builds.tag_of(libraries))}
     else:
-        libraries = compile_all(options.platforms)
+        builds = compile_all(options.platforms)
     wheels = build_wheels()
-    for platform, (library, tag) in libraries.items():
-        path = build_zip(platform, library, tag, wheels, options.output)
+    for platform, (libraries, tag) in builds.items():
+        path = build_zip(platform, libraries, tag, wheels, options.output)
         versions, size = ", ".join(validate(path)), path.stat().st_size / 1e6
         print(f"{path}: {size:.1f} MB, validated by Blender {versions}")
 

@@ -1,4 +1,4 @@
-"""Native builds: the library for any of Blender's platforms, compiled on any machine.
+"""Native builds: the libraries for any of Blender's platforms, compiled on any machine.
 
 The compiler is zig (clang with the C libraries of all platforms), so a Linux library needs no newer
 glibc than Blender. Without zig, the system's compiler builds for this machine only.
@@ -83,15 +83,20 @@ def needed_glibc(library: Path) -> tuple[int, int]:
     return max((int(major), int(minor)) for major, minor in found)
 
 
-def compile_with_zig(name: str, zig_python: Path) -> tuple[Path, str]:
-    """Compile the library for a platform.
+def gpu_library(library: str) -> str:
+    """File name of the library for graphics cards, from that of the other."""
+    return library.replace("gscore", "gscore_gpu")
+
+
+def compile_with_zig(name: str, zig_python: Path) -> tuple[dict[str, Path], str]:
+    """Compile the libraries for a platform.
 
     Args:
         name: One of PLATFORMS.
         zig_python: A Python with the package ziglang.
 
     Returns:
-        The library, and the platform tag of its wheel.
+        The libraries by the names they are installed with, and the platform tag of the wheel.
     """
     target = PLATFORMS[name]
     build = ROOT / "build" / f"zig-{name}"
@@ -102,26 +107,33 @@ def compile_with_zig(name: str, zig_python: Path) -> tuple[Path, str]:
         "ZIG_GLOBAL_CACHE_DIR": str(ROOT / "build" / "zig-cache"),
     }
     _cmake(build, environment, target)
-    library = _library(build, target.library)
-    if target.system == "Linux" and needed_glibc(library) > GLIBC:
-        raise RuntimeError(f"{library} needs glibc {needed_glibc(library)}")
-    return library, target.tag
+    libraries = _libraries(build, target.library)
+    for library in libraries.values():
+        if target.system == "Linux" and needed_glibc(library) > GLIBC:
+            raise RuntimeError(f"{library} needs glibc {needed_glibc(library)}")
+    return libraries, target.tag
 
 
-def compile_here() -> tuple[Path, str]:
+def compile_here() -> tuple[dict[str, Path], str]:
     """Like `compile_with_zig`, but with the system's compiler, for this machine only."""
     target = PLATFORMS[this_platform()]
     build = ROOT / "build" / "system"
     _cmake(build, dict(os.environ), target)
-    library = _library(build, target.library)
-    return library, tag_of(library)
+    libraries = _libraries(build, target.library)
+    return libraries, tag_of(libraries)
 
 
-def tag_of(library: Path) -> str:
-    """The platform tag of a wheel with a library compiled on this machine."""
+def libraries_at(library: Path) -> dict[str, Path]:
+    """A compiled library, and that for graphics cards if it is in the same folder, by name."""
+    gpu = library.with_name(gpu_library(library.name))
+    return {path.name: path for path in (library, gpu) if path == library or path.exists()}
+
+
+def tag_of(libraries: dict[str, Path]) -> str:
+    """The platform tag of a wheel with libraries compiled on this machine."""
     if platform.system() != "Linux":
         return PLATFORMS[this_platform()].tag
-    major, minor = needed_glibc(library)
+    major, minor = max(map(needed_glibc, libraries.values()))
     return f"manylinux_{major}_{minor}_{platform.machine()}"
 
 
@@ -142,8 +154,13 @@ def _cmake(build: Path, environment: dict[str, str], target: Platform) -> None:
             raise RuntimeError(f"cmake failed in {build}:\n{done.stdout[-3000:]}{done.stderr}")
 
 
+def _libraries(build: Path, name: str) -> dict[str, Path]:
+    """The libraries in a build folder by the names they are installed with."""
+    return {each: _library(build, each) for each in (name, gpu_library(name))}
+
+
 def _library(build: Path, name: str) -> Path:
-    """The library in a build folder; MinGW prefixes a DLL's name with `lib`."""
+    """A library in a build folder; MinGW prefixes a DLL's name with `lib`."""
     for path in (build / name, build / f"lib{name}"):
         if path.exists():
             return path

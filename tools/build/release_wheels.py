@@ -24,13 +24,12 @@ def main() -> None:
     platforms = options.platforms or known
     if unknown := [name for name in platforms if name not in known]:
         parser.error(f"{', '.join(unknown)}: choose some of {', '.join(known)}")
-    libraries = build_extension.compile_all(platforms)
+    builds = build_extension.compile_all(platforms)
     plain, _ = build_extension.build_wheels()
     options.output.mkdir(parents=True, exist_ok=True)
-    for platform, (library, tag) in libraries.items():
-        name = native_builds.PLATFORMS[platform].library
-        path = build_extension.add_library(
-            plain, library, name, tag, options.output, for_blender=False
+    for libraries, tag in builds.values():
+        path = build_extension.add_libraries(
+            plain, libraries, tag, options.output, for_blender=False
         )
         print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
