@@ -13,7 +13,7 @@ struct GpuFailure {
     char text[256];
 };
 
-__attribute__((format(printf, 2, 3))) [[noreturn]] void throw_failure(gs_status status, const char *format, ...);
+[[noreturn]] __attribute__((format(printf, 2, 3))) void throw_failure(gs_status status, const char *format, ...);
 
 // Throws unless `result` is a success; `what` is the function that returned it.
 void check(VkResult result, const char *what);

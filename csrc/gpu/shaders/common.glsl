@@ -11,7 +11,7 @@ layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs
 #include "constants.h"
 #include "frame.h"
 
-layout(buffer_reference, std430, row_major, buffer_reference_align = 16) readonly buffer gs_frame_block {
+layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_frame_block {
     gs_frame frame;
 };
 

@@ -34,11 +34,10 @@ bool project(uint row, out Splat s, out float extent) {
     uint n = frame.count;
     vec4 mean_opacity = frame.model.at[GS_PLANE_MEAN * n + row];
     vec3 mean = mean_opacity.xyz;
-    vec3 w0 = vec3(frame.view.viewmat[0][0], frame.view.viewmat[0][1], frame.view.viewmat[0][2]);
-    vec3 w1 = vec3(frame.view.viewmat[1][0], frame.view.viewmat[1][1], frame.view.viewmat[1][2]);
-    vec3 w2 = vec3(frame.view.viewmat[2][0], frame.view.viewmat[2][1], frame.view.viewmat[2][2]);
-    vec3 cam = vec3(sum3(w0, mean) + frame.view.viewmat[0][3], sum3(w1, mean) + frame.view.viewmat[1][3],
-                    sum3(w2, mean) + frame.view.viewmat[2][3]);
+    mat4 world_to_camera = frame.view.viewmat; // row-major, so GLSL's columns are its rows
+    vec3 w0 = world_to_camera[0].xyz, w1 = world_to_camera[1].xyz, w2 = world_to_camera[2].xyz;
+    vec3 cam = vec3(sum3(w0, mean) + world_to_camera[0].w, sum3(w1, mean) + world_to_camera[1].w,
+                    sum3(w2, mean) + world_to_camera[2].w);
     if (!finite(mean) || !finite(cam) || !(cam.z > frame.view.near_plane && cam.z <= frame.view.far_plane))
         return false;
     vec4 quat = frame.model.at[GS_PLANE_QUAT * n + row];
