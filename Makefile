@@ -25,7 +25,7 @@ export WORKERS
 # Platforms of `make extension`: empty for this machine, all, or names like windows-x64.
 PLATFORMS ?=
 
-.PHONY: help demo install test test-slow stress test-blender test-window extension test-native test-widths test-scalar test-neon sanitize fuzz faults lint format bench experiment-depth docs wheel clean
+.PHONY: help demo install test test-slow stress test-blender test-window extension shaders test-native test-widths test-scalar test-neon sanitize fuzz faults lint format bench experiment-depth docs wheel clean
 
 # Lists what follows the two # of each target.
 help:  ## this list
@@ -106,6 +106,10 @@ test-window: $(LIBRARY) $(DEVELOPED)  ## the add-on in the window of a Blender o
 # dist/gscore_splats-<version>-<platform>.zip, checked by Blender's validator.
 extension: $(LIBRARY)  ## the Blender extension into dist/; PLATFORMS=all for all of Blender's platforms
 	$(BIN)/python tools/build/build_extension.py $(PLATFORMS)
+
+# Needs glslangValidator and spirv-val (Debian's glslang-tools and spirv-tools).
+shaders: $(INSTALLED)  ## SPIR-V of csrc/gpu/shaders, after changes there
+	$(BIN)/python tools/build/shaders.py
 
 test-native: $(NATIVE_TESTS)  ## the C++ tests
 	$(BIN)/ctest --test-dir build/native --output-on-failure

@@ -1,3 +1,4 @@
+// A device in use: creation, buffers, commands, waiting, injected faults.
 #include "device.h"
 
 #include <algorithm>
@@ -10,10 +11,11 @@ namespace gs {
 
 namespace {
 
-double seconds_allowed() {
+// Seconds that a submission may take; a device in software is slow, but does not hang.
+double seconds_allowed(const gs_gpu_info &info) {
     const char *const text = std::getenv("GSCORE_GPU_SECONDS");
     const double found = text ? std::atof(text) : 0;
-    return found > 0 ? found : 20;
+    return found > 0 ? found : info.kind == GS_GPU_SOFTWARE ? 600 : 20;
 }
 
 } // namespace
@@ -263,9 +265,10 @@ void Device::wait(const volatile int32_t *cancel, bool &cancelled) {
         }
         cancelled = cancelled || (cancel && *cancel);
         const std::chrono::duration<double> passed = std::chrono::steady_clock::now() - begin;
-        if (passed.count() > seconds_allowed()) {
+        if (passed.count() > seconds_allowed(info_)) {
             lost_ = true;
-            throw_failure(gs_status(GS_TIMED_OUT), "%.100s did not finish within %g s", info_.name, seconds_allowed());
+            throw_failure(gs_status(GS_TIMED_OUT), "%.100s did not finish within %g s", info_.name,
+                          seconds_allowed(info_));
         }
     }
 }

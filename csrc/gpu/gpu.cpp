@@ -1,3 +1,4 @@
+// Drawing splats: upload, buffers, the order of the shaders, download.
 #include "gpu.h"
 
 #include <algorithm>

@@ -1,3 +1,4 @@
+// The instance, validation, and what a device needs.
 #include "instance.h"
 
 #include "frame.h"

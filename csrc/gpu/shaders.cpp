@@ -1,3 +1,4 @@
+// The embedded shaders, from the words that CMake writes.
 #include "shaders.h"
 
 namespace gs {

@@ -1,3 +1,4 @@
+// Vulkan failures: results as exceptions.
 #include "vulkan_api.h"
 
 #include <cstdarg>

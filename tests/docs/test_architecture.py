@@ -10,7 +10,11 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 SPANS = set(re.findall(r"`([^`\n]+)`", PAGE))
-PLACES = (ROOT, ROOT / "gscore", ROOT / "csrc" / "src", ROOT / "csrc", ROOT / "addon")
+CSRC = ROOT / "csrc"
+PLACES = (
+    *(ROOT, ROOT / "gscore", CSRC, CSRC / "src", CSRC / "gpu", CSRC / "gpu" / "shaders"),
+    ROOT / "addon",
+)
 """Folders from which the page names files."""
 CHANGES = (
     "an option of a training",

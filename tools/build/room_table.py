@@ -10,8 +10,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "architecture.md"
-NATIVE = ROOT / "csrc" / "src"
-_ENDINGS = (".h", ".inl.h", ".cpp")
+NATIVE = {
+    "native files": ROOT / "csrc" / "src",
+    "files for graphics cards": ROOT / "csrc" / "gpu",
+    "shaders": ROOT / "csrc" / "gpu" / "shaders",
+}
+"""Folders of native files by the name of their table."""
+_ENDINGS = (".h", ".inl.h", ".cpp", ".glsl", ".comp")
 """Endings of files of one name; the first comment of the first of them states their purpose."""
 
 
@@ -35,24 +40,25 @@ def _first_sentence(path: Path) -> str:
     """The comment at the beginning of a file, up to the end of a sentence at a line's end."""
     words: list[str] = []
     for line in path.read_text(encoding="utf-8").splitlines():
-        if not line.startswith("//"):
+        if not line.startswith(("//", "/*", " *")):
             break
-        words += line.removeprefix("//").split()
+        words += line.lstrip("/* ").split()
         if words[-1].endswith("."):
             break
     return " ".join(words)
 
 
-def native_files() -> list[tuple[str, str]]:
-    """File names of each part of csrc/src, and its purpose."""
+def native_files(folder: Path) -> list[tuple[str, str]]:
+    """File names of each part of a folder, and its purpose."""
     parts: dict[str, list[str]] = {}
-    for path in NATIVE.iterdir():
+    for path in folder.iterdir():
         name, _, ending = path.name.partition(".")
-        parts.setdefault(name, []).append(f".{ending}")
+        if path.is_file():
+            parts.setdefault(name, []).append(f".{ending}")
     result = []
     for name, endings in sorted(parts.items()):
         files = [f"{name}{ending}" for ending in sorted(endings, key=_ENDINGS.index)]
-        result.append(("`, `".join(files), _first_sentence(NATIVE / files[0])))
+        result.append(("`, `".join(files), _first_sentence(folder / files[0])))
     return result
 
 
@@ -68,8 +74,10 @@ def page(text: str) -> str:
     """The page with current tables."""
     rows = [f"| `{folder}/` | {purpose} |" for folder, purpose in rooms()]
     text = _put(text, "rooms", ["| room | purpose |", "|---|---|", *rows])
-    rows = [f"| `{files}` | {purpose} |" for files, purpose in native_files()]
-    return _put(text, "native files", ["| files | purpose |", "|---|---|", *rows])
+    for name, folder in NATIVE.items():
+        rows = [f"| `{files}` | {purpose} |" for files, purpose in native_files(folder)]
+        text = _put(text, name, ["| files | purpose |", "|---|---|", *rows])
+    return text
 
 
 def main() -> int:

@@ -1,0 +1,110 @@
+"""The committed SPIR-V; oracles: its sources, and the SPIR-V specification's numbers."""
+
+import os
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from runpy import run_path
+
+import pytest
+
+from tests.for_each import for_each
+
+ROOT = Path(__file__).parents[2]
+GPU = ROOT / "csrc" / "gpu"
+SPIRV = sorted((GPU / "shaders" / "spirv").glob("*.spv"))
+TOOL = ROOT / "tools" / "build" / "shaders.py"
+CAPABILITIES = {1, 5347}
+"""Shader and PhysicalStorageBufferAddresses: no other is needed, as gscore_gpu.h promises."""
+SUBGROUP_OPERATIONS = range(333, 367)
+ATOMIC_FLOAT_OPERATIONS = {5614, 5615, 6035}
+"""Minimum, maximum and sum."""
+
+
+def required() -> bool:
+    """Whether missing tools are a failure."""
+    return os.environ.get("GSCORE_GPU_REQUIRED", "0") not in ("", "0")
+
+
+def instructions(path: Path) -> Iterator[list[int]]:
+    """Words of each instruction; the first has length and opcode."""
+    data = path.read_bytes()
+    words = struct.unpack(f"<{len(data) // 4}I", data)
+    at = 5
+    while at < len(words):
+        yield list(words[at : at + (words[at] >> 16)])
+        at += words[at] >> 16
+
+
+def test_the_files_are_current() -> None:
+    """Oracle: the hash of the sources, and with the same compiler at hand its output."""
+    done = subprocess.run([sys.executable, TOOL, "--check"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    if required():
+        assert done.stdout == "", "the compiler is missing or another"
+
+
+@for_each(SPIRV)
+def test_shaders_need_no_more_than_stated(path: Path) -> None:
+    """Oracle: csrc/include/gscore_gpu.h: capabilities, subgroups and atomics."""
+    found = [(words[0] & 0xFFFF, words) for words in instructions(path)]
+    assert {words[1] for code, words in found if code == 17} == CAPABILITIES
+    codes = {code for code, _ in found}
+    assert not codes & {*SUBGROUP_OPERATIONS, *ATOMIC_FLOAT_OPERATIONS}
+
+
+@for_each(SPIRV)
+def test_nothing_is_fused(path: Path) -> None:
+    """Oracle: the decoration NoContraction (42) on each sum, difference, product and quotient of
+    floats."""
+    decorated, arithmetic = set(), set()
+    for words in instructions(path):
+        code = words[0] & 0xFFFF
+        if code == 71 and words[2] == 42:
+            decorated.add(words[1])
+        elif code in {127, 129, 131, 133, 136, 142}:
+            arithmetic.add(words[2])
+    assert arithmetic <= decorated
+
+
+def test_a_fused_module_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: a module of one sum, by hand: the tool adds a decoration before the first type."""
+    header = [0x07230203, 0x00010500, 0, 9, 0]
+    type_float, function_sum = [3 << 16 | 22, 1, 32], [5 << 16 | 129, 1, 5, 2, 3]
+    code = struct.pack("<13I", *header, *type_float, *function_sum)
+    monkeypatch.syspath_prepend(str(TOOL.parent))
+    found = run_path(str(TOOL))["without_contraction"](code)
+    decoration = [3 << 16 | 71, 5, 42]
+    expected = [*header, *decoration, *type_float, *function_sum]
+    assert struct.unpack(f"<{len(found) // 4}I", found) == tuple(expected)
+
+
+@pytest.mark.parametrize("path", SPIRV, ids=lambda path: path.stem)
+def test_shaders_translate_to_metal(path: Path) -> None:
+    """Oracle: SPIRV-Cross, which MoltenVK translates with; buffers have one pointer type each, so
+    no pointer is cast."""
+    if shutil.which("spirv-cross") is None:
+        assert not required(), "spirv-cross is missing"
+        pytest.skip("spirv-cross is not installed")
+    command = ["spirv-cross", "--msl", "--msl-version", "20300", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "kernel void main0" in done.stdout
+    assert "reinterpret_cast" not in done.stdout
+
+
+def test_the_library_knows_all_shaders_in_one_order() -> None:
+    """Oracle: the sources; CMake's list and the enumeration in shaders.h have their names."""
+    names = sorted(path.stem for path in (GPU / "shaders").glob("*.comp"))
+    assert [path.stem for path in SPIRV] == names
+    cmake = (ROOT / "csrc" / "CMakeLists.txt").read_text(encoding="utf-8")
+    (listed,) = re.findall(r"set\(shaders ([\w ]+)\)", cmake)
+    assert listed.split() == names
+    header = (GPU / "shaders.h").read_text(encoding="utf-8")
+    (members,) = re.findall(r"enum class Shader \{(.*?)\}", header, flags=re.DOTALL)
+    camel = [re.sub(r"(?:^|_)(\w)", lambda m: m[1].upper(), name) for name in names]
+    assert re.findall(r"k(\w+)", members) == [*camel, "Count"]
