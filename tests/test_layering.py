@@ -162,7 +162,7 @@ DOORS = {"gscore", "gscore.frontend"}
 ADDON = ROOT / "addon"
 IN_BLENDER = {"blf", "bmesh", "bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils", "numpy"}
 """What the add-on may import besides the standard library and itself."""
-_FLOOR = {"attributes", "compat", "core", "registration", "srgb"}
+_FLOOR = {"attributes", "compat", "core", "equality", "registration", "srgb"}
 _FILES = _FLOOR | {"capture", "paths", "stored_paths", "run_links"}
 _SHARED = _FILES | {"interface", "preferences", "process"}
 _OBJECTS = _SHARED | {"cameras", "nodes", "splats", "triangles"}
@@ -172,6 +172,7 @@ ROOMS = {
     "registration": set(),
     "triangles": set(),
     "srgb": set(),
+    "equality": set(),
     "attributes": {"core"},
     "capture": {"core"},
     "process": set(),
@@ -241,6 +242,7 @@ WITHOUT_BPY = (
     "splats.filters",
     "splats.live_display",
     "srgb",
+    "equality",
     "timeline.frames",
     "timeline.library",
 )

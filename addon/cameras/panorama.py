@@ -41,16 +41,6 @@ class Panorama:
     pixel: tuple[float, float] = (0.0, 0.0)
     """Width and height of a pixel on the sensor, millimetres."""
 
-    def same(self, other: object) -> bool:
-        """True if another camera has the same projection and pose."""
-        return (
-            isinstance(other, Panorama)
-            and (self.width, self.height, self.near, self.kind, self.settings, self.shift)
-            == (other.width, other.height, other.near, other.kind, other.settings, other.shift)
-            and self.pixel == other.pixel
-            and np.array_equal(self.viewmat, other.viewmat)
-        )
-
     @property
     def density(self) -> float:
         """Largest number of pixels per radian."""

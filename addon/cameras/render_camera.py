@@ -1,7 +1,7 @@
 """Render camera: pose and intrinsics of a Blender camera for the rasterizer."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
@@ -31,18 +31,8 @@ class RenderCamera:
     """Clip start, world units."""
     orthographic: bool
     """True if `K` is applied without division by z."""
-    name: str
+    name: str = field(compare=False)
     """Name of the object."""
-
-    def same(self, other: object) -> bool:
-        """True if another camera has the same view, regardless of names."""
-        fields = ("width", "height", "near", "orthographic")
-        return (
-            isinstance(other, RenderCamera)
-            and all(getattr(self, name) == getattr(other, name) for name in fields)
-            and np.array_equal(self.K, other.K)
-            and np.array_equal(self.viewmat, other.viewmat)
-        )
 
 
 def render_camera(

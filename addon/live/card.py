@@ -14,6 +14,7 @@ from gpu_extras.batch import batch_for_shader
 
 from ..cameras.render_camera import RenderCamera
 from ..compat import blends_float32, shaders_write_depth
+from ..equality import same
 from ..render.picture import Window
 from ..render.viewport import bound, drawn_to, part_of
 from . import program
@@ -41,16 +42,6 @@ class Shot:
     limit: int
     """Number of rows of the atlas to draw."""
     cuts: Cuts = field(default_factory=Cuts)
-
-    def same(self, other: "Shot") -> bool:
-        """Whether both give the same picture of the same objects."""
-        return (
-            self.camera.same(other.camera)
-            and (self.antialias, self.limit) == (other.antialias, other.limit)
-            and np.array_equal(self.window, other.window)
-            and self.cuts.same(other.cuts)
-            and all(map(np.array_equal, self.viewmats, other.viewmats))
-        )
 
 
 class Canvas:
@@ -307,7 +298,7 @@ class ViewPicture:
             canvas = None
         if canvas is not None and self._holds is not None:
             order_, shot_, meshes_ = self._holds
-            if order_ is order and meshes_ is meshes and shot.same(shot_):
+            if order_ is order and meshes_ is meshes and same(shot, shot_):
                 return canvas
         self._holds = None  # until it is drawn
         if canvas is None:

@@ -19,10 +19,6 @@ class Cuts:
     planes: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     """[P, 4] float64, P at most `PLANES`: inward normals and offsets, in Blender's world."""
 
-    def same(self, other: "Cuts") -> bool:
-        """Whether both clip the same."""
-        return self.far == other.far and np.array_equal(self.planes, other.planes)
-
 
 def depth_of_z(camera: RenderCamera, window: np.ndarray) -> tuple[float, float]:
     """Factor and offset of 2 x depth - 1 = (offset - factor z) / z, without the division for

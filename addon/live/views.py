@@ -9,6 +9,7 @@ import gpu
 import numpy as np
 
 from ..cameras.render_camera import RenderCamera
+from ..equality import same
 from ..process.background_task import Latest
 from ..render import picture
 from ..render.mesh_copies import reselected
@@ -53,20 +54,12 @@ class DrawRequest:
 
     def same(self, other: "DrawRequest | None") -> bool:
         """Whether both requests have the same result."""
-        return (
-            other is not None
-            and (self.parts, self.marks) == (other.parts, other.marks)
-            and self.same_order(other)
-        )
+        known = other is not None and (self.parts, self.marks) == (other.parts, other.marks)
+        return known and self.same_order(other)
 
     def same_order(self, other: "DrawRequest") -> bool:
         """Whether both have the same number and order of splats, if the splats are the same."""
-        return (
-            self.count == other.count
-            and self.eye.orthographic == other.eye.orthographic
-            and len(self.eye.viewmats) == len(other.eye.viewmats)
-            and all(map(np.array_equal, self.eye.viewmats, other.eye.viewmats))
-        )
+        return same((self.count, self.eye), (other.count, other.eye))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ from ..cameras.render_camera import RenderCamera
 from ..core import Rendered, mesh_depth
 from ..triangles import Triangles, joined, repeated, triangles_of
 from . import compositing_scene, instances
-from .instances import instances_with_paths, may_hold_out
+from .instances import may_hold_out
 from .picture import Window
 
 
@@ -28,21 +28,6 @@ class HoldoutMesh:
     """Triangles in object space."""
     matrices: np.ndarray
     """[K, 4, 4] float64, object to world, one per instance."""
-
-
-def same_meshes(some: tuple[HoldoutMesh, ...], others: tuple[HoldoutMesh, ...]) -> bool:
-    """Whether two sets of meshes hide the same."""
-    return len(some) == len(others) and all(
-        np.array_equal(a.matrices, b.matrices) and _same(a.triangles, b.triangles)
-        for a, b in zip(some, others, strict=True)
-    )
-
-
-def _same(one: Triangles, other: Triangles) -> bool:
-    return one is other or (
-        np.array_equal(one.vertices, other.vertices)
-        and np.array_equal(one.triangles, other.triangles)
-    )
 
 
 def may_hide(ob: bpy.types.Object) -> bool:
@@ -112,7 +97,7 @@ class HoldoutMeshes:
         instancers: set[instances.InstancerKey] = set()
         paths: set[instances.InstancerKey] = set()
         for shown_by, is_shown in _owners(depsgraph):
-            for ob, matrix, path in instances_with_paths(shown_by, depsgraph, may_hide):
+            for ob, matrix, path in instances.instances(shown_by, depsgraph, may_hide):
                 if not (_cuts(ob, shown_by, depsgraph) and accepts(ob, shown_by)):
                     continue
                 uid = ob.original.session_uid

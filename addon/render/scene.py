@@ -1,7 +1,7 @@
 """Scene splats: the splat objects that a depsgraph shows, copied out of Blender."""
 
 import threading
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import bmesh
@@ -122,7 +122,7 @@ class Identity(NamedTuple):
 class Placed:
     """A splat object copied out of Blender, usable without bpy."""
 
-    identity: Identity
+    identity: Identity = field(compare=False)
     uid: int
     """Session uid of its original mesh, or of the object if it plays a sequence."""
     frozen: Frozen
@@ -154,7 +154,7 @@ def sources(depsgraph: bpy.types.Depsgraph) -> list[Source]:
     """The visible splat objects of a depsgraph, including those in collection instances."""
     found = []
     for ob in depsgraph.objects:  # without objects hidden or excluded in the depsgraph's mode
-        found += [_source(o, m, ob, depsgraph) for o, m in instances(ob, depsgraph, can_export)]
+        found += [_source(o, m, ob, depsgraph) for o, m, _ in instances(ob, depsgraph, can_export)]
     if depsgraph.mode == "RENDER":
         return [source for source in found if source.is_camera_visible]
     return found

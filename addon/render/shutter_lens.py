@@ -13,9 +13,10 @@ from .. import attributes
 from ..cameras.panorama import Panorama, panorama_of
 from ..cameras.render_camera import Eye, RenderCamera, render_camera
 from ..compat import matrix_to_numpy
+from ..equality import same
 from ..timeline import frame_sync
 from .compositing_scene import main_scene
-from .holdout_meshes import Hidden, HoldoutMesh, HoldoutMeshes, hidden, same_meshes
+from .holdout_meshes import Hidden, HoldoutMesh, HoldoutMeshes, hidden
 from .mesh_copies import Frozen
 from .model import Model, SplatCache
 from .samples import Aperture, Sample, Shutter, samples
@@ -45,13 +46,11 @@ class View:
 
     def same(self, other: "View") -> bool:
         """Whether the other view gives the same picture."""
-        return (
-            self.model.splats is other.model.splats
-            and self.model.owners == other.model.owners
-            and np.array_equal(self.model.matrix, other.model.matrix)
-            and self.camera.same(other.camera)
-            and same_meshes(self.holdouts, other.holdouts)
+        (mine, *ours), (others, *theirs) = (
+            (view.model.splats, view.model.owners, view.model.matrix, view.camera, view.holdouts)
+            for view in (self, other)
         )
+        return mine is others and same(ours, theirs)
 
 
 class ShutterLens:

@@ -16,11 +16,12 @@ from mathutils import Matrix
 from ..cameras.camera_math import FLIP
 from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Cancelled, GsError
+from ..equality import same
 from ..interface.option_labels import error_text
 from ..interface.windows import redraw_views
 from ..process.background_task import Latest
 from . import picture
-from .holdout_meshes import HoldoutMesh, same_meshes
+from .holdout_meshes import HoldoutMesh
 from .model import Model, SplatCache
 from .pass_renderer import PassRenderer
 from .scene import Placed
@@ -51,23 +52,6 @@ class Request:
     """True if it is drawn over Blender's overlays of the view."""
     tinted: Tinted = Tinted.NONE
     """Objects whose selection is shown."""
-
-    def same(self, other: "Request | None") -> bool:
-        """Whether another request is for the same picture."""
-        return (
-            other is not None
-            and [(p.part, p.antialias, p.holdout, p.edited) for p in self.placed]
-            == [(p.part, p.antialias, p.holdout, p.edited) for p in other.placed]
-            and all(
-                a.frozen is b.frozen and np.array_equal(a.matrix, b.matrix)
-                for a, b in zip(self.placed, other.placed, strict=True)
-            )
-            and same_meshes(self.holdout_meshes, other.holdout_meshes)
-            and self.camera.same(other.camera)
-            and (self.options, self.transparent) == (other.options, other.transparent)
-            and (self.over_view, self.tinted) == (other.over_view, other.tinted)
-            and np.array_equal(self.to_scene, other.to_scene)
-        )
 
     def render(
         self, model: Model, camera: RenderCamera, stop: Callable[[], bool], cancel: CancelFlag
@@ -122,7 +106,7 @@ class ViewRenderer:
 
     def shows(self, request: Request) -> bool:
         """Whether `pixels` are the requested picture in full size."""
-        return self.pixels is not None and request.same(self._finished)
+        return self.pixels is not None and same(request, self._finished)
 
     def submit(self, request: Request) -> None:
         """Draw a picture, instead of earlier requests.
@@ -130,7 +114,7 @@ class ViewRenderer:
         An earlier picture in full size is cancelled if it takes long. Its small picture is
         finished, because requests of a moving view come faster than pictures are drawn.
         """
-        if not request.same(self._request):
+        if not same(request, self._request):
             self._request = request
             self._worker.submit(request)
 

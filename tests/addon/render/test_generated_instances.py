@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from addon import compat
+from addon.equality import same
 from addon.render import (
     compositing_scene,
     compositor,
@@ -330,7 +331,7 @@ def test_viewports_follow_what_nodes_make(held, way):
         bpy.context.view_layer.update()
         before = shared.of(bpy.context.evaluated_depsgraph_get())
         again = shared.of(bpy.context.evaluated_depsgraph_get())
-        assert holdout_meshes.same_meshes(before, again)
+        assert same(before, again)
         assert before[0].triangles is again[0].triangles  # nothing is copied again
         for change in (
             lambda: setattr(ob.location, "x", 0.2),
@@ -342,10 +343,8 @@ def test_viewports_follow_what_nodes_make(held, way):
             bpy.data.meshes["shown"].update()
             bpy.context.view_layer.update()
             after = shared.of(bpy.context.evaluated_depsgraph_get())
-            assert holdout_meshes.same_meshes(
-                after, HoldoutMeshes().of(bpy.context.evaluated_depsgraph_get())
-            )
-            assert not holdout_meshes.same_meshes(before, after)
+            assert same(after, HoldoutMeshes().of(bpy.context.evaluated_depsgraph_get()))
+            assert not same(before, after)
             before = after
     finally:
         bpy.app.handlers.depsgraph_update_post.remove(handler)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from addon.core import Splats
+from addon.equality import same
 from addon.render import holdout_meshes, picture
 from addon.render.engine import final_cache
 from addon.render.pass_renderer import PassRenderer
@@ -104,14 +105,10 @@ def test_the_viewport_shows_the_same(scene, tmp_path):
     pass_renderer = PassRenderer(options=picture.Options(), transparent=True, to_scene=np.eye(3))
     got = pass_renderer.render(view, lambda: False)["Combined"][::-1]
     np.testing.assert_allclose(got, wanted, atol=3e-5)
-    assert holdout_meshes.same_meshes(
-        view.holdouts, shared.of(depsgraph)
-    )  # nothing is copied again
+    assert same(view.holdouts, shared.of(depsgraph))  # nothing is copied again
     ob.location.x += 0.1
     bpy.context.view_layer.update()
-    assert not holdout_meshes.same_meshes(
-        view.holdouts, shared.of(bpy.context.evaluated_depsgraph_get())
-    )
+    assert not same(view.holdouts, shared.of(bpy.context.evaluated_depsgraph_get()))
 
 
 def test_modifiers_count(scene, tmp_path):

@@ -9,6 +9,7 @@ import pytest
 
 from addon.compat import matrix_to_numpy
 from addon.core import CancelFlag, Splats
+from addon.equality import same
 from addon.render.model import SplatCache
 from addon.render.regions import drawn_window
 from addon.render.viewport import Request, smaller
@@ -159,7 +160,7 @@ def test_the_picture_of_a_region(scene: bpy.types.Scene) -> None:
     lab.prepare(scene, SIZE)
     whole, _ = request_for(scene, lab.blob(1500), size=SIZE)
     part = replace(whole, options=replace(whole.options, window=PART))
-    assert not part.same(whole)
+    assert not same(part, whole)
     left, top, width, height = PART
     want = shot(whole)[top : top + height, left : left + width]
     np.testing.assert_array_equal(shot(part), want)

@@ -11,6 +11,7 @@ import pytest
 from addon.cameras.render_camera import render_camera
 from addon.compat import TEXTURES_ARE_ENCODED, matrix_to_numpy
 from addon.core import CancelFlag, Cancelled, Splats, render
+from addon.equality import same
 from addon.render import mesh_copies, picture, viewport, viewport_copies
 from addon.render.color import EXPONENT, over_view
 from addon.render.mesh_copies import HIDDEN, SELECTED
@@ -282,7 +283,7 @@ def test_hidden_and_selected_splats_in_edit_mode(scene: bpy.types.Scene) -> None
     np.testing.assert_allclose(shot(plain), truth(splats.subset(there), moved), atol=1e-4)
     left = replace(asked, placed=[replace(edited, edited=False), beside])
     np.testing.assert_allclose(shot(left), truth(splats, moved), atol=1e-4)
-    assert not any(asked.same(one) for one in (plain, left))
+    assert not any(same(asked, one) for one in (plain, left))
 
 
 def test_hidden_holdout_splats_cut_no_hole(scene: bpy.types.Scene) -> None:
