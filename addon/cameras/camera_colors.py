@@ -9,8 +9,10 @@ from typing import Any
 import bpy
 import gpu
 import numpy as np
+from bpy.props import BoolProperty
 from gpu_extras.batch import batch_for_shader
 
+from ..interface.base_operator import Undoable
 from .objects import cameras_of
 
 MARK, _KEPT = "gs_colored", "gs_colors"
@@ -59,6 +61,17 @@ def hide(root: bpy.types.Object) -> None:
     """Restore the colors of a capture's cameras."""
     for ob in own_cameras(root):
         take(ob)
+
+
+class ShowsColors(Undoable):
+    """Base of operators that color cameras, or restore their colors."""
+
+    show: BoolProperty(
+        name="Show",
+        description="Color the cameras; off: restore their colors",
+        default=True,
+        options={"SKIP_SAVE"},
+    )
 
 
 LINE_WIDTH = 2.5

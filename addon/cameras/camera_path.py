@@ -253,9 +253,10 @@ class ImportCameraPath(IncrementalOperator, OnCapture, OnScene, bpy.types.Operat
         if set_up_scene:
             use_path(made.scene, made)
         activate(made.scene, made.camera)
-        self.warn(made.warnings)
-        first, last = made.frames
-        return f"{made.camera.name}: {made.count} cameras, frames {first} to {last}"
+        self.warn(made.path.warnings)
+        numbers = made.path.numbers
+        span = f"frames {numbers[0]} to {numbers[-1]}"
+        return f"{made.camera.name}: {len(numbers)} cameras, {span}"
 
 
 def _draw_import(self: bpy.types.Menu, context: bpy.types.Context) -> None:

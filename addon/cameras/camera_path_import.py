@@ -34,16 +34,7 @@ class ImportedPath:
 
     scene: bpy.types.Scene
     camera: bpy.types.Object
-    frames: tuple[int, int]
-    """The first and the last frame of the timeline."""
-    count: int
-    """Cameras of the file."""
-    frame: cm.Frame
-    """The pictures' raster."""
-    fps: float | None
-    """Timeline frames per second; None: the file has no frame rate."""
-    warnings: tuple[str, ...]
-    """Sentences for the user."""
+    path: "ReadPath"
 
 
 def importing_path(
@@ -87,32 +78,21 @@ def importing_path(
             finally:
                 pending.drop()
             if camera is not None:
-                return ImportedPath(
-                    scene=scene,
-                    camera=camera,
-                    frames=(read.numbers[0], read.numbers[-1]),
-                    count=len(read.numbers),
-                    frame=read.frame,
-                    fps=read.fps,
-                    warnings=read.warnings,
-                )
+                return ImportedPath(scene=scene, camera=camera, path=read)
 
 
 def use_path(scene: bpy.types.Scene, made: ImportedPath) -> None:
     """Set a scene to the file's camera, size, pixel aspect, range and frame rate."""
-    render = scene.render
+    render, frame, numbers, fps = scene.render, made.path.frame, made.path.numbers, made.path.fps
     scene.camera = made.camera
-    render.resolution_x, render.resolution_y = made.frame.width, made.frame.height
+    render.resolution_x, render.resolution_y = frame.width, frame.height
     render.resolution_percentage = 100
-    render.pixel_aspect_x, render.pixel_aspect_y = (
-        made.frame.pixel_aspect_x,
-        made.frame.pixel_aspect_y,
-    )
-    scene.frame_start, scene.frame_end = made.frames
+    render.pixel_aspect_x, render.pixel_aspect_y = frame.pixel_aspect_x, frame.pixel_aspect_y
+    scene.frame_start, scene.frame_end = numbers[0], numbers[-1]
     scene.frame_step = 1
-    if made.fps is not None:
-        whole = max(1, round(made.fps))
-        render.fps, render.fps_base = whole, whole / made.fps
+    if fps is not None:
+        whole = max(1, round(fps))
+        render.fps, render.fps_base = whole, whole / fps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +110,7 @@ class _Column:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _ReadPath:
+class ReadPath:
     """A path file, converted for Blender."""
 
     name: str
@@ -140,13 +120,16 @@ class _ReadPath:
     """Timeline frames, one per camera."""
     columns: list[_Column]
     frame: cm.Frame
+    """The pictures' raster."""
     fps: float | None
+    """Timeline frames per second; None: the file has no frame rate."""
     warnings: tuple[str, ...]
+    """Sentences for the user."""
 
 
 def _read(
     path: Path, start: int, numbered: bool, origin: np.ndarray | None, check: Check
-) -> _ReadPath:
+) -> ReadPath:
     """Read a file; no bpy. `origin` [3] is the local origin of the capture's world, None: no
     capture."""
     read = read_camera_path(path)
@@ -167,7 +150,7 @@ def _read(
         values = np.array([getattr(lens, name) for lens in lenses])
         if np.ptp(values):
             columns.append(_Column(of_lens=True, name=name, index=0, values=values))
-    return _ReadPath(
+    return ReadPath(
         name=path.stem,
         lens=lenses[0],
         numbers=numbers,
@@ -181,7 +164,7 @@ def _read(
 class _PendingCamera:
     """A camera being created, in a collection outside all scenes."""
 
-    def __init__(self, path: _ReadPath) -> None:
+    def __init__(self, path: ReadPath) -> None:
         """Create the camera with the first keyframes."""
         self._path = path
         outer = bpy.data.collections.new(path.name)

@@ -1,12 +1,10 @@
 """Depth colors: cameras of a capture coloured by the state of their depth maps."""
 
 import bpy
-from bpy.props import BoolProperty
 
-from ..cameras.camera_colors import hide, mark_of, marks, own_cameras, set_color, take
+from ..cameras.camera_colors import ShowsColors, hide, mark_of, marks, own_cameras, set_color, take
 from ..cameras.lookup import panel_root
 from ..capture.depth_maps import ACCEPTED, MISSING, REFUSED, DepthReport
-from ..interface.base_operator import Undoable
 from ..interface.windows import push_undo
 from ..process import poll_timer
 from . import predict_depth
@@ -71,18 +69,11 @@ def _verdict(ob: bpy.types.Object, report: DepthReport) -> str | None:
     return row.verdict if row is not None and row.verdict in PALETTE else None
 
 
-class ColorCameras(Undoable, bpy.types.Operator):
+class ColorCameras(ShowsColors, bpy.types.Operator):
     """Color the cameras by their depth maps: green accepted, red refused, grey without a map"""
 
     bl_idname = "gscore.color_cameras"
     bl_label = "Color Cameras"
-
-    show: BoolProperty(
-        name="Show",
-        description="Color the cameras; off: restore their colors",
-        default=True,
-        options={"SKIP_SAVE"},
-    )
 
     def run(self, context: bpy.types.Context) -> str:
         """Color the cameras, or restore their colors."""

@@ -11,7 +11,7 @@ from bpy.props import BoolProperty
 
 from .. import preferences, stored_paths
 from ..attributes import NO_SPLATS
-from ..cameras.camera_colors import hide, marks, own_cameras, set_color, take
+from ..cameras.camera_colors import ShowsColors, hide, marks, own_cameras, set_color, take
 from ..cameras.objects import root_of
 from ..capture.figures import MEASURED, Figures, measured
 from ..core import EvalDone, EvalProgress, colorize
@@ -204,18 +204,11 @@ class StopErrors(Cancelling, bpy.types.Operator):
         return job_of(ob) if is_splats(ob) else None
 
 
-class ColorByError(Undoable, _OfRun, bpy.types.Operator):
+class ColorByError(ShowsColors, _OfRun, bpy.types.Operator):
     """Color the cameras by the errors of their photos, or restore their colors"""
 
     bl_idname = "gscore.color_by_error"
     bl_label = "Color Cameras"
-
-    show: BoolProperty(
-        name="Show",
-        description="Color the cameras; off: restore their colors",
-        default=True,
-        options={"SKIP_SAVE"},
-    )
 
     def run(self, context: bpy.types.Context) -> str:
         """Color the cameras, or restore their colors."""

@@ -67,9 +67,9 @@ class Order:
         number = len(self.chunks)
         at = number * self.CHUNK
         part = self._entries[at : at + self.CHUNK]
-        known = self._known(number, part)
-        if known is not None:
-            self.chunks.append(known)
+        entries, chunks = self._before or ((), ())
+        if number < len(chunks) and np.array_equal(entries[at : at + self.CHUNK], part):
+            self.chunks.append(chunks[number])
         elif len(part):
             rows = -(-len(part) // ORDER_COLUMNS)
             padded = np.zeros((rows * ORDER_COLUMNS, 4), np.float32)
@@ -79,14 +79,6 @@ class Order:
         if complete:
             self._before = ()  # else each order would keep all earlier ones alive
         return complete
-
-    def _known(self, number: int, part: np.ndarray) -> tuple[gpu.types.GPUTexture, int] | None:
-        """The chunk at this index of the order before, if it has the same entries."""
-        if not self._before or number >= len(self._before[1]):
-            return None
-        at = number * self.CHUNK
-        same = np.array_equal(self._before[0][at : at + self.CHUNK], part)
-        return self._before[1][number] if same else None
 
 
 def texture(values: np.ndarray) -> gpu.types.GPUTexture:

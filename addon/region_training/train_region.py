@@ -93,7 +93,9 @@ def train_region(scene: bpy.types.Scene, ob: bpy.types.Object, *, wait: bool = F
     objects.catch_up(ob)
     box = region_of(ob)
     found = start_training.check_capture(scene)
-    output = _free(output_folder(scene, preferences.get().output_folder))
+    folder = output_folder(scene, preferences.get().output_folder)
+    numbered = (folder.with_name(f"{folder.name}_region_{n}") for n in itertools.count(1))
+    output = next(path for path in numbered if not path.exists())
     start_file, region_file = output / "start.ply", output / "region.json"
     settings = _Options(scene.gscore, ob, scene.gscore_steer.region_steps)
     line = options.new_run(
@@ -187,12 +189,6 @@ def _copy_of(ob: bpy.types.Object) -> bpy.types.Object:
     for collection in ob.users_collection:
         collection.objects.link(copy)
     return copy
-
-
-def _free(output: Path) -> Path:
-    """The first unused folder name for a region's results, next to `output`."""
-    numbered = (output.with_name(f"{output.name}_region_{n}") for n in itertools.count(1))
-    return next(path for path in numbered if not path.exists())
 
 
 def start_files(

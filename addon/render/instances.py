@@ -18,7 +18,7 @@ DEEPEST = 8
 
 Path = tuple[int, ...]
 """Index of an object in an instanced collection at each level; () of the instancer itself. Blender
-numbers instances in the same way: see `path_of`."""
+numbers instances in the same way, in the opposite order."""
 
 _NO_ID = 0x7FFFFFFF
 """Filler of Blender's persistent ids after the last number."""
@@ -28,43 +28,28 @@ def instances(
     ob: bpy.types.Object,
     depsgraph: bpy.types.Depsgraph,
     accepts: Callable[[bpy.types.Object], bool],
-) -> Iterator[tuple[bpy.types.Object, np.ndarray]]:
+    matrix: np.ndarray | None = None,
+    path: Path = (),
+) -> Iterator[tuple[bpy.types.Object, np.ndarray, Path]]:
     """An evaluated object and those of its instanced collection that are `accepts`, each with its
-    matrix to the world, [4, 4] float64."""
-    for found, matrix, _ in instances_with_paths(ob, depsgraph, accepts):
-        yield found, matrix
+    matrix to the world, [4, 4] float64, and its path.
 
-
-def instances_with_paths(
-    ob: bpy.types.Object,
-    depsgraph: bpy.types.Depsgraph,
-    accepts: Callable[[bpy.types.Object], bool],
-) -> Iterator[tuple[bpy.types.Object, np.ndarray, Path]]:
-    """Objects and matrices like `instances`, each with its path."""
+    Args:
+        ob: The object.
+        depsgraph: Its depsgraph.
+        accepts: Predicate of an evaluated object.
+        matrix: Matrix of `ob` to the world, if it is in a collection.
+        path: Path to `ob`, if it is in a collection.
+    """
     # Not through depsgraph.object_instances, which yields every ellipsoid of a display.
-    return _instances(ob, depsgraph, accepts, matrix_to_numpy(ob.matrix_world), ())
-
-
-def path_of(instance: bpy.types.DepsgraphObjectInstance) -> Path:
-    """The path to an instance from its outermost instancer."""
-    numbers = [number for number in instance.persistent_id if number != _NO_ID]
-    return tuple(reversed(numbers))
-
-
-def _instances(
-    ob: bpy.types.Object,
-    depsgraph: bpy.types.Depsgraph,
-    accepts: Callable[[bpy.types.Object], bool],
-    matrix: np.ndarray,
-    path: Path,
-) -> Iterator[tuple[bpy.types.Object, np.ndarray, Path]]:
+    matrix = matrix_to_numpy(ob.matrix_world) if matrix is None else matrix
     if accepts(ob):
         yield ob, matrix, path
     collection = ob.instance_collection if ob.instance_type == "COLLECTION" else None
     if collection is None or len(path) > DEEPEST:
         return
     for number, inner, place in inside(collection, depsgraph):
-        yield from _instances(inner, depsgraph, accepts, matrix @ place, (*path, number))
+        yield from instances(inner, depsgraph, accepts, matrix @ place, (*path, number))
 
 
 def inside(
@@ -134,7 +119,7 @@ def walked(
         owner = instance.parent.original.session_uid
         if owner not in owners:
             continue
-        path = path_of(instance)
+        path = tuple(number for number in instance.persistent_id if number != _NO_ID)[::-1]
         before = ((owner, path[:length]) for length in reversed(range(len(path))))
         walker = next((one for one in before if one in instancers), None)
         ob = instance.object

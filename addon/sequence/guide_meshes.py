@@ -106,10 +106,10 @@ class _Files:
         if digest != self._digest and not self._moves:
             self._moves = True
             for earlier in self._numbers:
-                self._write(self._path(earlier), self._first)
+                write_mesh(self._path(earlier), *self._first)
         self._numbers.append(number)
         if self._moves:
-            self._write(self._path(number), found)
+            write_mesh(self._path(number), *found)
 
     def close(self) -> Path:
         """Complete the files; return the option's value."""
@@ -119,7 +119,7 @@ class _Files:
             return frame_pattern(self._folder, f"{self._name}-{{frame:06d}}.ply")
         whole = self._folder / f"{self._role}-{self._digest}.ply"
         self._kept = {whole}
-        self._write(whole, self._first)
+        write_mesh(whole, *self._first)
         return frame_pattern(self._folder, whole.name)
 
     def remove_earlier(self) -> None:
@@ -132,10 +132,6 @@ class _Files:
 
     def _path(self, number: int) -> Path:
         return self._folder / f"{self._name}-{number:06d}.ply"
-
-    @staticmethod
-    def _write(path: Path, found: Triangles) -> None:
-        write_mesh(path, found.vertices, found.triangles)
 
 
 @contextmanager

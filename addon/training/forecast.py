@@ -88,16 +88,8 @@ def answer(inputs: Question) -> Estimate:
         GsError: the native library is missing.
     """
     sizes = [size for size, count in inputs.sizes for _ in range(count)]
-    return estimate(
-        inputs.train,
-        sizes,
-        points=inputs.points,
-        cloud=inputs.cloud,
-        stored=inputs.stored,
-        masks=inputs.masks,
-        subject=inputs.subject,
-        depths=inputs.depths,
-    )
+    facts = {name: value for name, value in vars(inputs).items() if name not in ("train", "sizes")}
+    return estimate(inputs.train, sizes, **facts)
 
 
 def words(found: Estimate) -> str:

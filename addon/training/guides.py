@@ -38,7 +38,7 @@ def arguments(scene: bpy.types.Scene, output: Path) -> list[str]:
         mesh = merged_mesh(scene, collection)
         path = output / GUIDES / f"{role}-{digest(mesh)}.ply"
         if not path.is_file():
-            write_mesh(path, mesh.vertices, mesh.triangles)
+            write_mesh(path, *mesh)
         line += [f"--guide-{role}", str(path)]
     return line
 
