@@ -167,7 +167,7 @@ def test_camera_warnings_are_shown(
     bpy.ops.gscore.export_camera_path(filepath=str(file))
     read = replace(camera_path_import.read_camera_path(file), warnings=(SAID,))
     monkeypatch.setattr(camera_path_import, "read_camera_path", lambda _: read)
-    assert import_path(file, scene).warnings == (SHOWN,)
+    assert import_path(file, scene).path.warnings == (SHOWN,)
 
 
 def test_masks_that_will_be_used_are_named(studio: bpy.types.Scene) -> None:
