@@ -11,6 +11,7 @@ from ..cameras import undistort_jobs
 from ..cameras.captures import changeable
 from ..cameras.objects import cameras_of, points_of
 from ..capture.inspection import ShownFacts
+from ..interface.base_operator import Condition
 from ..region_training import masks
 from ..sequence import train_sequence as sequence
 from ..sfm import find_cameras
@@ -122,11 +123,7 @@ class AlignmentPanel(TabPanel, bpy.types.Panel):
     bl_label = "Alignment and Export"
     bl_parent_id = "GSCORE_PT_cameras"
     bl_options: ClassVar = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if the scene has an imported capture."""
-        return root(context) is not None
+    needs = Condition(lambda context: root(context) is not None)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 
 from ..core import FramesDone, headline_psnr, trust_text
+from ..interface.base_operator import Condition
 from ..interface.images import PictureIcons
 from ..region_training import train_region as steer
 from ..sequence import train_sequence as sequence
@@ -31,11 +32,7 @@ class ProgressPanel(TabPanel, bpy.types.Panel):
     bl_idname = "GSCORE_PT_progress"
     bl_label = "Progress"
     bl_order = 4
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if the scene has a training or an SfM job."""
-        return job(context) is not None or search_work.job_of(context.scene) is not None
+    needs = Condition(lambda context: bool(job(context) or search_work.job_of(context.scene)))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -69,12 +66,7 @@ class DecisionsPanel(TabPanel, bpy.types.Panel):
     bl_label = "Decisions"
     bl_parent_id = "GSCORE_PT_progress"
     bl_options: ClassVar = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if the training made decisions."""
-        current = job(context)
-        return current is not None and bool(current.state.decisions)
+    needs = Condition(lambda context: bool((now := job(context)) and now.state.decisions))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -230,12 +222,11 @@ class RunningWorkPanel(TabPanel, bpy.types.Panel):
     bl_label = "Now"
     bl_order = -1
     bl_options: ClassVar = {"HIDE_HEADER"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True while a job is running."""
-        trains = any(not job.state.ended for job in registry.jobs())
-        return trains or any(True for _ in other_work(context.scene))
+    needs = Condition(
+        lambda context: (
+            not all(job.state.ended for job in registry.jobs()) or any(other_work(context.scene))
+        )
+    )
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

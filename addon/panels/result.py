@@ -13,12 +13,12 @@ from ..error_maps import measure_errors
 from ..histograms import gizmos
 from ..histograms.counting import OPACITY, SIZE
 from ..histograms.histogram_cache import ICONS
+from ..interface.base_operator import Condition
 from ..interface.option_labels import error_text
 from ..live import draw_handler
 from ..splats import edit, lag, live_display, operators
 from ..splats.mend_operators import outdated
-from ..splats.objects import active_splats, in_question, is_native, is_splats
-from ..stored_paths import RUN
+from ..splats.objects import active_splats, has_trained, in_question, is_native
 from ..timeline import frame_sync
 from ..timeline.frame_at import moment_of, series_of
 from ..timeline.library import LIBRARY
@@ -116,11 +116,7 @@ class FiltersPanel(TabPanel, bpy.types.Panel):
     bl_label = "Filters"
     bl_parent_id = "GSCORE_PT_result"
     bl_options: ClassVar = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if there are splats."""
-        return in_question(context) is not None
+    needs = Condition(lambda context: in_question(context) is not None)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -231,11 +227,7 @@ class ErrorsPanel(TabPanel, bpy.types.Panel):
     bl_label = "Error Maps"
     bl_parent_id = "GSCORE_PT_result"
     bl_options: ClassVar = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if splats of a training are active."""
-        return is_splats(ob := active_splats(context)) and RUN in ob
+    needs = Condition(has_trained)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -302,11 +294,7 @@ class SequencePanel(TabPanel, bpy.types.Panel):
     bl_label = "Sequence"
     bl_parent_id = "GSCORE_PT_result"
     bl_options: ClassVar = set()
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if the splats are a sequence."""
-        return is_sequence(in_question(context))
+    needs = Condition(lambda context: is_sequence(in_question(context)))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

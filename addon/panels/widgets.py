@@ -7,10 +7,10 @@ import bpy
 from .. import preferences
 from ..cameras.lookup import panel_root
 from ..capture.inspection import ShownFacts
-from ..interface.base_operator import letters, wrapped
+from ..interface.base_operator import Condition, letters, wrapped
 from ..interface.option_labels import error_text
 from ..interface.sidebar import TAB
-from ..splats.objects import active_splats, is_splats
+from ..splats.objects import has_splats
 from ..trainer_python import setup
 from ..training import facts, start_training
 from ..training.training_job import Job
@@ -25,17 +25,19 @@ class TabPanel:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = TAB
+    needs = Condition(lambda context: True)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """True if `needs` holds."""
+        return cls.needs.holds(context)
 
 
 class SplatsPanel(TabPanel):
     """Base of closed panels on the active splat object, or the one that the active object crops."""
 
     bl_options: ClassVar = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """True if there is one."""
-        return is_splats(active_splats(context))
+    needs = Condition(has_splats)
 
 
 def sentence(layout: bpy.types.UILayout, text: str, *, icon: str = "NONE") -> None:

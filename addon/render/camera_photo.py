@@ -209,15 +209,12 @@ def _cut_out(masks: list[_Masked], inverted: bool) -> Steps[bool]:
             raise ValueError(
                 f"The camera of {one.image} was removed while masks were read: compare again."
             )
+        mask, own = decode(one.file), photo_camera_of(ob)
         levels[i] = yield from run_in_thread(
-            partial(_levels, decode(one.file), photo_camera_of(ob), inverted),
+            lambda check, mask=mask, own=own: levels_of(kept_of(mask.arranged(own), inverted)),
             f"Reading masks: {done / len(sampled):.0%}",
         )
     return are_mattes(len(masks), levels.__getitem__)
-
-
-def _levels(mask: Decoded, own: PhotoCamera, inverted: bool, check: Check) -> np.ndarray:
-    return levels_of(kept_of(mask.arranged(own), inverted))
 
 
 def mask_folder(camera: bpy.types.Object) -> Path | None:

@@ -71,10 +71,6 @@ def _update(self: "SplatSettings", context: bpy.types.Context) -> None:
     apply(self.id_data)
 
 
-def _may_crop(self: "SplatSettings", ob: bpy.types.Object) -> bool:
-    return ob != self.id_data and ob.type in {"MESH", "EMPTY"} and not ob.get("gs_kind")
-
-
 def _number(name: str, description: str, default: float, **more: object) -> bpy.props.FloatProperty:
     return bpy.props.FloatProperty(
         name=name,
@@ -137,7 +133,9 @@ class SplatSettings(bpy.types.PropertyGroup):
         description="Show only splats whose center is inside this object's bounds. The bounds of "
         "an empty are one unit to each side",
         type=bpy.types.Object,
-        poll=_may_crop,
+        poll=lambda settings, ob: (
+            ob != settings.id_data and ob.type in {"MESH", "EMPTY"} and not ob.get("gs_kind")
+        ),
         update=_update,
         override=_KEPT,
     )

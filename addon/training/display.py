@@ -203,12 +203,9 @@ def _collect() -> bool:
     return stale
 
 
-def _waits() -> bool:
-    return any(waits(job) for job in registry.jobs())
-
-
+_POLLER = poll_timer.Poller(_collect, lambda: any(map(waits, registry.jobs())), is_importing)
 APPENDED = (
-    (poll_timer.POLLERS, poll_timer.Poller(_collect, _waits, is_importing)),
+    (poll_timer.POLLERS, _POLLER),
     (poll_timer.POLLERS, poll_timer.Poller(lookups.collect, lookups.busy)),
 )
 on_register, on_unregister = released_at_quit(registry.release_all)
