@@ -70,8 +70,8 @@ gs_status gs_gpu_upload(gs_gpu *gpu, const gs_splats *splats, gs_gpu_splats **ou
 }
 
 void gs_gpu_release(gs_gpu_splats *splats) {
-    if (splats && !splats->gpu->device.is_lost())
-        splats->gpu->device.free(splats->model);
+    if (splats)
+        splats->gpu->release(*splats);
     delete splats;
 }
 
@@ -100,6 +100,24 @@ gs_status gs_gpu_draw_stats(const gs_gpu *gpu, gs_gpu_stats *out) {
     if (!gpu || !out)
         return fail(GS_BAD_ARGUMENT, "gs_gpu_draw_stats: an argument is null");
     *out = gpu->stats;
+    return GS_OK;
+}
+
+gs_status gs_gpu_profile(gs_gpu *gpu, int32_t on) {
+    if (!gpu)
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_profile: gpu is null");
+    gpu->device.profile(on != 0);
+    return GS_OK;
+}
+
+gs_status gs_gpu_kernel_time(const gs_gpu *gpu, int32_t number, const char **name, double *milliseconds,
+                             int64_t *calls) {
+    if (!gpu || !name || !milliseconds || !calls || number < 0 || number >= kShaders)
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_kernel_time: an argument is null, or there is no kernel %d", number);
+    const Device::KernelTime time = gpu->device.kernel_time(Shader(number));
+    *name = shader_code(Shader(number)).name;
+    *milliseconds = time.milliseconds;
+    *calls = time.calls;
     return GS_OK;
 }
 

@@ -191,6 +191,9 @@ void Device::begin() {
     VkCommandBufferBeginInfo begin = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
     check(vk_.vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
+    if (nanoseconds_ > 0)
+        vk_.vkCmdResetQueryPool(commands_, queries_, 0, kMostTimestamps);
+    profiled_.clear();
 }
 
 void Device::barrier() {
@@ -204,6 +207,10 @@ void Device::barrier() {
 }
 
 void Device::bind(Shader shader, const gs_push &push) {
+    if (profiles_ && kStageTimestamps + 2 * (profiled_.size() + 1) <= kMostTimestamps) {
+        profiled_.push_back(shader);
+        timestamp(uint32_t(kStageTimestamps + 2 * profiled_.size() - 2));
+    }
     vk_.vkCmdBindPipeline(commands_, VK_PIPELINE_BIND_POINT_COMPUTE, pipelines_[int(shader)]);
     vk_.vkCmdPushConstants(commands_, layout_, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof push, &push);
 }
@@ -213,17 +220,42 @@ void Device::dispatch(Shader shader, const gs_push &push, uint32_t x, uint32_t y
         return;
     bind(shader, push);
     vk_.vkCmdDispatch(commands_, x, y, 1);
-    barrier();
+    ran(shader);
 }
 
 void Device::dispatch(Shader shader, const gs_push &push, const DeviceBuffer &arguments, size_t word) {
     bind(shader, push);
     vk_.vkCmdDispatchIndirect(commands_, arguments.buffer, word * sizeof(uint32_t));
+    ran(shader);
+}
+
+void Device::ran(Shader shader) {
     barrier();
+    if (!profiled_.empty() && profiled_.back() == shader)
+        timestamp(uint32_t(kStageTimestamps + 2 * profiled_.size() - 1));
+}
+
+void Device::profile(bool on) {
+    profiles_ = on && nanoseconds_ > 0;
+    std::fill_n(times_, kShaders, KernelTime{});
+}
+
+void Device::add_kernel_times() {
+    for (size_t i = 0; i < profiled_.size(); ++i) {
+        const uint32_t first = uint32_t(kStageTimestamps + 2 * i);
+        KernelTime &time = times_[int(profiled_[i])];
+        time.milliseconds += milliseconds(first, first + 1);
+        ++time.calls;
+    }
 }
 
 void Device::fill(const DeviceBuffer &b, size_t bytes, uint32_t word) {
     vk_.vkCmdFillBuffer(commands_, b.buffer, 0, (bytes + 3) / 4 * 4, word);
+    barrier();
+}
+
+void Device::update(const DeviceBuffer &b, const void *data, size_t bytes) {
+    vk_.vkCmdUpdateBuffer(commands_, b.buffer, 0, bytes, data);
     barrier();
 }
 
@@ -238,15 +270,13 @@ void Device::copy(const DeviceBuffer &from, const DeviceBuffer &to, size_t bytes
 void Device::timestamp(uint32_t index) {
     if (nanoseconds_ == 0)
         return;
-    if (index == 0)
-        vk_.vkCmdResetQueryPool(commands_, queries_, 0, kMostTimestamps);
     vk_.vkCmdWriteTimestamp(commands_, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, index);
 }
 
 double Device::milliseconds(uint32_t from, uint32_t to) {
     if (nanoseconds_ == 0)
         return 0;
-    uint64_t ticks[kMostTimestamps] = {};
+    uint64_t ticks[kStageTimestamps] = {};
     vk_.vkGetQueryPoolResults(device_, queries_, from, to - from + 1, sizeof ticks, ticks, sizeof *ticks,
                               VK_QUERY_RESULT_64_BIT);
     return double(ticks[to - from] - ticks[0]) * nanoseconds_ * 1e-6;
@@ -289,6 +319,7 @@ gs_status Device::finish(const volatile int32_t *cancel) {
     check(result, "vkQueueSubmit");
     bool cancelled = cancel && *cancel;
     wait(cancel, cancelled);
+    add_kernel_times();
     if (checks_enabled())
         throw_validation_errors();
     return cancelled ? GS_CANCELLED : GS_OK;

@@ -19,8 +19,8 @@ struct DeviceBuffer {
 // Where a buffer is.
 enum class Place { kDevice, kUpload, kDownload };
 
-// Timestamps of a draw.
-constexpr uint32_t kMostTimestamps = 8;
+// Timestamps of a submission: those of stages, then two for each dispatch that is profiled.
+constexpr uint32_t kStageTimestamps = 8, kMostTimestamps = kStageTimestamps + 256;
 
 class Device {
   public:
@@ -43,11 +43,21 @@ class Device {
     // The arguments are three words of a buffer.
     void dispatch(Shader, const gs_push &, const DeviceBuffer &arguments, size_t word);
     void fill(const DeviceBuffer &, size_t bytes, uint32_t word);
+    // Writes a few bytes, at most 64 KiB and a multiple of 4, that the command itself contains.
+    void update(const DeviceBuffer &, const void *data, size_t bytes);
     void copy(const DeviceBuffer &from, const DeviceBuffer &to, size_t bytes, size_t from_byte = 0, size_t to_byte = 0);
     void timestamp(uint32_t index);
     gs_status finish(const volatile int32_t *cancel);
     // Milliseconds between two timestamps; 0 where the device has no timer.
     double milliseconds(uint32_t from, uint32_t to);
+
+    // Sums of milliseconds and calls by shader, while `profile` is on.
+    struct KernelTime {
+        double milliseconds;
+        int64_t calls;
+    };
+    void profile(bool on);
+    KernelTime kernel_time(Shader shader) const { return times_[int(shader)]; }
 
     // Fails as GSCORE_GPU_FAULT demands; to be called once per draw. True: the picture is to be damaged.
     bool inject_fault();
@@ -56,6 +66,8 @@ class Device {
     void wait(const volatile int32_t *cancel, bool &cancelled);
     void barrier();
     void bind(Shader, const gs_push &);
+    void ran(Shader);
+    void add_kernel_times();
     uint32_t memory_type(uint32_t allowed, Place) const;
     void destroy();
 
@@ -72,6 +84,9 @@ class Device {
     double nanoseconds_ = 0; // per tick; 0: no timer
     VkPipelineLayout layout_ = VK_NULL_HANDLE;
     VkPipeline pipelines_[kShaders] = {};
+    bool profiles_ = false;
+    std::vector<Shader> profiled_; // the dispatches of this submission that have timestamps
+    KernelTime times_[kShaders] = {};
     size_t bytes_ = 0;
     bool lost_ = false;
     int draws_ = 0;

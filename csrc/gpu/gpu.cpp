@@ -6,7 +6,6 @@
 #include <chrono>
 #include <cmath>
 #include <cstring>
-#include <iterator>
 
 using namespace gs;
 
@@ -14,13 +13,15 @@ namespace {
 
 // Bytes of a transfer at a time, so that host memory stays small.
 constexpr size_t kChunkBytes = size_t(64) << 20;
+// Bytes that a draw fetches at once, with its last submission; more are fetched in chunks.
+constexpr size_t kFetchBytes = size_t(256) << 20;
 // Pixels of a submission: a long one freezes the screen, and systems end it after two seconds.
 constexpr int64_t kPixelsAtOnce = int64_t(1) << 21;
 // Fills all buffers before a draw under GSCORE_GPU_CHECK: a large negative float, an index far beyond any buffer.
 constexpr uint32_t kPoison = 0xCDCDCDCD;
 constexpr size_t kWord = sizeof(uint32_t);
 
-enum Stage { kBegin, kProjected, kSorted, kBinned, kBlended };
+enum Stage { kBegin, kProjected, kSorted, kBinned, kBlended, kFetched };
 
 uint32_t ceil_div(int64_t a, int64_t b) { return uint32_t((a + b - 1) / b); }
 
@@ -90,7 +91,7 @@ gs_gpu::~gs_gpu() {
     device.free(download_);
 }
 
-void gs_gpu::send(std::initializer_list<Transfer> transfers) {
+void gs_gpu::send(const Transfers &transfers) {
     for (const Transfer &t : transfers)
         for (size_t at = 0; at < t.bytes; at += kChunkBytes) {
             const size_t bytes = std::min(kChunkBytes, t.bytes - at);
@@ -102,7 +103,28 @@ void gs_gpu::send(std::initializer_list<Transfer> transfers) {
         }
 }
 
-void gs_gpu::fetch(std::initializer_list<Transfer> transfers) {
+void gs_gpu::record_fetch(const Transfers &transfers) {
+    size_t total = 0;
+    for (const Transfer &t : transfers)
+        total += t.bytes;
+    device.ensure(download_, total, Place::kDownload);
+    size_t at = 0;
+    for (const Transfer &t : transfers) {
+        device.copy(*t.buffer, download_, t.bytes, 0, at);
+        at += t.bytes;
+    }
+}
+
+void gs_gpu::read_fetched(const Transfers &transfers) {
+    const char *from = static_cast<const char *>(download_.mapped);
+    for (const Transfer &t : transfers) {
+        if (t.bytes)
+            std::memcpy(t.array, from, t.bytes);
+        from += t.bytes;
+    }
+}
+
+void gs_gpu::fetch(const Transfers &transfers) {
     for (const Transfer &t : transfers)
         for (size_t at = 0; at < t.bytes; at += kChunkBytes) {
             const size_t bytes = std::min(kChunkBytes, t.bytes - at);
@@ -131,6 +153,13 @@ void gs_gpu::upload(const gs_splats &in, gs_gpu_splats &out) {
     out.count = in.count;
     out.sh_rest = in.sh_rest;
     out.raw = in.raw;
+}
+
+void gs_gpu::release(gs_gpu_splats &splats) {
+    if (drawn_ == &splats)
+        drawn_ = nullptr;
+    if (!device.is_lost())
+        device.free(splats.model);
 }
 
 void gs_gpu::ensure_splats(size_t count) {
@@ -216,8 +245,6 @@ void gs_gpu::ensure_picture(const gs_view &view, const gs_host &host) {
     }
 }
 
-void gs_gpu::send_frame() { send({{&frame_buffer_, &frame_, sizeof frame_}}); }
-
 gs_push gs_gpu::push(uint32_t word0, uint32_t word1, uint32_t word2) const {
     gs_push p = {};
     p.block = frame_buffer_.address;
@@ -274,21 +301,75 @@ void gs_gpu::record_lists() {
     device.timestamp(kBinned);
 }
 
-gs_status gs_gpu::blend(const gs_host &host) {
-    const uint32_t rows_at_once = uint32_t(std::max<int64_t>(kPixelsAtOnce / (GS_TILE * frame_.view.width), 1));
-    const uint32_t band = std::max(rows_at_once / GS_TILE, 1u);
+gs_status gs_gpu::blend(const gs_host &host, const Transfers &wanted) {
+    const int64_t rows_at_once = kPixelsAtOnce / (int64_t(GS_TILE) * frame_.view.width);
+    const uint32_t band = uint32_t(std::max<int64_t>(rows_at_once, 1));
     for (uint32_t row = 0; row < frame_.tiles_y; row += band) {
+        const bool last = row + band >= frame_.tiles_y;
         device.begin();
-        device.timestamp(0);
+        device.timestamp(kBegin);
         gs_push p = push(row);
         p.values_in = entry_slots_[sorted_entries_].address;
         device.dispatch(Shader::kBlend, p, frame_.tiles_x, std::min(band, frame_.tiles_y - row));
-        device.timestamp(1);
+        device.timestamp(kBlended);
+        if (last)
+            record_fetch(wanted);
+        device.timestamp(kFetched);
         if (const gs_status s = device.finish(host.cancel))
             return s;
-        stats.blend_ms += device.milliseconds(0, 1);
+        stats.blend_ms += device.milliseconds(kBegin, kBlended);
+        if (last)
+            stats.download_ms = device.milliseconds(kBlended, kFetched);
     }
     return GS_OK;
+}
+
+void gs_gpu::record_poison() {
+    each_buffer([&](DeviceBuffer &b) {
+        if (&b != &far_depths_ && &b != &tiles_ && b.bytes)
+            device.fill(b, b.bytes, kPoison);
+    });
+}
+
+// Makes the lists of all tiles. Most often the entries fit into the buffers of an earlier draw; else they are made larger,
+// once.
+gs_status gs_gpu::lists(const gs_gpu_splats &splats, const gs_host &host) {
+    uint32_t counters[GS_COUNTERS] = {};
+    size_t entries = std::max<size_t>(size_t(splats.count) * 4, 1 << 12);
+    do {
+        if (entries > size_t(INT32_MAX))
+            throw_failure(GS_TOO_MANY, "the splats cover too many tiles: more than 2147483647 entries; use a smaller "
+                                       "image or fewer screen-filling splats");
+        ensure_entries(entries);
+        const Transfers wanted = {{&counters_, counters, sizeof counters}};
+        device.begin();
+        if (checks_enabled())
+            record_poison();
+        device.update(frame_buffer_, &frame_, sizeof frame_);
+        record_lists();
+        record_fetch(wanted);
+        if (const gs_status s = device.finish(host.cancel))
+            return s;
+        read_fetched(wanted);
+        entries = counters[GS_COUNT_OVERFLOW];
+    } while (entries);
+    stats.visible = counters[GS_COUNT_VISIBLE];
+    stats.entries = counters[GS_COUNT_ENTRIES];
+    stats.project_ms = device.milliseconds(kBegin, kProjected);
+    stats.sort_ms = device.milliseconds(kProjected, kSorted);
+    stats.bin_ms = device.milliseconds(kSorted, kBinned);
+    return GS_OK;
+}
+
+gs_gpu::Transfers gs_gpu::pictures(const gs_image &image) {
+    const size_t bytes = size_t(frame_.view.width) * size_t(frame_.view.height) * sizeof(float);
+    const uint32_t outputs = frame_.view.outputs;
+    return {{&rgb_, image.rgb, 3 * bytes},
+            {&alpha_, image.alpha, bytes},
+            {&inverse_depth_, image.inverse_depth, outputs & GS_OUT_INVERSE_DEPTH ? bytes : 0},
+            {&depth_, image.depth, outputs & GS_OUT_DEPTH ? bytes : 0},
+            {&median_depth_, image.median_depth, outputs & GS_OUT_MEDIAN_DEPTH ? bytes : 0},
+            {&radii_, image.radii, image.radii ? size_t(frame_.count) * kWord : 0}};
 }
 
 gs_status gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const gs_host &host, const gs_image &image) {
@@ -302,57 +383,24 @@ gs_status gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const g
     frame_.model = splats.model.address;
     ensure_splats(size_t(splats.count));
     ensure_picture(view, host);
-    uint32_t counters[GS_COUNTERS];
-    // Most often the entries fit into the buffers of an earlier draw; else they are made larger, once.
-    for (size_t entries = std::max<size_t>(size_t(splats.count) * 4, 1 << 12);; entries = counters[GS_COUNT_OVERFLOW]) {
-        if (entries > size_t(INT32_MAX))
-            throw_failure(GS_TOO_MANY, "the splats cover too many tiles: more than 2147483647 entries; use a smaller "
-                                       "image or fewer screen-filling splats");
-        ensure_entries(entries);
-        if (checks_enabled()) {
-            device.begin();
-            each_buffer([&](DeviceBuffer &b) {
-                if (&b != &far_depths_ && &b != &tiles_ && b.bytes)
-                    device.fill(b, b.bytes, kPoison);
-            });
-            device.finish(nullptr);
-        }
-        send_frame();
-        device.begin();
-        record_lists();
-        if (const gs_status s = device.finish(host.cancel))
-            return s;
-        fetch({{&counters_, counters, sizeof counters}});
-        if (counters[GS_COUNT_OVERFLOW] == 0)
-            break;
-    }
-    stats.visible = counters[GS_COUNT_VISIBLE];
-    stats.entries = counters[GS_COUNT_ENTRIES];
-    stats.project_ms = device.milliseconds(kBegin, kProjected);
-    stats.sort_ms = device.milliseconds(kProjected, kSorted);
-    stats.bin_ms = device.milliseconds(kSorted, kBinned);
-    if (const gs_status s = blend(host))
+    if (const gs_status s = lists(splats, host))
         return s;
-    const Timer download;
-    read_picture(image, damage);
-    stats.download_ms = download.milliseconds();
+    const Transfers wanted = pictures(image);
+    size_t total = 0;
+    for (const Transfer &t : wanted)
+        total += t.bytes;
+    const bool whole = total <= kFetchBytes;
+    if (const gs_status s = blend(host, whole ? wanted : Transfers{}))
+        return s;
+    const Timer copying;
+    whole ? read_fetched(wanted) : fetch(wanted);
+    stats.download_ms += copying.milliseconds();
+    if (damage)
+        image.rgb[0] = 1 - image.rgb[0];
     stats.device_bytes = int64_t(device.bytes_in_use());
     stats.total_ms = timer.milliseconds();
     drawn_ = &splats;
     return GS_OK;
-}
-
-void gs_gpu::read_picture(const gs_image &image, bool damage) {
-    const size_t bytes = size_t(frame_.view.width) * size_t(frame_.view.height) * sizeof(float);
-    const uint32_t outputs = frame_.view.outputs;
-    fetch({{&rgb_, image.rgb, 3 * bytes},
-           {&alpha_, image.alpha, bytes},
-           {&inverse_depth_, image.inverse_depth, outputs & GS_OUT_INVERSE_DEPTH ? bytes : 0},
-           {&depth_, image.depth, outputs & GS_OUT_DEPTH ? bytes : 0},
-           {&median_depth_, image.median_depth, outputs & GS_OUT_MEDIAN_DEPTH ? bytes : 0},
-           {&radii_, image.radii, image.radii ? size_t(frame_.count) * kWord : 0}});
-    if (damage)
-        image.rgb[0] = 1 - image.rgb[0];
 }
 
 void gs_gpu::weights(const gs_gpu_splats &splats, const float *shares, float *sums) {
@@ -366,8 +414,8 @@ void gs_gpu::weights(const gs_gpu_splats &splats, const float *shares, float *su
     frame_.entry_sums = entry_sums_.address;
     frame_.row_sums = row_sums_.address;
     send({{&shares_, const_cast<float *>(shares), floats * sizeof(float)}});
-    send_frame();
     device.begin();
+    device.update(frame_buffer_, &frame_, sizeof frame_);
     device.fill(row_sums_, rows * sizeof(float), 0);
     gs_push p = push();
     p.values_in = entry_slots_[sorted_entries_].address;
@@ -418,7 +466,6 @@ void gs_gpu::test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *ou
     drawn_ = nullptr;
     const size_t bytes = size_t(count) * kWord;
     ensure_splats(size_t(count));
-    send_frame();
     send({{&visible_keys_[0], const_cast<uint32_t *>(a), bytes}});
     if (kernel != GS_GPU_TEST_SORT) {
         send({{&visible_rows_[0], const_cast<uint32_t *>(b), b ? bytes : 0}});
@@ -428,6 +475,7 @@ void gs_gpu::test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *ou
         p.keys_out = visible_keys_[1].address;
         const Groups groups(ceil_div(count, GS_GROUP));
         device.begin();
+        device.update(frame_buffer_, &frame_, sizeof frame_);
         device.dispatch(Shader::kTest, p, groups.x, groups.y);
         device.finish(nullptr);
         fetch({{&visible_keys_[1], out, bytes}});
@@ -439,6 +487,7 @@ void gs_gpu::test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *ou
     uint32_t visible = uint32_t(count);
     send({{&visible_rows_[0], rows.data(), bytes}, {&sums_, &visible, kWord}});
     device.begin();
+    device.update(frame_buffer_, &frame_, sizeof frame_);
     device.dispatch(Shader::kArguments, push(), 1); // the count is the first sum
     sort(visible_keys_, visible_rows_, GS_COUNT_VISIBLE, GS_ARGS_VISIBLE_BLOCKS, 32);
     device.finish(nullptr);

@@ -3,7 +3,7 @@
 
 #include "device.h"
 
-#include <initializer_list>
+#include <vector>
 
 namespace gs {
 
@@ -24,6 +24,7 @@ struct gs_gpu {
     ~gs_gpu();
 
     void upload(const gs_splats &, gs_gpu_splats &);
+    void release(gs_gpu_splats &);
     gs_status draw(const gs_gpu_splats &, const gs_view &, const gs_host &, const gs_image &);
     void weights(const gs_gpu_splats &, const float *shares, float *sums);
     void projected(float *means2d, float *depths, float *conics, float *colors, float *opacities);
@@ -33,24 +34,30 @@ struct gs_gpu {
     gs_gpu_stats stats = {};
 
   private:
-    void ensure_splats(size_t count);
-    void ensure_entries(size_t count);
-    void ensure_picture(const gs_view &, const gs_host &);
-    void record_lists();
-    // Sorts pairs of buffers by the lowest bits of their keys; returns which of the two has the result.
-    int sort(gs::DeviceBuffer *keys, gs::DeviceBuffer *values, uint32_t counter, size_t arguments, uint32_t bits);
-    gs_push push(uint32_t word0 = 0, uint32_t word1 = 0, uint32_t word2 = 0) const;
-    gs_status blend(const gs_host &);
-    void read_picture(const gs_image &, bool damage);
-    // Copies arrays to buffers of the device, and back.
+    // Part of a device buffer, and the array that it is sent from or fetched to.
     struct Transfer {
         gs::DeviceBuffer *buffer;
         void *array;
         size_t bytes;
     };
-    void send(std::initializer_list<Transfer>);
-    void fetch(std::initializer_list<Transfer>);
-    void send_frame();
+    using Transfers = std::vector<Transfer>;
+
+    void ensure_splats(size_t count);
+    void ensure_entries(size_t count);
+    void ensure_picture(const gs_view &, const gs_host &);
+    // Sorts pairs of buffers by the lowest bits of their keys; returns which of the two has the result.
+    int sort(gs::DeviceBuffer *keys, gs::DeviceBuffer *values, uint32_t counter, size_t arguments, uint32_t bits);
+    gs_push push(uint32_t word0 = 0, uint32_t word1 = 0, uint32_t word2 = 0) const;
+    void record_lists();
+    void record_poison();
+    gs_status lists(const gs_gpu_splats &, const gs_host &);
+    gs_status blend(const gs_host &, const Transfers &);
+    Transfers pictures(const gs_image &);
+    void send(const Transfers &);
+    // Fetches; up to kFetchBytes in one piece, as commands of a submission that is open: record, finish, read.
+    void fetch(const Transfers &);
+    void record_fetch(const Transfers &);
+    void read_fetched(const Transfers &);
     template <class F> void each_buffer(F f);
 
     gs_frame frame_ = {};

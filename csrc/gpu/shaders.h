@@ -27,6 +27,7 @@ enum class Shader {
 constexpr int kShaders = int(Shader::kCount);
 
 struct ShaderCode {
+    const char *name;
     const uint32_t *words;
     size_t bytes;
 };

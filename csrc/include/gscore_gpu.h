@@ -62,7 +62,7 @@ typedef struct gs_gpu_stats {
     int64_t entries;                              /* (tile, splat) entries; tiles of GS_TILE x GS_TILE px */
     int64_t device_bytes;                         /* device memory in use by this gs_gpu */
     double project_ms, sort_ms, bin_ms, blend_ms; /* on the device; 0 where it has no timer */
-    double download_ms;                           /* wall time of the copy to the arrays of gs_image */
+    double download_ms;                           /* copying to the arrays of gs_image */
     double total_ms;                              /* wall time of the call */
 } gs_gpu_stats;
 
@@ -95,6 +95,11 @@ GS_API gs_status gs_gpu_draw(gs_gpu *gpu, const gs_gpu_splats *splats, const gs_
  * sums [N, 3]. GS_BAD_ARGUMENT if these splats were not drawn last. */
 GS_API gs_status gs_gpu_weights(gs_gpu *gpu, const gs_gpu_splats *splats, const float *shares, float *sums);
 GS_API gs_status gs_gpu_draw_stats(const gs_gpu *gpu, gs_gpu_stats *out);
+/* Start or stop measuring each kernel, from zero. */
+GS_API gs_status gs_gpu_profile(gs_gpu *gpu, int32_t on);
+/* Name of a kernel, milliseconds and calls since then, by a number from 0 on; GS_BAD_ARGUMENT: there are no more. */
+GS_API gs_status gs_gpu_kernel_time(const gs_gpu *gpu, int32_t number, const char **name, double *milliseconds,
+                                    int64_t *calls);
 /* Screen-space values of the last draw, as gs_raster_projected. */
 GS_API gs_status gs_gpu_projected(gs_gpu *gpu, float *means2d, float *depths, float *conics, float *colors,
                                   float *opacities);
