@@ -109,7 +109,8 @@ def _descend(web: Web, logs: np.ndarray, sigma: float) -> tuple[np.ndarray, "_Sy
     for _ in range(_STEPS):
         damped = system.curvature + damping * np.diag(np.diag(system.curvature) + 1e-3)
         step = np.clip(-np.linalg.solve(damped, system.slope), -_LONGEST, _LONGEST)
-        tried = _bounded(logs + step.reshape(-1, 2))
+        far, near = (logs + step.reshape(-1, 2)).T
+        tried = np.stack([np.clip(far, near - _SPAN[1], near - _SPAN[0]), near], 1)
         found = _linearised(web, tried, sigma, typical)
         gain = system.total(unseen) - found.total(unseen)
         if gain > 0:
@@ -134,12 +135,6 @@ def covariances(web: Web, logs: np.ndarray) -> np.ndarray:
     count = len(logs)
     every = np.arange(count)
     return inverse.reshape(count, 2, count, 2)[every, :, every, :]
-
-
-def _bounded(logs: np.ndarray) -> np.ndarray:
-    """Clip the log ratio of the ends to `_SPAN`."""
-    far, near = logs.T
-    return np.stack([np.clip(far, near - _SPAN[1], near - _SPAN[0]), near], 1)
 
 
 def _shares(ends: np.ndarray, tones: np.ndarray) -> np.ndarray:

@@ -93,7 +93,8 @@ def compare_runs(first: ComparedRun, second: ComparedRun) -> RunComparison:
         )
     for name in names:
         _check_sizes(runs, name, [views[name] for views in scored])
-    lpips = _same_network(runs)
+    nets = [run.metrics.get("lpips_net") for run in runs]
+    lpips = nets[0] is not None and nets[0] == nets[1]
     pairs = tuple(_pair(name, scored[0][name], scored[1][name], lpips=lpips) for name in names)
     keys = [key for key in HIGHER_IS_BETTER if all(key in pair.numbers for pair in pairs)]
     means = {key: _means([pair.numbers[key] for pair in pairs]) for key in keys}
@@ -162,11 +163,6 @@ def _measure_again(runs: Sequence[ComparedRun], options: Sequence[str], mark: st
         f"Measure the second as the first: {as_typed('eval', second, *options, '-o', apart)}, and "
         f"compare that: {as_typed('compare', first, apart)}"
     )
-
-
-def _same_network(runs: Sequence[ComparedRun]) -> bool:
-    nets = [run.metrics.get("lpips_net") for run in runs]
-    return nets[0] is not None and nets[0] == nets[1]
 
 
 def _pair(

@@ -82,10 +82,10 @@ def write_page(path: Path, page: Page) -> int:
 
 def page_html(page: Page) -> str:
     """The page as HTML."""
-    parts = {
+    parts = {  # JSON that cannot close the HTML element around it
         "title": html.escape(page.title),
         "style": _asset("view.css"),
-        "scene": _as_script(_scene(page)),
+        "scene": json.dumps(_scene(page), allow_nan=False).replace("<", "\\u003c"),
         "splats": ascii85(page.splats.body),
         "vertex": _shader("splat.vert"),
         "fragment": _shader("splat.frag"),
@@ -104,11 +104,6 @@ def _shader(name: str) -> str:
     version, source = _asset(name).split("\n", 1)
     defines = (f"#define {macro} {value}\n" for macro, value in glsl_defines(source).items())
     return f"{version}\n{''.join(defines)}{source}"
-
-
-def _as_script(content: Any) -> str:
-    """JSON that cannot close the HTML element around it."""
-    return json.dumps(content, allow_nan=False).replace("<", "\\u003c")
 
 
 def _scene(page: Page) -> dict[str, Any]:

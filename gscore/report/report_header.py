@@ -169,7 +169,8 @@ def meaning_html(metrics: dict[str, Any], depth_command: str = "") -> str:
         metrics: Content of metrics.json.
         depth_command: Shell command that makes depth maps; may be empty.
     """
-    trained, held_out = _trained_psnr(metrics), headline_psnr(metrics)
+    rows = metrics.get("history") or []
+    trained, held_out = (rows[-1].get("psnr") if rows else None), headline_psnr(metrics)
     if metrics["split"] != "test" or trained is None or held_out is None:
         return ""
     gap = trained - held_out
@@ -195,9 +196,3 @@ def meaning_html(metrics: dict[str, Any], depth_command: str = "") -> str:
         "(<code>--max-splats</code>). If single views below are far worse than the others, check "
         "their cameras and photos first.</p></section>\n"
     )
-
-
-def _trained_psnr(metrics: dict[str, Any]) -> float | None:
-    """PSNR of the training views in the last steps, dB."""
-    rows = metrics.get("history") or []
-    return rows[-1].get("psnr") if rows else None

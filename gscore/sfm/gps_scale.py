@@ -67,7 +67,8 @@ def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
     if len(numbers) < LEAST_PLACES:
         return Gps()
     fixes = np.array([places[number] for number in numbers], np.float64)
-    repeated = _is_repeated(fixes)
+    _, which, counts = np.unique(fixes, axis=0, return_inverse=True, return_counts=True)
+    repeated = counts[which.reshape(-1)] > max(_REPEATED * len(fixes), 1)
     lost = int(repeated.sum())
     if len(np.unique(fixes[~repeated], axis=0)) >= LEAST_PLACES:
         numbers = [n for n, same in zip(numbers, repeated, strict=True) if not same]
@@ -96,12 +97,6 @@ def read_gps(model: Any, places: dict[int, np.ndarray]) -> Gps:
         tuple((model.images[numbers[i]].name, float(sizes[i])) for i in outliers),
         lost,
     )
-
-
-def _is_repeated(fixes: np.ndarray) -> np.ndarray:
-    """[n] bool: positions [n, 3] shared by too many photos."""
-    _, which, counts = np.unique(fixes, axis=0, return_inverse=True, return_counts=True)
-    return counts[which.reshape(-1)] > max(_REPEATED * len(fixes), 1)
 
 
 def places_in_metres(file: Path) -> dict[str, np.ndarray]:

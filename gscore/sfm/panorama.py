@@ -52,7 +52,7 @@ def panorama_of(image: Any, camera: Sequence[str] = (), *, whole: bool = True) -
         camera: Make, model, lens and focal lengths from EXIF.
         whole: Use pixels too.
     """
-    double = _is_double(image)
+    double = abs(image.width - 2 * image.height) <= 0.005 * image.width
     packets = _xmp(image)
     if projection := _PROJECTION.search(packets):
         kind = projection[1].lower()
@@ -80,11 +80,6 @@ def _xmp(image: Any) -> bytes:
     packets += [body for _, body in getattr(image, "applist", [])]
     texts = (text.encode() if isinstance(text, str) else text for text in packets)
     return b"\n".join(text for text in texts if isinstance(text, bytes))
-
-
-def _is_double(image: Any) -> bool:
-    """Whether an image is twice as wide as high."""
-    return abs(image.width - 2 * image.height) <= 0.005 * image.width
 
 
 def _look(image: Any) -> str:

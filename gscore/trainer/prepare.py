@@ -221,11 +221,12 @@ def prepare(
             if group is None
             else DistributedTrainer(config, analysis, group)
         )
+    both = {name: (getattr(requested, name), getattr(config, name)) for name in LIFTED_BY}
     return Prepared(
         trainer=trainer,
         warnings=warnings,
         caps=caps,
-        requested=_requested_beyond(requested, config),
+        requested={name: was for name, (was, now) in both.items() if was != now},
         depth=depth,
         guide=guide,
         stereo=added,
@@ -255,12 +256,6 @@ def _read(
         near = TrainingFrame.of(photos.scene, near=config.near).world_near
         photos = RegionPhotos(photos, region, near=near, narrow=splats is None)
     return photos, region, splats
-
-
-def _requested_beyond(requested: TrainConfig, limited: TrainConfig) -> dict[str, int]:
-    """Return the requested values of the options that `limited` lowered."""
-    both = {name: (getattr(requested, name), getattr(limited, name)) for name in LIFTED_BY}
-    return {name: was for name, (was, now) in both.items() if was != now}
 
 
 @contextmanager

@@ -148,12 +148,7 @@ def with_end_marker(path: Path) -> bytes | None:
         whole = not _NEXT_MARKER.search(raw, at + 2) and _missing(raw) == 0
     except (IndexError, KeyError, ValueError, struct.error):
         return None
-    return raw + _END if whole and _is_counted(raw) else None
-
-
-def _is_counted(raw: bytes) -> bool:
-    """True if missing blocks of the last scan would be detected."""
-    return _missing(raw[: raw.rindex(b"\xff\xda") + 16]) > 0
+    return raw + _END if whole and (_missing(raw[: raw.rindex(b"\xff\xda") + 16]) > 0) else None
 
 
 def _missing(raw: bytes) -> int:

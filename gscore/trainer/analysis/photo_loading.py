@@ -51,7 +51,17 @@ def load_photos(
     found = _estimate(photos, config, points, depths)
     check_fits(found, config)
     if announce:
-        emit(_event(found, config))
+        emit(
+            Estimated(
+                seconds=found.seconds,
+                reading_seconds=found.reading_seconds,
+                peak_bytes=found.peak_bytes,
+                free_bytes=found.free_bytes,
+                photos_kept=found.photos_kept,
+                photo_bytes=found.photo_bytes,
+                max_splats=config.max_splats,
+            )
+        )
     if found.photos_kept:
         photos.preload(
             threads=config.threads,
@@ -81,18 +91,6 @@ def _estimate(photos: Dataset, config: TrainConfig, points: int, depths: bool) -
         cloud=len(photos.scene.points),
         decoding=photos.decoding_bytes(config.threads),
         stored=photos.decoding_pixels,
-    )
-
-
-def _event(found: Estimate, config: TrainConfig) -> Estimated:
-    return Estimated(
-        seconds=found.seconds,
-        reading_seconds=found.reading_seconds,
-        peak_bytes=found.peak_bytes,
-        free_bytes=found.free_bytes,
-        photos_kept=found.photos_kept,
-        photo_bytes=found.photo_bytes,
-        max_splats=config.max_splats,
     )
 
 

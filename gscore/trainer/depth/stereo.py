@@ -60,7 +60,7 @@ def stereo_start(
     given = known.given
     if config.start_splats is not None:
         return StereoStart()
-    if not _is_enabled(config.stereo, known):
+    if not (known.made_up if config.stereo == Stereo.MISSING else config.stereo != Stereo.OFF):
         if config.stereo_points and config.stereo == Stereo.MISSING:
             return _nothing(f"the capture has {number(given)} (`--stereo on` adds more)")
         return StereoStart()
@@ -89,10 +89,6 @@ def stereo_start(
             ),
         ),
     )
-
-
-def _is_enabled(stereo: Stereo, known: PointCloud) -> bool:
-    return known.made_up if stereo == Stereo.MISSING else stereo != Stereo.OFF
 
 
 def _nothing(why: str, *, known: float | None = None) -> StereoStart:
