@@ -70,8 +70,8 @@ from .inspection import find_capture as find_capture
 from .inspection import inspect
 from .io.cameras_json import read_cameras_json
 from .io.cameras_json import write_cameras as write_cameras
-from .io.colmap.camera_models import NO_PINHOLE as NO_PINHOLE
 from .io.colmap.folder import find_model, read_model, write_model
+from .io.colmap.lenses import NO_PINHOLE as NO_PINHOLE
 from .io.colmap.model import ColmapCamera as ColmapCamera
 from .io.colmap.model import ColmapImage as ColmapImage
 from .io.colmap.model import ColmapModel as ColmapModel

@@ -15,6 +15,11 @@ def number_text(value: float | None, digits: int) -> str:
     return "n/a" if value is None else f"{value:.{digits}f}"
 
 
+def point_text(point: Iterable[float]) -> str:
+    """A point with three digits: (1.23, -4.5, 678)."""
+    return f"({', '.join(f'{value:.3g}' for value in point)})"
+
+
 def number(count: int | None) -> str:
     """42,691; n/a for None."""
     return "n/a" if count is None else f"{count:,}"

@@ -14,12 +14,14 @@ from ..metrics import Lpips, LpipsNet, evaluate, psnr
 from ..metrics.coverage import COVERED, WORST, coverage, lowest_view
 from ..metrics.evaluate import target_picture
 from ..metrics.photo_renders import PhotoRenders
-from .leave_out import CaseChange, LeaveOut, leave_out
 from .paired import (
     CaptureChange,
+    CaseChange,
     Difference,
+    LeaveOut,
     Verdict,
     decide_default,
+    leave_out,
     paired_difference,
     trimmed_mean,
 )

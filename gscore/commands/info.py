@@ -25,6 +25,7 @@ from ..sfm.photos import check_no_cameras_above, is_photo_folder
 from ..splats import Splats, sigmoid
 from ..text_format import (
     count_text,
+    point_text,
     quality_text,
     size_text,
     step_text,
@@ -250,8 +251,8 @@ def _splats_text(facts: dict[str, Any]) -> list[str]:
         return lines
     low, high = facts["bounds_of_98_percent"]
     lines += [
-        f"  98 % of them between {_point(low)} and {_point(high)}",
-        f"  bounds             {_point(facts['bounds'][0])} and {_point(facts['bounds'][1])}",
+        f"  98 % of them between {point_text(low)} and {point_text(high)}",
+        "  bounds             " + " and ".join(map(point_text, facts["bounds"])),
         "                     " + "".join(f"{f'{q:.0%}':>10}" for q in _QUANTILES),
     ]
     rows = (("opacity", "opacity"), ("largest_scale", "largest scale"), ("elongation",) * 2)
@@ -342,7 +343,3 @@ def _capture_text(facts: dict[str, Any]) -> list[str]:
 
 def _focal_text(low: float, high: float) -> str:
     return f"{low:.1f}" if high - low < 0.05 else f"{low:.1f} to {high:.1f}"
-
-
-def _point(values: list[float]) -> str:
-    return "(" + ", ".join(f"{v:.3g}" for v in values) + ")"

@@ -20,8 +20,14 @@ from ..splats import Splats
 from ..text_format import count_text, number
 from ..viewers.rules import VIEWERS, ViewerRules, rules_of
 from .args.data_options import add_data_options
-from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
-from .args.model_capture import data_config_of, views_of
+from .args.model_argument import (
+    ModelArgument,
+    add_model_argument,
+    data_config_of,
+    model_path,
+    open_model,
+    views_of,
+)
 from .parser import add_option, add_threads_option
 from .terminal.output import check_folder, check_replaced, print_result
 from .terminal.run_job import OutputOptions, add_output_options, run_job

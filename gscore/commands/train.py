@@ -124,8 +124,7 @@ def _train(
     request: TrainRequest, show: Show, control: Control, group: "ProcessGroup | None"
 ) -> tuple["TrainResult", TrainConfig]:
     data, config = request.configs_with_messages(show)
-    from ..trainer.files.option_files import check_option_files
-    from ..trainer.files.run_folder import check_writable
+    from ..trainer.files.run_folder import check_option_files, check_writable
     from ..trainer.run import train
 
     def check(names: list[str] | None) -> None:

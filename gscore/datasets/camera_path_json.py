@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import ConfigError, DatasetError, FormatError
 from ..io.cameras_json import read_cameras_json
-from ..io.colmap.camera_models import NO_PINHOLE
+from ..io.colmap.lenses import NO_PINHOLE
 from ..io.files import atomic_write, read_bytes
 from ..json_text import parse_json
 from ..quoting import quoted

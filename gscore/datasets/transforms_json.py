@@ -10,8 +10,8 @@ import numpy as np
 
 from ..config import DataConfig
 from ..errors import DatasetError, FormatError
-from ..io.colmap.camera_models import MODELS_BY_NAME
 from ..io.colmap.folder import is_safe_name
+from ..io.colmap.lenses import MODELS_BY_NAME
 from ..io.colmap.model import ColmapCamera
 from ..io.files import LONGEST_NAME, is_file, read_bytes
 from ..io.images.read_image import IMAGE_ENDINGS, read_info

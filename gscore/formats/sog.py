@@ -24,10 +24,10 @@ from ..smallest_three import with_largest
 from ..splats import SH_REST_BY_DEGREE
 from ..text_format import count_text, number
 from . import textures
-from .codebook import CODEBOOK_SIZE
 from .parts import check_part, parts_of
 from .sog_writing import ANTIALIASED, CHECKS, FIRST_TAG, META, PALETTE_WIDTH, parts_in, write_sog
 from .splat_file import Decoded, SplatFormat, origin_in
+from .textures import CODEBOOK_SIZE
 
 _MOST_META = 1 << 22
 _MOST_SPLATS_A_BYTE = 16

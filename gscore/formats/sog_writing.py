@@ -21,10 +21,10 @@ from ..splats import Splats
 from ..text_format import count_text
 from ..transforms import unit_quats
 from . import textures
-from .codebook import codebook, nearest_entries, palette
 from .far_splats import cut_extremes, without_far
 from .parts import write_parts
 from .splat_file import ORIGIN, WriteOptions
+from .textures import codebook, nearest_entries, palette
 
 META = "meta.json"
 PALETTE_WIDTH = 64

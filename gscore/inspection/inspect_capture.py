@@ -21,16 +21,15 @@ from ..datasets.transforms_json import find_transforms
 from ..depth.params import DEPTH_FOLDER
 from ..depth.stated import StatedDepth, stated_depth
 from ..errors import BackendError, DatasetError, GsError
-from ..io.colmap.camera_models import NO_PINHOLE
 from ..io.colmap.folder import find_model
+from ..io.colmap.lenses import NO_PINHOLE
 from ..io.images.image_header import ImageInfo
 from ..io.images.read_image import decoding_pixels, read_info
 from ..scene import Cameras, PointCloud, Scene, within_reach
 from ..sfm.output_path import has_no_cameras
 from ..text_format import count_text
 from ..video import is_video
-from .capture_facts import CaptureFacts, Problem
-from .photo_folder import photo_folder_facts
+from .capture_facts import CaptureFacts, Problem, photo_folder_facts
 
 FEW_PHOTOS = 15
 """Number of photos below which a model is rarely good from all sides."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..datasets.capture import listing
 from ..errors import ConfigError
-from ..io.colmap.camera_models import NO_PINHOLE
+from ..io.colmap.lenses import NO_PINHOLE
 from ..text_format import count_text
 from .search_request import USUAL_LENS, SearchRequest
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..config import checked_threads
 from ..errors import ConfigError
-from ..io.colmap.camera_models import CAMERA_MODELS
+from ..io.colmap.lenses import CAMERA_MODELS
 from ..quoting import quoted
 
 MATCHERS = ("auto", "exhaustive", "sequential")

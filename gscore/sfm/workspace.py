@@ -11,10 +11,10 @@ import numpy as np
 
 from ..datasets.capture import listing
 from ..errors import ConfigError, DatasetError, GsError
+from ..io.cameras_json import write_up
 from ..io.files import atomic_write, link_or_copy, read_bytes, reason
 from ..io.lock import FolderLock
 from ..io.runs import SEARCH_RECORD
-from ..io.world_file import write_up
 from ..json_text import parse_json
 from ..text_format import count_text
 from .photos import Photo, stamp

@@ -20,18 +20,16 @@ from .model.training_frame import TrainingFrame
 from .photos.image_pyramid import ImagePyramid
 from .photos.view_sampler import ViewSampler
 from .schedule.plan import Plan
-from .step.engine_check import check_engine
-from .step.loss_terms import LossTerms
 from .step.model_set import ModelSet
 from .step.step_edits import StepEdits
 from .step.step_queue import RequestedStep, StepQueue
-from .step.step_requests import StepRequests
+from .step.step_requests import LossTerms, StepRequests, check_engine
 from .step.step_result import StepCounts, StepResult, combine_results, result_of
 from .step.training_start import training_start
 from .step.training_views import TrainingView, ViewBatcher
 from .strategy import in_cell, make_strategy
-from .views.held_out_gains import HeldOutGains
 from .views.model_renderer import ModelRenderer
+from .views.photo_gains import HeldOutGains
 from .views.photo_parameters import PhotoParameters, initial_poses
 
 

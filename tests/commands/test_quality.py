@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gscore.bench import quality as study
-from gscore.bench.leave_out import CaseChange, leave_out
+from gscore.bench.paired import CaseChange, leave_out
 from gscore.bench.quality import ScoredView, Training, compare, summarize
 from gscore.bench.training import load_for_bench, train_measured
 from gscore.commands import main

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gscore.formats.codebook import codebook, nearest_entries, palette
+from gscore.formats.textures import codebook, nearest_entries, palette
 from gscore.morton import morton_order
 
 

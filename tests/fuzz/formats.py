@@ -22,7 +22,7 @@ from gscore.depth.maps import read_map
 from gscore.depth.params import read_params
 from gscore.events import Event, Progress, from_line, to_line
 from gscore.formats import read_splat_file, write_splat_file
-from gscore.io.cameras_json import read_cameras_json, write_cameras
+from gscore.io.cameras_json import WORLD_FILE, read_cameras_json, read_up, write_cameras, write_up
 from gscore.io.colmap.folder import read_model, write_model
 from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from gscore.io.images.png import write_png
@@ -32,7 +32,6 @@ from gscore.io.ply.points import read_point_cloud
 from gscore.io.ply.splats import read_ply, write_splats
 from gscore.io.runs import read_run
 from gscore.io.sequences import read_sequence
-from gscore.io.world_file import WORLD_FILE, read_up, write_up
 from gscore.scene import Cameras
 from gscore.splats import Splats
 from gscore.stress.capture import toy_photos

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gscore.metrics import evaluate, image_metrics, psnr, psnr_cc, ssim
-from gscore.metrics.colour_fit import fit_colours
-from gscore.metrics.image import colour_corrected
+from gscore.metrics.image import colour_corrected, fit_colours
 
 
 def twin(image, target, weight):

@@ -15,9 +15,8 @@ from gscore.commands import main
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.errors import FormatError
-from gscore.io.cameras_json import read_cameras_json, write_cameras
+from gscore.io.cameras_json import WORLD_FILE, read_cameras_json, read_up, write_cameras
 from gscore.io.colmap.folder import read_model
-from gscore.io.world_file import WORLD_FILE, read_up
 from gscore.sfm.gps_scale import Gps, read_gps, to_metres
 from gscore.sfm.search_result import gps_text
 

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from gscore.commands import main
-from gscore.inspection.photo_folder import photo_folder_facts
+from gscore.inspection.capture_facts import photo_folder_facts
 from gscore.io.colmap.folder import read_model
 from gscore.sfm import heic, staging
 from gscore.sfm.output_path import CaptureOutput, default_capture_output

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from gscore.commands import main
-from gscore.inspection.photo_folder import photo_folder_facts
+from gscore.inspection.capture_facts import photo_folder_facts
 from gscore.io.colmap.folder import read_model
 from gscore.option_marks import show_flags
 from gscore.sfm.photos import list_photos

@@ -13,8 +13,7 @@ from gscore.errors import ConfigError
 from gscore.stress.capture import ToyPhotos
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.depth.targets import DepthTargets
-from gscore.trainer.step.engine_check import check_engine
-from gscore.trainer.step.loss_terms import LossTerms
+from gscore.trainer.step.step_requests import LossTerms, check_engine
 from gscore.trainer.trainer import Trainer
 from gscore.trainer.views.photo_gains import PhotoGains
 from gscore.trainer.views.photo_poses import PoseCheck

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gscore.io.colmap.camera_models import MODELS_BY_NAME
 from gscore.io.colmap.folder import (
     ColmapCamera,
     ColmapImage,
@@ -16,6 +15,7 @@ from gscore.io.colmap.folder import (
     ColmapPoints,
     write_model,
 )
+from gscore.io.colmap.lenses import MODELS_BY_NAME
 from gscore.io.images.png import write_png
 from gscore.transforms import rotmat_to_quat
 

@@ -8,7 +8,6 @@ import pycolmap
 import pytest
 
 from gscore.errors import DatasetError, FormatError
-from gscore.io.colmap.camera_models import CAMERA_MODELS
 from gscore.io.colmap.folder import (
     ColmapCamera,
     ColmapImage,
@@ -19,6 +18,7 @@ from gscore.io.colmap.folder import (
     read_model,
     write_model,
 )
+from gscore.io.colmap.lenses import CAMERA_MODELS
 
 
 def _theirs(rng: np.random.Generator) -> pycolmap.Reconstruction:

@@ -13,7 +13,7 @@ from gscore.commands import main
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.errors import GsError
-from gscore.inspection.photo_folder import photo_folder_facts
+from gscore.inspection.capture_facts import photo_folder_facts
 from gscore.io.block_record import BLOCK_RECORD
 from gscore.io.images.png import write_png
 from gscore.io.ply.splats import read_ply

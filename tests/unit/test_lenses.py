@@ -4,8 +4,14 @@ import numpy as np
 import pycolmap
 import pytest
 
-from gscore.io.colmap.camera_models import CAMERA_MODELS, MODELS_BY_NAME, NO_PINHOLE
-from gscore.io.colmap.lenses import DISTORTED_MODELS, distorted_pixels, undistorted_rays
+from gscore.io.colmap.lenses import (
+    CAMERA_MODELS,
+    DISTORTED_MODELS,
+    MODELS_BY_NAME,
+    NO_PINHOLE,
+    distorted_pixels,
+    undistorted_rays,
+)
 
 _KNOWN = {"f": 500.0, "fx": 500.0, "fy": 480.0, "cx": 310.0, "cy": 255.0}
 _SHAPES = {"omega": 0.9, "alpha": 0.6, "beta": 1.1}

@@ -14,8 +14,8 @@ from gscore.datasets.decode import ViewFile, decode_view
 from gscore.datasets.resolution import scale_intrinsics
 from gscore.datasets.undistort import Undistortion, plan_undistortion
 from gscore.errors import DatasetError, FormatError
-from gscore.io.colmap.camera_models import CAMERA_MODELS
 from gscore.io.colmap.folder import ColmapCamera
+from gscore.io.colmap.lenses import CAMERA_MODELS
 from gscore.io.images.png import write_png
 from gscore.io.images.read_image import resize
 

@@ -3,10 +3,9 @@
 import argparse
 import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from ...bench.child_process import run_child
 from ...config import DataConfig, TrainConfig
@@ -36,60 +35,27 @@ write_capture(Path(sys.argv[1]), *map(int, sys.argv[2:]))
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class MemoryBench:
-    """Memory of a run and its parts."""
-
-    splats: int
-    views: int
-    width: int
-    """Width of each view, px."""
-    height: int
-    steps: int
-    forecast_bytes: int
-    """Estimate before the run."""
-    peak_bytes: int
-    """Largest resident memory."""
-    parts: dict[str, int]
-    """Bytes at the peak: the process before the run, photos, parameters, their gradients and
-    moments, and the rest, mostly of the rasterizer."""
-
-
-def bench_memory(
-    *,
-    splats: int,
-    views: int,
-    width: int,
-    height: int,
-    steps: int = 40,
-    threads: int = 0,
-    on_event: Callable[[Event], None] | None = None,
-) -> MemoryBench | None:
+def _measure(args: argparse.Namespace) -> dict[str, Any]:
     """Train for some steps at full size from given splats of SH degree 3, with all parts of a long
     run: refinements, snapshots, checkpoints and an evaluation.
 
-    Call it once in a new process: the peak is that of the whole process.
-
-    Args:
-        splats: Number of splats of the cloud, and maximum of the training.
-        views: Number of photos, of which every eighth is held out.
-        width: Width of a photo, px.
-        height: Height of a photo, px.
-        steps: Steps of the training, at least MIN_STEPS.
-        threads: 0: all cores.
-        on_event: Receives the events of the run.
+    The peak is that of the whole process, which must be new.
 
     Returns:
-        The measurement; None if the system does not report the memory of a process.
+        The numbers for JSON, in bytes: `said_bytes`, the estimate before the run, `peak_bytes`, the
+        largest resident memory, and `parts` at the peak: the process before the run, photos,
+        parameters, their gradients and moments, and the rest, mostly of the rasterizer.
+
+    Raises:
+        BackendError: the system does not report the memory of a process.
     """
     before = peak_memory_bytes()
+    splats, views, steps, (width, height) = args.splats, args.views, args.steps, args.size
     estimates: list[int] = []
 
-    def on_any_event(event: Event) -> None:
+    def on_event(event: Event) -> None:
         if isinstance(event, Estimated):
             estimates.append(event.peak_bytes)
-        if on_event is not None:
-            on_event(event)
 
     with tempfile.TemporaryDirectory(prefix="gscore-") as name:
         folder = Path(name)
@@ -107,13 +73,13 @@ def bench_memory(
             coarse_factor=1.0,
             snapshot_every=steps // 2 + 1,
             checkpoint_iterations=(steps // 2 + 2,),
-            threads=threads,
+            threads=args.threads,
         )
         data = DataConfig(source=folder / "capture", resolution=1, eval=True)
-        train(config, data, folder / "out", on_any_event)
+        train(config, data, folder / "out", on_event)
     peak = peak_memory_bytes()
     if peak is None or before is None:
-        return None
+        raise BackendError("This system does not report the memory of a process.")
     numbers = 4 * splats * (11 + 3 * (1 + SH_REST_BY_DEGREE[3]))
     parts = {
         "before the run": before,
@@ -122,16 +88,9 @@ def bench_memory(
         "gradients": numbers,
         "moments": 2 * numbers,
     }
-    return MemoryBench(
-        splats=splats,
-        views=views,
-        width=width,
-        height=height,
-        steps=steps,
-        forecast_bytes=estimates[0],
-        peak_bytes=peak,
-        parts=parts | {"the rest": peak - sum(parts.values())},
-    )
+    sizes = {"splats": splats, "views": views, "width": width, "height": height, "steps": steps}
+    parts["the rest"] = peak - sum(parts.values())
+    return sizes | {"peak_bytes": peak, "parts": parts, "said_bytes": estimates[0]}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -149,33 +108,21 @@ def run(args: argparse.Namespace) -> int:
     check_numbers(args, 1, "splats")
     check_numbers(args, 2, "views")
     check_numbers(args, MIN_STEPS, "steps")
-    width, height = args.size
     with show_while(sys.stderr, f"Training {count_text(args.splats, 'splat')}"):
-        found = bench_memory(
-            splats=args.splats,
-            views=args.views,
-            width=width,
-            height=height,
-            steps=args.steps,
-            threads=args.threads,
-        )
-    if found is None:
-        raise BackendError("This system does not report the memory of a process.")
+        found = _measure(args)
     if args.json:
-        data = asdict(found)
-        data["said_bytes"] = data.pop("forecast_bytes")  # the key in files of earlier versions
-        print_json({"machine": machine(), "isa": native_library.isa()} | data)
+        print_json({"machine": machine(), "isa": native_library.isa()} | found)
     else:
         sys.stdout.write(wrapped(_table(found), sys.stdout))
     return 0
 
 
-def _table(r: MemoryBench) -> str:
+def _table(r: dict[str, Any]) -> str:
     parts = "".join(
-        f"  {number(round(bytes_ / 1e6)):>8} MB  {name}\n" for name, bytes_ in r.parts.items()
+        f"  {number(round(bytes_ / 1e6)):>8} MB  {name}\n" for name, bytes_ in r["parts"].items()
     )
     return (
-        f"{count_text(r.splats, 'splat')}, {count_text(r.views, 'view')} of {r.width} x "
-        f"{r.height} px, {count_text(r.steps, 'step')}\n"
-        f"  estimated {r.forecast_bytes / 1e9:.2f} GB, used {r.peak_bytes / 1e9:.2f} GB\n{parts}"
+        f"{count_text(r['splats'], 'splat')}, {count_text(r['views'], 'view')} of {r['width']} x "
+        f"{r['height']} px, {count_text(r['steps'], 'step')}\n"
+        f"  estimated {r['said_bytes'] / 1e9:.2f} GB, used {r['peak_bytes'] / 1e9:.2f} GB\n{parts}"
     )

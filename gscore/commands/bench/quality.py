@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from ...bench.leave_out import THINNED
+from ...bench.paired import THINNED
 from ...bench.quality import train_scored
 from ...bench.training import open_variants
 from ...config import DataConfig, TrainConfig

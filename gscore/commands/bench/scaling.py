@@ -69,44 +69,31 @@ def fit_line(xs: Sequence[float], ys: Sequence[float]) -> Line:
     return Line(base=float(base), slope=float(slope), r2=r2)
 
 
-def bench_scaling(
-    *,
-    splats: Sequence[int] = SPLATS,
-    sizes: Sequence[tuple[int, int]] = SIZES,
-    threads: Sequence[int],
-    views: Sequence[int] = VIEW_COUNTS,
-    cloud: int = 100_000,
-    steps: int = 20,
-    on_row: Callable[[str, dict[str, Any]], None] | None = None,
+def _bench(
+    args: argparse.Namespace, on_row: Callable[[str, dict[str, Any]], None]
 ) -> list[Scaling]:
     """Measure steps of the synthetic cloud: over splats at 640 x 400 px; over pixels, threads and
-    views with `cloud` splats. Views are JPEG files, measured with all photos in memory and with a
-    cache of CACHE_MB, for at least one step per view.
+    views with `args.cloud` splats. Views are JPEG files, measured with all photos in memory and
+    with a cache of CACHE_MB, for at least one step per view.
 
     Args:
-        splats: Sizes of the cloud.
-        sizes: Widths and heights, px.
-        threads: Numbers of threads.
-        views: Numbers of views.
-        cloud: Number of splats while another quantity varies.
-        steps: Steps per point.
+        args: Arguments of the command.
         on_row: Called with the quantity and each finished row.
     """
-    found = []
+    found, cloud, steps = [], args.cloud, args.steps
 
     def series(quantity: str, points: Iterable[dict[str, Any]]) -> None:
         rows = []
         for point in points:
             rows.append(point)
-            if on_row is not None:
-                on_row(quantity, point)
+            on_row(quantity, point)
         found.append(Scaling(quantity=quantity, rows=rows, lines=_lines(quantity, rows)))
 
-    series("splats", (_cloud(count, 640, 400, 0, steps) for count in splats))
-    series("pixels", (_cloud(cloud, width, height, 0, steps) for width, height in sizes))
-    series("threads", (_cloud(cloud, 640, 400, count, steps) for count in threads))
+    series("splats", (_cloud(count, 640, 400, 0, steps) for count in args.splats))
+    series("pixels", (_cloud(cloud, width, height, 0, steps) for width, height in args.sizes))
+    series("threads", (_cloud(cloud, 640, 400, count, steps) for count in args.threads))
     with tempfile.TemporaryDirectory(prefix="gscore-") as folder:
-        series("views", _views(Path(folder), views, cloud, steps))
+        series("views", _views(Path(folder), args.views, cloud, steps))
     return found
 
 
@@ -170,15 +157,7 @@ def run(args: argparse.Namespace) -> int:
     check_numbers(args, 1, "splats", "threads", "views", "cloud", "steps")
     with Status(sys.stderr) as status:
         rows = Rows(status, "Measuring", quiet=args.json)
-        series = bench_scaling(
-            splats=args.splats,
-            sizes=args.sizes,
-            threads=args.threads,
-            views=args.views,
-            cloud=args.cloud,
-            steps=args.steps,
-            on_row=lambda quantity, row: rows(_row(quantity, row)),
-        )
+        series = _bench(args, lambda quantity, row: rows(_row(quantity, row)))
     if args.json:
         content = {"machine": machine(), "isa": native_library.isa()}
         print_json(content | {"series": [asdict(one) for one in series]})

@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -43,33 +43,19 @@ class SkipRow:
     """Whether the trained splats are bit-identical to those with all skips."""
 
 
-def bench_skips(
-    config: TrainConfig,
-    photos: Dataset,
-    *,
-    skips: Sequence[Skip] = tuple(Skip),
-    on_row: Callable[[SkipRow], None] | None = None,
-) -> list[SkipRow]:
-    """Train with all skips, without each of `skips`, and without all of these.
+def _rows(config: TrainConfig, photos: Dataset, skips: Sequence[Skip]) -> Iterator[SkipRow]:
+    """Train with all skips, without each of `skips`, and for several without all of these.
 
     Args:
         config: Options; the skips in its `without` stay disabled in every row.
         photos: Decoded photos, with held-out views.
         skips: Skips to measure.
-        on_row: Called with each finished row.
-
-    Returns:
-        The row with all skips, one per skip, and for several one without all of these.
     """
-    tried: list[tuple[Skip, ...]] = [(), *((skip,) for skip in skips)]
-    if len(skips) > 1:
-        tried.append(tuple(skips))
-    rows: list[SkipRow] = []
     first: Trained | None = None
-    for off in tried:
+    for off in [(), *((skip,) for skip in skips), *([tuple(skips)] if len(skips) > 1 else [])]:
         found = train_measured(replace(config, without=(*config.without, *off)), photos)
         first = first or found
-        row = SkipRow(
+        yield SkipRow(
             without=[skip.value for skip in off],
             seconds=found.seconds,
             slowdown=found.seconds / first.seconds,
@@ -80,10 +66,6 @@ def bench_skips(
             splats=len(found.splats),
             identical=_same_bits(found.splats, first.splats),
         )
-        rows.append(row)
-        if on_row is not None:
-            on_row(row)
-    return rows
 
 
 def _same_bits(a: Splats, b: Splats) -> bool:
@@ -112,12 +94,10 @@ def run(args: argparse.Namespace) -> int:
         print(_HEAD)
     with Status(sys.stderr) as status:
         table = Rows(status, "Training", quiet=args.json)
-        rows = bench_skips(
-            config,
-            photos,
-            skips=[Skip(name) for name in dict.fromkeys(args.skips)],
-            on_row=lambda row: table(_line(row)),
-        )
+        rows = []
+        for row in _rows(config, photos, [Skip(name) for name in dict.fromkeys(args.skips)]):
+            rows.append(row)
+            table(_line(row))
     if args.json:
         content = {
             "source": str(args.source),

@@ -50,28 +50,20 @@ class StepBench(BenchSetting):
     """Peak memory of the whole process so far; None: unknown."""
 
 
-def bench_step(
-    photos: Photos,
-    splats: Splats,
-    *,
-    steps: int = 60,
-    threads: int = 0,
-    config: TrainConfig,
-    photo_cache: int | None = None,
+def _bench(
+    args: argparse.Namespace, photos: Photos, splats: Splats, photo_cache: int | None
 ) -> StepBench:
     """Train for some steps from given splats, without densification.
 
     Args:
+        args: Arguments of the command.
         photos: Training photos.
         splats: Initial splats, in COLMAP world.
-        steps: Steps to measure.
-        threads: 0: all cores.
-        config: Method; its length, size and schedules are overridden here.
         photo_cache: Memory for decoded photos, bytes; others are decoded at each use. None: no
             limit.
     """
+    steps, threads = args.steps, args.threads
     total = steps + _WARM_UP
-    given = {name: getattr(config, name) for name in ("strategy", "without", "ssim_weight")}
     config = TrainConfig(
         iterations=10_000 + total,
         max_splats=max(len(splats), 1),
@@ -79,7 +71,8 @@ def bench_step(
         refine_start=10_000 + total,
         coarse_factor=1.0,
         threads=threads,
-        **given,
+        strategy=Strategy(args.strategy),
+        without=tuple(Skip(name) for name in args.without),
     )
     seconds: list[float] = []
     parts: dict[str, float] = {}
@@ -161,22 +154,8 @@ def run(args: argparse.Namespace) -> int:
         else:
             photos.limit_cache()
         splats = read_splats(args.ply)
-    config = TrainConfig(
-        strategy=Strategy(args.strategy), without=tuple(Skip(name) for name in args.without)
-    )
-    for_each_isa(
-        args,
-        count_text(args.steps, "step"),
-        lambda: bench_step(
-            photos,
-            splats,
-            steps=args.steps,
-            threads=args.threads,
-            config=config,
-            photo_cache=cache,
-        ),
-        _table,
-    )
+    what = count_text(args.steps, "step")
+    for_each_isa(args, what, lambda: _bench(args, photos, splats, cache), _table)
     return 0
 
 

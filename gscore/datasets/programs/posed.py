@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...errors import FormatError
-from ...io.colmap.camera_models import MODELS_BY_NAME
+from ...io.colmap.lenses import MODELS_BY_NAME
 from ...io.colmap.model import ColmapCamera
 from ...quoting import quoted
 from ...scene import FARTHEST, PointCloud

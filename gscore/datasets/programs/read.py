@@ -9,8 +9,8 @@ import numpy as np
 
 from ...config import DataConfig
 from ...errors import DatasetError, FormatError
-from ...io.colmap.camera_models import NO_PINHOLE
 from ...io.colmap.folder import is_safe_name
+from ...io.colmap.lenses import NO_PINHOLE
 from ...io.files import read_bytes
 from ...io.images.read_image import IMAGE_ENDINGS, read_info
 from ...io.npy import read_npy

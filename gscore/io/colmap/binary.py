@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import DatasetError, FormatError
 from ...quoting import brief
 from ..files import LONGEST_PATH, open_regular, reason
-from .camera_models import MODELS_BY_ID, MODELS_BY_NAME
+from .lenses import MODELS_BY_ID, MODELS_BY_NAME
 from .model import ColmapCamera, ColmapImage, ColmapPoints
 
 _log = logging.getLogger(__name__)

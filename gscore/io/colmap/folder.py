@@ -12,12 +12,12 @@ from ...errors import DatasetError, FormatError
 from ...quoting import quoted
 from ...scene import FARTHEST, FOCAL_RANGE, PointCloud, is_focal
 from ...text_format import count_text
+from ..cameras_json import read_origin, read_up, write_up
 from ..files import LONGEST_NAME, LONGEST_PATH, atomic_write, is_unnameable
 from ..images.raw import RAW_ENDINGS
 from ..images.read_image import IMAGE_ENDINGS
 from ..ply.points import read_point_cloud
 from ..unsupported_formats import describe_unsupported
-from ..world_file import read_origin, read_up, write_up
 from . import binary as colmap_binary
 from . import text as colmap_text
 from .model import (

@@ -8,7 +8,7 @@ import numpy as np
 from ...scene import moved_viewmats, offset_between
 from ...splats import check_array
 from ...transforms import quat_to_rotmat
-from .camera_models import MODELS_BY_NAME, PINHOLE_WITHOUT_DISTORTION
+from .lenses import MODELS_BY_NAME, PINHOLE_WITHOUT_DISTORTION
 
 
 @dataclass(frozen=True, kw_only=True)

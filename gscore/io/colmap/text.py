@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import DatasetError, FormatError
 from ...quoting import brief, quoted
 from ..files import open_regular, reason
-from .camera_models import MODELS_BY_NAME
+from .lenses import MODELS_BY_NAME
 from .model import ColmapCamera, ColmapImage, ColmapPoints
 
 _log = logging.getLogger(__name__)

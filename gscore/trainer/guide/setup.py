@@ -14,7 +14,7 @@ from ...errors import ConfigError
 from ...events import Decision
 from ...io.mesh.files import TriangleMesh, read_mesh
 from ...scene import offset_between
-from ...text_format import count_text
+from ...text_format import count_text, point_text
 from ..depth.rule import coverage
 from ..depth.targets import DepthTargets
 from .mesh_views import MeshView, mesh_views
@@ -254,12 +254,8 @@ def _unseen(path: Path, mesh: TriangleMesh, photos: Dataset) -> str:
     where = "behind all cameras" if max(map(np.max, z)) <= 0 else "outside all their frames"
     return (
         f"{path}: none of {count_text(len(photos.train), 'training photo')} shows the mesh, which "
-        f"is {where}. Its bounds are {_place(corners.min(axis=0))} to "
-        f"{_place(corners.max(axis=0))}, those of the cameras "
-        f"{_place(cameras.centers.min(axis=0))} to {_place(cameras.centers.max(axis=0))}. It must "
-        "be in the world of the capture, in its axes and unit."
+        f"is {where}. Its bounds are {point_text(corners.min(axis=0))} to "
+        f"{point_text(corners.max(axis=0))}, those of the cameras "
+        f"{point_text(cameras.centers.min(axis=0))} to "
+        f"{point_text(cameras.centers.max(axis=0))}. It must be in the world of the capture, in its axes and unit."
     )
-
-
-def _place(point: np.ndarray) -> str:
-    return "(" + ", ".join(f"{value:.3g}" for value in point) + ")"

@@ -3,18 +3,102 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
-from ...config import Skip, TrainConfig
-from ...engine.base import ENGINE_SKIPS, ShUpdate, StepRequest
+import numpy as np
+import torch
+
+from ...config import Skip, Strategy, TrainConfig
+from ...engine.base import (
+    ENGINE_SKIPS,
+    EngineInfo,
+    Feature,
+    PictureTerm,
+    ShUpdate,
+    StepRequest,
+    TermGradients,
+    TermKind,
+)
+from ...errors import ConfigError
+from ..analysis.analysis import Analysis
+from ..depth.loss import DepthLoss, GuideLoss
+from ..depth.targets import DepthTargets
 from ..schedule.caps import drop_rate_at
 from ..schedule.plan import Plan
 from ..strategy import Policy
 from ..views.model_renderer import ModelRenderer
 from ..views.photo_gains import as_color
 from ..views.photo_parameters import PhotoParameters
-from .loss_terms import LossTerms
 from .step_edits import SANITIZE_EVERY
 from .training_views import TrainingView
+
+
+class LossTerms:
+    """Terms of the loss of rendered views against photos, depth maps, guide meshes and masks."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        *,
+        mask_mode: str,
+        depth: DepthTargets | None,
+        surface: DepthTargets | None,
+        scale: float,
+    ) -> None:
+        """Create the terms.
+
+        Args:
+            config: The options.
+            mask_mode: Use of the masks, as `Dataset.mask_mode`.
+            depth: Targets of depth maps; None: none.
+            surface: Targets of a guide mesh; None: none.
+            scale: Training units per world unit.
+        """
+        ssim, composite = config.ssim_weight, mask_mode == "composite"
+        weights = {
+            TermKind.L1: 1 - ssim,
+            TermKind.SSIM: ssim,
+            TermKind.MASK_ALPHA: config.alpha_weight if composite else 0.0,
+            TermKind.SEE_THROUGH: 0.0 if composite else config.opaque_weight,
+        }
+        self.terms = tuple(weights.items())
+        """Kinds and weights."""
+        self.depth = None if depth is None else DepthLoss(config, depth, scale=scale)
+        """The depth loss; None: no depth supervision."""
+        self._guide = None
+        if surface is not None:
+            self._guide = GuideLoss(surface, weight=config.guide_weight, scale=scale)
+
+    @property
+    def needs_pictures(self) -> bool:
+        """True if any view has a loss of inverse depth."""
+        return self.depth is not None or self._guide is not None
+
+    def picture_term(self, index: int, step: int) -> PictureTerm | None:
+        """Return the inverse-depth losses of view `index` at `step`, summed; None: there are
+        none."""
+        losses = [loss for loss in (self.depth, self._guide) if loss is not None]
+        terms = [(w, loss) for loss in losses if (w := loss.weight(index, step)) > 0]
+        return partial(_sum_of, terms, index) if terms else None
+
+
+def _sum_of(
+    terms: list[tuple[float, GuideLoss]],
+    index: int,
+    inverse_depth: np.ndarray,
+    alpha: np.ndarray,
+) -> TermGradients:
+    """Compute the weighted sum of losses of view `index`, with its gradients."""
+    leaves = [torch.from_numpy(a).requires_grad_() for a in (inverse_depth, alpha)]
+    parts = [weight * loss(index, *leaves) for weight, loss in terms]
+    term = sum(parts[1:], start=parts[0])
+    if not term.requires_grad:
+        return TermGradients(term.item(), None, None)
+    v_inverse_depth, v_alpha = (
+        None if v is None else v.numpy()
+        for v in torch.autograd.grad(term, leaves, allow_unused=True)
+    )
+    return TermGradients(term.item(), v_inverse_depth, v_alpha)
 
 
 @dataclass(eq=False)
@@ -94,4 +178,48 @@ class StepRequests:
             disable=ENGINE_SKIPS & frozenset(config.without),
             check_finite=self.names[training_view.index] if config.detect_anomaly else "",
             compare=(step - count) % SANITIZE_EVERY == 0,
+        )
+
+
+def check_engine(
+    info: EngineInfo,
+    config: TrainConfig,
+    analysis: Analysis,
+    terms: LossTerms,
+    *,
+    drops: bool,
+    frozen: bool,
+) -> None:
+    """Raise ConfigError, with the options, for what the engine cannot compute.
+
+    Args:
+        info: The engine.
+        config: The options.
+        analysis: The capture.
+        terms: Loss terms of the training.
+        drops: Whether splats are dropped out.
+        frozen: Whether splats around a region are frozen.
+    """
+    needed = {
+        Feature.PICTURE_TERMS: terms.needs_pictures,
+        Feature.FROZEN: frozen,
+        Feature.ANOMALIES: config.detect_anomaly,
+        Feature.MASKS: analysis.photos.mask_mode != "none",
+        Feature.DROPOUT: drops,
+        Feature.NOISE: config.strategy is Strategy.MCMC,
+        Feature.GAINS: analysis.gains is not None,
+        Feature.POSES: analysis.pose_check.viewmats is not None,
+        Feature.CONTRIBUTIONS: config.prune_share > 0,
+    }
+    lacking = [kind for kind, weight in terms.terms if weight and kind not in info.terms]
+    skips = sorted(ENGINE_SKIPS.intersection(config.without) - info.skips)
+    missing = [
+        *(f"the loss term {kind.name.lower().replace('_', ' ')}" for kind in lacking),
+        *(one for one in Feature if needed[one] and one not in info.features),
+        *(f"steps without the skip {skip} (`--without {skip}`)" for skip in skips),
+    ]
+    if missing:
+        raise ConfigError(
+            f"The engine {info.name} cannot compute {', '.join(missing)}. Train without, or on "
+            "the CPU."
         )

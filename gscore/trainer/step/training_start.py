@@ -8,15 +8,14 @@ from ...formats.joined import joined
 from ...scene import Cameras
 from ...splats import Splats
 from ..analysis.analysis import Analysis
-from ..guide.mesh_free_space import MeshFreeSpace
+from ..guide.mesh_views import MeshFreeSpace
 from ..model.initial_splats import splats_from_points, splats_from_start
 from ..model.nearest_points import NearestPoints
 from ..model.training_frame import TrainingFrame
 from ..photos.sky import sky_splats
 from ..region.frozen_splats import FrozenSplats, split_frozen
 from ..schedule.plan import Plan
-from ..strategy.free_path import FreePath
-from ..strategy.free_space import FreeSpace
+from ..strategy.free_path import FreePath, FreeSpace
 from ..strategy.pruning import Pruner
 
 

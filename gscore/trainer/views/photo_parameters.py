@@ -9,9 +9,8 @@ import torch
 from ...config import TrainConfig
 from ...raster.request import Frustum
 from ..model.training_frame import TrainingFrame
-from .held_out_gains import HeldOutGains
 from .photo_adam import rate_at
-from .photo_gains import PhotoGains
+from .photo_gains import HeldOutGains, PhotoGains
 from .photo_poses import PhotoPoses, PoseCheck
 
 _START, _STOP = 0.1, 0.8

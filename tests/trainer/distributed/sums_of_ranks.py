@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from gscore.raster.row_packing import Table, unpack_rows
-from gscore.trainer.distributed.batch_gradients import RowSums
+from gscore.trainer.distributed.data_parallel import RowSums
 from gscore.trainer.distributed.process_group import ProcessGroup
 
 ROWS, WIDTH = 1000, 7

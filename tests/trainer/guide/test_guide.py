@@ -24,8 +24,7 @@ from gscore.splats import Splats
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.estimate.forecast import depth_bytes, estimate
-from gscore.trainer.guide.mesh_free_space import MeshFreeSpace
-from gscore.trainer.guide.mesh_views import MeshView
+from gscore.trainer.guide.mesh_views import MeshFreeSpace, MeshView
 from gscore.trainer.guide.setup import GuideSetup, MeshSupport, prepare_guide, weighted_views
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer

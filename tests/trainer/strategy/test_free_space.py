@@ -20,8 +20,9 @@ from gscore.trainer.files import checkpoint
 from gscore.trainer.model.nearest_points import NearestPoints
 from gscore.trainer.run import train
 from gscore.trainer.schedule.plan import Plan
-from gscore.trainer.strategy import free_space, pruning
-from gscore.trainer.strategy.free_space import FreeSpace
+from gscore.trainer.strategy import free_path as free_space
+from gscore.trainer.strategy import pruning
+from gscore.trainer.strategy.free_path import FreeSpace
 from gscore.trainer.trainer import Trainer
 
 CONFIG = TrainConfig(iterations=40, refine_start=10, refine_stop=20, refine_every=10, sh_every=100)

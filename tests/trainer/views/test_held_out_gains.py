@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from gscore.trainer.views.held_out_gains import HeldOutGains
-from gscore.trainer.views.photo_gains import STOP
+from gscore.trainer.views.photo_gains import STOP, HeldOutGains
 
 COUNT = 60
 NAMES = [f"IMG_{i + 5}.jpg" for i in range(COUNT)]  # numbers of one and two digits
