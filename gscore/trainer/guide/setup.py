@@ -257,5 +257,6 @@ def _unseen(path: Path, mesh: TriangleMesh, photos: Dataset) -> str:
         f"is {where}. Its bounds are {point_text(corners.min(axis=0))} to "
         f"{point_text(corners.max(axis=0))}, those of the cameras "
         f"{point_text(cameras.centers.min(axis=0))} to "
-        f"{point_text(cameras.centers.max(axis=0))}. It must be in the world of the capture, in its axes and unit."
+        f"{point_text(cameras.centers.max(axis=0))}. It must be in the world of the capture, in "
+        "its axes and unit."
     )
