@@ -43,8 +43,8 @@ bool enabled(const char *variable) {
     return value && *value && std::strcmp(value, "0") != 0;
 }
 
-// The entry point of the library in GSCORE_VULKAN_LOADER, a loader or a driver.
-PFN_vkGetInstanceProcAddr entry_of(const char *path) {
+// The entry point of a loader or a driver; `source` says where its path comes from.
+PFN_vkGetInstanceProcAddr entry_of(const char *path, const char *source) {
     // vk_icdGetInstanceProcAddr is a driver's, see "Architecture of the Vulkan Loader Interfaces".
 #if defined(_WIN32)
     const HMODULE library = LoadLibraryA(path);
@@ -57,7 +57,7 @@ PFN_vkGetInstanceProcAddr entry_of(const char *path) {
     if (!entry)
         entry = find("vk_icdGetInstanceProcAddr");
     if (!entry)
-        throw_failure(GS_UNSUPPORTED, "GSCORE_VULKAN_LOADER is no Vulkan library: %.150s", path);
+        throw_failure(GS_UNSUPPORTED, "%s is no Vulkan library: %.150s", source, path);
     return reinterpret_cast<PFN_vkGetInstanceProcAddr>(entry);
 }
 
@@ -84,12 +84,26 @@ bool has_instance_extension(const char *name) {
     return false;
 }
 
+// MoltenVK beside this library, on macOS, which has no Vulkan of its own.
+void open_bundled() {
+#if defined(__APPLE__)
+    Dl_info own;
+    if (dladdr(reinterpret_cast<const void *>(&open_bundled), &own) && own.dli_fname) {
+        const std::string path(own.dli_fname);
+        const std::string bundled = path.substr(0, path.rfind('/') + 1) + "libMoltenVK.dylib";
+        volkInitializeCustom(entry_of(bundled.c_str(), "the bundled MoltenVK"));
+        return;
+    }
+#endif
+    throw_failure(GS_UNSUPPORTED, "there is no Vulkan loader on this system");
+}
+
 VkInstance open_instance() {
     const char *const path = std::getenv("GSCORE_VULKAN_LOADER");
     if (path && *path)
-        volkInitializeCustom(entry_of(path));
+        volkInitializeCustom(entry_of(path, "GSCORE_VULKAN_LOADER"));
     else if (volkInitialize() != VK_SUCCESS)
-        throw_failure(GS_UNSUPPORTED, "there is no Vulkan loader on this system");
+        open_bundled();
 
     std::vector<const char *> extensions, layers;
     VkInstanceCreateFlags flags = 0;

@@ -12,6 +12,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from moltenvk import moltenvk
+
 ROOT = Path(__file__).resolve().parents[2]
 GLIBC = (2, 28)
 """Minimum version for Blender on Linux."""
@@ -155,8 +157,10 @@ def _cmake(build: Path, environment: dict[str, str], target: Platform) -> None:
 
 
 def _libraries(build: Path, name: str) -> dict[str, Path]:
-    """The libraries in a build folder by the names they are installed with."""
-    return {each: _library(build, each) for each in (name, gpu_library(name))}
+    """The libraries in a build folder by the names they are installed with; for macOS also those
+    that the one for graphics cards needs."""
+    found = {each: _library(build, each) for each in (name, gpu_library(name))}
+    return found | (moltenvk() if name.endswith(".dylib") else {})
 
 
 def _library(build: Path, name: str) -> Path:
