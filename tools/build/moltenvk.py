@@ -15,8 +15,8 @@ FOLDER = ROOT / "build" / "moltenvk"
 SOURCE = "quadrants==1.1.3"
 MEMBER = "quadrants/_lib/runtime/libMoltenVK.dylib"
 SHA256 = "45f81ce6bd517b6bc904f252b84ebe30177e791143144cc81eb0a1e99e840c0a"
-NOTICE = """libMoltenVK.dylib is MoltenVK, copyright The Brenwill Workshop Ltd. and the Khronos Group,
-https://github.com/KhronosGroup/MoltenVK, unchanged, under this licence:
+NOTICE = """libMoltenVK.dylib is MoltenVK, copyright The Brenwill Workshop Ltd. and the Khronos
+Group, https://github.com/KhronosGroup/MoltenVK, unchanged, under this licence:
 
 """
 
