@@ -307,7 +307,7 @@ class DataParallelEngine(CpuEngine):
         v_means2d = self._backward(request, drawn, batch.into(model, count))
         slopes = numbers.slopes
         if request.learn_gain or request.learn_pose:
-            slopes = self._group.all_gather(self._slopes_of(request, drawn.loss))
+            slopes = self._group.all_gather(self._slopes_of(request, drawn.loss))[:count]
         counters = batch.counters(model)
         self._observe(request, counters, v_means2d)
         radii = batch.add_up(model, counters=counters, photos=count, threads=self._threads)

@@ -140,6 +140,7 @@ def test_a_broken_frame_stops_its_own_run_only(video: Path, tmp_path: Path) -> N
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="looks for processes in /proc")
+@pytest.mark.usefixtures("real_engine")
 @pytest.mark.parametrize("victim", [0, 1])
 def test_a_killed_rank_is_resumed(video: Path, whole: Path, tmp_path: Path, victim: int) -> None:
     """Oracle: the splats of an undisturbed process; the list of frames."""
