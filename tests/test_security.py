@@ -48,7 +48,7 @@ UNSAFE_NAMES = (
 
 
 STARTS = {
-    "gscore/bench/child_process.py:run_child",
+    "gscore/commands/bench/shared.py:run_child",
     "gscore/formats/usd.py:_in_child",
     "gscore/metrics/machine.py:cpu_name",
     "addon/process/child_program.py:Process.__init__",

@@ -2,11 +2,11 @@
 
 import pytest
 
-from gscore.bench.child_process import run_child
 from gscore.bench.synthetic import synthetic_scene
 from gscore.bench.training import Point, Trained
 from gscore.commands import main
 from gscore.commands.bench.scaling import fit_line
+from gscore.commands.bench.shared import run_child
 from gscore.config import Skip
 from gscore.errors import BackendError
 from gscore.metrics.machine import machine

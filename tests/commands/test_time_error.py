@@ -9,14 +9,16 @@ from typing import Any
 import pytest
 
 import gscore
-from gscore.bench.pareto_front import Size, SizeOutcome, pareto_front
 from gscore.bench.synthetic import SyntheticPhotos, synthetic_scene
 from gscore.bench.time_error import (
     Curve,
+    Size,
+    SizeOutcome,
     curve_json,
     labels,
     measure_variant,
     measured_steps,
+    pareto_front,
     read_peers,
     time_to_psnr,
 )

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ...bench.child_process import run_child
 from ...config import DataConfig, TrainConfig
 from ...errors import BackendError
 from ...events import Estimated, Event
@@ -20,7 +19,7 @@ from ..parser import add_option, add_threads_option
 from ..terminal.output import print_json
 from ..terminal.status import show_while, wrapped
 from .scaling import size
-from .shared import check_numbers
+from .shared import check_numbers, run_child
 
 MIN_STEPS = 10
 """Minimum steps, so that refinements, a snapshot and a checkpoint have different steps."""

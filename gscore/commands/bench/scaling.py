@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from ...bench.child_process import run_child
 from ...bench.synthetic import SyntheticPhotos
 from ...io.ply.splats import write_splats
 from ...json_text import parse_json
@@ -23,7 +22,7 @@ from ...text_format import count_text
 from ..parser import add_option
 from ..terminal.output import print_json
 from ..terminal.status import Rows, Status
-from .shared import check_numbers
+from .shared import check_numbers, run_child
 
 SPLATS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000)
 SIZES = ((400, 250), (640, 400), (1280, 800), (1920, 1200), (2560, 1600), (3584, 2240))

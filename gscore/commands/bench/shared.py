@@ -1,6 +1,7 @@
 """Shared parts of several benches: options of trainings, changes, cells, results, progress."""
 
 import argparse
+import subprocess
 import sys
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -10,12 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from ..._version import __version__
-from ...bench.pareto_front import Size
-from ...bench.time_error import Curve
+from ...bench.time_error import Curve, Size
 from ...bench.training import Variant
 from ...config import LIFTED_BY, DataConfig, Skip, Strategy, TrainConfig
 from ...config_file import from_dict, to_dict
-from ...errors import ConfigError
+from ...errors import BackendError, ConfigError
 from ...events import strict_json
 from ...io.files import atomic_write
 from ...io.output_paths import check_output_path
@@ -246,3 +246,36 @@ def for_each_isa(
     if args.json:
         found = [{"machine": machine()} | asdict(result) for result in results]
         print_json(found[0] if len(found) == 1 else found)
+
+
+_ERROR = ": error: "
+"""Prefix of the message of a failed verb."""
+
+
+def run_child(arguments: Sequence[str], *, what: str) -> str:
+    """Run Python with these arguments.
+
+    Args:
+        arguments: Arguments after `python`.
+        what: Verb phrase for messages, such as "measures a step".
+
+    Returns:
+        The text on stdout.
+
+    Raises:
+        BackendError: it failed; the message ends with that of the process.
+    """
+    command = [sys.executable, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode < 0:
+        raise BackendError(
+            f"The process that {what} was ended by signal {-done.returncode}, probably because "
+            "memory ran out: try fewer splats or smaller pictures."
+        )
+    if done.returncode:
+        lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+        own = next((line.partition(_ERROR)[2] for line in lines if _ERROR in line), None)
+        # Without a message of a verb it is an error inside gscore: report all lines.
+        message = own or "\n".join(lines)
+        raise BackendError(f"The process that {what} failed: {message}")
+    return done.stdout

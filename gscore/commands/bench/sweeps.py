@@ -8,8 +8,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from ...bench.pareto_front import Size, SizeOutcome, pareto_front, sizes_of
-from ...bench.time_error import measure_variant
+from ...bench.time_error import Size, SizeOutcome, measure_variant, pareto_front, sizes_of
 from ...bench.training import Variant, first_size, open_variants
 from ...config import DataConfig, TrainConfig
 from ...datasets.resolution import SMALLEST_WIDTH
