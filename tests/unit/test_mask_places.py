@@ -14,8 +14,8 @@ from gscore.datasets.folder import Folder, masks_by_photos
 from gscore.errors import DatasetError
 from gscore.io.images.png import write_png
 from gscore.io.images.read_image import resize_mask
-from gscore.sfm.masks import find_masks, mask_folder
-from gscore.sfm.photos import list_photos
+from gscore.sfm.masks import find_masks
+from gscore.sfm.photos import list_photos, mask_folder
 from gscore.transforms import viewmat_from_opengl
 
 SHAPE = (48, 64)
