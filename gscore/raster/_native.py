@@ -1,4 +1,4 @@
-"""Native library loader, the only one: its functions, errors and workspaces.
+"""Native library: its functions, errors and workspaces.
 
 `csrc/include/gscore.h` documents everything declared here. `arguments.py` checks dtype, shape and
 layout of arrays; the library checks their values.
@@ -6,9 +6,6 @@ layout of arrays; the library checks their values.
 
 import ctypes as ct
 import os
-import stat
-import struct
-import sys
 import threading
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,116 +15,27 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BackendError, Cancelled, ConfigError, ShapeError
-from ..io.files import reason
-from ..quoting import brief
-from ..text_format import number
 from . import arguments, header
 from .buffers import UINT32, Array, address, optional
 from .request import Frustum, Settings
+from .shared_library import SharedLibrary
 
 _pointer = ct.c_void_p
-_REINSTALL = "Reinstall gscore so that both come from one version."
+
+_FILE = SharedLibrary(
+    name="gscore", variable="GSCORE_LIBRARY", function="gs_abi_version", version=header.ABI_VERSION
+)
 
 
 def library_path() -> Path:
     """Path of the native library: GSCORE_LIBRARY unless that is empty, else next to this file."""
-    override = os.environ.get("GSCORE_LIBRARY")
-    if override:
-        return Path(override)
-    name = {"win32": "gscore.dll", "darwin": "libgscore.dylib"}.get(sys.platform, "libgscore.so")
-    return Path(__file__).with_name(name)
+    return _FILE.path
 
 
 def _load() -> ct.CDLL:
-    path = library_path()
-    lib = _opened(path)
-    try:
-        lib.gs_abi_version.restype = ct.c_int32
-        version = lib.gs_abi_version()
-    except AttributeError:
-        raise BackendError(
-            f"{brief(path)}{_path_source()} is not gscore's library: it has no gs_abi_version. "
-            f"{_what_to_do()}"
-        ) from None
-    if version != header.ABI_VERSION:
-        raise BackendError(
-            f"The native library {brief(path)}{_path_source()} has interface version {version}, "
-            f"this gscore needs {header.ABI_VERSION}. {_REINSTALL}"
-        )
-    try:
-        _declare(lib)
-    except AttributeError as error:  # a build from before a function was added
-        raise BackendError(
-            f"The native library {brief(path)}{_path_source()} is of another build than this "
-            f"gscore: {error}. {_REINSTALL}"
-        ) from None
+    lib = _FILE.load(_declare)
     _check_environment(lib)
     return lib
-
-
-def _opened(path: Path) -> ct.CDLL:
-    """The library at `path`; BackendError if this system cannot load it."""
-    name = f"{brief(path)}{_path_source()}"
-    try:
-        is_file = stat.S_ISREG(path.stat().st_mode)
-    except (OSError, ValueError) as error:
-        raise BackendError(
-            f"The native library is missing: {name} cannot be opened: {reason(error)} "
-            f"{_what_to_do()}"
-        ) from error
-    if not is_file:
-        raise BackendError(f"{name} is not a file, expected a library. {_what_to_do()}")
-    _check_whole(path, name)
-    try:
-        # The system would search a name without a folder in its own library folders.
-        return ct.CDLL(str(path.absolute()))
-    except OSError as error:
-        raise BackendError(
-            f"{name} cannot be loaded as a library on this system: {error}. {_what_to_do()}"
-        ) from error
-
-
-def _check_whole(path: Path, name: str) -> None:
-    """Raise BackendError if the file is truncated."""
-    try:
-        missing = _bytes_missing(path)
-    except OSError:  # the loader reports why it cannot be read
-        return
-    if missing:
-        raise BackendError(
-            f"{name} is truncated: {number(missing)} bytes are missing, perhaps because it was "
-            f"copied onto a full disk. {_what_to_do()}"
-        )
-
-
-def _bytes_missing(path: Path) -> int:
-    """Bytes missing at the end of a 64-bit ELF library, 0 for other formats.
-
-    Linux maps a truncated library, and the process dies when it reads a missing page. Linkers write
-    the section table last (System V ABI, "Object Files"): its offset, entry size and entry count.
-    """
-    with path.open("rb") as file:
-        head, size = file.read(64), os.fstat(file.fileno()).st_size
-    if len(head) < 64 or not head.startswith(b"\x7fELF\x02\x01"):
-        return 0
-    begin, entry, count = struct.unpack("<40xQ10xHH2x", head)
-    return max(begin + entry * count - size, 0)
-
-
-def _path_source() -> str:
-    return " (GSCORE_LIBRARY)" if os.environ.get("GSCORE_LIBRARY") else ""
-
-
-def _what_to_do() -> str:
-    if os.environ.get("GSCORE_LIBRARY"):
-        return (
-            "The environment variable GSCORE_LIBRARY must be the path of gscore's native library; "
-            "unset it to use the bundled one."
-        )
-    checkout = Path(__file__).parents[2]
-    if (checkout / "csrc" / "CMakeLists.txt").is_file():
-        return f"Build it with `make install` in {brief(checkout)}."
-    return "Install gscore as a wheel for this platform."
 
 
 def _check_environment(lib: ct.CDLL) -> None:

@@ -5,6 +5,7 @@ meshes and descriptors. All check the arrays first.
 """
 
 import ctypes as ct
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 ABI_VERSION = 11
@@ -32,6 +33,8 @@ DESCRIPTOR_SIZE, DESCRIPTORS_MAX = 128, 1 << 20
 OK, BAD_ARGUMENT, OUT_OF_MEMORY, CANCELLED = 0, 1, 2, 3
 
 _KINDS = {
+    "uint8": ct.c_uint8,
+    "char": ct.c_char,
     "int32": ct.c_int32,
     "uint32": ct.c_uint32,
     "uint64": ct.c_uint64,
@@ -44,7 +47,7 @@ _KINDS = {
 }
 
 
-def _struct(name: str, *declarations: str | tuple[str, Any]) -> type[ct.Structure]:
+def struct(name: str, *declarations: str | tuple[str, Any]) -> type[ct.Structure]:
     """The struct `name`. Its fields: a type, such as `float[3]` for an array, and names; or a name
     and a type."""
     found: list[tuple[str, Any]] = []
@@ -59,10 +62,19 @@ def _struct(name: str, *declarations: str | tuple[str, Any]) -> type[ct.Structur
     return type(name, (ct.Structure,), {"__doc__": name, "_fields_": found})
 
 
-SplatsStruct = _struct(
+def signatures(
+    structs: Iterable[type[ct.Structure]], functions: Mapping[str, str]
+) -> dict[str, list[Any]]:
+    """Argument types of functions, from the names of their types; the name of one of `structs` is a
+    pointer to it."""
+    known = _KINDS | {of.__name__: ct.POINTER(of) for of in structs}
+    return {name: [known[word] for word in words.split()] for name, words in functions.items()}
+
+
+SplatsStruct = struct(
     "gs_splats", "int64 count", "pointer means quats scales opacities sh0 shN", "int32 sh_rest raw"
 )
-ViewStruct = _struct(
+ViewStruct = struct(
     "gs_view",
     "float[16] viewmat",
     "float fx fy cx cy",
@@ -74,23 +86,23 @@ ViewStruct = _struct(
     "float[3] background",
     "uint32 outputs",
 )
-HostStruct = _struct(
+HostStruct = struct(
     "gs_host", "uint32 disable", "int32 threads", "int32* cancel", "pointer tiles far_depths"
 )
-ImageStruct = _struct("gs_image", "pointer rgb alpha inverse_depth depth median_depth radii")
-ImageGradsStruct = _struct("gs_image_grads", "pointer rgb alpha inverse_depth depth")
-SplatGradsStruct = _struct(
+ImageStruct = struct("gs_image", "pointer rgb alpha inverse_depth depth median_depth radii")
+ImageGradsStruct = struct("gs_image_grads", "pointer rgb alpha inverse_depth depth")
+SplatGradsStruct = struct(
     "gs_splat_grads",
     "pointer means quats scales opacities sh0 shN means2d viewmat",
     "int32 add_shN",
 )
-StatsStruct = _struct(
+StatsStruct = struct(
     "gs_stats",
     "int64 visible entries forward_pairs useful_pairs backward_pairs",
     "double project_ms sort_ms bin_ms blend_ms blend_backward_ms project_backward_ms",
     "int64 workspace_bytes",
 )
-LossArgsStruct = _struct(
+LossArgsStruct = struct(
     "gs_loss_args",
     "int32 width height",
     "pointer image target mask",
@@ -100,12 +112,12 @@ LossArgsStruct = _struct(
     "int32 threads",
     "pointer gain",
 )
-LossResultStruct = _struct("gs_loss_result", "double loss l1 ssim mse", "double[3] v_log_gain")
-RandomStruct = _struct(
+LossResultStruct = struct("gs_loss_result", "double loss l1 ssim mse", "double[3] v_log_gain")
+RandomStruct = struct(
     "gs_random", "uint64 seed", "uint32 step stream", "pointer rows", "int64 count", "int32 threads"
 )
-RowTableStruct = _struct("gs_row_table", "pointer data", "int32 width adds", "float divisor")
-AdamTensorStruct = _struct(
+RowTableStruct = struct("gs_row_table", "pointer data", "int32 width adds", "float divisor")
+AdamTensorStruct = struct(
     "gs_adam_tensor",
     "pointer param grad moment1 moment2",
     "int32 width mode",
@@ -114,7 +126,7 @@ AdamTensorStruct = _struct(
     "pointer visible pending factors",
     "int32 photos",
 )
-AdamStruct = _struct(
+AdamStruct = struct(
     "gs_adam",
     "int64 count",
     "int32 tensor_count",
@@ -122,11 +134,11 @@ AdamStruct = _struct(
     "pointer radii",
     "int32 threads",
 )
-StereoWarpStruct = _struct("gs_stereo_warp", "float[9] rotation", "float[3] translation")
-StereoSourceStruct = _struct(
+StereoWarpStruct = struct("gs_stereo_warp", "float[9] rotation", "float[3] translation")
+StereoSourceStruct = struct(
     "gs_stereo_source", "int32 width height", "pointer grey", ("warp", StereoWarpStruct)
 )
-StereoSweepArgsStruct = _struct(
+StereoSweepArgsStruct = struct(
     "gs_stereo_sweep_args",
     "int32 width height",
     "pointer grey",
@@ -138,15 +150,15 @@ StereoSweepArgsStruct = _struct(
     "int32 threads",
     "int32* cancel",
 )
-StereoFoundStruct = _struct("gs_stereo_found", "pointer inverse_depth score second_best contrast")
-StereoNeighbourStruct = _struct(
+StereoFoundStruct = struct("gs_stereo_found", "pointer inverse_depth score second_best contrast")
+StereoNeighbourStruct = struct(
     "gs_stereo_neighbour",
     "int32 width height",
     "pointer inverse_depth",
     ("warp", StereoWarpStruct),
     ("back", StereoWarpStruct),
 )
-StereoCheckArgsStruct = _struct(
+StereoCheckArgsStruct = struct(
     "gs_stereo_check_args",
     "int32 width height",
     "pointer inverse_depth",
@@ -155,14 +167,15 @@ StereoCheckArgsStruct = _struct(
     "float pixels relative passed",
     "int32 threads",
 )
-MeshStruct = _struct(
+MeshStruct = struct(
     "gs_mesh", "int64 corner_count", "pointer corners", "int64 triangle_count", "pointer triangles"
 )
-DescriptorsStruct = _struct("gs_descriptors", "int32 count", "pointer values")
-_STRUCTS = {of.__name__: of for of in globals().values() if isinstance(of, type(SplatsStruct))}
-SIGNATURES = {
-    name: [_KINDS[word] if word in _KINDS else ct.POINTER(_STRUCTS[word]) for word in words.split()]
-    for name, words in {
+DescriptorsStruct = struct("gs_descriptors", "int32 count", "pointer values")
+STRUCTS = tuple(of for of in globals().values() if isinstance(of, type(SplatsStruct)))
+"""All of them."""
+SIGNATURES = signatures(
+    STRUCTS,
+    {
         "gs_raster_create": "pointer",
         "gs_raster_destroy": "pointer",
         "gs_raster_forward": "pointer gs_splats gs_view gs_host gs_image",
@@ -183,6 +196,6 @@ SIGNATURES = {
         "gs_stereo_check": "gs_stereo_check_args pointer pointer pointer",
         "gs_mesh_depth": "gs_mesh int32 int32 pointer",
         "gs_match_descriptors": "gs_descriptors gs_descriptors double double pointer",
-    }.items()
-}
-"""Argument types of functions; the name of a struct is a pointer to it."""
+    },
+)
+"""Argument types of functions."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gscore.raster import native_library
-from gscore.raster._native import _bytes_missing as bytes_missing
+from gscore.raster.shared_library import bytes_missing
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the format is that of Linux")
 
