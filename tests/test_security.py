@@ -51,6 +51,7 @@ STARTS = {
     "gscore/commands/bench/shared.py:run_child",
     "gscore/formats/usd.py:_in_child",
     "gscore/metrics/machine.py:cpu_name",
+    "gscore/raster/gpu/verification.py:_tested",
     "addon/process/child_program.py:Process.__init__",
 }
 """The functions that start processes, from lists of words."""

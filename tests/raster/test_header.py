@@ -1,4 +1,4 @@
-"""Structs and constants in ctypes; oracle: csrc/include/gscore.h and a C compiler."""
+"""Structs and constants in ctypes; oracle: the headers in csrc/include and a C compiler."""
 
 import ctypes as ct
 import os
@@ -11,18 +11,15 @@ from pathlib import Path
 import pytest
 
 from gscore.raster import header
+from gscore.raster.gpu import header as gpu_header
 
 CSRC = Path(__file__).parents[2] / "csrc"
-HEADERS = sorted(
-    path
-    for path in [*(CSRC / "include").rglob("*.h"), *(CSRC / "shared").glob("*.h")]
-    if path.name != "gscore_gpu.h"  # of another library
-)
+HEADERS = sorted([*(CSRC / "include").rglob("*.h"), *(CSRC / "shared").glob("*.h")])
 TEXT = "".join(path.read_text(encoding="utf-8") for path in HEADERS)
 """Text of all headers."""
 STRUCTS = {
     re.sub(r"(?<!^)(?=[A-Z])", "_", name.removesuffix("Struct")).lower(): struct
-    for name, struct in vars(header).items()
+    for name, struct in (vars(header) | vars(gpu_header)).items()
     if isinstance(struct, type) and issubclass(struct, ct.Structure)
 }
 """By the header's name without gs_."""
@@ -51,6 +48,17 @@ CONSTANTS = {
     "GS_BAD_ARGUMENT": header.BAD_ARGUMENT,
     "GS_OUT_OF_MEMORY": header.OUT_OF_MEMORY,
     "GS_CANCELLED": header.CANCELLED,
+    "GS_GPU_ABI_VERSION": gpu_header.ABI_VERSION,
+    "GS_UNSUPPORTED": gpu_header.UNSUPPORTED,
+    "GS_DEVICE_LOST": gpu_header.DEVICE_LOST,
+    "GS_TIMED_OUT": gpu_header.TIMED_OUT,
+    **{f"GS_GPU_{kind.upper()}": i for i, kind in enumerate(gpu_header.KINDS)},
+    "GS_GPU_TEST_EXP2": gpu_header.TEST_EXP2,
+    "GS_GPU_TEST_NATIVE_EXP2": gpu_header.TEST_NATIVE_EXP2,
+    "GS_GPU_TEST_PRODUCT": gpu_header.TEST_PRODUCT,
+    "GS_GPU_TEST_SUM": gpu_header.TEST_SUM,
+    "GS_GPU_TEST_FMA": gpu_header.TEST_FMA,
+    "GS_GPU_TEST_SORT": gpu_header.TEST_SORT,
 }
 KINDS = {
     ct.c_float: "float",
@@ -59,14 +67,18 @@ KINDS = {
     ct.c_uint32: "uint32",
     ct.c_int64: "int64",
     ct.c_uint64: "uint64",
+    ct.c_uint8: "uint8",
+    ct.c_char: "char",
 }
 """Everything else is a pointer."""
 _PROGRAM = r"""
 #include "gscore.h"
+#include "gscore_gpu.h"
 #include <stddef.h>
 #include <stdio.h>
 #define KIND(x) _Generic((x), float: "float", double: "double", int32_t: "int32", \
-    uint32_t: "uint32", int64_t: "int64", uint64_t: "uint64", default: "pointer")
+    uint32_t: "uint32", int64_t: "int64", uint64_t: "uint64", \
+    uint8_t: "uint8", char: "char", default: "pointer")
 #define SIZE(s) printf("gs_" #s " %zu\n", sizeof(gs_##s));
 #define FIELD(s, f, first) printf("gs_" #s "." #f " %zu %zu %s\n", offsetof(gs_##s, f), \
     sizeof(((gs_##s *)0)->f), KIND(((gs_##s *)0)->first));

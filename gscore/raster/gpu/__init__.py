@@ -1,0 +1,1 @@
+"""Graphics cards: devices, their self-test, and pictures drawn by them; no torch."""

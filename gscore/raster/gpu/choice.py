@@ -1,0 +1,214 @@
+"""Choice of the device that draws, and the CPU where it fails."""
+
+import logging
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+
+from ...errors import BackendError, ConfigError
+from .. import _native
+from ..buffers import Array
+from ..request import Frustum, Settings
+from .devices import Device, FoundDevices, failure_text, find_devices
+from .gpu_raster import GpuRaster, opened
+from .verification import Report, verified
+
+_log = logging.getLogger(__name__)
+_ORDER = ("discrete", "integrated", "virtual", "other")
+"""Kinds of real devices, best first."""
+
+
+@dataclass(kw_only=True, eq=False)
+class Chosen:
+    """The device that draws."""
+
+    device: Device | None
+    """None: the CPU."""
+    note: str = ""
+    """A sentence for the user on the choice; empty: nothing to mention."""
+    fallback: bool = False
+    """Whether the CPU continues after an error of the device."""
+
+    @property
+    def name(self) -> str:
+        """Name for tables and JSON: `cpu`, or the name of the device."""
+        return "cpu" if self.device is None else self.device.name
+
+    @property
+    def identity(self) -> str:
+        """Identity of the bits of pictures: `cpu`, or the names of device and driver."""
+        return "cpu" if self.device is None else f"gpu: {self.device.name}, {self.device.driver}"
+
+    def lend(self) -> AbstractContextManager[_native.Raster | GpuRaster]:
+        """The workspace that draws, for the duration of a block.
+
+        Raises:
+            BackendError: the device cannot be opened.
+        """
+        return _native.pool.lend() if self.device is None else opened(self.device).lend()
+
+    def forward(
+        self,
+        splats: Sequence[Array],
+        view: Frustum,
+        settings: Settings,
+        pictures: Mapping[str, Array],
+        *,
+        keep: bool = False,
+    ) -> dict[str, float]:
+        """Draw, on the CPU if the device fails and `fallback` is set.
+
+        Args:
+            splats: `PARAMETERS`, in their order.
+            view: Camera and picture size.
+            settings: Render settings.
+            pictures: Output arrays, by the names of gs_image.
+            keep: The arrays will not change, so that the device may keep its copy of them.
+
+        Returns:
+            Counts and milliseconds by name: `stats` of the workspace.
+
+        Raises:
+            BackendError: the device failed; its subclasses are listed in `GpuRaster.forward`.
+            ShapeError: an array or a setting is invalid.
+            Cancelled: `settings.cancel` was set.
+        """
+        try:
+            return self._forward(splats, view, settings, pictures, keep=keep)
+        except BackendError as error:
+            if self.device is None or not self.fallback:
+                raise
+            _log.warning("The CPU draws from here on, because %s failed: %s", self.name, error)
+            self.device = None
+            return self._forward(splats, view, settings, pictures, keep=keep)
+
+    def _forward(
+        self,
+        splats: Sequence[Array],
+        view: Frustum,
+        settings: Settings,
+        pictures: Mapping[str, Array],
+        *,
+        keep: bool,
+    ) -> dict[str, float]:
+        with self.lend() as raster:
+            if keep and isinstance(raster, GpuRaster):
+                raster.keep(splats, settings)
+            raster.forward(splats, view, settings, pictures)
+            return raster.stats()
+
+
+CPU = Chosen(device=None)
+"""The CPU; no library for graphics cards is loaded for it."""
+
+
+def choose(
+    device: str,
+    *,
+    report: Report | None = None,
+    cancel: Callable[[], bool] | None = None,
+    find: Callable[[], FoundDevices] = find_devices,
+) -> Chosen:
+    """Choose by the value of `--device`. A device is tested first if it has no verdict yet.
+
+    Args:
+        device: `cpu`; `gpu`: a graphics card, or a software device if there is nothing else;
+            `auto`: a graphics card, or the CPU; or the number of a device in `gscore doctor`.
+        report: Receives a sentence on a self-test while it runs.
+        cancel: Returns whether a self-test is to stop.
+        find: Lists the devices.
+
+    Raises:
+        ConfigError: there is no such device.
+        BackendError: the device cannot be used, with the reason.
+        Cancelled: `cancel` returned True.
+    """
+    if device == "cpu":
+        return CPU
+    if device not in ("gpu", "auto") and not (device.isascii() and device.isdigit()):
+        raise ConfigError(
+            f"The device must be cpu, gpu, auto or a number that `gscore doctor` lists, got "
+            f"{device[:40]!r}."
+        )
+    found = find()
+    if device.isdigit():
+        return _numbered(int(device), found, report, cancel)
+    real = [one for one in found.devices if not one.is_software]
+    real.sort(key=lambda one: _ORDER.index(one.kind))
+    failures = list(found.problems)
+    for one in real:
+        failure = _failure(one, report, cancel)
+        if not failure:
+            return Chosen(device=one, fallback=device == "auto")
+        failures.append(f"Device {one.number} ({one.name}): {failure}")
+    software = [one for one in found.devices if one.is_software]
+    if device == "auto":
+        return Chosen(device=None, note=f"The CPU draws. {_why(failures, software)}")
+    for one in software:
+        if not (failure := _failure(one, report, cancel)):
+            return Chosen(device=one, note=f"{_software_note(one)} {_why(failures, [])}".rstrip())
+        failures.append(f"Device {one.number} ({one.name}): {failure}")
+    raise BackendError(f"No graphics card can draw. {_why(failures, [])}".rstrip())
+
+
+def _numbered(
+    number: int, found: FoundDevices, report: Report | None, cancel: Callable[[], bool] | None
+) -> Chosen:
+    device = next((one for one in found.devices if one.number == number), None)
+    if device is None:
+        if not found.devices:
+            raise ConfigError(
+                f"There is no device {number}. {_why(list(found.problems), [])}".rstrip()
+            )
+        last = len(found.devices) - 1
+        there = "only device 0" if not last else f"devices 0 to {last}"
+        raise ConfigError(f"There is no device {number}; `gscore doctor` lists {there}.")
+    if failure := _failure(device, report, cancel):
+        raise BackendError(f"Device {number} ({device.name}) is not used. {failure}")
+    return Chosen(device=device, note=_software_note(device) if device.is_software else "")
+
+
+def _software_note(device: Device) -> str:
+    return (
+        f"{device.name} is a software device: the CPU computes its pictures, more slowly than with "
+        "`--device cpu`."
+    )
+
+
+def _failure(device: Device, report: Report | None, cancel: Callable[[], bool] | None) -> str:
+    """Why a device cannot be used, as a sentence; empty: it passed its self-test."""
+    return device.unusable or failure_text(verified(device, report=report, cancel=cancel))
+
+
+def _why(failures: Sequence[str], software: Sequence[Device]) -> str:
+    """The reason why there is no graphics card, as a sentence."""
+    if failures:
+        return failures[0]
+    if software:
+        return f"The only device, {software[0].name}, is a software device."
+    return ""
+
+
+_by_name: dict[str, Chosen] = {}
+"""Choices of this process by the value that named them."""
+
+
+def chosen_device(device: str | Chosen) -> Chosen:
+    """A choice by name, made once a process; a choice itself is returned.
+
+    Raises:
+        As `choose`.
+    """
+    if isinstance(device, Chosen):
+        return device
+    if device not in _by_name:
+        found = choose(device)
+        if found.note:
+            _log.warning("%s", found.note)
+        _by_name[device] = found
+    return _by_name[device]
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_by_name.clear)

@@ -1,0 +1,281 @@
+"""GPU raster: an open device that draws splats, with the interface of the native workspace."""
+
+import ctypes as ct
+import os
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import BackendError
+from .. import arguments
+from ..buffers import UINT32, Array, address
+from ..header import OK
+from ..request import Frustum, Settings
+from . import header
+from .devices import Device
+from .library import DeviceLostError, DeviceMemoryError, DeviceTimeoutError, library, raise_status
+
+_pointer = ct.c_void_p
+
+
+@dataclass(frozen=True)
+class _Uploaded:
+    """Splats on the device."""
+
+    handle: ct.c_void_p
+    arrays: tuple[Array, ...]
+    """The arrays they were copied from: while these live, no other array has their addresses."""
+
+
+class GpuRaster:
+    """An open device; close it, or use it in a `with`. Threads take turns.
+
+    A forked process must open its own.
+    """
+
+    def __init__(self, number: int) -> None:
+        """Open a device and compile its pipelines, which takes up to a minute the first time.
+
+        Args:
+            number: Number of the device, as `find_devices` lists it.
+
+        Raises:
+            BackendError: there is no such device, or it lacks something or fails.
+        """
+        self.handle = _pointer()
+        self._lock = threading.RLock()
+        self._process = os.getpid()
+        self._kept: dict[tuple[Any, ...], _Uploaded] = {}
+        self._last: _Uploaded | None = None
+        self.uploads = 0
+        """Number of copies of splats to the device so far."""
+        self._lib = library()
+        raise_status(self._lib.gs_gpu_open(number, ct.byref(self.handle)))
+
+    def __enter__(self) -> "GpuRaster":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        if getattr(self, "_lib", None) is not None:
+            self.close()
+
+    def close(self) -> None:
+        """Free all memory and the device; twice does no harm."""
+        handle, self.handle = self.handle, _pointer()
+        if not handle or self._process != os.getpid():  # those of a parent process are not ours
+            return
+        for one in (*self._kept.values(), *([self._last] if self._last else [])):
+            self._lib.gs_gpu_release(one.handle)
+        self._kept, self._last = {}, None
+        self._lib.gs_gpu_close(handle)
+
+    @contextmanager
+    def lend(self) -> Iterator["GpuRaster"]:
+        """The device for several calls of this thread in a row, such as `forward` and `stats`."""
+        with self._lock:
+            yield self
+
+    def keep(self, splats: Sequence[Array], settings: Settings) -> None:
+        """Copy splats to the device once, for all following `forward` calls with these arrays.
+
+        The arrays must not change until `release`. Nothing happens if they are kept already.
+
+        Raises:
+            As `forward`.
+        """
+        with self._lock:
+            key = _key(splats, settings)
+            if key not in self._kept:
+                self._kept[key] = self._upload(splats, settings)
+
+    def release(self, splats: Sequence[Array], settings: Settings) -> None:
+        """Free the memory of kept splats."""
+        with self._lock:
+            if found := self._kept.pop(_key(splats, settings), None):
+                self._lib.gs_gpu_release(found.handle)
+
+    def forward(
+        self,
+        splats: Sequence[Array],
+        view: Frustum,
+        settings: Settings,
+        pictures: Mapping[str, Array],
+    ) -> None:
+        """gs_gpu_draw.
+
+        Args:
+            splats: `PARAMETERS`, in their order; copied to the device unless they are kept.
+            view: Camera and picture size.
+            settings: Render settings; `threads` and `disable` have no effect.
+            pictures: Output arrays, by the names of gs_image.
+
+        Raises:
+            DeviceLostError: the driver gave the device up; open it again.
+            DeviceTimeoutError: the device did not finish in time; open it again.
+            DeviceMemoryError: the device has too little memory.
+            ShapeError: an array or a setting is invalid.
+            Cancelled: `settings.cancel` was set.
+        """
+        image = arguments.image(pictures, view, settings.outputs, len(splats[0]))
+        degree = arguments.evaluated_degree(splats[5], settings)
+        camera = arguments.view(view, settings, degree)
+        host = arguments.host(view, settings)
+        with self._lock:
+            drawn = self._on_device(splats, settings)
+            self._check(
+                self._lib.gs_gpu_draw(
+                    self._open(),
+                    drawn.handle,
+                    ct.byref(camera),
+                    ct.byref(host),
+                    ct.byref(image),
+                )
+            )
+
+    def weights(
+        self, splats: Sequence[Array], settings: Settings, shares: Array, view: Frustum
+    ) -> np.ndarray:
+        """gs_gpu_weights of the last `forward`.
+
+        Args:
+            splats: As in that call.
+            settings: As in that call.
+            shares: [H, W, 3] float32, pixel weights of three sums.
+            view: As in that call.
+
+        Returns:
+            [N, 3] float32, blending weights summed over pixels, px.
+        """
+        sums = np.zeros((len(splats[0]), 3), np.float32)
+        found = address("shares", shares, (view.height, view.width, 3))
+        with self._lock:
+            drawn = self._kept.get(_key(splats, settings)) or self._last
+            handle = drawn.handle if drawn else None
+            status = self._lib.gs_gpu_weights(self._open(), handle, found, sums.ctypes.data)
+            self._check(status)
+        return sums
+
+    def stats(self) -> dict[str, float]:
+        """gs_gpu_draw_stats: counts, bytes and milliseconds by name."""
+        stats = header.GpuStatsStruct()
+        with self._lock:
+            self._check(self._lib.gs_gpu_draw_stats(self._open(), ct.byref(stats)))
+        return {name: getattr(stats, name) for name, *_ in stats._fields_}
+
+    def projected(self, count: int) -> dict[str, np.ndarray]:
+        """gs_gpu_projected: means2d, depths, conics, colors, opacities of `count` splats."""
+        widths = {"means2d": (2,), "depths": (), "conics": (3,), "colors": (3,), "opacities": ()}
+        arrays = {name: np.zeros((count, *wide), np.float32) for name, wide in widths.items()}
+        found = [address(name, a, a.shape) for name, a in arrays.items()]
+        with self._lock:
+            self._check(self._lib.gs_gpu_projected(self._open(), *found))
+        return arrays
+
+    def test(self, kernel: int, a: np.ndarray, b: np.ndarray | None = None) -> np.ndarray:
+        """gs_gpu_test: the words that a kernel of the self-test makes of `a` and `b`, [N] uint32.
+
+        Args:
+            kernel: One of `header.TEST_*`.
+            a: [N], uint32 or float32.
+            b: [N], of the same type; None: not used by this kernel.
+        """
+        first = a.view(np.uint32)
+        second = first if b is None else b.view(np.uint32)
+        out = np.zeros(len(a), np.uint32)
+        named = (("a", first), ("b", second), ("out", out))
+        found = [address(name, words, a.shape, UINT32) for name, words in named]
+        with self._lock:
+            self._check(self._lib.gs_gpu_test(self._open(), kernel, *found, len(a)))
+        return out
+
+    def _open(self) -> ct.c_void_p:
+        """The handle; BackendError after `close` and in a forked process."""
+        if self._process != os.getpid():
+            raise BackendError("A forked process must open the graphics card itself.")
+        if not self.handle:
+            raise BackendError("The graphics card is closed; open it again.")
+        return self.handle
+
+    def _on_device(self, splats: Sequence[Array], settings: Settings) -> _Uploaded:
+        """Kept splats, or a copy of these that lives until the next call."""
+        if found := self._kept.get(_key(splats, settings)):
+            return found
+        if self._last:
+            self._lib.gs_gpu_release(self._last.handle)
+            self._last = None
+        self._last = self._upload(splats, settings)
+        return self._last
+
+    def _upload(self, splats: Sequence[Array], settings: Settings) -> _Uploaded:
+        """Copy splats; kept ones make room if memory is short."""
+        handle, content = _pointer(), arguments.splats(splats, settings)
+        device = self._open()
+        try:
+            self._check(self._lib.gs_gpu_upload(device, ct.byref(content), ct.byref(handle)))
+        except DeviceMemoryError:
+            if not self._kept:
+                raise
+            while self._kept:
+                self._lib.gs_gpu_release(self._kept.popitem()[1].handle)
+            self._check(self._lib.gs_gpu_upload(device, ct.byref(content), ct.byref(handle)))
+        self.uploads += 1
+        return _Uploaded(handle, tuple(splats))
+
+    def _check(self, status: int) -> None:
+        """Raise the exception for a status; a lost device is closed."""
+        if status == OK:
+            return
+        try:
+            raise_status(status)
+        except (DeviceLostError, DeviceTimeoutError):
+            self.close()
+            raise
+
+
+def _key(splats: Sequence[Array], settings: Settings) -> tuple[Any, ...]:
+    """Identity of arrays: while they live, their addresses are unique."""
+    addresses = (address("splats", a, tuple(a.shape)) if a.shape[0] else 0 for a in splats)
+    return (settings.raw, *addresses, *(tuple(a.shape) for a in splats))
+
+
+_open_devices: dict[str, GpuRaster] = {}
+"""Open devices of this process by UUID."""
+_opening = threading.Lock()
+
+
+def opened(device: Device) -> GpuRaster:
+    """The device, opened once a process; a lost one is opened again.
+
+    Raises:
+        BackendError: it cannot be opened.
+    """
+    with _opening:
+        raster = _open_devices.get(device.uuid)
+        if raster is None or not raster.handle:
+            raster = _open_devices[device.uuid] = GpuRaster(device.number)
+        return raster
+
+
+def close_all() -> None:
+    """Free the memory of all devices that `opened` has opened."""
+    with _opening:
+        while _open_devices:
+            _open_devices.popitem()[1].close()
+
+
+def _forget() -> None:
+    """Drop the devices of the parent process."""
+    global _opening
+    _opening = threading.Lock()
+    _open_devices.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)

@@ -1,0 +1,41 @@
+"""Constants and structs of csrc/include/gscore_gpu.h, which documents them, for ctypes."""
+
+from .. import header as base
+from ..header import struct
+
+ABI_VERSION = 1
+UNSUPPORTED, DEVICE_LOST, TIMED_OUT = 5, 7, 8
+KINDS = "other", "integrated", "discrete", "virtual", "software"
+"""Names of GS_GPU_*, in their order."""
+TEST_EXP2, TEST_NATIVE_EXP2, TEST_PRODUCT, TEST_SUM, TEST_FMA, TEST_SORT = range(6)
+
+GpuInfoStruct = struct(
+    "gs_gpu_info",
+    "char[256] name driver missing",
+    "uint8[16] uuid",
+    "uint32 vendor device driver_version api_version",
+    "int32 kind subgroup",
+    "uint32 shared_memory workgroup",
+    "uint64 memory memory_free largest_buffer",
+)
+GpuStatsStruct = struct(
+    "gs_gpu_stats",
+    "int64 visible entries device_bytes",
+    "double project_ms sort_ms bin_ms blend_ms download_ms total_ms",
+)
+SIGNATURES = base.signatures(
+    (*base.STRUCTS, GpuInfoStruct, GpuStatsStruct),
+    {
+        "gs_gpu_devices": "gs_gpu_info int32 int32*",
+        "gs_gpu_open": "int32 pointer",
+        "gs_gpu_close": "pointer",
+        "gs_gpu_upload": "pointer gs_splats pointer",
+        "gs_gpu_release": "pointer",
+        "gs_gpu_draw": "pointer pointer gs_view gs_host gs_image",
+        "gs_gpu_weights": "pointer pointer pointer pointer",
+        "gs_gpu_draw_stats": "pointer gs_gpu_stats",
+        "gs_gpu_projected": "pointer pointer pointer pointer pointer pointer",
+        "gs_gpu_test": "pointer int32 pointer pointer pointer int64",
+    },
+)
+"""Argument types of functions."""

@@ -1,0 +1,128 @@
+"""GPU library: loaded on first use, and its statuses as errors."""
+
+import ctypes as ct
+import hashlib
+import os
+import threading
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ...errors import BackendError, Cancelled, ShapeError
+from ..header import BAD_ARGUMENT, CANCELLED, OK, OUT_OF_MEMORY
+from ..shared_library import SharedLibrary
+from . import header
+
+_FILE = SharedLibrary(
+    name="gscore_gpu",
+    variable="GSCORE_GPU_LIBRARY",
+    function="gs_gpu_abi_version",
+    version=header.ABI_VERSION,
+)
+
+
+class DeviceLostError(BackendError):
+    """The graphics driver gave the device up."""
+
+
+class DeviceTimeoutError(BackendError):
+    """The device did not finish in time."""
+
+
+class DeviceMemoryError(BackendError):
+    """The device has too little memory."""
+
+
+_ERRORS: dict[int, tuple[type[BackendError], str]] = {
+    header.DEVICE_LOST: (
+        DeviceLostError,
+        "Update the graphics driver if this happens again, or use `--device cpu`.",
+    ),
+    header.TIMED_OUT: (
+        DeviceTimeoutError,
+        "Use smaller images (`--resolution`), allow more time (GSCORE_GPU_SECONDS), or use "
+        "`--device cpu`.",
+    ),
+    OUT_OF_MEMORY: (
+        DeviceMemoryError,
+        "Close programs that use the graphics card, use smaller images (`--resolution`) or fewer "
+        "splats (`gscore convert --count`), or use `--device cpu`.",
+    ),
+}
+"""Class of error and remedy by status."""
+
+
+def library_path() -> Path:
+    """Path of the library: GSCORE_GPU_LIBRARY unless that is empty, else next to libgscore."""
+    return _FILE.path
+
+
+_lock = threading.Lock()
+_library: Any = None
+
+
+def library() -> Any:
+    """The loaded library, a ctypes.CDLL.
+
+    Raises:
+        BackendError: it is missing or of another version.
+    """
+    global _library
+    if _library is None:
+        with _lock:
+            if _library is None:
+                _library = _FILE.load(_declare)
+    return _library
+
+
+def _unlock() -> None:
+    """Replace the lock in a forked process, where the thread that owned it does not exist."""
+    global _lock
+    _lock = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_unlock)
+
+
+def _declare(lib: ct.CDLL) -> None:
+    """Declare argument and result types of the functions for ctypes."""
+    lib.gs_gpu_last_error.restype = ct.c_char_p
+    lib.gs_gpu_close.restype = lib.gs_gpu_release.restype = None
+    for name, types in header.SIGNATURES.items():
+        getattr(lib, name).argtypes = types
+
+
+def last_error() -> str:
+    """The library's message of the last failure on this thread, without a full stop."""
+    return library().gs_gpu_last_error().decode("utf-8", "replace").rstrip(".")
+
+
+def raise_status(status: int) -> None:
+    """Raise the exception for a gs_status of the GPU library."""
+    if status == OK:
+        return
+    if status == CANCELLED:
+        raise Cancelled("Rendering was cancelled.")
+    message = last_error()
+    message = f"{message[:1].upper()}{message[1:]}."
+    if status == BAD_ARGUMENT:
+        raise ShapeError(message)
+    kind, remedy = _ERRORS.get(status, (BackendError, ""))
+    raise kind(f"{message} {remedy}".rstrip())
+
+
+def library_hash() -> str:
+    """SHA-256 of the library's file, hexadecimal; empty if it cannot be read."""
+    path = library_path()
+    try:
+        state = path.stat()
+        return _hash_of(path, state.st_mtime_ns, state.st_size)
+    except (OSError, ValueError):
+        return ""
+
+
+@lru_cache(maxsize=4)
+def _hash_of(path: Path, _time: int, _size: int) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

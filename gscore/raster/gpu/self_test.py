@@ -1,0 +1,84 @@
+"""Self-test of a device, the program of a child process: `python -m gscore.raster.gpu.self_test N`.
+
+It prints JSON lines: what it is doing, and at the end the verdict. An optional second argument is
+the UUID that the device must have.
+"""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from ...errors import GsError
+from .devices import find_devices
+from .gpu_raster import GpuRaster
+from .self_test_arithmetic import arithmetic_checks
+from .self_test_pictures import picture_checks
+
+
+@dataclass(frozen=True)
+class Check:
+    """One test of a device."""
+
+    name: str
+    """Subject of the test, a few words."""
+    run: Callable[[GpuRaster], tuple[list[str], dict[str, Any]]]
+    """Returns the problems, as parts of sentences, and the figures by name."""
+
+
+def checks() -> Iterator[Check]:
+    """All tests of a device, the quick ones first."""
+    for name, run in (*picture_checks(), *arithmetic_checks()):
+        yield Check(name, run)
+
+
+def self_test(number: int, uuid: str, show: Callable[[str], None]) -> dict[str, Any]:
+    """Test a device.
+
+    Args:
+        number: Its number.
+        uuid: Its UUID; empty: any.
+        show: Receives the name of each test as it begins.
+
+    Returns:
+        JSON values: `passed`, `problems` and `figures`.
+    """
+    problems: list[str] = []
+    figures: dict[str, Any] = {}
+    began = time.perf_counter()
+    show("finding the device")
+    there = {device.number: device for device in find_devices().devices}
+    if number not in there or uuid not in ("", there[number].uuid):
+        problems.append(f"another process finds another device {number}")
+    else:
+        show("compiling the programs")
+        try:
+            with GpuRaster(number) as raster:
+                figures["compile_seconds"] = round(time.perf_counter() - began, 3)
+                for check in checks():
+                    show(check.name)
+                    found, measured = check.run(raster)
+                    problems += [f"{check.name}: {one}" for one in found]
+                    figures |= measured
+        except GsError as error:
+            problems.append(str(error))
+    figures["seconds"] = round(time.perf_counter() - began, 3)
+    return {"passed": not problems, "problems": problems, "figures": figures}
+
+
+def main(arguments: list[str]) -> int:
+    """Test the device with the number of the first argument, and print the verdict."""
+
+    def write(message: dict[str, Any]) -> None:
+        sys.stdout.write(f"{json.dumps(message)}\n")
+        sys.stdout.flush()
+
+    uuid = arguments[1] if len(arguments) > 1 else ""
+    write(self_test(int(arguments[0]), uuid, lambda what: write({"doing": what})))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,27 @@
+"""A child in place of the self-test, which does what GSCORE_TEST_CHILD names."""
+
+import json
+import os
+import signal
+import sys
+import time
+
+
+def _write(message: dict[str, object]) -> None:
+    sys.stdout.write(f"a line of a driver\n{json.dumps(message)}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    how = os.environ["GSCORE_TEST_CHILD"]
+    _write({"doing": "drawing"})
+    if how == "passes":
+        _write({"passed": True, "problems": [], "figures": {"seconds": 1.5}})
+    elif how == "fails":
+        _write({"passed": False, "problems": ["rgb differs"], "figures": {}})
+    elif how == "crashes":
+        os.kill(os.getpid(), signal.SIGKILL)
+    elif how == "raises":
+        raise ValueError("no")
+    elif how == "hangs":
+        time.sleep(3600)
