@@ -22,6 +22,7 @@ from ..report.compare_page import PairPictures, comparison_html, names_of
 from ..report.html_parts import write_html
 from ..report.pictures import MAX_VIEWS, budget_each, has_pictures, thumbnails
 from ..text_format import count_text
+from .args.device_option import add_device_option, device_of
 from .args.model_argument import ModelArgument, open_model
 from .parser import add_option, add_result_options, add_threads_option
 from .terminal.output import check_folder, check_replaced, print_result, print_warnings
@@ -40,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         Path,
     )
     add_threads_option(parser)
+    add_device_option(parser)
     add_result_options(parser, replaced="a page")
 
 
@@ -75,7 +77,10 @@ def _compare(args: argparse.Namespace, status: Status) -> RunComparison:
     comparison = compare_runs(first, second)
     status.show([f"Reading the capture {data.source}"])
     dataset = load_dataset(data)
-    pictures = _pictures(comparison, models, dataset, args.threads, status)
+    status.clear()
+    device = device_of(args)
+    drawn = [model.drawn_by(device) for model in models]
+    pictures = _pictures(comparison, drawn, dataset, args.threads, status)
     title = data.source.resolve().name
     write_html(args.output, comparison_html(comparison, pictures, title=title))
     return comparison

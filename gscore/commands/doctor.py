@@ -16,13 +16,15 @@ from ..errors import GsError
 from ..extras import install_hint
 from ..io.system_memory import available_memory_bytes, total_memory_bytes
 from ..metrics.machine import cores, cpu_name, version_of
+from ..raster.gpu.devices import NOT_TESTED, find_devices
+from ..raster.gpu.verification import verified
 from ..sh import rgb_to_sh0
 from ..shared_constants import ALPHA_MIN, EPS2D
 from ..splats import Splats
 from ..text_format import count_text, size_text
 from .parser import add_option
 from .terminal.output import print_result
-from .terminal.status import show_while
+from .terminal.status import Status, can_move, show_while
 
 _LITTLE_MEMORY = 2_000_000_000
 _TOLERANCE = 1e-5
@@ -68,12 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     option = partial(add_option, parser)
     option("--json", "one JSON object on stdout")
+    option("--verify", "test the graphics cards again, up to a minute each")
 
 
 def run(args: argparse.Namespace) -> int:
     """Check and print; exit code 0 if this machine can train, 2 if a required part is missing."""
     with show_while(sys.stderr, "Checking the packages"):
         facts = _facts()
+    facts |= _graphics_facts(verify=args.verify)
     print_result(facts, [_text(facts)], json=args.json)
     return 0 if facts["can_train"] else 2
 
@@ -142,6 +146,20 @@ def _native_facts() -> dict[str, Any]:
     return facts
 
 
+def _graphics_facts(*, verify: bool) -> dict[str, Any]:
+    """The devices for drawing, tested again if `verify`, and why others are missing."""
+    found = find_devices()
+    if verify:
+        with Status(sys.stderr, quiet=not can_move(sys.stderr)) as status:
+            for device in found.devices:
+                if not device.unusable:
+                    verified(device, report=lambda what: status.show([what]), again=True)
+    return {
+        "devices": [device.to_dict() for device in found.devices],
+        "device_problems": list(found.problems),
+    }
+
+
 def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
     """Render one splat with each instruction set and compare it with the closed form.
 
@@ -186,6 +204,19 @@ def self_test(isas: list[str]) -> dict[str, dict[str, float]]:
     return results
 
 
+def _graphics_rows(facts: dict[str, Any]) -> list[tuple[str, str]]:
+    """A row for each device and for each reason why one is missing."""
+    rows = [("graphics", problem) for problem in facts["device_problems"]]
+    for device in facts["devices"]:
+        memory = size_text(device["memory_bytes"])
+        if device["memory_free_bytes"] is not None:
+            memory += f", {size_text(device['memory_free_bytes'])} free"
+        state = device["reason"] or ("passed its self-test" if device["verdict"] else NOT_TESTED)
+        what = f"{device['name']}, {device['kind']}, {memory}, {device['driver']}"
+        rows.append((f"device {device['number']}", f"{what}: {state}"))
+    return rows
+
+
 def _text(facts: dict[str, Any]) -> str:
     native = facts["native"]
     memory = size_text(facts["memory_bytes"])
@@ -210,6 +241,7 @@ def _text(facts: dict[str, Any]) -> str:
         rows.append(("self-test", f"{isa}: {verdict}, error {found['error']:.1e}"))
     if native["problem"]:
         rows.append(("problem", native["problem"]))
+    rows += _graphics_rows(facts)
     for name, part in facts["packages"].items():
         state = f"{part['version'] or ''} {part['problem']}".strip()
         rows.append((name, f"{state}  ({part['use']})"))

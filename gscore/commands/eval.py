@@ -43,6 +43,7 @@ from ..text_format import (
     worst_view_text,
 )
 from .args.data_options import add_data_options
+from .args.device_option import add_device_option, device_of
 from .args.model_argument import (
     ModelArgument,
     add_model_argument,
@@ -88,6 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         Path,
     )
     add_threads_option(parser)
+    add_device_option(parser)
     add_data_options(parser)
     add_output_options(parser, quiet="no progress")
 
@@ -111,6 +113,8 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     _show_phase(show, "Reading the splats")
     lpips, lpips_reason = find_lpips(args.lpips, threads=args.threads, download=args.lpips_download)
     model = open_model(model_path(args))
+    device = device_of(args, cancel=lambda: control.stopping, warn=False)
+    model = model.drawn_by(device)
     output = args.output or model.run
     if output is None:
         raise ConfigError(
@@ -142,7 +146,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     course = _of_the_training(model)
     problem = metrics_problem(output) if output == model.run else ""
     warnings = [*notes, *model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
-    warnings += [problem] if problem else []
+    warnings += [sentence for sentence in (problem, device.note) if sentence]
     warnings += [
         *_stopped(model, course),
         *_doubts(
@@ -169,7 +173,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         on_view=_Views(model, cameras, indices, pictures, errors, show, control),
     )
     how = {"near": model.near, "antialias": model.antialias, "threads": args.threads}
-    renders = PhotoRenders(model.splats, cameras, **how)
+    renders = PhotoRenders(model.splats, cameras, device=device, **how)
     if split == "test":
         state_coverage(evaluation, coverage(renders, dataset))
     if dataset.mask_mode != "composite":  # a background alike in all views confirms any model
@@ -188,7 +192,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         splats=len(model.splats),
         sh_degree=model.splats.sh_degree,
         storage_bytes=model.file.storage_bytes,
-        isa=native_library.isa(),
+        isa=native_library.isa() if device.device is None else device.identity,
         threads=args.threads or native_library.default_threads(),
         course=course,
         model="" if output == model.run else str(model.path.absolute()),

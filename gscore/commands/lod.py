@@ -19,6 +19,7 @@ from ..lod.measure import measured_levels
 from ..quoting import brief
 from ..text_format import count_text, number, size_text
 from ..warning_log import collected_warnings
+from .args.device_option import add_device_option, device_of
 from .args.model_argument import (
     background_of,
     find_run,
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option = partial(add_option, parser)
     option("model", "folder of a run, or a splat file", Path)
     option("-o, --output OUT.lod", "output file, for gscore render", Path, required=True)
+    add_device_option(parser)
     add_result_options(parser, replaced="a file")
 
 
@@ -56,13 +58,14 @@ def run(args: argparse.Namespace) -> int:
         )
     _check_not_the_model(args.output, model)
     facts = _facts_of(model)
+    device = device_of(args)
     with Status(sys.stderr, quiet=args.quiet) as status, collected_warnings() as warnings:
         index = build_lod(
             model,
             args.output,
             facts,
             on_share=lambda what, share: status.show([what], share=share),
-            measured=measured_levels,
+            measured=partial(measured_levels, device=device),
         )
     result = lod_facts(args.output, index) | {"warnings": list(dict.fromkeys(warnings))}
     if not args.json:

@@ -22,6 +22,7 @@ from ..quoting import as_typed, brief, quoted
 from ..raster.api import Rendered
 from ..scene import Cameras
 from ..text_format import count_text
+from .args.device_option import add_device_option, device_of
 from .args.model_argument import (
     LodArgument,
     ModelArgument,
@@ -67,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model_argument(parser)
     option("-o, --output OUTPUT", "folder for pictures, a .png, or an .mp4", Path, required=True)
     add_threads_option(parser)
+    add_device_option(parser)
     add_result_options(parser, replaced="files")
     group = parser.add_argument_group("cameras")
     option = partial(add_option, group)
@@ -176,6 +178,7 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
     gains = exposure_gains(args.exposure, found, model, args.cameras)
     if args.exposure is None and (gains != 1).any():
         status.print_line("Pictures are exposed as their photos; `--exposure even` avoids that.")
+    model = model.drawn_by(device_of(args))
     work = _Work(model, shots, options, gains, status)
     if is_video:
         _check_one_size(shots)
@@ -191,6 +194,7 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
         "height": int(shots.heights[0]),
         "splats": model.count,
         "fps": work.fps,
+        "device": model.device.name,
         **(model.drawn() if isinstance(model, LodArgument) else {}),
     }
 

@@ -20,6 +20,7 @@ from ..raster.api import render
 from ..report.html_parts import PAGE, link_page
 from ..splats import Splats
 from ..text_format import count_text, number, size_text
+from .args.device_option import add_device_option, device_of
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_option, add_result_options, add_threads_option
 from .pictures.page_views import PageViews, find_views
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     option("--title TITLE", "title of the page; default: the name of the capture or file")
     add_threads_option(parser)
+    add_device_option(parser)
     add_result_options(parser, replaced="a file")
 
 
@@ -55,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
         status.show(["Reading the splats"])
         model = open_model(model_path(args))
         output = _output(args, model)
+        status.clear()
+        model = model.drawn_by(device_of(args))
         result = _write(args, model, output, status)
     print_result(result, [_summary(result)], json=args.json)
     return 0
@@ -204,5 +208,6 @@ def _drawn(model: ModelArgument, splats: Splats, camera: PageCamera, threads: in
     size = max(1, round(old[0] * scale)), max(1, round(old[1] * scale))
     K = scale_intrinsics(camera.K, old, size)
     options = {"background": model.background, "near": model.near, "antialias": model.antialias}
+    options |= {"device": model.device, "keep": True}
     drawn = render(splats, K, camera.viewmat, *size, depths=False, threads=threads, **options)
     return np.clip(drawn.rgb.astype(np.float64), 0, 1)

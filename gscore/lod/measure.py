@@ -11,6 +11,7 @@ from ..formats.joined import joined
 from ..io.lod_file import LodFile, lod_chunks_of
 from ..io.lod_index import CHILDREN, LodIndex, LodLevel
 from ..raster.api import render
+from ..raster.gpu.choice import CPU, Chosen
 from ..splats import Splats
 
 _CHUNKS = 4
@@ -25,7 +26,7 @@ _COVERED = 0.02
 """Least opacity of a counted pixel, because black surroundings would make any error small."""
 
 
-def measured_levels(path: Path, index: LodIndex) -> tuple[LodLevel, ...]:
+def measured_levels(path: Path, index: LodIndex, device: Chosen = CPU) -> tuple[LodLevel, ...]:
     """Levels of an index with measured `psnr` and `against`; the file's chunks must be written.
 
     Some chunks of each level are rendered from six sides, at the distance at which their error is
@@ -35,7 +36,7 @@ def measured_levels(path: Path, index: LodIndex) -> tuple[LodLevel, ...]:
     with lod_chunks_of(path, index) as file:
         for level in range(1, len(index.levels)):
             against = _finest_that_fits(index, level)
-            psnr = _level_psnr(file, level, against)
+            psnr = _level_psnr(file, level, against, device)
             levels.append(replace(index.levels[level], psnr=psnr, against=against))
     return tuple(levels)
 
@@ -49,7 +50,7 @@ def _finest_that_fits(index: LodIndex, level: int) -> int:
     return level - 1
 
 
-def _level_psnr(file: LodFile, level: int, against: int) -> float | None:
+def _level_psnr(file: LodFile, level: int, against: int, device: Chosen) -> float | None:
     """PSNR over some chunks, dB; None if none of them has an error or covers pixels."""
     total = pixels = 0.0
     count = len(file.index.levels[level].counts)
@@ -60,7 +61,7 @@ def _level_psnr(file: LodFile, level: int, against: int) -> float | None:
         ]
         coarse, exact = Splats(**file.chunk(level, chunk)), joined(fine)
         for viewmat in _views(file.index.levels[level], chunk):
-            squares, covered = _loss(coarse, exact, viewmat, file.index)
+            squares, covered = _loss(coarse, exact, viewmat, file.index, device)
             total, pixels = total + squares, pixels + covered
     return -10 * math.log10(total / pixels) if total and pixels else None
 
@@ -83,7 +84,7 @@ def _views(level: LodLevel, chunk: int) -> Iterator[np.ndarray]:
 
 
 def _loss(
-    coarse: Splats, exact: Splats, viewmat: np.ndarray, index: LodIndex
+    coarse: Splats, exact: Splats, viewmat: np.ndarray, index: LodIndex, device: Chosen
 ) -> tuple[float, float]:
     """Sum over covered pixels of squared errors, averaged over colours, and the number of
     pixels."""
@@ -98,6 +99,7 @@ def _loss(
             depths=False,
             antialias=index.antialias,
             near=index.near,
+            device=device,
         )
         for splats in (coarse, exact)
     ]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..raster.api import Rendered, render, render_camera
+from ..raster.gpu.choice import CPU, Chosen
 from ..raster.request import Frustum
 from ..scene import Cameras, camera_centers
 from ..splats import Splats
@@ -48,21 +49,24 @@ class PhotoRenders:
         near: float = 0.01,
         antialias: bool = False,
         threads: int = 0,
+        device: Chosen = CPU,
     ) -> None:
         """Render nothing yet.
 
         Args:
-            splats: The model, world units.
+            splats: The model, world units; its arrays must not change.
             cameras: Cameras of the capture, same world.
             near: Near plane, world units.
             antialias: Whether opacities are compensated.
             threads: 0: all cores.
+            device: What draws.
         """
         self.cameras = cameras
         self.near = near
         self._splats = splats
         self._small = resized(cameras, _SIDE)
         self._how: dict[str, Any] = {"near": near, "antialias": antialias, "threads": threads}
+        self._how |= {"device": device, "keep": True}
         self._far = _FAR * max(float(np.ptp(cameras.centers, axis=0).max()), near)
         self._points = lru_cache(_MOST_KEPT)(self._points_of)
 

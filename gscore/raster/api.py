@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from ..shared_constants import EPS2D
 from ..splats import PARAMETERS, Splats
 from . import _native, arguments, header
 from .request import CancelFlag, Frustum, Settings
+
+if TYPE_CHECKING:
+    from .gpu.choice import Chosen
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +63,8 @@ def render(
     origin: np.ndarray | Sequence[float] | None = None,
     threads: int = 0,
     cancel: CancelFlag | None = None,
+    device: "str | Chosen" = "cpu",
+    keep: bool = False,
 ) -> Rendered:
     """Render splats from one camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
 
@@ -87,6 +92,10 @@ def render(
             of its run has too.
         threads: 0: all cores.
         cancel: Set it from another thread to stop.
+        device: What draws: `cpu`; `gpu`, a graphics card; `auto`, a graphics card if there is a
+            usable one, or the CPU; or the number of a device in `gscore doctor`.
+        keep: The graphics card may keep its copy of the splats for further pictures; their arrays
+            must not change from now on.
 
     Returns:
         The picture and its depths.
@@ -94,7 +103,8 @@ def render(
     Raises:
         ShapeError: K, viewmat, size, window, far_depths, origin or degree cannot be used.
         FormatError: The file has no readable splats.
-        BackendError: The native library is missing or out of memory.
+        ConfigError: There is no such device.
+        BackendError: The native library is missing or out of memory, or the device cannot draw.
         Cancelled: `cancel` was set.
     """
     viewmat = np.asarray(viewmat, np.float64)
@@ -132,15 +142,33 @@ def render(
     shape = (height, width)
     pictures = {"rgb": np.zeros((*shape, 3), np.float32), "alpha": np.zeros(shape, np.float32)}
     pictures |= {name: np.zeros(shape, np.float32) for name in header.DEPTH_OUTPUTS if depths}
-    with _native.pool.lend() as raster:
-        raster.forward(arrays, view, settings, pictures)
-        visible = raster.stats()["visible"]
+    visible = _draw(device, arrays, view, settings, pictures, keep=keep)
     if depths:
         depth, alpha = pictures["depth"], pictures["alpha"]
         with np.errstate(all="ignore"):
             np.divide(depth, alpha, out=depth, where=alpha > 0)
     drawn = {name: picture[part] for name, picture in pictures.items()}
     return Rendered(**dict.fromkeys(header.DEPTH_OUTPUTS) | drawn, visible=visible)  # pyright: ignore
+
+
+def _draw(
+    device: "str | Chosen",
+    arrays: Sequence[np.ndarray],
+    view: Frustum,
+    settings: Settings,
+    pictures: dict[str, np.ndarray],
+    *,
+    keep: bool,
+) -> Any:
+    """Draw on a device; returns the number of splats in the picture."""
+    if device != "cpu":
+        from .gpu.choice import chosen_device  # loads what only graphics cards need
+
+        chosen = chosen_device(device)
+        return chosen.forward(arrays, view, settings, pictures, keep=keep)["visible"]
+    with _native.pool.lend() as raster:
+        raster.forward(arrays, view, settings, pictures)
+        return raster.stats()["visible"]
 
 
 def render_camera(
@@ -153,7 +181,8 @@ def render_camera(
         cameras: The cameras.
         index: Index of the camera.
         depths: As for `render`.
-        **how: Other arguments of `render`: background, near, antialias, threads and more.
+        **how: Other arguments of `render`: background, near, antialias, threads, device and
+            more.
 
     Raises:
         As `render`.

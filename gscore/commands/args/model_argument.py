@@ -24,6 +24,7 @@ from ...io.unsupported_formats import describe_unsupported
 from ...lod.lod_renderer import LodModel
 from ...quoting import as_typed, brief
 from ...raster.api import Rendered, render, render_camera
+from ...raster.gpu.choice import CPU, Chosen
 from ...scene import Cameras, splat_near
 from ...splats import Splats
 from ..parser import add_option
@@ -42,6 +43,8 @@ class ModelArgument:
     """Options of the run; None: not known."""
     train: TrainConfig | None
     """Options of the run; None: not known."""
+    device: Chosen = CPU
+    """The device that draws it."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -62,6 +65,10 @@ class ModelArgument:
     def origin(self) -> np.ndarray | None:
         """Local origin of its means, as `Cameras.origin`."""
         return self.file.origin
+
+    def drawn_by(self, device: Chosen) -> "ModelArgument":
+        """The same model on another device."""
+        return replace(self, device=device)
 
     def about(self, origin: np.ndarray | None) -> "ModelArgument":
         """The same model relative to another local origin."""
@@ -101,6 +108,7 @@ class ModelArgument:
         self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, **how: Any
     ) -> Rendered:
         """Render a picture, as `gscore.render`."""
+        how |= {"device": self.device, "keep": True}
         return render(self.splats, K, viewmat, width, height, **how)
 
     @cached_property
@@ -114,6 +122,7 @@ class ModelArgument:
         """[H, W, 3] float32, the render at a camera with the exposure of its photo, as in
         measurements; a background behind `composite` masks is not exposed."""
         how = {"near": self.near, "antialias": self.antialias, "threads": threads}
+        how |= {"device": self.device, "keep": True}
         gain = self.gains.get(cameras.names[index], np.ones(3))
         background = np.array(self.background) / (gain if mask_mode == "composite" else 1)
         rgb = render_camera(self.splats, cameras, index, background=tuple(background), **how).rgb
@@ -251,6 +260,8 @@ class LodArgument:
     """Allowed error, px."""
     most: int | None
     """Maximum number of rendered splats; None: no limit."""
+    device: Chosen = CPU
+    """The device that draws it."""
     run: None = None
     data: DataConfig | None = None
     warnings: tuple[str, ...] = ()
@@ -285,6 +296,10 @@ class LodArgument:
         """Local origin of its means, as `Cameras.origin`."""
         return self.model.index.origin
 
+    def drawn_by(self, device: Chosen) -> "LodArgument":
+        """The same model on another device."""
+        return replace(self, device=device)
+
     def world_of(self, cameras: Cameras) -> Cameras:
         """Cameras of its capture, moved to the world of its splats."""
         return cameras.of_splats(self.origin)
@@ -298,6 +313,7 @@ class LodArgument:
         self, K: np.ndarray, viewmat: np.ndarray, width: int, height: int, **how: Any
     ) -> Rendered:
         """Render a picture, as `LodModel.render`."""
+        how |= {"device": self.device}
         return self.model.render(
             K, viewmat, width, height, lod_px=self.lod_px, most=self.most, **how
         )

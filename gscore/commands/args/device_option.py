@@ -1,0 +1,56 @@
+"""Device option of verbs that draw: the CPU or a graphics card."""
+
+import argparse
+import sys
+from collections.abc import Callable
+
+from ...quoting import quoted
+from ...raster.gpu.choice import CPU, Chosen, choose
+from ..parser import add_option
+from ..terminal.output import print_warnings
+from ..terminal.status import Status, can_move
+
+
+def add_device_option(parser: argparse.ArgumentParser) -> None:
+    """Declare `--device`."""
+    add_option(
+        parser,
+        "--device DEVICE",
+        "what draws: cpu, gpu (a graphics card), auto (a graphics card if one is usable, else the "
+        "CPU), or a number listed by gscore doctor (cpu)",
+        _device,
+        default="cpu",
+    )
+
+
+def _device(text: str) -> str:
+    if text not in ("cpu", "gpu", "auto") and not (text.isascii() and text.isdigit()):
+        raise argparse.ArgumentTypeError(
+            f"{quoted(text)} is not cpu, gpu, auto or a number listed by gscore doctor"
+        )
+    return text
+
+
+def device_of(
+    args: argparse.Namespace, *, cancel: Callable[[], bool] | None = None, warn: bool = True
+) -> Chosen:
+    """The device that the arguments name, tested first if it is new.
+
+    Args:
+        args: Arguments with `device`, and `quiet` if the verb has it.
+        cancel: Returns whether a self-test is to stop.
+        warn: Print its note as a warning.
+
+    Raises:
+        ConfigError: there is no such device.
+        BackendError: it cannot be used.
+        Cancelled: `cancel` returned True.
+    """
+    if args.device == "cpu":
+        return CPU
+    quiet = getattr(args, "quiet", False) or not can_move(sys.stderr)
+    with Status(sys.stderr, quiet=quiet) as status:
+        found = choose(args.device, report=lambda sentence: status.show([sentence]), cancel=cancel)
+    if warn and found.note:
+        print_warnings([found.note])
+    return found

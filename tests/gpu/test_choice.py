@@ -1,0 +1,168 @@
+"""Choice by `--device`, and the CPU where a card fails."""
+
+import numpy as np
+import pytest
+
+import gscore
+from gscore.errors import BackendError, ConfigError
+from gscore.raster.gpu import choice
+from gscore.raster.gpu.choice import choose
+from gscore.raster.gpu.devices import find_devices
+from gscore.raster.gpu.library import DeviceLostError, DeviceMemoryError, DeviceTimeoutError
+from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
+from tests.gpu.fake_gpu import SOFTWARE, card
+
+INTEGRATED = {"kind": 1, "name": b"Small", "uuid": bytes(16)}
+
+
+@pytest.fixture
+def machine(fake):
+    """A machine with cards whose self-tests are done; by number those that failed."""
+
+    def install(*cards, failed=()):
+        made = fake(*cards)
+        for device in find_devices().devices:
+            problems = ("wrong pictures",) if device.number in failed else ()
+            keep_verdict(device.key, DeviceVerdict(passed=not problems, problems=problems))
+        return made
+
+    return install
+
+
+def _number(device: str):
+    found = choose(device).device
+    return None if found is None else found.number
+
+
+def test_the_cpu_needs_no_library() -> None:
+    """Oracle: a list of devices that must not be made."""
+    assert choose("cpu", find=lambda: pytest.fail("listed")).device is None
+
+
+def test_the_best_card_is_chosen(machine) -> None:
+    """Oracle: discrete before integrated before software, whatever their order."""
+    machine(card(**SOFTWARE), card(**INTEGRATED), card())
+    assert [_number(device) for device in ("gpu", "auto", "0", "1", "2")] == [2, 2, 0, 1, 2]
+    assert choose("auto").note == "" and choose("auto").fallback and not choose("gpu").fallback
+
+
+def test_a_card_that_failed_is_passed_over(machine) -> None:
+    """Oracle: the next kind of card."""
+    machine(card(**INTEGRATED), card(), failed=[1])
+    assert _number("gpu") == _number("auto") == 0
+    with pytest.raises(BackendError, match=r"Device 1 \(Card\) is not used. Its self-test failed"):
+        choose("1")
+
+
+def test_software_is_chosen_by_name_only(machine) -> None:
+    """Oracle: `auto` draws on the CPU with a reason, `gpu` takes it with a warning."""
+    machine(card(**SOFTWARE))
+    auto, gpu = choose("auto"), choose("gpu")
+    assert auto.device is None and "llvmpipe, is a software device" in auto.note
+    assert gpu.device is not None and "more slowly than with `--device cpu`" in gpu.note
+    assert choose("0").note == gpu.note
+
+
+def test_without_devices_there_is_a_reason(fake) -> None:
+    """Oracle: the library's message in a note for `auto`, in errors otherwise."""
+    fake(message="there is no Vulkan loader on this system")
+    auto = choose("auto")
+    assert auto.device is None and auto.note.startswith("The CPU draws. There is")
+    with pytest.raises(BackendError, match="No graphics card can draw"):
+        choose("gpu")
+    with pytest.raises(ConfigError, match="There is no device 0"):
+        choose("0")
+
+
+def test_numbers_that_are_not_listed_are_named(machine) -> None:
+    """Oracle: the number, and those that are listed."""
+    machine(card(), card(**SOFTWARE))
+    with pytest.raises(ConfigError, match=r"no device 2; `gscore doctor` lists devices 0 to 1"):
+        choose("2")
+
+
+@pytest.mark.parametrize("text", ["", "GPU", "-1", "cuda:0", "1.0", "\u0662"])
+def test_other_words_are_refused(text: str) -> None:
+    """Oracle: the choices in the sentence."""
+    with pytest.raises(ConfigError, match="must be cpu, gpu, auto or a number"):
+        choose(text)
+
+
+def test_a_card_without_features_is_not_tested(fake) -> None:
+    """Oracle: the missing feature; no self-test was started."""
+    fake(card(missing=b"buffer addresses"))
+    with pytest.raises(BackendError, match="lacks buffer addresses"):
+        choose("gpu")
+    assert "lacks buffer addresses" in choose("auto").note
+
+
+def _splats() -> gscore.Splats:
+    f = lambda *shape: np.ones(shape, np.float32)  # noqa: E731
+    return gscore.Splats(
+        means=f(2, 3), quats=f(2, 4), scales=f(2, 3), opacities=f(2), sh0=f(2, 1, 3), shN=f(2, 3, 3)
+    )
+
+
+def _render(splats: gscore.Splats, **options) -> gscore.Rendered:
+    return gscore.render(splats, np.diag([9.0, 9.0, 1.0]), np.eye(4), 8, 6, **options)
+
+
+def test_splats_are_copied_once_if_kept(machine) -> None:
+    """Oracle: the calls of the library; unkept splats may change, so that each picture copies
+    them."""
+    library, splats = machine(card()), _splats()
+    for _ in range(3):
+        assert _render(splats, device="gpu", keep=True).visible == 3
+    assert library.calls == ["open", "upload", "draw", "draw", "draw"]
+    library.calls.clear()
+    for _ in range(2):
+        _render(_splats(), device="0")
+    assert library.calls == ["upload", "draw", "release", "upload", "draw"]
+
+
+@pytest.mark.parametrize(
+    ("status", "kind", "words"),
+    [
+        (7, DeviceLostError, "Update the graphics driver"),
+        (8, DeviceTimeoutError, "GSCORE_GPU_SECONDS"),
+        (2, DeviceMemoryError, "Close programs"),
+    ],
+)
+def test_errors_of_a_card_name_the_mend(machine, status: int, kind: type, words: str) -> None:
+    """Oracle: the class, the library's message and the remedy."""
+    library = machine(card())
+    library.statuses["draw"], library.message = [status], "the draw failed"
+    with pytest.raises(kind, match=f"^The draw failed. .*{words}"):
+        _render(_splats(), device="gpu")
+    assert _render(_splats(), device="gpu").visible == 3
+    assert library.calls.count("open") == (1 if kind is DeviceMemoryError else 2)
+
+
+def test_auto_goes_on_with_the_cpu(machine, caplog: pytest.LogCaptureFixture) -> None:
+    """Oracle: the CPU's picture, and one sentence for all pictures."""
+    library, splats = machine(card()), _splats()
+    library.statuses["draw"], library.message = [7], "lost"
+    pictures = [_render(splats, device="auto").rgb for _ in range(3)]
+    assert all(np.array_equal(picture, _render(splats).rgb) for picture in pictures)
+    assert library.calls.count("draw") == 1
+    (record,) = caplog.records
+    assert record.getMessage().startswith("The CPU draws from here on, because Card failed: Lost.")
+
+
+def test_kept_splats_make_room(machine) -> None:
+    """Oracle: an upload that succeeds after the kept splats were freed."""
+    library, first, second = machine(card()), _splats(), _splats()
+    _render(first, device="gpu", keep=True)
+    library.statuses["upload"] = [2]
+    _render(second, device="gpu", keep=True)
+    assert library.calls == ["open", "upload", "draw", "upload", "release", "upload", "draw"]
+
+
+def test_a_choice_by_name_is_made_once(machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the number of lists of devices."""
+    machine(card())
+    lists = []
+    monkeypatch.setattr(choice, "choose", lambda name: lists.append(name) or choose(name))
+    for _ in range(3):
+        _render(_splats(), device="auto")
+    assert lists == ["auto"]
