@@ -23,6 +23,8 @@ class Measure:
     Counts of violations have tolerance 0."""
     tolerance: float
     note: str = ""
+    skipped: bool = False
+    """Not measured, for the reason in `note`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +38,8 @@ class Case:
     """The argument selects the long version."""
     per_isa: bool
     """Run for each instruction set."""
+    on_device: bool
+    """Runs on graphics cards too, as far as it needs no gradients."""
     needs: tuple[str, ...]
     """Required packages; skipped without them."""
     slow: bool
@@ -56,6 +60,7 @@ def case(
     title: str,
     *,
     per_isa: bool = True,
+    on_device: bool = False,
     needs: tuple[str, ...] = ("torch",),
     slow: bool = False,
 ) -> Callable[[Callable[[bool], Iterable[Measure]]], Callable[[bool], Iterable[Measure]]]:
@@ -63,7 +68,15 @@ def case(
 
     def enter(function: Callable[[bool], Iterable[Measure]]):
         CASES.append(
-            Case(key=key, title=title, run=function, per_isa=per_isa, needs=needs, slow=slow)
+            Case(
+                key=key,
+                title=title,
+                run=function,
+                per_isa=per_isa,
+                on_device=on_device,
+                needs=needs,
+                slow=slow,
+            )
         )
         return function
 

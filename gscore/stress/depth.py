@@ -17,7 +17,7 @@ from .compare import picture_measures, require_covered, row_errors
 from .scenes import SplatScene, draw_scene
 
 
-@case("S26", "rendered depths")
+@case("S26", "rendered depths", on_device=True)
 def rendered_depths(full: bool) -> Iterator[Measure]:
     """Oracle: the reference and its autograd, where alpha is at least a half."""
     for seed in range(2600, 2606 if full else 2602):
@@ -54,7 +54,7 @@ def rendered_depths(full: bool) -> Iterator[Measure]:
                 )
 
 
-@case("S26b", "faint pixels", needs=())
+@case("S26b", "faint pixels", on_device=True, needs=())
 def faint_pixels(full: bool) -> Iterator[Measure]:
     """Oracle: the reference. Alpha is a sum of weights; computed as 1 - transmittance, it would
     lose digits at faint pixels to cancellation."""
@@ -119,7 +119,7 @@ def _at_depths(depths: list[float], *, seed: int) -> SplatScene:
     return back.joined(few.with_row(slice(None), means=means, scales=scales.astype(np.float32)))
 
 
-@case("S07", "splats at the near plane")
+@case("S07", "splats at the near plane", on_device=True)
 def near_plane(full: bool) -> Iterator[Measure]:
     """Oracle: drawn splats have z > near in float32; the scene without the others, bit for bit;
     finite numbers everywhere."""
@@ -154,7 +154,7 @@ def near_plane(full: bool) -> Iterator[Measure]:
     )
 
 
-@case("S08", "splats far away")
+@case("S08", "splats far away", on_device=True)
 def far_away(full: bool) -> Iterator[Measure]:
     """Oracle: the reference, depths from 1 to 1e8; nothing beyond the far plane of 1e10."""
     scene = draw_scene(800, count=200, width=48, height=40, depths=(1.0, 2.0), posed=False)
@@ -178,7 +178,7 @@ def far_away(full: bool) -> Iterator[Measure]:
     yield Measure("numbers not finite", float(not drawn.finite()), 0)
 
 
-@case("S36", "parallel rays")
+@case("S36", "parallel rays", on_device=True)
 def parallel(full: bool) -> Iterator[Measure]:
     """Oracle: the reference; its Jacobian by finite differences; an error for gradients."""
     import torch

@@ -18,7 +18,7 @@ from .scenes import SplatScene, draw_scene
 _GOLDEN = Path(__file__).parents[2] / "tests" / "raster" / "golden" / "gsplat_formulas.npz"
 
 
-@case("S33", "a model through its file")
+@case("S33", "a model through its file", on_device=True)
 def round_trip(full: bool) -> Iterator[Measure]:
     """Oracle: the model that was written; the same without its broken rows."""
     for degree in range(4):
@@ -48,7 +48,7 @@ def round_trip(full: bool) -> Iterator[Measure]:
         yield Measure("broken rows kept or good ones lost", float(left), 0)
 
 
-@case("S35", "values of published formulas", needs=())
+@case("S35", "values of published formulas", on_device=True, needs=())
 def golden(full: bool) -> Iterator[Measure]:
     """Oracle: gsplat's published formulas in plain numpy float64, stored with the tests."""
     if not _GOLDEN.is_file():

@@ -1,23 +1,35 @@
 """Native renders of a stress scene with numpy only: pictures, gradients, counts."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..raster import _native, header
+from ..raster.gpu.choice import CPU, Chosen
 from ..raster.request import Frustum, Settings
 from ..shared_constants import EPS2D
 from ..splats import PARAMETERS
+from .case import UnsupportedMachineError
 from .scenes import SplatScene
 
 BACKGROUND = (0.25, 0.5, 0.125)
 """Exact in float32."""
 PICTURES = ("rgb", "alpha", "inverse_depth", "depth")
 ALL_DEPTHS = header.OUT_INVERSE_DEPTH | header.OUT_DEPTH | header.OUT_MEDIAN_DEPTH
+NOT_YET = "not on this device yet"
+"""Reason of what is skipped on a graphics card."""
 _GUARD = np.float32(-777.25)
 _GUARD_WORDS = 64
+
+
+class NotOnDevice(dict[str, Any]):
+    """Values that a graphics card does not compute: using one skips the rest of the case."""
+
+    def __missing__(self, key: str) -> Any:
+        raise UnsupportedMachineError(f"{key}: {NOT_YET}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +43,8 @@ class Drawn:
     projected: dict[str, np.ndarray]
     """means2d, depths, conics, colors, opacities; zero rows where culled."""
     gradients: dict[str, np.ndarray]
-    """Gradients by parameter, and means2d [N, 2], viewmat [4, 4]; empty without weights."""
+    """Gradients by parameter, and means2d [N, 2], viewmat [4, 4]; empty without weights, and
+    `NotOnDevice` on a graphics card."""
     stats: dict[str, float]
     guards_broken: int
     """Words changed next to the output arrays of the library."""
@@ -111,16 +124,21 @@ def draw(
         threads=threads,
         disable=disable,
     )
-    raster = _native.Raster()
-    raster.forward(arrays, view, settings, pictures | {"radii": radii})
-    gradients: dict[str, np.ndarray] = {}
-    if weights is not None:
+    if weights is not None and orthographic and draws_on_device():
+        raise UnsupportedMachineError(f"gradients: {NOT_YET}")
+    on_cpu = not draws_on_device()
+    with nullcontext(_native.Raster()) if on_cpu else _chosen.lend() as raster:
+        raster.forward(arrays, view, settings, pictures | {"radii": radii})
+        projected, stats = raster.projected(n), raster.stats()
+    gradients: dict[str, np.ndarray] = {} if on_cpu else NotOnDevice()
+    if weights is not None and isinstance(raster, _native.Raster):
         gradients = {
             name: memory.array(*a.shape) for name, a in zip(PARAMETERS, arrays, strict=True)
         }
         gradients |= {"means2d": memory.array(n, 2), "viewmat": memory.array(4, 4)}
         kept = {k: np.ascontiguousarray(weights[k], np.float32) for k in PICTURES if k in weights}
         raster.backward(arrays, view, settings, kept, gradients)
+        stats = raster.stats()
     kept_names = ["rgb", "alpha"]
     kept_names += ["inverse_depth"] if outputs & header.OUT_INVERSE_DEPTH else []
     kept_names += ["depth"] if outputs & header.OUT_DEPTH else []
@@ -128,9 +146,10 @@ def draw(
     return Drawn(
         pictures={name: pictures[name] for name in kept_names},
         radii=radii,
-        projected=raster.projected(n),
+        projected=projected,
         gradients=gradients,
-        stats=raster.stats(),
+        # The other counts are those of lists that only the CPU has.
+        stats=stats if on_cpu else NotOnDevice(visible=stats["visible"]),
         guards_broken=memory.broken(),
     )
 
@@ -144,6 +163,25 @@ def random_weights(scene: SplatScene, seed: int, *names: str) -> dict[str, np.nd
         for name in PICTURES
     }
     return {name: made[name] for name in names or PICTURES}
+
+
+_chosen = CPU
+
+
+def draws_on_device() -> bool:
+    """Whether `draw` uses a graphics card, which computes no gradients."""
+    return _chosen.device is not None
+
+
+@contextmanager
+def with_device(chosen: Chosen) -> Iterator[None]:
+    """Context in which `draw` uses a device."""
+    global _chosen
+    before, _chosen = _chosen, chosen
+    try:
+        yield
+    finally:
+        _chosen = before
 
 
 @contextmanager

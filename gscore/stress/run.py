@@ -11,9 +11,10 @@ from typing import Any
 
 from ..errors import ConfigError
 from ..raster import native_library
-from .case import CASES, Case, UnsupportedMachineError
+from ..raster.gpu.choice import CPU, Chosen
+from .case import CASES, Case, Measure, UnsupportedMachineError
 from .compare import merge
-from .native import with_isa
+from .native import NOT_YET, with_device, with_isa
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +23,7 @@ class Outcome:
 
     test: str
     isa: str
-    """Instruction set; empty if it does not matter."""
+    """Instruction set, or name of the graphics card; empty if it does not matter."""
     error: float
     tolerance: float
     passed: bool | None
@@ -69,20 +70,23 @@ def run_cases(
     cases: Sequence[Case],
     *,
     isas: Sequence[str] = (),
+    device: Chosen = CPU,
     full: bool = False,
     report: Callable[[Outcome], None] = lambda _: None,
 ) -> list[Outcome]:
-    """Run cases with each of `isas` (default: the current one), and report each outcome."""
+    """Run cases with each of `isas` (default: the current one), or on a graphics card, and report
+    each outcome."""
     found = []
+    names = [device.identity] if device.device else isas or [native_library.isa()]
     for one in cases:
-        for isa in (isas or [native_library.isa()]) if one.per_isa else [""]:
-            for outcome in _outcomes(one, isa, full):
+        for name in names if one.per_isa or device.device else [""]:
+            for outcome in _outcomes(one, name, device, full):
                 found.append(outcome)
                 report(outcome)
     return found
 
 
-def _outcomes(one: Case, isa: str, full: bool) -> Iterator[Outcome]:
+def _outcomes(one: Case, isa: str, device: Chosen, full: bool) -> Iterator[Outcome]:
     began = time.perf_counter()
 
     def outcome(what: str, error: float, tolerance: float, passed: bool | None, note: str):
@@ -96,26 +100,36 @@ def _outcomes(one: Case, isa: str, full: bool) -> Iterator[Outcome]:
             seconds=time.perf_counter() - began,
         )
 
+    if device.device and not one.on_device:
+        yield outcome("", math.nan, math.nan, None, f"skipped: {NOT_YET}")
+        return
     missing = [name for name in one.needs if importlib.util.find_spec(name) is None]
     if missing:
         yield outcome("", math.nan, math.nan, None, f"skipped: needs {', '.join(missing)}")
         return
+    measures: list[Measure] = []
+    stopped = ""
+    on_cpu = native_library.isa() if device.device or not isa else isa
     try:
-        with with_isa(isa or native_library.isa()), _quiet_torch():
-            measures = merge(list(one.run(full)))
+        with with_isa(on_cpu), with_device(device), _quiet_torch():
+            measures.extend(one.run(full))  # those before an error are kept
     except UnsupportedMachineError as reason:
-        yield outcome("", math.nan, math.nan, None, f"skipped: {reason}")
-        return
+        stopped = f"skipped: {reason}"
     except Exception as error:  # an error of one case must not hide the others
         where = traceback.extract_tb(error.__traceback__)[-1]
         note = f"{type(error).__name__}: {error} ({where.name}, line {where.lineno})"
         yield outcome("", math.nan, math.nan, False, note)
         return
-    if not measures:
+    if not measures and not stopped:
         yield outcome("", math.nan, math.nan, False, "no measurement")
-    for m in measures:
+    for m in merge(measures):
+        if m.skipped:
+            yield outcome(m.what, math.nan, math.nan, None, f"skipped: {m.note}")
+            continue
         error, tolerance = float(m.error), float(m.tolerance)
         yield outcome(m.what, error, tolerance, error <= tolerance, m.note)
+    if stopped:
+        yield outcome("", math.nan, math.nan, None, stopped)
 
 
 def _quiet_torch() -> AbstractContextManager[None]:

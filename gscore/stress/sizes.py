@@ -4,6 +4,7 @@ S10 to S12: very large or small quats, opacities and scales; one broken row.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,7 +25,7 @@ def _list_tiles(width: int, height: int) -> int:
     return -(-width // wide) * -(-height // high)
 
 
-@case("S13", "screen-filling splats")
+@case("S13", "screen-filling splats", on_device=True)
 def screen_filling(full: bool) -> Iterator[Measure]:
     """Oracle: every splat in every tile and no more; the reference for the picture."""
     count, width, height = 1000, 64, 48
@@ -59,7 +60,7 @@ def screen_filling(full: bool) -> Iterator[Measure]:
     yield Measure("numbers not finite", float(not (drawn.finite() and one.finite())), 0)
 
 
-@case("S14", "a tile with thousands of splats")
+@case("S14", "a tile with thousands of splats", on_device=True)
 def crowded_tile(full: bool) -> Iterator[Measure]:
     """Oracle: the reference; more splats in one tile than 11 and than 16 bits count."""
     for count in (3000, 70_000) if full else (3000,):
@@ -87,10 +88,10 @@ def crowded_tile(full: bool) -> Iterator[Measure]:
             *picture_measures(drawn, true, most_band=0.999 if count > 10_000 else 0.5),
             *gradient_measures(drawn, true),
         ):
-            yield Measure(f"{count_text(count, 'splat')}, {m.what}", m.error, m.tolerance, m.note)
+            yield replace(m, what=f"{count_text(count, 'splat')}, {m.what}")
 
 
-@case("S16", "pictures of all sizes")
+@case("S16", "pictures of all sizes", on_device=True)
 def picture_sizes(full: bool) -> Iterator[Measure]:
     """Oracle: the reference.
 
@@ -116,7 +117,7 @@ def picture_sizes(full: bool) -> Iterator[Measure]:
         yield from gradient_measures(drawn, true)
 
 
-@case("S17", "nothing to draw", needs=())
+@case("S17", "nothing to draw", on_device=True, needs=())
 def empty_scenes(full: bool) -> Iterator[Measure]:
     """Oracle: the background, exactly, and gradients of zero."""
     scene = draw_scene(1700, count=5)
@@ -169,7 +170,7 @@ def _without(scene: SplatScene, row: int) -> np.ndarray:
     return np.arange(len(scene)) != row
 
 
-@case("S10", "quaternions of any length", needs=())
+@case("S10", "quaternions of any length", on_device=True, needs=())
 def quaternions(full: bool) -> Iterator[Measure]:
     """Oracle: the scene without the row; the scene with normal quaternions."""
     scene = draw_scene(1000, count=200, width=48, height=40)
@@ -202,7 +203,7 @@ def quaternions(full: bool) -> Iterator[Measure]:
         yield Measure("numbers not finite", float(not drawn.finite()), 0)
 
 
-@case("S11", "opacities at their ends")
+@case("S11", "opacities at their ends", on_device=True)
 def opacities(full: bool) -> Iterator[Measure]:
     """Oracle: the reference; alpha at most 0.99 per splat; transmittance never negative."""
     scene = draw_scene(1100, count=200, width=48, height=40, sigma_px=(4.0, 10.0), sh_degree=1)
@@ -283,7 +284,7 @@ def broken_row(full: bool) -> Iterator[Measure]:
     yield Measure("finite extremes, culled yet seen", float(culled_but_touched), 0)
 
 
-@case("S12b", "every row extreme at once", needs=())
+@case("S12b", "every row extreme at once", on_device=True, needs=())
 def all_extreme(full: bool) -> Iterator[Measure]:
     """Oracle: finiteness, with random extreme values in all splats."""
     values = np.array(_BROKEN + _EXTREME + (1.0, -1.0, 0.5, 2.0), np.float32)

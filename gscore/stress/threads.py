@@ -166,7 +166,7 @@ def _layers(count: int, depths: int, sigma_px: tuple[float, float]) -> SplatScen
     return scene.with_row(slice(None), means=means)
 
 
-@case("S15", "splats at one depth")
+@case("S15", "splats at one depth", on_device=True)
 def ties(full: bool) -> Iterator[Measure]:
     """Oracle: the reference, which sorts stably: at equal depth, the order of the rows decides."""
     # Different sorting algorithms: a few splats, many, and many with some ties.

@@ -20,8 +20,10 @@ from ...raster.request import Frustum, Settings
 from ...scene import Cameras
 from ...splats import PARAMETERS, Splats
 from ...text_format import count_text, number
+from ..args.device_option import add_device_option, device_of
 from ..parser import add_option, add_threads_option
-from .shared import check_numbers, for_each_isa
+from .device_raster import bench_device, device_table
+from .shared import check_numbers, for_each_isa, measured
 
 STAGES = (
     "project_ms",
@@ -163,6 +165,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-r, --resolution RESOLUTION", "size of the photos, as in `gscore train`", float, default=-1
     )
     add_threads_option(parser)
+    add_device_option(parser)
     option("--isa ISA", "instruction set; `all` measures each one available")
 
 
@@ -170,6 +173,8 @@ def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if (args.ply is None) != (args.cameras is None):
         raise ConfigError("`--ply` and `--cameras` belong together: give both, or neither.")
+    if args.isa and args.device != "cpu":
+        raise ConfigError("`--isa` is for the CPU; leave it out with `--device`.")
     check_numbers(args, 1, "views", "repeats", "splats", "width", "height")
     if args.ply is None:
         splats, cameras = synthetic_scene(args.splats, args.width, args.height)
@@ -179,6 +184,11 @@ def run(args: argparse.Namespace) -> int:
         cameras = load_dataset(data).scene.cameras
     count = min(args.views, len(cameras))
     views = np.unique(np.linspace(0, len(cameras) - 1, count).round().astype(int)).tolist()
+    device = device_of(args)
+    if device.device is not None:
+        measure = partial(bench_device, splats, cameras, views, device, repeats=args.repeats)
+        measured(args, f"{device.name}, {count_text(len(splats), 'splat')}", measure, device_table)
+        return 0
     for_each_isa(
         args,
         count_text(len(splats), "splat"),

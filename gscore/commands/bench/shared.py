@@ -239,10 +239,28 @@ def for_each_isa(
     results = []
     for isa in available if args.isa == "all" else [args.isa or native_library.isa()]:
         native_library.set_isa(isa)
-        with show_while(sys.stderr, f"Measuring {isa}, {what}"):
-            results.append(measure())
-        if not args.json:
-            sys.stdout.write(wrapped(table(results[-1]), sys.stdout))
+        results.append(_measured(args, f"{isa}, {what}", measure, table))
+    _print_json(args, results)
+
+
+def measured(
+    args: argparse.Namespace, what: str, measure: Callable[[], Any], table: Callable[[Any], str]
+) -> None:
+    """Measure once; as `for_each_isa` otherwise."""
+    _print_json(args, [_measured(args, what, measure, table)])
+
+
+def _measured(
+    args: argparse.Namespace, what: str, measure: Callable[[], Any], table: Callable[[Any], str]
+) -> Any:
+    with show_while(sys.stderr, f"Measuring {what}"):
+        result = measure()
+    if not args.json:
+        sys.stdout.write(wrapped(table(result), sys.stdout))
+    return result
+
+
+def _print_json(args: argparse.Namespace, results: Sequence[Any]) -> None:
     if args.json:
         found = [{"machine": machine()} | asdict(result) for result in results]
         print_json(found[0] if len(found) == 1 else found)

@@ -1,0 +1,171 @@
+"""`--device` of the verbs; oracle: what the CPU draws, and the sentences."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gscore.io.cameras_json import write_cameras
+from gscore.io.ply.splats import write_splats
+from gscore.raster.gpu import gpu_raster
+from gscore.raster.gpu.devices import Device
+from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
+from gscore.scene import Cameras
+from gscore.splats import Splats
+from tests.gpu.fake_gpu import SOFTWARE, card
+
+VIEWS = 3
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    """The folder of a model with its cameras."""
+    rng = np.random.default_rng(4)
+    f = lambda *shape: rng.normal(size=shape).astype(np.float32)  # noqa: E731
+    splats = Splats(
+        means=f(200, 3), quats=f(200, 4), scales=0.3 * f(200, 3) - 2, opacities=f(200),
+        sh0=f(200, 1, 3), shN=0.1 * f(200, 3, 3),
+    )  # fmt: skip
+    viewmats = np.tile(np.eye(4), (VIEWS, 1, 1))
+    viewmats[:, 2, 3] = 4 + np.arange(VIEWS)
+    K = np.array([[40.0, 0, 24], [0, 40.0, 16], [0, 0, 1]])
+    cameras = Cameras(
+        viewmats=viewmats,
+        Ks=np.tile(K, (VIEWS, 1, 1)),
+        widths=np.full(VIEWS, 48),
+        heights=np.full(VIEWS, 32),
+        names=tuple(f"view{i}.png" for i in range(VIEWS)),
+    )
+    folder = tmp_path / "model"
+    write_splats(folder / "point_cloud.ply", splats)
+    write_cameras(folder / "cameras.json", cameras)
+    return folder
+
+
+@pytest.fixture
+def tested(device: Device) -> Device:
+    """The first device of this machine, with a verdict."""
+    keep_verdict(device.key, DeviceVerdict(passed=True))
+    return device
+
+
+def test_render_draws_the_cpu_s_pictures(gscore, model: Path, tested: Device, tmp_path) -> None:
+    """Oracle: the CPU's depth maps; the splats are copied to the device once."""
+    found = {}
+    for name in ("cpu", str(tested.number)):
+        out = tmp_path / name
+        options = ("--device", name, "--depth", "npy", "--json", "-o", out)
+        code, text, err = gscore("render", model, *options)
+        assert code == 0, err
+        found[name] = [np.load(path) for path in sorted(out.glob("*.npy"))]
+        named = json.loads(text)["device"]
+        assert named == ("cpu" if name == "cpu" else tested.name)
+    one, other = found.values()
+    assert len(one) == len(other) == VIEWS
+    assert max(np.abs(a - b).max() for a, b in zip(one, other, strict=True)) < 1e-4
+    assert any(a.any() for a in one)
+    assert gpu_raster.opened(tested).uploads == 1
+
+
+def test_auto_without_a_card_says_so(gscore, model: Path, fake, tmp_path: Path) -> None:
+    """Oracle: the CPU in the result, one sentence on stderr."""
+    fake(card(**SOFTWARE))
+    options = ("--device", "auto", "--view", "0", "--json", "-o", tmp_path / "out")
+    code, text, err = gscore("render", model, *options)
+    assert code == 0 and json.loads(text)["device"] == "cpu"
+    assert err.count("The CPU draws.") == 1 and "llvmpipe, is a software device" in err
+
+
+@pytest.mark.parametrize(
+    ("device", "words"),
+    [
+        ("gpu", "No graphics card can draw. There is"),
+        ("4", "There is no device 4. There is"),
+        ("fast", "'fast' is not cpu, gpu, auto or a number listed by gscore doctor"),
+    ],
+)
+def test_a_device_that_cannot_draw_is_refused(
+    gscore,
+    model: Path,
+    fake,
+    tmp_path: Path,
+    device: str,
+    words: str,
+) -> None:
+    """Oracle: exit code 2, one sentence and no pictures."""
+    fake(message="there is no Vulkan loader on this system")
+    code, _, err = gscore("render", model, "--device", device, "-o", tmp_path / "out")
+    assert code == 2 and " ".join(words.split()) in " ".join(err.split())
+    assert "Traceback" not in err and not (tmp_path / "out").exists()
+
+
+def test_doctor_lists_devices(gscore, fake) -> None:
+    """Oracle: the devices of the fake library, in JSON and in text."""
+    fake(card(), card(missing=b"Vulkan 1.2", name=b"Old"), card(**SOFTWARE))
+    code, out, _ = gscore("doctor", "--json")
+    facts = json.loads(out)
+    assert code == 0 and [one["number"] for one in facts["devices"]] == [0, 1, 2]
+    assert facts["devices"][0]["verdict"] is None and facts["devices"][0]["kind"] == "discrete"
+    assert "lacks Vulkan 1.2" in facts["devices"][1]["reason"]
+    assert facts["device_problems"] == []
+    _, out, _ = gscore("doctor")
+    text = " ".join(out.split())
+    assert "device 0 Card, discrete, 24 GB, 20 GB free, driver 1.0: not tested yet" in text
+    assert "device 1 Old," in text and "It lacks Vulkan 1.2" in text
+
+
+def test_doctor_tells_why_there_is_no_device(gscore, fake) -> None:
+    """Oracle: the sentence on the missing loader; the machine can train all the same."""
+    fake(message="there is no Vulkan loader on this system")
+    code, out, _ = gscore("doctor")
+    assert code == 0 and "graphics     There is" in out
+
+
+def test_doctor_verifies(gscore, fake, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: a self-test that fails, for each device that lacks nothing."""
+    from gscore.commands import doctor
+
+    tested = []
+
+    def failing(device: Device, **options) -> None:
+        assert options["again"]
+        tested.append(device.number)
+        keep_verdict(device.key, DeviceVerdict(passed=False, problems=("black pictures",)))
+
+    monkeypatch.setattr(doctor, "verified", failing)
+    fake(card(), card(missing=b"Vulkan 1.2", uuid=bytes(16)))
+    _, out, _ = gscore("doctor", "--verify")
+    assert tested == [0] and "Its self-test failed: black pictures." in " ".join(out.split())
+
+
+def test_stress_measures_what_a_device_can(gscore, tested: Device) -> None:
+    """Oracle: passed pictures, skipped gradients, and nothing failed."""
+    options = ("--device", str(tested.number), "--only", "S25", "--only", "S18", "--json")
+    code, out, err = gscore("stress", *options)
+    rows = json.loads(out)
+    assert code == 0, err
+    passed = [row for row in rows if row["passed"]]
+    skipped = [row for row in rows if row["passed"] is None]
+    assert any("picture" in row["test"] for row in passed)
+    assert all("not on this device yet" in row["note"] for row in skipped)
+    assert {row["test"][:3] for row in skipped} == {"S18", "S25"}
+    assert all(tested.name in row["isa"] for row in rows)
+
+
+def test_bench_measures_a_device(gscore, tested: Device) -> None:
+    """Oracle: counts that do not depend on the device."""
+    size = ("--splats", "500", "--width", "64", "--height", "48", "--repeats", "1", "--json")
+    code, out, err = gscore("bench", "raster", "--device", str(tested.number), *size)
+    assert code == 0, err
+    found = json.loads(out)
+    _, out, _ = gscore("bench", "raster", *size)
+    assert found["visible"] == json.loads(out)["visible"] and found["splats"] == 500
+    assert found["total_ms"] > 0 and tested.name in found["device"]
+
+
+@pytest.mark.parametrize("verb", [("stress",), ("bench", "raster")])
+def test_an_instruction_set_is_of_the_cpu(gscore, verb) -> None:
+    """Oracle: exit code 2 and both options."""
+    code, _, err = gscore(*verb, "--device", "gpu", "--isa", "scalar")
+    assert code == 2 and "--isa" in err and "--device" in err
