@@ -1,5 +1,6 @@
 """GPU raster: an open device that draws splats, with the interface of the native workspace."""
 
+import atexit
 import ctypes as ct
 import os
 import threading
@@ -268,6 +269,9 @@ def close_all() -> None:
     with _opening:
         while _open_devices:
             _open_devices.popitem()[1].close()
+
+
+atexit.register(close_all)  # while the driver's own threads still run
 
 
 def _forget() -> None:
