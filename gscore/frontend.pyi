@@ -109,6 +109,10 @@ from .option_marks import show_options as show_options
 from .options import Option as Option
 from .options import options_of as options_of
 from .raster.mesh import mesh_depth as mesh_depth
+from .raster.render_client import RenderClient as RenderClient
+from .raster.render_client import find_devices as find_devices
+from .raster.render_messages import NoDeviceError as NoDeviceError
+from .raster.render_messages import RenderServerError as RenderServerError
 from .report.colormap import colorize as colorize
 from .scene import moved_viewmats as moved_viewmats
 from .scene import offset_between as offset_between

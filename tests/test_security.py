@@ -52,6 +52,7 @@ STARTS = {
     "gscore/formats/usd.py:_in_child",
     "gscore/metrics/machine.py:cpu_name",
     "gscore/raster/gpu/verification.py:_tested",
+    "gscore/raster/render_process.py:ServerProcess.__init__",
     "addon/process/child_program.py:Process.__init__",
 }
 """The functions that start processes, from lists of words."""

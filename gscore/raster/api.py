@@ -17,6 +17,7 @@ from .request import CancelFlag, Frustum, Settings
 
 if TYPE_CHECKING:
     from .gpu.choice import Chosen
+    from .render_client import RenderClient
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +64,7 @@ def render(
     origin: np.ndarray | Sequence[float] | None = None,
     threads: int = 0,
     cancel: CancelFlag | None = None,
-    device: "str | Chosen" = "cpu",
+    device: "str | Chosen | RenderClient" = "cpu",
     keep: bool = False,
 ) -> Rendered:
     """Render splats from one camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
@@ -93,7 +94,8 @@ def render(
         threads: 0: all cores.
         cancel: Set it from another thread to stop.
         device: What draws: `cpu`; `gpu`, a graphics card; `auto`, a graphics card if there is a
-            usable one, or the CPU; or the number of a device in `gscore doctor`.
+            usable one, or the CPU; or the number of a device in `gscore doctor`. In Blender a
+            `gscore.frontend.RenderClient`, which also needs arrays that do not change.
         keep: The graphics card may keep its copy of the splats for further pictures; their arrays
             must not change from now on.
 
@@ -152,7 +154,7 @@ def render(
 
 
 def _draw(
-    device: "str | Chosen",
+    device: "str | Chosen | RenderClient",
     arrays: Sequence[np.ndarray],
     view: Frustum,
     settings: Settings,
@@ -161,11 +163,12 @@ def _draw(
     keep: bool,
 ) -> Any:
     """Draw on a device; returns the number of splats in the picture."""
-    if device != "cpu":
+    if isinstance(device, str) and device != "cpu":
         from .gpu.choice import chosen_device  # loads what only graphics cards need
 
-        chosen = chosen_device(device)
-        return chosen.forward(arrays, view, settings, pictures, keep=keep)["visible"]
+        device = chosen_device(device)
+    if not isinstance(device, str):
+        return device.forward(arrays, view, settings, pictures, keep=keep)["visible"]
     with _native.pool.lend() as raster:
         raster.forward(arrays, view, settings, pictures)
         return raster.stats()["visible"]
