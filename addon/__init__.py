@@ -35,6 +35,7 @@ MODULES: tuple[str, ...] = (
     "timeline.frame_sync",
     "timeline.operators",
     "sequence.train_sequence",
+    "render.device",
     "render.engine",
     "render.compositor",
     "live.draw_handler",

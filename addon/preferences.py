@@ -1,5 +1,7 @@
 """Add-on preferences: the Python environment for trainings, and settings of this computer."""
 
+import json
+import zlib
 from collections.abc import Callable
 
 import bpy
@@ -10,6 +12,11 @@ from .paths import ROOT
 
 FILE = "FILE"
 """Value of `depth_network` for a file of the user."""
+CPU, AUTO = "CPU", "AUTO"
+"""Values of `device` besides the UUIDs of graphics cards."""
+_Item = tuple[str, str, str, int]
+_items: list[_Item] = []
+"""Items of `device`: Blender does not keep their texts."""
 
 SECTIONS: list[Callable[[bpy.types.UILayout, "Preferences"], None]] = []
 """Drawing functions of other modules, above the rest."""
@@ -25,6 +32,31 @@ def _file_chosen(prefs: "Preferences", context: bpy.types.Context) -> None:
 def _python_chosen(prefs: "Preferences", context: bpy.types.Context) -> None:
     for callback in PYTHON_CHOSEN:
         callback(prefs)
+
+
+def _devices(prefs: "Preferences", context: bpy.types.Context | None) -> list[_Item]:
+    """Items of `device`; a card has the same number in every session."""
+    _items[:] = [
+        (CPU, "CPU", "All cores of the processor", 0),
+        (AUTO, "Automatic", "The fastest graphics card, or the CPU if there is none", 1),
+    ]
+    for uuid, name in _found(prefs):
+        number = 2 + zlib.crc32(uuid.encode()) % (1 << 30)
+        _items.append((uuid, name, "Graphics card, by Vulkan", number))
+    return _items
+
+
+def _found(prefs: "Preferences") -> list[list[str]]:
+    """UUID and name of the graphics cards that were found."""
+    try:
+        return [[str(uuid), str(name)] for uuid, name in json.loads(prefs.found_devices or "[]")]
+    except (ValueError, TypeError):
+        return []
+
+
+def device_name(value: str) -> str:
+    """Name of a value of `device`, as the subject of a sentence."""
+    return dict(_found(get())).get(value, "The graphics card")
 
 
 class Preferences(bpy.types.AddonPreferences):
@@ -52,6 +84,16 @@ class Preferences(bpy.types.AddonPreferences):
             ("USUAL", "Default Build", "From PyPI; on Linux it includes gigabytes of CUDA"),
         ),
         default="CPU",
+    )
+    device: EnumProperty(
+        name="Device",
+        description="What draws renders and Rendered shading of the engine Gaussian Splats",
+        items=_devices,
+    )
+    found_devices: StringProperty(
+        name="Found Devices",
+        description="Graphics cards found by Find Graphics Cards",
+        options={"HIDDEN"},
     )
     threads: IntProperty(
         name="Threads",

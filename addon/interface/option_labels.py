@@ -2,9 +2,9 @@
 
 from ..core import GsError, show_options
 
-LABELS = {"resolution": "Photo Size"}
+LABELS = {"resolution": "Photo Size", "device": "Device"}
 """Label of each option in a panel; `declared` adds those that it declares."""
-CHOICES: dict[tuple[str, str], str] = {}
+CHOICES: dict[tuple[str, str], str] = {("device", "cpu"): "CPU"}
 """Label of a choice in a panel, by option and value."""
 
 

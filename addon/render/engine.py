@@ -15,7 +15,7 @@ from ..interface.option_labels import error_text
 from ..timeline import frame_sync
 from ..timeline.frame_at import gap_sentence
 from ..timeline.settings import plays
-from . import holdout_meshes, picture, unsupported_settings, viewport_copies
+from . import device, holdout_meshes, picture, unsupported_settings, viewport_copies
 from .color import background_of, light_of
 from .compositing_scene import main_scene
 from .model import SplatCache
@@ -70,6 +70,9 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Render one view layer of one frame. With a window this is not the main thread."""
         # An exception would leave a black picture and the result FINISHED.
+        self._device = device.CHOICE.device()
+        failures = [] if self._device is None else self._device.sentences
+        known = len(failures)
         try:
             self._render(depsgraph)
         except Cancelled:
@@ -83,6 +86,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         except Exception as error:
             traceback.print_exc()
             self._refuse(f"Rendering splats failed: {error!r}. Details are in the console.")
+        for sentence in failures[known:]:
+            self.report({"WARNING"}, sentence)
 
     def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Mark changed data for new copies."""
@@ -139,6 +144,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             self.unbind_display_space_shader()
 
     _view: Viewport | None = None
+    _device: device.RenderDevice | None = None
+    """Device that draws renders; None: the CPU."""
 
     def _viewport(self) -> Viewport:
         # Not in __init__, whose arguments differ between versions of Blender.
@@ -173,6 +180,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                 background=background_of(light),
                 antialias=scene.gscore_render.antialias,
                 window=drawn_window(context, matrices[1], *size),
+                device=device.CHOICE.device(),
             ),
             transparent=transparent,
             to_scene=rec709_to_scene(),
@@ -185,8 +193,10 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         renderer = view.renderer
         renderer.submit(request)
         if renderer.busy:
-            redraw_when_ready(renderer)
-        return renderer.problem
+            redraw_when_ready(renderer, request.options.device)
+        drawn_by = request.options.device
+        waits = "" if drawn_by is None else drawn_by.status or drawn_by.problem
+        return renderer.problem or waits
 
     def _empty(self, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
         """A picture without splats, [1, 1, 4]."""
@@ -229,6 +239,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                 depths=requested.depth,
                 antialias=scene.gscore_render.antialias,
                 window=window,
+                device=self._device,
             ),
             transparent=transparent,
             to_scene=rec709_to_scene(),
@@ -244,10 +255,10 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
                 pass_renderer.without_depths(), shutter_lens, scene.gscore_render.blur_samples
             )
             if requested.depth:  # at the frame, through the lens's middle: mean depths are useless
-                shot.passes["Depth"] = pass_renderer.render(still, self.test_break)["Depth"]
+                shot.passes["Depth"] = pass_renderer.render(still, self._stops)["Depth"]
         else:
-            shot = pass_renderer.expose(still, self.test_break)
-        passes = pass_renderer.completed(shot, still, self.test_break)
+            shot = pass_renderer.expose(still, self._stops)
+        passes = pass_renderer.completed(shot, still, self._stops)
         mattes, stamps = requested.mattes_of(shot.covered, passes["Combined"].shape[:2], layer.name)
         self.update_progress(0.9)
         result = self.begin_result(0, 0, *size, layer=layer.name, view=view)
@@ -260,6 +271,12 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         for key, value in stamps.items():
             self.get_result().stamp_data_add_field(key, value)
 
+    def _stops(self) -> bool:
+        """Whether the user cancels; shows what the device does meanwhile."""
+        if self._device is not None and self._device.status:
+            self.update_stats("", self._device.status)
+        return self.test_break()
+
     def _mean(self, pass_renderer: PassRenderer, shutter_lens: ShutterLens, count: int) -> Shot:
         """Means over lens and exposure."""
         last, shot, means = None, Shot({}, {}, {}), (Mean(), Mean(), Mean())
@@ -271,7 +288,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             for i, view in enumerate(views):
                 self.update_stats("", f"Sample {i + 1} of {count}")
                 if last is None or not view.same(last):
-                    last, shot = view, pass_renderer.expose(view, self.test_break)
+                    last, shot = view, pass_renderer.expose(view, self._stops)
                 if self.test_break():
                     raise Cancelled
                 for mean, pictures in zip(means, shot, strict=True):

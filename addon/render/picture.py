@@ -8,6 +8,7 @@ import numpy as np
 
 from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Rendered, render
+from .device import RenderDevice
 from .model import Model
 
 Window = tuple[int, int, int, int]
@@ -29,6 +30,8 @@ class Options:
     """ON, OFF, or AUTO: as the objects were trained."""
     window: Window | None = None
     """The part to draw; None: everything."""
+    device: RenderDevice | None = None
+    """Device that draws; None: the CPU."""
 
 
 def compensates(setting: str, *, trained: tuple[str, ...], plain: tuple[str, ...]) -> bool:
@@ -79,12 +82,13 @@ def draw(
     """
     antialias = compensates(options.antialias, trained=model.antialias, plain=model.plain)
     flag = CancelFlag() if cancel is None else cancel
+    drawn_by = render if options.device is None else options.device.render
     done: list[Rendered | BaseException] = []
 
     def work() -> None:
         try:
             done.append(
-                render(
+                drawn_by(
                     model.splats,
                     camera.K,
                     # A similarity in the view matrix keeps the picture exact, colours too, because

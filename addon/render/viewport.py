@@ -21,6 +21,7 @@ from ..interface.option_labels import error_text
 from ..interface.windows import redraw_views
 from ..process.background_task import Latest
 from . import picture
+from .device import RenderDevice
 from .holdout_meshes import HoldoutMesh
 from .model import Model, SplatCache
 from .pass_renderer import PassRenderer
@@ -327,11 +328,16 @@ def _scaled(
     return replace(view, K=K, width=ends[0], height=ends[1]), (*places, *sizes)
 
 
-def redraw_when_ready(renderer: ViewRenderer) -> None:
-    """Redraw 3D views as soon as the renderer has a new picture."""
+def redraw_when_ready(renderer: ViewRenderer, device: RenderDevice | None = None) -> None:
+    """Redraw 3D views as soon as the renderer has a new picture, and when the status of the device
+    that draws it changes."""
+    shown = device.status if device else ""
 
     def poll() -> float | None:
-        if renderer.fresh:
+        nonlocal shown
+        status = device.status if device else ""
+        if renderer.fresh or status != shown:
+            shown = status
             redraw_views()
         return _POLL if renderer.busy or renderer.fresh else None
 
