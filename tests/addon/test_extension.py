@@ -42,6 +42,8 @@ CYCLE = """
 import gscore
 for name in (gscore.__file__, sys.modules[module].__file__):
     print("FROM", name)
+assert bpy.ops.gscore.find_devices() == {"FINISHED"}, "a render server starts"
+print("CARDS", bpy.context.preferences.addons[module].preferences.found_devices)
 for _ in range(2):
     bpy.ops.preferences.addon_disable(module=module)
     assert not there()
@@ -161,7 +163,8 @@ def test_pip_accepts_the_wheel(package: Path, tmp_path: Path) -> None:
             digest = hashlib.sha256((there / path).read_bytes()).digest()
             assert stated == "sha256=" + base64.urlsafe_b64encode(digest).decode().rstrip("=")
     libraries = [path for path, *_ in rows if Path(path).suffix in {".so", ".dll", ".dylib"}]
-    assert len(libraries) == 1
+    names = sorted(Path(path).stem.removeprefix("lib") for path in libraries)
+    assert names == ["gscore", "gscore_gpu"]
 
 
 def test_installs_and_cycles(package: Path, run_blender: Callable[..., str]) -> None:
@@ -170,7 +173,7 @@ def test_installs_and_cycles(package: Path, run_blender: Callable[..., str]) -> 
     places = [line.split(" ", 1)[1] for line in output.splitlines() if line.startswith("FROM")]
     assert len(places) == 2
     assert all("extensions" in place and str(ROOT) not in place for place in places), places
-    assert "CLEAN" in output
+    assert "CARDS [" in output and "CLEAN" in output
 
 
 def test_updates_in_a_running_session(
