@@ -23,6 +23,7 @@ from gscore.raster import render_process
 from gscore.raster.render_client import RenderServerError
 from tests.addon import splat_scenes as lab
 from tests.addon.render.test_viewport import request_for, wait
+from tests.raster.test_render_server import WAITING
 
 CARD = "cpu"
 """The UUID of a card in the preferences: for the render server it is the device CPU."""
@@ -229,22 +230,22 @@ def test_the_viewport_is_drawn_by_the_device(scene, prefs, monkeypatch):
     assert device.CHOICE.device().problem == FIRST
 
 
-def test_cancel_reaches_the_server(scene, prefs):
+def test_cancel_reaches_the_server(scene, prefs, monkeypatch):
     """Oracle: Cancelled; the same server draws the next picture."""
+    monkeypatch.setattr(render_process, "_CODE", WAITING)
     lab.prepare(scene)
-    lab.add(scene, lab.veil(2000))
+    lab.add(scene, lab.blob())
     depsgraph = bpy.context.evaluated_depsgraph_get()
     model = lab.model_of(depsgraph)
     prefs.device = CARD
     options = picture.Options(device=device.CHOICE.device())
     small, _ = request_for(scene, lab.blob(10), size=(20, 20))
     picture.draw(model, small.camera, options)
-    client, camera = client_of(), small.camera
-    pid, K = client.pid, camera.K * np.array([[300], [300], [1]])
-    large = replace(camera, K=K, width=6000, height=6000)
-    looks = iter(range(1000))
+    client = client_of()
+    pid, looks = client.pid, iter(range(1000))
     with pytest.raises(Cancelled):
-        picture.draw(model, large, options, stop=lambda: next(looks) > 3)
+        endless = replace(small.camera, width=77)
+        picture.draw(model, endless, options, stop=lambda: next(looks) > 3)
     picture.draw(model, small.camera, options)
     assert client.pid == pid and client.started == 1
 
