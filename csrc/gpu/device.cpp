@@ -63,7 +63,8 @@ Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(
         vkGetPhysicalDeviceQueueFamilyProperties(physical, &count, families.data());
         VkPhysicalDeviceProperties properties;
         vkGetPhysicalDeviceProperties(physical, &properties);
-        if (families[family].timestampValidBits) {
+        if (const uint32_t bits = families[family].timestampValidBits) {
+            ticks_mask_ = bits < 64 ? (uint64_t(1) << bits) - 1 : ~uint64_t(0);
             nanoseconds_ = double(properties.limits.timestampPeriod);
             VkQueryPoolCreateInfo queries = {VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
             queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
@@ -279,7 +280,7 @@ double Device::milliseconds(uint32_t from, uint32_t to) {
     uint64_t ticks[kStageTimestamps] = {};
     vk_.vkGetQueryPoolResults(device_, queries_, from, to - from + 1, sizeof ticks, ticks, sizeof *ticks,
                               VK_QUERY_RESULT_64_BIT);
-    return double(ticks[to - from] - ticks[0]) * nanoseconds_ * 1e-6;
+    return double((ticks[to - from] - ticks[0]) & ticks_mask_) * nanoseconds_ * 1e-6;
 }
 
 void Device::wait(const volatile int32_t *cancel, bool &cancelled) {

@@ -81,7 +81,8 @@ class Device {
     VkCommandBuffer commands_ = VK_NULL_HANDLE;
     VkFence fence_ = VK_NULL_HANDLE;
     VkQueryPool queries_ = VK_NULL_HANDLE;
-    double nanoseconds_ = 0; // per tick; 0: no timer
+    double nanoseconds_ = 0;  // per tick; 0: no timer
+    uint64_t ticks_mask_ = 0; // of the bits that count
     VkPipelineLayout layout_ = VK_NULL_HANDLE;
     VkPipeline pipelines_[kShaders] = {};
     bool profiles_ = false;

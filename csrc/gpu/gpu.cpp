@@ -17,6 +17,8 @@ constexpr size_t kChunkBytes = size_t(64) << 20;
 constexpr size_t kFetchBytes = size_t(256) << 20;
 // Pixels of a submission: a long one freezes the screen, and systems end it after two seconds.
 constexpr int64_t kPixelsAtOnce = int64_t(1) << 21;
+// Pixels of a picture, so that their RGB values have 32-bit indices in shaders.
+constexpr int64_t kMostPixels = INT32_MAX / 3;
 // Fills all buffers before a draw under GSCORE_GPU_CHECK: a large negative float, an index far beyond any buffer.
 constexpr uint32_t kPoison = 0xCDCDCDCD;
 constexpr size_t kWord = sizeof(uint32_t);
@@ -374,6 +376,9 @@ gs_gpu::Transfers gs_gpu::pictures(const gs_image &image) {
 
 gs_status gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const gs_host &host, const gs_image &image) {
     const Timer timer;
+    if (int64_t(view.width) * view.height > kMostPixels)
+        throw_failure(GS_BAD_ARGUMENT, "a graphics card draws at most %lld pixels, got %d x %d", (long long)kMostPixels,
+                      view.width, view.height);
     drawn_ = nullptr;
     stats = {};
     const bool damage = device.inject_fault();

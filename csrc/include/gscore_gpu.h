@@ -10,7 +10,7 @@
  *
  * Memory. A model takes 56 + 12 sh_rest bytes per splat on the device, a draw about 100 bytes per splat in the picture,
  * 24 per (tile, splat) entry and 4 per pixel and output channel. Buffers grow as needed and are reused; GS_OUT_OF_MEMORY
- * leaves the device usable.
+ * leaves the device usable. A picture has at most 2^31 / 3 pixels.
  *
  * Errors. As in gscore/base.h, with gs_gpu_last_error() for the message. After GS_DEVICE_LOST or GS_TIMED_OUT all calls
  * of that gs_gpu fail with GS_DEVICE_LOST; close it and open it again. What a call submits may run for

@@ -117,6 +117,9 @@ void what_cannot_be_drawn_is_refused(gs_gpu *gpu) {
     bad.width = 0;
     CHECK(gs_gpu_draw(gpu, uploaded, &bad, &host, &image) == GS_BAD_ARGUMENT);
     bad = view();
+    bad.width = bad.height = 65536; // more pixels than a shader can number
+    CHECK(gs_gpu_draw(gpu, uploaded, &bad, &host, &image) == GS_BAD_ARGUMENT);
+    bad = view();
     bad.outputs = GS_OUT_DEPTH; // has no array
     CHECK(gs_gpu_draw(gpu, uploaded, &bad, &host, &image) == GS_BAD_ARGUMENT);
     CHECK(std::strlen(gs_gpu_last_error()) > 0);
