@@ -4,9 +4,13 @@ import hashlib
 import json
 import os
 import sys
+from dataclasses import replace
+
+import numpy as np
 
 from gscore.errors import BackendError
 from gscore.raster import _native
+from gscore.raster.blend_weights import GEOMETRY, blending_weights
 from gscore.raster.gpu.devices import find_devices
 from gscore.raster.gpu.gpu_raster import GpuRaster
 from gscore.raster.gpu.self_test import checks
@@ -51,6 +55,24 @@ def print_bits(repeats: int) -> None:
                     content.update(name.encode() + picture.tobytes())
             hashes.append(content.hexdigest())
     _print({"bits": sorted(set(hashes))})
+
+
+def print_weights() -> None:
+    """Difference of the blending weights to the CPU's, relative to the largest, and the names of
+    the kernels that were measured meanwhile."""
+    scene = next(iter(self_test_scenes()))
+    splats, view = scene.splats(), scene.view()
+    size = view.height, view.width, 3
+    shares = np.random.default_rng(0).uniform(0, 1, size).astype(np.float32)
+    settings = replace(scene.settings, outputs=0, sh_degree=None)
+    scratch = {name: np.zeros_like(a) for name, a in zip(GEOMETRY, splats, strict=False)}
+    true = blending_weights(splats[:4], view, settings, shares, scratch=scratch)
+    with _opened() as raster:
+        raster.profile(True)
+        drawn(scene, raster)
+        found = raster.weights(splats, scene.settings, shares, view)
+        kernels = [name for name, (_, calls) in raster.kernel_times().items() if calls]
+    _print({"difference": float(abs(found - true).max() / true.max()), "kernels": kernels})
 
 
 def print_draw_error(scene_number: int = 0) -> None:

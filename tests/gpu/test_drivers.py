@@ -1,13 +1,19 @@
 """Devices that compute on the CPU; oracles: the CPU's library, float64, and their own bits."""
 
+import json
+import os
+import subprocess
+import sys
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.gpu.drivers import DRIVERS, Driver, result_of
+from tests.gpu.drivers import DRIVERS, ROOT, Driver, absent, result_of, variables_of
 
 ONE = DRIVERS[1]
+LAYER = "libVkLayer_khronos_validation.so"
 each_driver = pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
 
 
@@ -38,10 +44,55 @@ def test_bits_do_not_depend_on_the_width_of_subgroups() -> None:
     assert found.count(found[0]) == 3
 
 
-def test_validation_layers_find_nothing() -> None:
-    """Oracle: Vulkan's validation layer, whose errors fail the call that caused them."""
-    found = result_of(ONE, "print_problems(99991)", GSCORE_GPU_CHECK="1")
+@pytest.mark.parametrize("layer", ["system", "chromium"])
+def test_validation_layers_find_nothing(layer: str, tmp_path: Path) -> None:
+    """Oracle: two versions of Vulkan's validation layer, whose errors fail the call that caused
+    them."""
+    variables = {"GSCORE_GPU_CHECK": "1"}
+    if layer == "chromium":
+        library = Path(os.environ.get("GSCORE_SWIFTSHADER", "")).parent / LAYER
+        if not library.is_file():
+            absent(f"{LAYER} is not in the folder of GSCORE_SWIFTSHADER.")
+        manifest = {"name": "VK_LAYER_KHRONOS_validation", "type": "GLOBAL"}
+        manifest |= {"library_path": str(library), "api_version": "1.4.0"}
+        manifest |= {"implementation_version": "1", "description": "validation"}
+        text = json.dumps({"file_format_version": "1.2.0", "layer": manifest})
+        (tmp_path / "layer.json").write_text(text, encoding="utf-8")
+        variables["VK_LAYER_PATH"] = str(tmp_path)
+    found = result_of(ONE, "print_problems(99991)", **variables)
     assert found["problems"] == []
+
+
+def test_bits_do_not_depend_on_what_memory_contains() -> None:
+    """Oracle: the bits without GSCORE_GPU_CHECK, which fills all buffers with a pattern before each
+    draw."""
+    assert result_of(ONE, "print_bits(2)", GSCORE_GPU_CHECK="1")["bits"] == _bits(ONE)
+
+
+@each_driver
+def test_blending_weights_are_those_of_the_cpu(driver: Driver) -> None:
+    """Oracle: the CPU's, which are gradients of a picture; kernels without a count did not run."""
+    found = result_of(driver, "print_weights()")
+    assert found["difference"] < 1e-5
+    kernels = set(found["kernels"])
+    assert not kernels or kernels >= {"project", "sort_scatter", "blend", "weights"}
+
+
+def test_the_measuring_script_runs(tmp_path: Path) -> None:
+    """Oracle: its exit code, which compares pictures with the CPU's, and the names of its
+    figures."""
+    out = tmp_path / "gpu.json"
+    command = [sys.executable, str(ROOT / "tools" / "measure" / "gpu_forward.py"), "--tiny"]
+    variables = variables_of(ONE) | {"XDG_CACHE_HOME": str(tmp_path)}
+    probe = result_of(ONE, "print_bits(0)")
+    assert probe["bits"] == []
+    done = subprocess.run(
+        [*command, "-o", out], capture_output=True, text=True, env=variables, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(out.read_text(encoding="utf-8"))
+    assert len(found["pictures"]) == 4 and len(found["times"]) == 2
+    assert found["times"][0]["kernels_ms"]["blend"] > 0
 
 
 @pytest.mark.parametrize(

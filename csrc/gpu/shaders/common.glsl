@@ -1,8 +1,10 @@
 // What all shaders share: buffers, the frame of a draw, the push constants.
 #extension GL_EXT_buffer_reference : require
 
-layout(buffer_reference, std430, buffer_reference_align = 4) buffer gs_words { uint at[]; };
-layout(buffer_reference, std430, buffer_reference_align = 4) buffer gs_floats { float at[]; };
+// All are aligned by 16, although words need 4: the compiler takes an address that it loads from memory to be aligned as
+// what it points to.
+layout(buffer_reference, std430, buffer_reference_align = 16) buffer gs_words { uint at[]; };
+layout(buffer_reference, std430, buffer_reference_align = 16) buffer gs_floats { float at[]; };
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_quads { vec4 at[]; };
 layout(buffer_reference, std430, buffer_reference_align = 16) buffer gs_records { uvec4 at[]; };
 

@@ -170,6 +170,22 @@ class GpuRaster:
             self._check(self._lib.gs_gpu_draw_stats(self._open(), ct.byref(stats)))
         return {name: getattr(stats, name) for name, *_ in stats._fields_}
 
+    def profile(self, on: bool) -> None:
+        """gs_gpu_profile: start or stop measuring each kernel, from zero."""
+        with self._lock:
+            self._check(self._lib.gs_gpu_profile(self._open(), on))
+
+    def kernel_times(self) -> dict[str, tuple[float, int]]:
+        """Milliseconds and calls of each kernel since `profile`, by its name."""
+        found: dict[str, tuple[float, int]] = {}
+        name, time, calls = ct.c_char_p(), ct.c_double(), ct.c_int64()
+        values = ct.byref(name), ct.byref(time), ct.byref(calls)
+        with self._lock:
+            handle = self._open()
+            while self._lib.gs_gpu_kernel_time(handle, len(found), *values) == OK:
+                found[(name.value or b"").decode()] = time.value, calls.value
+        return found
+
     def projected(self, count: int) -> dict[str, np.ndarray]:
         """gs_gpu_projected: means2d, depths, conics, colors, opacities of `count` splats."""
         widths = {"means2d": (2,), "depths": (), "conics": (3,), "colors": (3,), "opacities": ()}

@@ -34,6 +34,8 @@ SIGNATURES = base.signatures(
         "gs_gpu_draw": "pointer pointer gs_view gs_host gs_image",
         "gs_gpu_weights": "pointer pointer pointer pointer",
         "gs_gpu_draw_stats": "pointer gs_gpu_stats",
+        "gs_gpu_profile": "pointer int32",
+        "gs_gpu_kernel_time": "pointer int32 pointer pointer int64*",
         "gs_gpu_projected": "pointer pointer pointer pointer pointer pointer",
         "gs_gpu_test": "pointer int32 pointer pointer pointer int64",
     },

@@ -1,0 +1,167 @@
+"""Graphics card, forward: self-test, pictures against the CPU's, time of each kernel, as JSON.
+
+    python tools/measure/gpu_forward.py [--device gpu] [--tiny] [-o gpu.json]
+
+It needs gscore's wheel, numpy and a Vulkan driver, no network, and about three minutes on a card.
+`--tiny` proves the script on a software device.
+"""
+
+import argparse
+import json
+import platform
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gscore.raster import _native
+from gscore.raster.gpu.choice import choose
+from gscore.raster.gpu.gpu_raster import GpuRaster
+from gscore.raster.request import Frustum, Settings
+
+BANDWIDTH = {"H100": 3.35e12, "H200": 4.8e12, "RTX 4090": 1.008e12, "RTX 3090": 0.936e12}
+"""Bytes a second of device memory by the makers' data sheets, by parts of names."""
+USED = 0.8
+"""Share of it that kernels reach at best."""
+WARM, TIMED = 3, 20
+"""Pictures that are not counted, and those that are."""
+
+
+def splats(count: int) -> list[np.ndarray]:
+    """Random splats of SH degree 3, half a pixel to ten in size at full HD, in front of a camera
+    at the origin."""
+    random = np.random.default_rng(1)
+    means = random.uniform(-1, 1, (count, 3)).astype(np.float32) * (1.6, 0.9, 1) + (0, 0, 3)
+    scales = np.log(random.uniform(0.1, 1, (count, 3)) * 0.02 * (3e5 / count) ** (1 / 3))
+    return [
+        means.astype(np.float32),
+        random.normal(size=(count, 4)).astype(np.float32),
+        scales.astype(np.float32),
+        random.normal(size=count).astype(np.float32) * 2,
+        random.normal(size=(count, 1, 3)).astype(np.float32),
+        random.normal(size=(count, 15, 3)).astype(np.float32) * np.float32(0.2),
+    ]
+
+
+def view_of(width: int) -> Frustum:
+    """A camera with pictures of 16 : 9."""
+    height = round(width * 9 / 16)
+    focal = 0.9 * width
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    return Frustum(np.eye(4), K, width, height)
+
+
+def picture_of(raster: Any, arrays: list[np.ndarray], view: Frustum) -> np.ndarray:
+    """[H, W, 3]."""
+    size = (view.height, view.width)
+    pictures = {"rgb": np.empty((*size, 3), np.float32), "alpha": np.empty(size, np.float32)}
+    raster.forward(arrays, view, Settings(), pictures)
+    return pictures["rgb"]
+
+
+def compared(raster: GpuRaster, count: int, width: int) -> dict[str, Any]:
+    """Differences to the CPU's picture; rounding may flip a comparison in a few pixels."""
+    arrays, view = splats(count), view_of(width)
+    cpu = picture_of(_native.Raster(), arrays, view)
+    first, second = (picture_of(raster, arrays, view) for _ in range(2))
+    difference = np.abs(first.astype(np.float64) - cpu).max(-1)
+    return {
+        "splats": count,
+        "width": width,
+        "same_bits": bool(np.array_equal(first, second)),
+        "median": float(np.median(difference)),
+        "largest": float(difference.max()),
+        "share_above_1e-5": float((difference > 1e-5).mean()),
+        "mean_alpha_check": float(cpu.mean()),
+    }
+
+
+def timed(raster: GpuRaster, count: int, width: int) -> dict[str, Any]:
+    """Milliseconds a picture: medians over `TIMED` of the stages, and means of the kernels."""
+    arrays, view, settings = splats(count), view_of(width), Settings()
+    raster.keep(arrays, settings)
+    for _ in range(WARM):
+        picture_of(raster, arrays, view)
+    rows = []
+    for _ in range(TIMED):
+        picture_of(raster, arrays, view)
+        rows.append(raster.stats())
+    median = {name: float(np.median([row[name] for row in rows])) for name in rows[0]}
+    raster.profile(True)
+    for _ in range(TIMED):
+        picture_of(raster, arrays, view)
+    kernels = {name: total / TIMED for name, (total, _) in raster.kernel_times().items()}
+    raster.profile(False)
+    raster.release(arrays, settings)
+    device = sum(median[name] for name in ("project_ms", "sort_ms", "bin_ms", "blend_ms"))
+    return {
+        "splats": count,
+        "size": [view.width, view.height],
+        "visible": median["visible"],
+        "entries": median["entries"],
+        "device_ms": device,
+        "pictures_a_second_on_the_device": 1e3 / device if device else None,
+        "download_ms": median["download_ms"],
+        "whole_call_ms": median["total_ms"],
+        "stages_ms": {n: v for n, v in median.items() if n.endswith("_ms")},
+        "kernels_ms": kernels,
+        "device_bytes": median["device_bytes"],
+    }
+
+
+def floors(times: dict[str, Any], bandwidth: float) -> dict[str, float]:
+    """Milliseconds that the bytes of each kernel take: what it reads and writes, once each."""
+    n, v, e = times["splats"], times["visible"], times["entries"]
+    width, height = times["size"]
+    tiles = -(-width // 16) * -(-height // 16)
+    passes = -(-(tiles - 1).bit_length() // 4)
+    sorted_words = 8 * v + passes * e
+    moved = {
+        "project": n * (64 + 192 + 12) + v * 64,
+        "compact": 4 * n + 8 * v,
+        "sort_count": 4 * sorted_words,
+        "sort_scatter": 16 * sorted_words,
+        "tile_sums": 8 * v,
+        "offsets": 12 * v,
+        "emit": 12 * e + 64 * v,
+        "ranges": 4 * e,
+        "blend": 56 * e + 16 * width * height,
+    }
+    return {name: value / (USED * bandwidth) * 1e3 for name, value in moved.items()}
+
+
+def main() -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--device", default="gpu", help="gpu, or a number of gscore doctor")
+    parser.add_argument("--tiny", action="store_true", help="small, for software devices")
+    parser.add_argument("-o", "--output", type=Path)
+    options = parser.parse_args()
+    chosen = choose(options.device, report=lambda text: print(text, file=sys.stderr))
+    assert chosen.device is not None
+    counts, widths = (
+        ((500, 5_000), (64, 160))
+        if options.tiny
+        else (
+            (50_000, 300_000, 1_000_000),
+            (400, 1000, 1920),
+        )
+    )
+    result: dict[str, Any] = {"platform": platform.platform(), "device": chosen.device.to_dict()}
+    with GpuRaster(chosen.device.number) as raster:
+        result["pictures"] = [compared(raster, n, w) for n in counts for w in widths]
+        result["times"] = [timed(raster, n, widths[-1]) for n in counts]
+    name = chosen.device.name
+    bandwidth = next((b for part, b in BANDWIDTH.items() if part in name), None)
+    for times in result["times"] if bandwidth else []:
+        times["floors_ms"] = floors(times, bandwidth)
+    text = json.dumps(result, indent=2)
+    if options.output:
+        options.output.write_text(text + "\n", encoding="utf-8")
+    print(text)
+    return int(not all(p["same_bits"] and p["share_above_1e-5"] < 5e-3 for p in result["pictures"]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
