@@ -16,8 +16,8 @@ def add_device_option(parser: argparse.ArgumentParser) -> None:
     add_option(
         parser,
         "--device DEVICE",
-        "what draws: cpu, gpu (a graphics card), auto (a graphics card if one is usable, else the "
-        "CPU), or a number listed by gscore doctor (cpu)",
+        "what draws: cpu, gpu (a graphics card), auto (a usable card or the CPU), or a number of "
+        "gscore doctor (cpu)",
         _device,
         default="cpu",
     )

@@ -92,9 +92,9 @@ def _surroundings(root: Path, environ: Mapping[str, str]) -> str:
             )
     if any((root / name).exists() for name in (".dockerenv", "run/.containerenv")):
         return (
-            "This is a container without a graphics card: give it one (Docker: `--gpus all -e "
-            "NVIDIA_DRIVER_CAPABILITIES=all` for NVIDIA, `--device /dev/dri` for AMD and Intel) "
-            "and install a Vulkan driver in it."
+            "This is a container without a graphics card: give it one (for NVIDIA all "
+            "gpus and NVIDIA_DRIVER_CAPABILITIES=all, for AMD and Intel the device /dev/dri; "
+            "docs/gpu.md has Docker's options) and install a Vulkan driver in it."
         )
     return ""
 

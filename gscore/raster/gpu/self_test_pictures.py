@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...splats import SH_REST_BY_DEGREE
+from ...text_format import count_text
 from .. import _native
 from ..header import DEPTH_OUTPUTS, TILE
 from ..request import Frustum, Settings
@@ -121,7 +122,9 @@ def compared(scene: SelfTestScene, raster: GpuRaster) -> _Result:
         true = drawn(scene, cpu)
     hidden = int(((first.pop("radii") > 0) != (true.pop("radii") > 0)).sum())
     if hidden > 1 + _FLIPPED * scene.count:
-        problems.append(f"{hidden} of {scene.count} splats are drawn by one of card and CPU")
+        problems.append(
+            f"{hidden} of {count_text(scene.count, 'splat')} are drawn by one of card and CPU"
+        )
     for name, picture in first.items():
         error = np.abs(picture - true[name]) / max(1.0, float(np.abs(true[name]).max()))
         wrong = int((~(error <= _TOLERANCE)).sum())  # NaN counts
