@@ -14,10 +14,10 @@ _NEAREST = 12
 """Nearest cameras of each among which its neighbours are searched."""
 
 
-def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
+def natural_key(name: str) -> list[tuple[int, str]]:
     """Key of the natural order, by the values of numbers in names: view_9 before view_10."""
-    parts = re.split(r"(\d+)", name.lower())
-    return [(int(p), "") if p.isdecimal() else (0, p) for p in parts if p], name
+    parts = re.split(r"(\d+)", name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
 
 def neighbours(centers: np.ndarray, names: list[str]) -> Iterator[tuple[int, int]]:

@@ -133,49 +133,66 @@ uint32_t Device::memory_type(uint32_t allowed, Place place) const {
 
 void Device::ensure(DeviceBuffer &b, size_t bytes, Place place) {
     bytes = std::max<size_t>((bytes + 255) / 256 * 256, 256);
-    if (b.bytes < bytes) {
-        if (b.bytes) // by half at least, so that slow growth does not allocate each time
-            bytes = std::max(bytes, (b.bytes + b.bytes / 2 + 255) / 256 * 256);
+    if (fails_to_allocate_) {
+        fails_to_allocate_ = false;
         free(b);
-        VkBufferCreateInfo create = {VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
-        create.size = bytes;
-        create.usage = VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
-        if (place == Place::kDevice)
-            create.usage |= VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_INDIRECT_BUFFER_BIT |
-                            VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT;
-        try {
-            check(vk_.vkCreateBuffer(device_, &create, nullptr, &b.buffer), "vkCreateBuffer");
-            VkMemoryRequirements needs;
-            vk_.vkGetBufferMemoryRequirements(device_, b.buffer, &needs);
-            VkMemoryAllocateFlagsInfo flags = {VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO};
-            flags.flags = place == Place::kDevice ? VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT : 0;
-            VkMemoryAllocateInfo allocate = {VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO};
-            allocate.pNext = &flags;
-            allocate.allocationSize = needs.size;
-            allocate.memoryTypeIndex = memory_type(needs.memoryTypeBits, place);
-            if (needs.size > info_.largest_buffer)
-                throw_failure(GS_OUT_OF_MEMORY, "%.100s allows %llu MiB in one buffer; %llu MiB are needed", info_.name,
-                              (unsigned long long)(info_.largest_buffer >> 20), (unsigned long long)(needs.size >> 20));
-            const VkResult result = vk_.vkAllocateMemory(device_, &allocate, nullptr, &b.memory);
-            if (result == VK_ERROR_OUT_OF_DEVICE_MEMORY || result == VK_ERROR_OUT_OF_HOST_MEMORY)
-                throw_failure(GS_OUT_OF_MEMORY, "%.100s has no %llu MiB more; %llu MiB are in use here", info_.name,
-                              (unsigned long long)(needs.size >> 20), (unsigned long long)(bytes_ >> 20));
-            check(result, "vkAllocateMemory");
-            check(vk_.vkBindBufferMemory(device_, b.buffer, b.memory, 0), "vkBindBufferMemory");
-            if (place != Place::kDevice)
-                check(vk_.vkMapMemory(device_, b.memory, 0, VK_WHOLE_SIZE, 0, &b.mapped), "vkMapMemory");
-        } catch (...) {
-            free(b);
-            throw;
-        }
-        if (place == Place::kDevice) {
-            VkBufferDeviceAddressInfo address = {VK_STRUCTURE_TYPE_BUFFER_DEVICE_ADDRESS_INFO};
-            address.buffer = b.buffer;
-            b.address = vk_.vkGetBufferDeviceAddress(device_, &address);
-        }
-        b.bytes = bytes;
-        bytes_ += bytes;
+        throw_failure(GS_OUT_OF_MEMORY, "%.100s has no memory (GSCORE_GPU_FAULT)", info_.name);
     }
+    if (b.bytes >= bytes)
+        return;
+    const size_t roomy = std::min<size_t>((b.bytes + b.bytes / 2) / 256 * 256, info_.largest_buffer / 256 * 256);
+    free(b);
+    if (roomy > bytes) {
+        try {
+            allocate(b, roomy, place);
+            return;
+        } catch (const GpuFailure &failure) {
+            if (failure.status != GS_OUT_OF_MEMORY)
+                throw;
+        }
+    }
+    allocate(b, bytes, place);
+}
+
+void Device::allocate(DeviceBuffer &b, size_t bytes, Place place) {
+    VkBufferCreateInfo create = {VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
+    create.size = bytes;
+    create.usage = VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
+    if (place == Place::kDevice)
+        create.usage |= VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_INDIRECT_BUFFER_BIT |
+                        VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT;
+    try {
+        check(vk_.vkCreateBuffer(device_, &create, nullptr, &b.buffer), "vkCreateBuffer");
+        VkMemoryRequirements needs;
+        vk_.vkGetBufferMemoryRequirements(device_, b.buffer, &needs);
+        VkMemoryAllocateFlagsInfo flags = {VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_FLAGS_INFO};
+        flags.flags = place == Place::kDevice ? VK_MEMORY_ALLOCATE_DEVICE_ADDRESS_BIT : 0;
+        VkMemoryAllocateInfo allocate = {VK_STRUCTURE_TYPE_MEMORY_ALLOCATE_INFO};
+        allocate.pNext = &flags;
+        allocate.allocationSize = needs.size;
+        allocate.memoryTypeIndex = memory_type(needs.memoryTypeBits, place);
+        if (needs.size > info_.largest_buffer)
+            throw_failure(GS_OUT_OF_MEMORY, "%.100s allows %llu MiB in one buffer; %llu MiB are needed", info_.name,
+                          (unsigned long long)(info_.largest_buffer >> 20), (unsigned long long)(needs.size >> 20));
+        const VkResult result = vk_.vkAllocateMemory(device_, &allocate, nullptr, &b.memory);
+        if (result == VK_ERROR_OUT_OF_DEVICE_MEMORY || result == VK_ERROR_OUT_OF_HOST_MEMORY)
+            throw_failure(GS_OUT_OF_MEMORY, "%.100s has no %llu MiB more; %llu MiB are in use here", info_.name,
+                          (unsigned long long)(needs.size >> 20), (unsigned long long)(bytes_ >> 20));
+        check(result, "vkAllocateMemory");
+        check(vk_.vkBindBufferMemory(device_, b.buffer, b.memory, 0), "vkBindBufferMemory");
+        if (place != Place::kDevice)
+            check(vk_.vkMapMemory(device_, b.memory, 0, VK_WHOLE_SIZE, 0, &b.mapped), "vkMapMemory");
+    } catch (...) {
+        free(b);
+        throw;
+    }
+    if (place == Place::kDevice) {
+        VkBufferDeviceAddressInfo address = {VK_STRUCTURE_TYPE_BUFFER_DEVICE_ADDRESS_INFO};
+        address.buffer = b.buffer;
+        b.address = vk_.vkGetBufferDeviceAddress(device_, &address);
+    }
+    b.bytes = bytes;
+    bytes_ += bytes;
 }
 
 void Device::free(DeviceBuffer &b) {
@@ -287,7 +304,9 @@ void Device::wait(const volatile int32_t *cancel, bool &cancelled) {
     // Short waits, so that a cancel flag is polled; a device that hangs ends the call.
     const auto begin = std::chrono::steady_clock::now();
     for (;;) {
-        const VkResult result = vk_.vkWaitForFences(device_, 1, &fence_, VK_TRUE, 5'000'000);
+        VkResult result = vk_.vkWaitForFences(device_, 1, &fence_, VK_TRUE, 5'000'000);
+        if (hangs_ && result == VK_SUCCESS)
+            result = VK_TIMEOUT;
         if (result == VK_ERROR_DEVICE_LOST)
             lost_ = true;
         if (result != VK_TIMEOUT) {
@@ -337,15 +356,12 @@ bool Device::inject_fault() {
     const size_t length = colon ? size_t(colon - text) : std::strlen(text);
     const auto is = [&](const char *name) { return std::strlen(name) == length && !std::strncmp(text, name, length); };
     if (is("oom"))
-        throw_failure(GS_OUT_OF_MEMORY, "%.100s has no memory (GSCORE_GPU_FAULT)", info_.name);
+        fails_to_allocate_ = true; // in the middle of the draw
     if (is("lost")) {
         lost_ = true;
         throw_failure(gs_status(GS_DEVICE_LOST), "%.100s is lost (GSCORE_GPU_FAULT)", info_.name);
     }
-    if (is("hang")) {
-        lost_ = true;
-        throw_failure(gs_status(GS_TIMED_OUT), "%.100s did not finish (GSCORE_GPU_FAULT)", info_.name);
-    }
+    hangs_ = is("hang");
     return is("wrong");
 }
 

@@ -31,6 +31,8 @@ class Device {
 
     const gs_gpu_info &info() const { return info_; }
     // At least `bytes` of memory, zero bytes included, so that no address is null.
+    // Where it must grow it takes half more than it had, so that slow growth does not allocate each time, if there is
+    // room for that.
     void ensure(DeviceBuffer &, size_t bytes, Place = Place::kDevice);
     void free(DeviceBuffer &);
     size_t bytes_in_use() const { return bytes_; }
@@ -63,6 +65,7 @@ class Device {
     bool inject_fault();
 
   private:
+    void allocate(DeviceBuffer &, size_t bytes, Place);
     void wait(const volatile int32_t *cancel, bool &cancelled);
     void barrier();
     void bind(Shader, const gs_push &);
@@ -91,6 +94,7 @@ class Device {
     size_t bytes_ = 0;
     bool lost_ = false;
     int draws_ = 0;
+    bool fails_to_allocate_ = false, hangs_ = false; // injected faults
 };
 
 } // namespace gs

@@ -15,8 +15,8 @@ namespace {
 constexpr size_t kChunkBytes = size_t(64) << 20;
 // Bytes that a draw fetches at once, with its last submission; more are fetched in chunks.
 constexpr size_t kFetchBytes = size_t(256) << 20;
-// Pixels of a submission: a long one freezes the screen, and systems end it after two seconds.
-constexpr int64_t kPixelsAtOnce = int64_t(1) << 21;
+// Pixels, and entries, of a submission: a long one freezes the screen, and systems end it after two seconds.
+constexpr int64_t kPixelsAtOnce = int64_t(1) << 21, kEntriesAtOnce = int64_t(1) << 23;
 // Pixels of a picture, so that their RGB values have 32-bit indices in shaders.
 constexpr int64_t kMostPixels = INT32_MAX / 3;
 // Fills all buffers before a draw under GSCORE_GPU_CHECK: a large negative float, an index far beyond any buffer.
@@ -188,10 +188,13 @@ void gs_gpu::ensure_splats(size_t count) {
 }
 
 void gs_gpu::ensure_entries(size_t count) {
-    for (DeviceBuffer *b : {&entry_rows_, &entry_keys_[0], &entry_keys_[1], &entry_slots_[0], &entry_slots_[1]})
+    size_t capacity = size_t(INT32_MAX);
+    for (DeviceBuffer *b : {&entry_rows_, &entry_keys_[0], &entry_keys_[1], &entry_slots_[0], &entry_slots_[1]}) {
         device.ensure(*b, count * kWord);
-    device.ensure(sums_, size_t(GS_DIGITS) * ceil_div(int64_t(count), GS_BLOCK) * kWord + kWord);
-    frame_.entry_capacity = uint32_t(std::min(entry_rows_.bytes / kWord, size_t(INT32_MAX)));
+        capacity = std::min(capacity, b->bytes / kWord);
+    }
+    device.ensure(sums_, size_t(GS_DIGITS) * ceil_div(int64_t(capacity), GS_BLOCK) * kWord + kWord);
+    frame_.entry_capacity = uint32_t(capacity);
     frame_.entry_rows = entry_rows_.address;
     frame_.sums = sums_.address;
 }
@@ -303,9 +306,14 @@ void gs_gpu::record_lists() {
     device.timestamp(kBinned);
 }
 
+uint32_t gs_gpu::tile_rows_at_once() const {
+    const int64_t bands = std::max<int64_t>(ceil_div(int64_t(frame_.view.width) * frame_.view.height, kPixelsAtOnce),
+                                            ceil_div(stats.entries, kEntriesAtOnce));
+    return uint32_t(std::max<int64_t>(frame_.tiles_y / bands, 1));
+}
+
 gs_status gs_gpu::blend(const gs_host &host, const Transfers &wanted) {
-    const int64_t rows_at_once = kPixelsAtOnce / (int64_t(GS_TILE) * frame_.view.width);
-    const uint32_t band = uint32_t(std::max<int64_t>(rows_at_once, 1));
+    const uint32_t band = tile_rows_at_once();
     for (uint32_t row = 0; row < frame_.tiles_y; row += band) {
         const bool last = row + band >= frame_.tiles_y;
         device.begin();
@@ -400,8 +408,12 @@ gs_status gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const g
     const Timer copying;
     whole ? read_fetched(wanted) : fetch(wanted);
     stats.download_ms += copying.milliseconds();
-    if (damage)
-        image.rgb[0] = 1 - image.rgb[0];
+    if (damage) { // the highest bit of the mantissa
+        uint32_t bits;
+        std::memcpy(&bits, image.rgb, sizeof bits);
+        bits ^= 0x00400000u;
+        std::memcpy(image.rgb, &bits, sizeof bits);
+    }
     stats.device_bytes = int64_t(device.bytes_in_use());
     stats.total_ms = timer.milliseconds();
     drawn_ = &splats;
@@ -419,12 +431,17 @@ void gs_gpu::weights(const gs_gpu_splats &splats, const float *shares, float *su
     frame_.entry_sums = entry_sums_.address;
     frame_.row_sums = row_sums_.address;
     send({{&shares_, const_cast<float *>(shares), floats * sizeof(float)}});
+    const uint32_t band = tile_rows_at_once();
+    for (uint32_t row = 0; row < frame_.tiles_y; row += band) {
+        device.begin();
+        device.update(frame_buffer_, &frame_, sizeof frame_);
+        gs_push p = push(row);
+        p.values_in = entry_slots_[sorted_entries_].address;
+        device.dispatch(Shader::kWeights, p, frame_.tiles_x, std::min(band, frame_.tiles_y - row));
+        device.finish(nullptr);
+    }
     device.begin();
-    device.update(frame_buffer_, &frame_, sizeof frame_);
     device.fill(row_sums_, rows * sizeof(float), 0);
-    gs_push p = push();
-    p.values_in = entry_slots_[sorted_entries_].address;
-    device.dispatch(Shader::kWeights, p, frame_.tiles_x, frame_.tiles_y);
     device.dispatch(Shader::kRowSums, push(), counters_, GS_ARGS_VISIBLE_BLOCKS);
     device.finish(nullptr);
     fetch({{&row_sums_, sums, rows * sizeof(float)}});

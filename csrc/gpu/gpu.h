@@ -51,6 +51,7 @@ struct gs_gpu {
     void record_lists();
     void record_poison();
     gs_status lists(const gs_gpu_splats &, const gs_host &);
+    uint32_t tile_rows_at_once() const;
     gs_status blend(const gs_host &, const Transfers &);
     Transfers pictures(const gs_image &);
     void send(const Transfers &);

@@ -84,7 +84,7 @@ bool has_instance_extension(const char *name) {
     return false;
 }
 
-// MoltenVK beside this library, on macOS, which has no Vulkan of its own.
+// MoltenVK in the folder of this library, on macOS, which has no Vulkan of its own.
 void open_bundled() {
 #if defined(__APPLE__)
     Dl_info own;

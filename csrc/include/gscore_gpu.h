@@ -9,7 +9,7 @@
  * library, the same call gives the same bits. Sums have a fixed order; no atomic operation on floats is used.
  *
  * Memory. A model takes 48 bytes per splat on the device, and 16 for four numbers of its SH coefficients; a draw takes
- * about 100 bytes per splat in the picture, 24 per (tile, splat) entry, and 4 per pixel and output channel. Buffers grow
+ * 96 bytes per splat, 20 per (tile, splat) entry, at least four of these per splat, and 4 per pixel and output channel. Buffers grow
  * as needed and are reused; GS_OUT_OF_MEMORY leaves the device usable. A picture has at most 2^31 / 3 pixels.
  *
  * Errors. As in gscore/base.h, with gs_gpu_last_error() for the message. After GS_DEVICE_LOST or GS_TIMED_OUT all calls

@@ -102,6 +102,36 @@ void pictures_are_those_of_the_cpu(gs_gpu *gpu) {
     CHECK(gs_gpu_projected(gpu, nullptr, nullptr, nullptr, nullptr, nullptr) == GS_BAD_ARGUMENT);
 }
 
+// Oracle: the CPU library; each picture needs larger lists than the one before, by a little or by much.
+void lists_grow_with_the_pictures(gs_gpu *gpu) {
+    const Scene scene(10000);
+    const gs_splats splats = scene.splats();
+    const gs_host host = {};
+    gs_gpu_splats *uploaded = nullptr;
+    CHECK(gs_gpu_upload(gpu, &splats, &uploaded) == GS_OK);
+    gs_raster *raster = nullptr;
+    CHECK(gs_raster_create(&raster) == GS_OK);
+    int64_t most = 0;
+    for (const float blur : {0.3f, 8.0f, 9.0f, 20.0f, 25.0f, 60.0f, 70.0f}) {
+        gs_view v = view();
+        v.eps2d = blur;
+        Picture expected(10000), found(10000);
+        const gs_image on_cpu = expected.image(), on_device = found.image();
+        CHECK(gs_raster_forward(raster, &splats, &v, &host, &on_cpu) == GS_OK);
+        CHECK(gs_gpu_draw(gpu, uploaded, &v, &host, &on_device) == GS_OK);
+        int different = 0;
+        for (size_t i = 0; i < 3 * kPixels; ++i)
+            different += !(std::fabs(found.rgb[i] - expected.rgb[i]) < 1e-5f);
+        CHECK(different <= int(kPixels) / 20);
+        gs_gpu_stats stats;
+        CHECK(gs_gpu_draw_stats(gpu, &stats) == GS_OK);
+        most = std::max(most, stats.entries);
+    }
+    CHECK(most > 5 * 10000); // more than a draw expects at first
+    gs_raster_destroy(raster);
+    gs_gpu_release(uploaded);
+}
+
 void what_cannot_be_drawn_is_refused(gs_gpu *gpu) {
     const Scene scene(3);
     const gs_splats splats = scene.splats();
@@ -162,6 +192,7 @@ int main() {
             continue;
         }
         pictures_are_those_of_the_cpu(gpu);
+        lists_grow_with_the_pictures(gpu);
         what_cannot_be_drawn_is_refused(gpu);
         gs_gpu_close(gpu);
     }

@@ -100,7 +100,11 @@ def list_photos(root: Path, leave_out: tuple[Path, ...]) -> tuple[list[str], lis
     names = without_masks(names, unread)
     stems = set(map(stem_of, names))
     unread = [name for name in unread if is_heic(name) or stem_of(name) not in stems]
-    return sorted(names, key=natural_key), sorted(unread, key=natural_key)
+
+    def order(name: str) -> tuple[list[tuple[int, str]], str]:
+        return natural_key(name.lower()), name
+
+    return sorted(names, key=order), sorted(unread, key=order)
 
 
 def check_photo_count(root: Path, names: list[str], unread: list[str]) -> None:

@@ -117,6 +117,7 @@ def test_photos_are_listed_as_people_count(tmp_path: Path) -> None:
     names, unread = list_photos(tmp_path, (tmp_path / "masks",))
     assert names == ["sub/a.PNG", "v9.jpg", "v10.jpg"] and unread == ["x.heic"]
     assert natural_key("v9") < natural_key("v10")
+    assert sorted(["a.jpg", "001.jpg", "000.jpg"], key=natural_key)[1] == "001.jpg"
 
 
 def test_reasons_name_the_first_that_holds() -> None:

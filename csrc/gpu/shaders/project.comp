@@ -145,6 +145,6 @@ void main() {
     }
     uint total;
     scan_group(drawn ? 1u : 0u, total);
-    if (lane() == 0)
+    if (lane() == 0 && group_number() * GS_GROUP < frame.count) // a folded dispatch has more groups
         frame.sums.at[group_number()] = total;
 }

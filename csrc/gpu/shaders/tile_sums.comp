@@ -11,6 +11,6 @@ void main() {
         if (first + k < count)
             sum = add_saturating(sum, frame.tile_counts.at[frame.visible_rows.at[first + k]]);
     scan_group(sum, total);
-    if (lane() == 0)
+    if (lane() == 0 && group_number() * GS_BLOCK < count) // a folded dispatch has more groups
         frame.sums.at[group_number()] = total;
 }
