@@ -12,7 +12,7 @@ def same(one: Any, other: Any) -> bool:
     if one is other or type(one) is not type(other):
         return one is other
     if isinstance(one, np.ndarray):
-        return np.array_equal(one, other)
+        return np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
     if isinstance(one, tuple | list):
         return len(one) == len(other) and all(map(same, one, other))
     if is_dataclass(one) and "__eq__" in vars(type(one)):

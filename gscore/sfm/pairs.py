@@ -1,4 +1,5 @@
-"""Image pairs to match: exhaustive, or sequence neighbours plus similar and nearby photos."""
+"""Image pairs to match: exhaustive, or sequence neighbours plus nearby photos and similar ones, by
+their visual words."""
 
 from collections.abc import Iterable
 from itertools import combinations, product
@@ -23,6 +24,9 @@ _ROWS = 8192
 def most_similar(descriptors: list[np.ndarray], count: int) -> np.ndarray:
     """Indices [n, count] int64 of the photos most similar to each photo, best first; -1 where no
     other photo shares a word.
+
+    By a bag of visual words (Sivic and Zisserman 2003): each feature is assigned to a cluster, its
+    word; photos that share rare words are similar.
 
     Args:
         descriptors: Descriptors of each photo, [m, d], any number type; m may be 0.

@@ -89,7 +89,7 @@ class Blenders:
 
 def carry(ob: bpy.types.Object, *, group: bool, text: bool) -> None:
     """Add the requested vertex group and attribute."""
-    from addon.splats import point_attributes, vertex_groups
+    from addon.splats import vertex_groups
     from addon.splats.point_attributes import Column, blocks
 
     count = len(ob.data.vertices)
@@ -101,7 +101,8 @@ def carry(ob: bpy.types.Object, *, group: bool, text: bool) -> None:
         ob.data.attributes.new("text", "STRING", "POINT")
         words = np.array([b"text"] * count, np.object_)[:, None]
         for name, _, entries in blocks(Column("text", "STRING", words)):
-            point_attributes.set_texts(ob.data, name, entries)
+            for at, entry in enumerate(entries):
+                ob.data.attributes[name].data[at].value = entry
 
 
 def timed(name: str, operator: str, **settings: Any) -> None:

@@ -89,6 +89,7 @@ def _measure(args: argparse.Namespace) -> dict[str, Any]:
     }
     sizes = {"splats": splats, "views": views, "width": width, "height": height, "steps": steps}
     parts["the rest"] = peak - sum(parts.values())
+    # `said_bytes` is the key in files of earlier versions too.
     return sizes | {"peak_bytes": peak, "parts": parts, "said_bytes": estimates[0]}
 
 

@@ -30,7 +30,13 @@ class SortedRows(NamedTuple):
 
 
 class RowSums:
-    """Sums of sparse rows of large tables over ranks; keeps its memory between calls."""
+    """Sums of sparse rows of large tables over ranks; keeps its memory between calls.
+
+    Row i belongs to rank i modulo the number of ranks: that rank adds the values of all ranks,
+    starting with rank 0, so that the same ranks give the same bits, and sends the sum to all. Two
+    ranks exchange all their rows instead, which is no more traffic. Rows that no rank has are not
+    sent.
+    """
 
     def __init__(self, group: ProcessGroup) -> None:
         self._group = group

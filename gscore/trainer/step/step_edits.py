@@ -56,7 +56,11 @@ def sampling_rates(means: torch.Tensor, views: Iterable[Frustum]) -> torch.Tenso
 
 
 def min_scale_edit(read: Read, views: Iterable[Frustum], pixels: float) -> RowEdit:
-    """Return the edit that raises scales to at least `pixels` of the nearest photo.
+    """Return the edit that raises scales to at least `pixels` of the nearest photo: the 3D filter
+    of Mip-Splatting (Yu et al. 2024).
+
+    The photos do not constrain a splat thinner than a pixel of every photo, because the rasterizer
+    widens it to half a pixel; a closer view would show the arbitrary thickness.
 
     Args:
         read: Returns columns.

@@ -1,4 +1,5 @@
-"""Free path: the space between neighbouring training cameras, where novel views may be.
+"""Free space around training cameras, and free path: the space between neighbouring ones, where
+novel views may be.
 
 Splats of a few centimetres next to the photographer's path are small dark leaves or faint haze for
 the cameras on the other side of a yard, and a veil over the whole picture for a camera beside them.
@@ -23,7 +24,12 @@ _PRODUCTS = 1 << 19
 
 
 class FreeSpace:
-    """Balls around cameras, in float64 because a ball may be small and far from the origin."""
+    """Balls around cameras, in float64 because a ball may be small and far from the origin.
+
+    A training puts splats close to cameras, because each fits a single photo or serves as a wall
+    for cameras across the room. They occlude other cameras nearby. SfM points give the distance of
+    the first surface.
+    """
 
     def __init__(
         self, centers: np.ndarray, surfaces: NearestPoints | None, *, share: float
