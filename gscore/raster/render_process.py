@@ -72,7 +72,7 @@ class ServerProcess:
         return None
 
     def kill(self) -> None:
-        """Kill the server and its children."""
+        """Kill the server; a self-test that it runs ends with it."""
         with contextlib.suppress(OSError):
             if sys.platform == "win32":
                 self.process.kill()

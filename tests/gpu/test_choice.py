@@ -47,11 +47,26 @@ def test_the_best_card_is_chosen(machine) -> None:
 
 
 def test_a_card_that_failed_is_passed_over(machine) -> None:
-    """Oracle: the next kind of card."""
+    """Oracle: the next kind of card, and the reason in the note."""
     machine(card(**INTEGRATED), card(), failed=[1])
-    assert _number("gpu") == _number("auto") == 0
+    for device in ("gpu", "auto"):
+        found = choose(device)
+        assert found.device is not None and found.device.number == 0
+        assert found.note.startswith("Small draws. Device 1 (Card): Its self-test failed: wrong")
     with pytest.raises(BackendError, match=r"Device 1 \(Card\) is not used. Its self-test failed"):
         choose("1")
+
+
+@pytest.mark.parametrize("platform", ["win32", "darwin"])
+def test_auto_is_the_cpu_on_untested_platforms(
+    machine, monkeypatch: pytest.MonkeyPatch, platform: str
+) -> None:
+    """Oracle: no list of devices for `auto`, a reason; cards can still be named."""
+    machine(card())
+    assert _number("gpu") == _number("0") == 0
+    monkeypatch.setattr(choice.sys, "platform", platform)
+    found = choose("auto", find=lambda: pytest.fail("listed"))
+    assert found.device is None and "no graphics card is chosen automatically" in found.note
 
 
 def test_software_is_chosen_by_name_only(machine) -> None:

@@ -115,7 +115,7 @@ def test_doctor_lists_devices(gscore, fake) -> None:
     assert "device 1 Old," in text and "It lacks Vulkan 1.2" in text
 
 
-def test_doctor_tells_why_there_is_no_device(gscore, fake) -> None:
+def test_doctor_names_why_there_is_no_device(gscore, fake) -> None:
     """Oracle: the sentence on the missing loader; the machine can train all the same."""
     fake(message="there is no Vulkan loader on this system")
     code, out, _ = gscore("doctor")

@@ -30,7 +30,7 @@ def test_devices_have_the_facts_of_the_library(fake) -> None:
 
 
 def test_a_device_that_lacks_something_names_it(fake) -> None:
-    """Oracle: the library's list of missing features, and the mend."""
+    """Oracle: the library's list of missing features, and the remedy."""
     fake(card(missing=b"Vulkan 1.2, buffer addresses"))
     device = find_devices().devices[0]
     assert device.missing == ("Vulkan 1.2", "buffer addresses")

@@ -61,7 +61,7 @@ def test_a_failed_device_is_an_error(
     monkeypatch.setenv("GSCORE_GPU_SECONDS", "2")
     splats = splats_of()
     first = drawn(splats, device=client)
-    with pytest.raises(RenderServerError, match="GSCORE_GPU_FAULT|did not finish"):
+    with pytest.raises(RenderServerError, match=r"GSCORE_GPU_FAULT|did not finish"):
         drawn(splats, device=client)
     assert same(drawn(splats, device=client), first)
     assert client.started == 2

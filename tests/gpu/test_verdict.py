@@ -1,5 +1,7 @@
 """Verdicts of devices: kept, renewed, and made in a child process."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,7 @@ from gscore.raster.gpu import verification
 from gscore.raster.gpu.devices import Device, find_devices
 from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict, read_verdict, verdict_key
 from gscore.raster.gpu.verification import verified
+from tests.gpu.drivers import ROOT
 from tests.gpu.fake_gpu import card
 
 KEY = {"uuid": "00", "driver": "d", "driver_version": 1, "subgroup": 32, "library": "a"}
@@ -72,7 +75,7 @@ def test_without_a_cache_folder_it_lasts_for_the_process(
 
 @pytest.fixture
 def child(fake, monkeypatch: pytest.MonkeyPatch):
-    """A device whose self-test is a child that behaves as told."""
+    """A device whose self-test is a child that behaves as named."""
     fake(card())
     monkeypatch.setattr(verification, "_MODULE", "tests.gpu.child")
 
@@ -113,6 +116,44 @@ def test_a_child_that_hangs_is_ended(child) -> None:
     """Oracle: the time limit in the sentence; the child waits an hour."""
     found = verified(child("hangs"), seconds=0.2)
     assert not found.passed and found.problems[0].startswith("it took longer than 0 s during: ")
+
+
+@pytest.mark.parametrize(
+    ("how", "kept"),
+    [
+        ("passes", True),
+        ("fails", True),
+        ("crashes", True),
+        ("is killed", False),
+        ("lacks memory", False),
+        ("raises", False),
+        ("hangs", False),
+    ],
+)
+def test_passing_failures_are_tested_again(child, other_process, how: str, kept: bool) -> None:
+    """Oracle: what a later process finds; this one does not repeat the test. An older verdict is
+    replaced or removed."""
+    device = child(how)
+    keep_verdict(device.key, PASSED)
+    found = verified(device, again=True, seconds=60.0 if how != "hangs" else 0.2)
+    assert found.passed == (how == "passes") and device.verdict == found
+    other_process()
+    assert (device.verdict is not None) == kept
+
+
+@pytest.mark.parametrize(("seconds", "closes"), [("0.2", False), ("3600", True)])
+def test_a_child_ends_without_its_parent(
+    monkeypatch: pytest.MonkeyPatch, seconds: str, closes: bool
+) -> None:
+    """Oracle: the exit code of a child that hangs: its own timer, or the end of its input."""
+    monkeypatch.setenv("GSCORE_TEST_CHILD", "hangs")
+    command = [sys.executable, "-m", "tests.gpu.child", "0", "", seconds]
+    with subprocess.Popen(
+        command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL
+    ) as process:
+        if closes and process.stdin is not None:
+            process.stdin.close()
+        assert process.wait(60) == 3
 
 
 def test_a_cancelled_test_is_no_verdict(child) -> None:

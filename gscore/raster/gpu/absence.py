@@ -46,8 +46,8 @@ def cards_without_driver(vendors: Collection[int], root: Path = Path("/")) -> tu
     found = []
     for vendor in sorted(_cards(root) - set(vendors)):
         name, source = _VENDORS[vendor]
-        mend = _surroundings(root, os.environ) or f"{source[:1].upper()}{source[1:]}."
-        found.append(f"There is a graphics card of {name} without a Vulkan driver. {mend}")
+        remedy = _surroundings(root, os.environ) or f"{source[:1].upper()}{source[1:]}."
+        found.append(f"There is a graphics card of {name} without a Vulkan driver. {remedy}")
     return tuple(found)
 
 

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -17,6 +18,12 @@ from .verification import Report, verified
 _log = logging.getLogger(__name__)
 _ORDER = ("discrete", "integrated", "virtual", "other")
 """Kinds of real devices, best first."""
+_AUTO_ON = ("linux",)
+"""Platforms (sys.platform) whose cards `auto` uses: on others no card has passed the tests yet."""
+_AUTO_OFF = (
+    "The CPU draws. On this operating system no graphics card is chosen automatically, because "
+    "none was tested yet; choose the card itself to use it."
+)
 
 
 @dataclass(kw_only=True, eq=False)
@@ -131,6 +138,8 @@ def choose(
             f"The device must be cpu, gpu, auto or a number that `gscore doctor` lists, got "
             f"{device[:40]!r}."
         )
+    if device == "auto" and sys.platform not in _AUTO_ON:
+        return Chosen(device=None, note=_AUTO_OFF)
     found = find()
     if device.isdigit():
         return _numbered(int(device), found, report, cancel)
@@ -140,7 +149,8 @@ def choose(
     for one in real:
         failure = _failure(one, report, cancel)
         if not failure:
-            return Chosen(device=one, fallback=device == "auto")
+            note = f"{one.name} draws. {_why(failures, [])}" if failures else ""
+            return Chosen(device=one, note=note, fallback=device == "auto")
         failures.append(f"Device {one.number} ({one.name}): {failure}")
     software = [one for one in found.devices if one.is_software]
     if device == "auto":

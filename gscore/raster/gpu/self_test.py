@@ -1,11 +1,14 @@
 """Self-test of a device, the program of a child process: `python -m gscore.raster.gpu.self_test N`.
 
-It prints JSON lines: what it is doing, and at the end the verdict. An optional second argument is
-the UUID that the device must have.
+It prints JSON lines: what it is doing, and at the end the verdict. Optional arguments are the UUID
+that the device must have, and the seconds after which the process ends; with these it also ends
+with its standard input, so that a test does not survive the program that wants its result.
 """
 
 import json
+import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,8 +17,12 @@ from typing import Any
 from ...errors import GsError
 from .devices import find_devices
 from .gpu_raster import GpuRaster
+from .library import DeviceMemoryError, DeviceTimeoutError
 from .self_test_arithmetic import arithmetic_checks
 from .self_test_pictures import picture_checks
+
+_ENDED = 3
+"""Exit code of a test that was ended."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +50,10 @@ def self_test(number: int, uuid: str, show: Callable[[str], None]) -> dict[str, 
         show: Receives the name of each test as it begins.
 
     Returns:
-        JSON values: `passed`, `problems` and `figures`.
+        JSON values: `passed`, `problems` and `figures`; and `lasting`: a repetition would have the
+        same result.
     """
+    lasting = True
     problems: list[str] = []
     figures: dict[str, Any] = {}
     began = time.perf_counter()
@@ -52,6 +61,7 @@ def self_test(number: int, uuid: str, show: Callable[[str], None]) -> dict[str, 
     there = {device.number: device for device in find_devices().devices}
     if number not in there or uuid not in ("", there[number].uuid):
         problems.append(f"another process finds another device {number}")
+        lasting = False
     else:
         show("compiling the programs")
         try:
@@ -63,9 +73,26 @@ def self_test(number: int, uuid: str, show: Callable[[str], None]) -> dict[str, 
                     problems += [f"{check.name}: {one}" for one in found]
                     figures |= measured
         except GsError as error:
+            lasting = not isinstance(error, DeviceMemoryError | DeviceTimeoutError)
             problems.append(str(error))
     figures["seconds"] = round(time.perf_counter() - began, 3)
-    return {"passed": not problems, "problems": problems, "figures": figures}
+    passed = not problems
+    return {"passed": passed, "problems": problems, "figures": figures, "lasting": lasting}
+
+
+def end_in_time(seconds: float) -> None:
+    """End this process after some seconds, and with its standard input, by threads that also run
+    while a driver computes."""
+    timer = threading.Timer(seconds, os._exit, (_ENDED,))
+    timer.daemon = True
+    timer.start()
+    threading.Thread(target=_end_with_input, daemon=True).start()
+
+
+def _end_with_input() -> None:
+    while os.read(0, 4096):
+        pass
+    os._exit(_ENDED)
 
 
 def main(arguments: list[str]) -> int:
@@ -76,6 +103,8 @@ def main(arguments: list[str]) -> int:
         sys.stdout.flush()
 
     uuid = arguments[1] if len(arguments) > 1 else ""
+    if len(arguments) > 2:
+        end_in_time(float(arguments[2]))
     write(self_test(int(arguments[0]), uuid, lambda what: write({"doing": what})))
     return 0
 

@@ -8,7 +8,7 @@ import os
 import platform
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +28,17 @@ class DeviceVerdict:
     """Failures, as sentences."""
     figures: Mapping[str, Any] = field(default_factory=dict)
     """Measured errors and times by name, as JSON values."""
+    lasting: bool = True
+    """Whether a repetition would give the same result; False: the test could not be run, such as
+    for lack of memory or time."""
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values."""
-        return asdict(self) | {"problems": list(self.problems), "figures": dict(self.figures)}
+        return {
+            "passed": self.passed,
+            "problems": list(self.problems),
+            "figures": dict(self.figures),
+        }
 
 
 def verdict_key(*, uuid: str, driver: str, driver_version: int, subgroup: int) -> dict[str, Any]:
@@ -71,9 +78,14 @@ def _parsed(content: Mapping[str, Any]) -> DeviceVerdict:
 
 
 def keep_verdict(key: Mapping[str, Any], verdict: DeviceVerdict) -> None:
-    """Keep a verdict for this process and, if its folder can be written, for later ones."""
+    """Keep a verdict for this process and, if it lasts and its folder can be written, for later
+    ones."""
     name = _file_name(key)
     _of_process[name] = verdict
+    if not verdict.lasting:
+        with contextlib.suppress(OSError, RuntimeError):
+            (cache_folder() / name).unlink(missing_ok=True)
+        return
     content = {"gscore": __version__, "key": dict(key), "verdict": verdict.to_dict()}
     with contextlib.suppress(GsError, RuntimeError):
         atomic_write(cache_folder() / name, json.dumps(content, indent=1).encode())

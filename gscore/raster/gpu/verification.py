@@ -19,6 +19,8 @@ Report = Callable[[str], None]
 SECONDS = 60.0
 """Time limit of a self-test."""
 _MODULE = "gscore.raster.gpu.self_test"
+_KILLED = (1, 2, 9, 15)
+"""Signals that come from outside: SIGHUP, SIGINT, SIGKILL, SIGTERM."""
 _PERIOD = 0.05
 """Seconds between two checks of the child."""
 
@@ -56,14 +58,15 @@ def _tested(
 ) -> DeviceVerdict:
     what = f"Testing {device.name} once, at most {seconds:.0f} s"
     report(what)
-    command = [python_program(), "-P", "-m", _MODULE, str(device.number), device.uuid]
+    program = [python_program(), "-P", "-m", _MODULE]
+    command = [*program, str(device.number), device.uuid, str(seconds)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with tempfile.TemporaryDirectory(prefix="gscore-", ignore_cleanup_errors=True) as folder:
         out, errors = Path(folder, "out"), Path(folder, "errors")
         with out.open("wb") as stdout, errors.open("wb") as stderr:
             try:
                 child = subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=stdout, stderr=stderr, env=environment
+                    command, stdin=subprocess.PIPE, stdout=stdout, stderr=stderr, env=environment
                 )
             except OSError as error:
                 return _failed(f"the process of the test cannot be started: {error}")
@@ -94,6 +97,8 @@ def _wait(
 
 def _end(child: subprocess.Popen[bytes]) -> None:
     """Kill the child unless it has ended; one stuck in a driver is left to the system."""
+    if child.stdin is not None:
+        child.stdin.close()
     if child.poll() is None:
         child.kill()
         try:
@@ -111,16 +116,23 @@ def _verdict(code: int | None, seconds: float, out: Path, errors: Path) -> Devic
     if code == 0 and result is not None:
         problems = tuple(str(problem) for problem in result.get("problems", []))
         figures = dict(result.get("figures", {}))
-        return DeviceVerdict(passed=bool(result["passed"]), problems=problems, figures=figures)
+        return DeviceVerdict(
+            passed=bool(result["passed"]),
+            problems=problems,
+            figures=figures,
+            lasting=bool(result.get("lasting", True)),
+        )
     if code < 0:
-        return _failed(f"the driver crashed with signal {-code}{where}")
+        crashed = f"the driver crashed with signal {-code}{where}"
+        # The system kills processes too: for lack of memory, or at its shutdown.
+        return _failed(crashed, lasting=-code not in _KILLED)
     lines = errors.read_text(encoding="utf-8", errors="replace").strip().splitlines()
     why = f" ({lines[-1][:200]})" if lines else ""
     return _failed(f"its process ended with code {code}{where}{why}")
 
 
-def _failed(problem: str) -> DeviceVerdict:
-    return DeviceVerdict(passed=False, problems=(problem,))
+def _failed(problem: str, *, lasting: bool = False) -> DeviceVerdict:
+    return DeviceVerdict(passed=False, problems=(problem,), lasting=lasting)
 
 
 def _messages(out: Path) -> list[dict[str, Any]]:
