@@ -30,6 +30,8 @@ START_SECONDS = 180.0
 """Time limit of the start, in which a driver compiles and a new device is tested."""
 _CANCEL_SECONDS = 2.0
 """Time limit of a cancelled drawing, after which its server is killed."""
+_IDLE_ENDS = 3
+"""Servers that may end for want of requests before one draws."""
 _PERIOD = 0.02
 """Seconds between two checks of a cancel flag."""
 
@@ -100,9 +102,10 @@ class RenderClient:
         cancel = settings.cancel or CancelFlag()
         with self._turn(cancel):
             try:
-                with contextlib.suppress(_IdleEndError):
-                    return self._drawn(splats, view, settings, pictures, cancel)
-                self._kill()  # it ended at the moment of the request: a new one draws
+                for _ in range(_IDLE_ENDS):
+                    with contextlib.suppress(_IdleEndError):
+                        return self._drawn(splats, view, settings, pictures, cancel)
+                    self._kill()  # it ended at the moment of the request: a new one draws
                 return self._drawn(splats, view, settings, pictures, cancel)
             except OSError as error:
                 self._kill()

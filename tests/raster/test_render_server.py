@@ -281,7 +281,7 @@ def test_a_picture_has_a_time_limit(client: RenderClient) -> None:
 
 def test_an_idle_server_ends(tmp_path: Path) -> None:
     """Oracle: the process; the next picture starts another one without an error."""
-    client = RenderClient("cpu", idle=0.05, folder=str(tmp_path))
+    client = RenderClient("cpu", idle=0.5, folder=str(tmp_path))
     splats = splats_of()
     for count in (1, 2):
         assert same(drawn(splats, device=client), drawn(splats))
