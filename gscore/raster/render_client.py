@@ -102,7 +102,7 @@ class RenderClient:
         cancel = settings.cancel or CancelFlag()
         with self._turn(cancel):
             try:
-                for _ in range(_IDLE_ENDS):
+                for _attempt in range(_IDLE_ENDS):
                     with contextlib.suppress(_IdleEndError):
                         return self._drawn(splats, view, settings, pictures, cancel)
                     self._kill()  # it ended at the moment of the request: a new one draws
