@@ -6,7 +6,6 @@ layout of arrays; the library checks their values.
 
 import ctypes as ct
 import os
-import threading
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,21 +20,6 @@ from .request import Frustum, Settings
 from .shared_library import SharedLibrary
 
 _pointer = ct.c_void_p
-
-_FILE = SharedLibrary(
-    name="gscore", variable="GSCORE_LIBRARY", function="gs_abi_version", version=header.ABI_VERSION
-)
-
-
-def library_path() -> Path:
-    """Path of the native library: GSCORE_LIBRARY unless that is empty, else next to this file."""
-    return _FILE.path
-
-
-def _load() -> ct.CDLL:
-    lib = _FILE.load(_declare)
-    _check_environment(lib)
-    return lib
 
 
 def _check_environment(lib: ct.CDLL) -> None:
@@ -62,8 +46,20 @@ def _declare(lib: ct.CDLL) -> None:
         getattr(lib, name).argtypes = types
 
 
-_lock = threading.Lock()
-_library: ct.CDLL | None = None
+LIBRARY = SharedLibrary(
+    name="gscore",
+    variable="GSCORE_LIBRARY",
+    function="gs_abi_version",
+    version=header.ABI_VERSION,
+    declare=_declare,
+    check=_check_environment,
+)
+"""The native library."""
+
+
+def library_path() -> Path:
+    """Path of the native library: GSCORE_LIBRARY unless that is empty, else next to this file."""
+    return LIBRARY.path
 
 
 def library() -> ct.CDLL:
@@ -73,22 +69,7 @@ def library() -> ct.CDLL:
         BackendError: it is missing or of another version.
         ConfigError: GSCORE_THREADS or GSCORE_ISA has an invalid value.
     """
-    global _library
-    if _library is None:
-        with _lock:
-            if _library is None:
-                _library = _load()
-    return _library
-
-
-def _unlock() -> None:
-    """Replace the lock in a forked process, where the thread that owned it does not exist."""
-    global _lock
-    _lock = threading.Lock()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_unlock)
+    return LIBRARY.get()
 
 
 def raise_status(status: int) -> None:

@@ -1,13 +1,16 @@
-"""Shared library loader: opens gscore's native libraries, each of the version this gscore needs."""
+"""Shared library loader: opens gscore's native libraries once a process, each of the version that
+this gscore needs."""
 
 import ctypes as ct
 import os
 import stat
 import struct
 import sys
+import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from ..errors import BackendError
 from ..io.files import reason
@@ -17,7 +20,7 @@ from ..text_format import number
 _REINSTALL = "Reinstall gscore so that both come from one version."
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(kw_only=True, eq=False)
 class SharedLibrary:
     """A native library of gscore."""
 
@@ -29,6 +32,21 @@ class SharedLibrary:
     """Function that returns the interface version."""
     version: int
     """Interface version that this gscore needs."""
+    declare: Callable[[ct.CDLL], None]
+    """Declares its functions for ctypes; AttributeError if one is missing."""
+    check: Callable[[ct.CDLL], None] = lambda _: None
+    """Checks what it depends on, once it is open."""
+    loaded: Any = field(default=None, init=False)
+    """The ctypes.CDLL; None: it was not needed yet."""
+
+    def __post_init__(self) -> None:
+        self._lock = threading.Lock()
+        if hasattr(os, "register_at_fork"):
+            os.register_at_fork(after_in_child=self._unlock)
+
+    def _unlock(self) -> None:
+        """Replace the lock in a forked process, where the thread that owned it does not exist."""
+        self._lock = threading.Lock()
 
     @property
     def path(self) -> Path:
@@ -39,15 +57,20 @@ class SharedLibrary:
         endings = {"win32": f"{self.name}.dll", "darwin": f"lib{self.name}.dylib"}
         return Path(__file__).with_name(endings.get(sys.platform, f"lib{self.name}.so"))
 
-    def load(self, declare: Callable[[ct.CDLL], None]) -> ct.CDLL:
-        """Open the library.
-
-        Args:
-            declare: Declares its functions for ctypes; AttributeError if one is missing.
+    def get(self) -> Any:
+        """The library, a ctypes.CDLL, opened when it is first needed.
 
         Raises:
             BackendError: it is missing, truncated, of another version or no library of gscore.
+            GsError: `check` fails.
         """
+        if self.loaded is None:
+            with self._lock:
+                if self.loaded is None:
+                    self.loaded = self._load()
+        return self.loaded
+
+    def _load(self) -> ct.CDLL:
         lib, path = self._opened(self.path), self.path
         try:
             version_of = getattr(lib, self.function)
@@ -64,12 +87,13 @@ class SharedLibrary:
                 f"{version}, this gscore needs {self.version}. {_REINSTALL}"
             )
         try:
-            declare(lib)
+            self.declare(lib)
         except AttributeError as error:  # a build from before a function was added
             raise BackendError(
                 f"The native library {brief(path)}{self._source()} is of another build than this "
                 f"gscore: {error}. {_REINSTALL}"
             ) from None
+        self.check(lib)
         return lib
 
     def _opened(self, path: Path) -> ct.CDLL:

@@ -17,7 +17,7 @@ from tests.gpu.fake_gpu import FakeGpu, card
 def fake(tmp_path, monkeypatch):
     """A library with a card that has passed its self-test."""
     made = FakeGpu(card())
-    monkeypatch.setattr(library, "_library", made)
+    monkeypatch.setattr(library.LIBRARY, "loaded", made)
     monkeypatch.setattr(verdict, "cache_folder", lambda: tmp_path / "cache")
     monkeypatch.setattr(verdict, "_of_process", {})
     monkeypatch.setattr(choice, "_by_name", {})

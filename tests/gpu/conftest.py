@@ -31,7 +31,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> Callable[..., FakeGpu]:
 
     def install(*cards: dict[str, Any], message: str = "") -> FakeGpu:
         made = FakeGpu(*cards, message=message)
-        monkeypatch.setattr(library, "_library", made)
+        monkeypatch.setattr(library.LIBRARY, "loaded", made)
         return made
 
     return install

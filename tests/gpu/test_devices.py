@@ -67,7 +67,7 @@ def test_a_failed_self_test_is_the_reason(fake) -> None:
 def test_a_missing_library_is_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: no devices, and a sentence with the path that was tried."""
     monkeypatch.setenv("GSCORE_GPU_LIBRARY", "/nowhere/libgscore_gpu.so")
-    monkeypatch.setattr(library, "_library", None)
+    monkeypatch.setattr(library.LIBRARY, "loaded", None)
     found = find_devices()
     assert found.devices == ()
     assert "/nowhere/libgscore_gpu.so (GSCORE_GPU_LIBRARY) cannot be opened" in found.problems[0]

@@ -178,7 +178,7 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     from gscore.raster import _native
 
     monkeypatch.setenv("GSCORE_LIBRARY", "/nowhere/libgscore.so")
-    monkeypatch.setattr(_native, "_library", None)
+    monkeypatch.setattr(_native.LIBRARY, "loaded", None)
     with pytest.raises(gscore.BackendError, match="native library is missing"):
         _native.library()
 
@@ -199,6 +199,6 @@ def test_an_older_build_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
             return getattr(self.real, name)
 
     monkeypatch.setattr(_native.ct, "CDLL", Older)
-    monkeypatch.setattr(_native, "_library", None)
+    monkeypatch.setattr(_native.LIBRARY, "loaded", None)
     with pytest.raises(gscore.BackendError, match=r"another build.*gs_adam_step"):
         _native.library()

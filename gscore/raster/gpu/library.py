@@ -2,8 +2,6 @@
 
 import ctypes as ct
 import hashlib
-import os
-import threading
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,12 +11,23 @@ from ..header import BAD_ARGUMENT, CANCELLED, OK, OUT_OF_MEMORY
 from ..shared_library import SharedLibrary
 from . import header
 
-_FILE = SharedLibrary(
+
+def _declare(lib: ct.CDLL) -> None:
+    """Declare argument and result types of the functions for ctypes."""
+    lib.gs_gpu_last_error.restype = ct.c_char_p
+    lib.gs_gpu_close.restype = lib.gs_gpu_release.restype = None
+    for name, types in header.SIGNATURES.items():
+        getattr(lib, name).argtypes = types
+
+
+LIBRARY = SharedLibrary(
     name="gscore_gpu",
     variable="GSCORE_GPU_LIBRARY",
     function="gs_gpu_abi_version",
     version=header.ABI_VERSION,
+    declare=_declare,
 )
+"""The library for graphics cards."""
 
 
 class DeviceLostError(BackendError):
@@ -54,11 +63,7 @@ _ERRORS: dict[int, tuple[type[BackendError], str]] = {
 
 def library_path() -> Path:
     """Path of the library: GSCORE_GPU_LIBRARY unless that is empty, else next to libgscore."""
-    return _FILE.path
-
-
-_lock = threading.Lock()
-_library: Any = None
+    return LIBRARY.path
 
 
 def library() -> Any:
@@ -67,30 +72,7 @@ def library() -> Any:
     Raises:
         BackendError: it is missing or of another version.
     """
-    global _library
-    if _library is None:
-        with _lock:
-            if _library is None:
-                _library = _FILE.load(_declare)
-    return _library
-
-
-def _unlock() -> None:
-    """Replace the lock in a forked process, where the thread that owned it does not exist."""
-    global _lock
-    _lock = threading.Lock()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_unlock)
-
-
-def _declare(lib: ct.CDLL) -> None:
-    """Declare argument and result types of the functions for ctypes."""
-    lib.gs_gpu_last_error.restype = ct.c_char_p
-    lib.gs_gpu_close.restype = lib.gs_gpu_release.restype = None
-    for name, types in header.SIGNATURES.items():
-        getattr(lib, name).argtypes = types
+    return LIBRARY.get()
 
 
 def last_error() -> str:
