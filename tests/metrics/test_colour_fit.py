@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gscore.metrics import evaluate, image_metrics, psnr, psnr_cc, ssim
-from gscore.metrics.image import colour_corrected, fit_colours
+from gscore.metrics.colour_fit import fit_colours
+from gscore.metrics.image import colour_corrected
 
 
 def twin(image, target, weight):
