@@ -125,7 +125,7 @@ gs_status gs_gpu_projected(gs_gpu *gpu, float *means2d, float *depths, float *co
     if (!gpu)
         return fail(GS_BAD_ARGUMENT, "gs_gpu_projected: gpu is null");
     return run("gs_gpu_projected", [&] {
-        gpu->projected(means2d, depths, conics, colors, opacities);
+        gpu->projected({means2d, depths, conics, colors, opacities});
         return GS_OK;
     });
 }

@@ -25,12 +25,13 @@ constexpr size_t kWord = sizeof(uint32_t);
 
 enum Stage { kBegin, kProjected, kSorted, kBinned, kBlended, kFetched };
 
-uint32_t ceil_div(int64_t a, int64_t b) { return uint32_t((a + b - 1) / b); }
+// Groups of `each` items.
+uint32_t groups_of(int64_t items, int64_t each) { return uint32_t(ceil_div(items, each)); }
 
 // Groups of a dispatch of any number of workgroups, folded into rows of at most 65535.
 struct Groups {
     uint32_t x, y;
-    explicit Groups(int64_t count) : x(uint32_t(std::min<int64_t>(count, 65535))), y(ceil_div(count, 65535)) {}
+    explicit Groups(int64_t count) : x(uint32_t(std::min<int64_t>(count, 65535))), y(groups_of(count, 65535)) {}
 };
 
 class Timer {
@@ -172,8 +173,8 @@ void gs_gpu::ensure_splats(size_t count) {
                             &visible_rows_[1], &offsets_})
         device.ensure(*b, count * kWord);
     // Of the workgroups of the projection, or the digits of a sort; and a total.
-    device.ensure(sums_, std::max<size_t>(ceil_div(int64_t(count), GS_GROUP),
-                                          size_t(GS_DIGITS) * ceil_div(int64_t(count), GS_BLOCK)) *
+    device.ensure(sums_, std::max<size_t>(groups_of(int64_t(count), GS_GROUP),
+                                          size_t(GS_DIGITS) * groups_of(int64_t(count), GS_BLOCK)) *
                                  kWord +
                              kWord);
     frame_.records = records_.address;
@@ -193,7 +194,7 @@ void gs_gpu::ensure_entries(size_t count) {
         device.ensure(*b, count * kWord);
         capacity = std::min(capacity, b->bytes / kWord);
     }
-    device.ensure(sums_, size_t(GS_DIGITS) * ceil_div(int64_t(capacity), GS_BLOCK) * kWord + kWord);
+    device.ensure(sums_, size_t(GS_DIGITS) * groups_of(int64_t(capacity), GS_BLOCK) * kWord + kWord);
     frame_.entry_capacity = uint32_t(capacity);
     frame_.entry_rows = entry_rows_.address;
     frame_.sums = sums_.address;
@@ -201,7 +202,7 @@ void gs_gpu::ensure_entries(size_t count) {
 
 void gs_gpu::ensure_picture(const gs_view &view, const gs_host &host) {
     const size_t pixels = size_t(view.width) * size_t(view.height);
-    const uint32_t tiles_x = ceil_div(view.width, GS_TILE), tiles_y = ceil_div(view.height, GS_TILE);
+    const uint32_t tiles_x = groups_of(view.width, GS_TILE), tiles_y = groups_of(view.height, GS_TILE);
     frame_.tiles_x = tiles_x;
     frame_.tiles_y = tiles_y;
     device.ensure(tile_ranges_, size_t(tiles_x) * tiles_y * 2 * kWord);
@@ -278,7 +279,7 @@ int gs_gpu::sort(DeviceBuffer *keys, DeviceBuffer *values, uint32_t counter, siz
 
 // Projects, and lists the entries of each tile in the order of their depths.
 void gs_gpu::record_lists() {
-    const uint32_t group_count = ceil_div(frame_.count, GS_GROUP);
+    const uint32_t group_count = groups_of(frame_.count, GS_GROUP);
     const Groups groups(group_count);
     device.timestamp(kBegin);
     device.dispatch(Shader::kProject, push(), groups.x, groups.y);
@@ -343,9 +344,9 @@ void gs_gpu::record_poison() {
 
 // Makes the lists of all tiles. Most often the entries fit into the buffers of an earlier draw; else they are made larger,
 // once.
-gs_status gs_gpu::lists(const gs_gpu_splats &splats, const gs_host &host) {
+gs_status gs_gpu::lists(const gs_host &host) {
     uint32_t counters[GS_COUNTERS] = {};
-    size_t entries = std::max<size_t>(size_t(splats.count) * 4, 1 << 12);
+    size_t entries = std::max<size_t>(size_t(frame_.count) * 4, 1 << 12);
     do {
         if (entries > size_t(INT32_MAX))
             throw_failure(GS_TOO_MANY, "the splats cover too many tiles: more than 2147483647 entries; use a smaller "
@@ -396,7 +397,7 @@ gs_status gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const g
     frame_.model = splats.model.address;
     ensure_splats(size_t(splats.count));
     ensure_picture(view, host);
-    if (const gs_status s = lists(splats, host))
+    if (const gs_status s = lists(host))
         return s;
     const Transfers wanted = pictures(image);
     size_t total = 0;
@@ -447,41 +448,17 @@ void gs_gpu::weights(const gs_gpu_splats &splats, const float *shares, float *su
     fetch({{&row_sums_, sums, rows * sizeof(float)}});
 }
 
-void gs_gpu::projected(float *means2d, float *depths, float *conics, float *colors, float *opacities) {
+void gs_gpu::projected(const ScreenValues &out) {
     if (!drawn_)
         throw_failure(GS_BAD_ARGUMENT, "gs_gpu_projected: no draw has succeeded");
     const size_t count = size_t(frame_.count);
     std::vector<uint32_t> keys(count);
-    std::vector<float> records(16 * count);
-    fetch({{&keys_, keys.data(), count * kWord}, {&records_, records.data(), records.size() * sizeof(float)}});
-    const auto clear = [&](float *p, size_t width) {
-        if (p)
-            std::fill_n(p, count * width, 0.0f);
-    };
-    clear(means2d, 2);
-    clear(depths, 1);
-    clear(conics, 3);
-    clear(colors, 3);
-    clear(opacities, 1);
-    for (size_t i = 0; i < count; ++i) {
-        if (keys[i] == GS_NO_KEY)
-            continue;
-        // In the order of ellipse.glsl.
-        const float *const r = &records[16 * i], ua = r[2], ub = r[3], vc = r[4];
-        if (means2d)
-            std::copy_n(r, 2, means2d + 2 * i);
-        if (depths)
-            depths[i] = r[10];
-        if (conics) {
-            conics[3 * i] = ua * ua / GS_HALF_LOG2E;
-            conics[3 * i + 1] = ua * ub / GS_HALF_LOG2E;
-            conics[3 * i + 2] = (ub * ub + vc * vc) / GS_HALF_LOG2E;
-        }
-        if (colors)
-            std::copy_n(r + 6, 3, colors + 3 * i);
-        if (opacities)
-            opacities[i] = std::exp2(r[5]);
-    }
+    std::vector<Projected> records(count); // ellipse.glsl has the same first 13 fields
+    fetch({{&keys_, keys.data(), count * kWord}, {&records_, records.data(), count * sizeof(Projected)}});
+    out.clear(count);
+    for (size_t i = 0; i < count; ++i)
+        if (keys[i] != GS_NO_KEY)
+            out.put(i, records[i]);
 }
 
 void gs_gpu::test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *out, int64_t count) {
@@ -495,7 +472,7 @@ void gs_gpu::test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *ou
         p.keys_in = visible_keys_[0].address;
         p.values_in = visible_rows_[0].address;
         p.keys_out = visible_keys_[1].address;
-        const Groups groups(ceil_div(count, GS_GROUP));
+        const Groups groups(groups_of(count, GS_GROUP));
         device.begin();
         device.update(frame_buffer_, &frame_, sizeof frame_);
         device.dispatch(Shader::kTest, p, groups.x, groups.y);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "device.h"
+#include "screen_values.h"
 
 #include <vector>
 
@@ -27,7 +28,7 @@ struct gs_gpu {
     void release(gs_gpu_splats &);
     gs_status draw(const gs_gpu_splats &, const gs_view &, const gs_host &, const gs_image &);
     void weights(const gs_gpu_splats &, const float *shares, float *sums);
-    void projected(float *means2d, float *depths, float *conics, float *colors, float *opacities);
+    void projected(const gs::ScreenValues &);
     void test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *out, int64_t count);
 
     gs::Device device;
@@ -50,7 +51,7 @@ struct gs_gpu {
     gs_push push(uint32_t word0 = 0, uint32_t word1 = 0, uint32_t word2 = 0) const;
     void record_lists();
     void record_poison();
-    gs_status lists(const gs_gpu_splats &, const gs_host &);
+    gs_status lists(const gs_host &);
     uint32_t tile_rows_at_once() const;
     gs_status blend(const gs_host &, const Transfers &);
     Transfers pictures(const gs_image &);

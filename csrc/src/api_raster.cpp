@@ -70,7 +70,7 @@ gs_status gs_raster_stats(const gs_raster *raster, gs_stats *out) {
 gs_status gs_raster_projected(const gs_raster *raster, float *means2d, float *depths, float *conics, float *colors,
                               float *opacities) {
     return guarded("gs_raster_projected", [&] {
-        if (!raster || raster->projected(means2d, depths, conics, colors, opacities) != GS_OK)
+        if (!raster || raster->projected({means2d, depths, conics, colors, opacities}) != GS_OK)
             return fail(GS_BAD_ARGUMENT, "gs_raster_projected: no forward call has succeeded");
         return GS_OK;
     });

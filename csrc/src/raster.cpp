@@ -317,37 +317,14 @@ gs_status gs_raster::image_loss(const gs_loss_args &args, gs_loss_result &result
     return GS_OK;
 }
 
-gs_status gs_raster::projected(float *means2d, float *depths, float *conics, float *colors, float *opacities) const {
+gs_status gs_raster::projected(const ScreenValues &out) const {
     if (!valid_)
         return GS_BAD_ARGUMENT;
-    const auto clear = [&](float *p, size_t width) {
-        if (p)
-            std::memset(p, 0, size_t(splat_count_) * width * sizeof(float));
-    };
-    clear(means2d, 2);
-    clear(depths, 1);
-    clear(conics, 3);
-    clear(colors, 3);
-    clear(opacities, 1);
+    out.clear(size_t(splat_count_));
     for (int64_t c = 0; c < chunks_of(splat_count_); ++c)
         for (int32_t i = 0; i < visible_.get()[c]; ++i) {
             const Projected &p = projected_.get()[c * kChunk + i];
-            const size_t id = p.id;
-            if (means2d) {
-                means2d[2 * id] = p.mean_x;
-                means2d[2 * id + 1] = p.mean_y;
-            }
-            if (depths)
-                depths[id] = p.channel[kChannelZ];
-            if (conics) {
-                conics[3 * id] = p.ua * p.ua / GS_HALF_LOG2E;
-                conics[3 * id + 1] = p.ua * p.ub / GS_HALF_LOG2E;
-                conics[3 * id + 2] = (p.ub * p.ub + p.vc * p.vc) / GS_HALF_LOG2E;
-            }
-            if (colors)
-                std::copy_n(p.channel, 3, colors + 3 * id);
-            if (opacities)
-                opacities[id] = std::exp2(p.log2_opacity);
+            out.put(p.id, p);
         }
     return GS_OK;
 }

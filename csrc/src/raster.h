@@ -4,6 +4,7 @@
 #include "buffer.h"
 #include "gscore/loss.h"
 #include "raster_types.h"
+#include "screen_values.h"
 #include "tile_sort.h"
 
 #include <memory>
@@ -29,7 +30,7 @@ struct gs_raster {
     gs_status backward(const gs_splats &, const gs_image_grads &, const gs_splat_grads &,
                        const volatile int32_t *cancel);
     gs_status image_loss(const gs_loss_args &, gs_loss_result &, float *v_image);
-    gs_status projected(float *means2d, float *depths, float *conics, float *colors, float *opacities) const;
+    gs_status projected(const gs::ScreenValues &) const;
     int64_t workspace_bytes() const;
 
     gs_stats stats = {};

@@ -1,6 +1,5 @@
 """The committed SPIR-V; oracles: its sources, and the SPIR-V specification's numbers."""
 
-import os
 import re
 import shutil
 import struct
@@ -13,6 +12,7 @@ from runpy import run_path
 import pytest
 
 from tests.for_each import for_each
+from tests.gpu.drivers import absent, required
 
 ROOT = Path(__file__).parents[2]
 GPU = ROOT / "csrc" / "gpu"
@@ -23,11 +23,6 @@ CAPABILITIES = {1, 5347}
 SUBGROUP_OPERATIONS = range(333, 367)
 ATOMIC_FLOAT_OPERATIONS = {5614, 5615, 6035}
 """Minimum, maximum and sum."""
-
-
-def required() -> bool:
-    """Whether missing tools are a failure."""
-    return os.environ.get("GSCORE_GPU_REQUIRED", "0") not in ("", "0")
 
 
 def instructions(path: Path) -> Iterator[list[int]]:
@@ -88,8 +83,7 @@ def test_shaders_translate_to_metal(path: Path) -> None:
     """Oracle: SPIRV-Cross, which MoltenVK translates with; buffers have one pointer type each, so
     no pointer is cast."""
     if shutil.which("spirv-cross") is None:
-        assert not required(), "spirv-cross is missing"
-        pytest.skip("spirv-cross is not installed")
+        absent("spirv-cross is not installed.")
     command = ["spirv-cross", "--msl", "--msl-version", "20300", str(path)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

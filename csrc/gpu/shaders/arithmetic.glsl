@@ -1,35 +1,33 @@
 // Arithmetic whose bits are decided here and not by the driver: exponentials, logarithm, pairs of floats.
 
-// exp2 on [-126, 127] by a minimax polynomial, as the CPU's.
-float exp2_polynomial(float x) {
+// 1.5 * 2^23: adding it rounds a number to an integer, in the low bits of the sum's mantissa.
+const float kRounding = 12582912.0;
+
+// 2^(n + f) by a minimax polynomial, as the CPU's; |f| <= 1/2 and `rounded` is n + kRounding.
+float exp2_of_parts(float rounded, float f) {
     const float c[6] = float[6](GS_EXP2_5);
-    const float magic = 12582912.0; // 1.5 * 2^23: adding it rounds to an integer, in the low bits of the mantissa
-    float t = x + magic;
-    float f = x - (t - magic);
     float p = fma(c[0], f, c[1]);
     p = fma(p, f, c[2]);
     p = fma(p, f, c[3]);
     p = fma(p, f, c[4]);
     p = fma(p, f, c[5]);
-    return uintBitsToFloat(floatBitsToUint(p) + (floatBitsToUint(t) << 23));
+    return uintBitsToFloat(floatBitsToUint(p) + (floatBitsToUint(rounded) << 23));
+}
+
+// exp2 on [-126, 127].
+float exp2_polynomial(float x) {
+    float t = x + kRounding;
+    return exp2_of_parts(t, x - (t - kRounding));
 }
 
 // e^x; arguments beyond the range of float are clamped.
 float exp_polynomial(float x) {
-    const float c[6] = float[6](GS_EXP2_5);
     x = min(max(x, -87.0), 88.0);
-    const float magic = 12582912.0;
-    float t = x * 1.44269504 + magic;
-    float n = t - magic;
+    float t = x * 1.44269504 + kRounding;
+    float n = t - kRounding;
     // x - n ln 2 in two parts, so that large |x| keep their fraction; then back to base 2.
     float r = (x - n * 0.693359375) + n * 2.12194440e-4;
-    float f = r * 1.44269504;
-    float p = fma(c[0], f, c[1]);
-    p = fma(p, f, c[2]);
-    p = fma(p, f, c[3]);
-    p = fma(p, f, c[4]);
-    p = fma(p, f, c[5]);
-    return uintBitsToFloat(floatBitsToUint(p) + (floatBitsToUint(t) << 23));
+    return exp2_of_parts(t, r * 1.44269504);
 }
 
 // log2 of a normal positive number: x = m 2^e with m in [sqrt(1/2), sqrt(2)), then 2 atanh((m - 1) / (m + 1)) / ln 2.
