@@ -1,25 +1,10 @@
 // C API of gscore_gpu: checks arguments and calls it.
-#include "api.h"
+#include "api_gpu.h"
 #include "gpu.h"
 
 #include <memory>
 
 using namespace gs;
-
-namespace {
-
-// As `guarded`, for failures of this library too.
-template <class Body> gs_status run(const char *what, Body body) {
-    return guarded(what, [&] {
-        try {
-            return gs_status(body());
-        } catch (const GpuFailure &failure) {
-            return fail(failure.status, "%s", failure.text);
-        }
-    });
-}
-
-} // namespace
 
 int32_t gs_gpu_abi_version(void) { return GS_GPU_ABI_VERSION; }
 const char *gs_gpu_last_error(void) { return last_failure(); }

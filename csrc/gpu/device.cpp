@@ -72,7 +72,7 @@ Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(
             check(vk_.vkCreateQueryPool(device_, &queries, nullptr, &queries_), "vkCreateQueryPool");
         }
 
-        const VkPushConstantRange range = {VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(gs_push)};
+        const VkPushConstantRange range = {VK_SHADER_STAGE_COMPUTE_BIT, 0, kPushBytes};
         VkPipelineLayoutCreateInfo layout = {VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO};
         layout.pushConstantRangeCount = 1;
         layout.pPushConstantRanges = &range;
@@ -224,25 +224,25 @@ void Device::barrier() {
                              nullptr);
 }
 
-void Device::bind(Shader shader, const gs_push &push) {
+void Device::bind(Shader shader, const void *push, size_t bytes) {
     if (profiles_ && kStageTimestamps + 2 * (profiled_.size() + 1) <= kMostTimestamps) {
         profiled_.push_back(shader);
         timestamp(uint32_t(kStageTimestamps + 2 * profiled_.size() - 2));
     }
     vk_.vkCmdBindPipeline(commands_, VK_PIPELINE_BIND_POINT_COMPUTE, pipelines_[int(shader)]);
-    vk_.vkCmdPushConstants(commands_, layout_, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof push, &push);
+    vk_.vkCmdPushConstants(commands_, layout_, VK_SHADER_STAGE_COMPUTE_BIT, 0, uint32_t(bytes), push);
 }
 
-void Device::dispatch(Shader shader, const gs_push &push, uint32_t x, uint32_t y) {
+void Device::dispatch(Shader shader, const void *push, size_t bytes, uint32_t x, uint32_t y) {
     if (x == 0 || y == 0)
         return;
-    bind(shader, push);
+    bind(shader, push, bytes);
     vk_.vkCmdDispatch(commands_, x, y, 1);
     ran(shader);
 }
 
-void Device::dispatch(Shader shader, const gs_push &push, const DeviceBuffer &arguments, size_t word) {
-    bind(shader, push);
+void Device::dispatch(Shader shader, const void *push, size_t bytes, const DeviceBuffer &arguments, size_t word) {
+    bind(shader, push, bytes);
     vk_.vkCmdDispatchIndirect(commands_, arguments.buffer, word * sizeof(uint32_t));
     ran(shader);
 }
@@ -267,8 +267,10 @@ void Device::add_kernel_times() {
     }
 }
 
-void Device::fill(const DeviceBuffer &b, size_t bytes, uint32_t word) {
-    vk_.vkCmdFillBuffer(commands_, b.buffer, 0, (bytes + 3) / 4 * 4, word);
+void Device::fill(const DeviceBuffer &b, size_t bytes, uint32_t word, size_t from_byte) {
+    if (bytes == 0)
+        return;
+    vk_.vkCmdFillBuffer(commands_, b.buffer, from_byte, (bytes + 3) / 4 * 4, word);
     barrier();
 }
 

@@ -22,6 +22,9 @@ enum class Place { kDevice, kUpload, kDownload };
 // Timestamps of a submission: those of stages, then two for each dispatch that is profiled.
 constexpr uint32_t kStageTimestamps = 8, kMostTimestamps = kStageTimestamps + 256;
 
+// Bytes of push constants that every device has.
+constexpr uint32_t kPushBytes = 128;
+
 class Device {
   public:
     explicit Device(VkPhysicalDevice);
@@ -41,10 +44,17 @@ class Device {
     // Commands between `begin` and `finish`, which waits for them and polls `cancel`, which may be null; a cancelled
     // call still waits. Each command sees what earlier ones wrote.
     void begin();
-    void dispatch(Shader, const gs_push &, uint32_t x, uint32_t y = 1);
+    // Push constants are a struct of the shader's, of at most kPushBytes.
+    template <class Push> void dispatch(Shader shader, const Push &push, uint32_t x, uint32_t y = 1) {
+        static_assert(sizeof push <= kPushBytes);
+        dispatch(shader, &push, sizeof push, x, y);
+    }
     // The arguments are three words of a buffer.
-    void dispatch(Shader, const gs_push &, const DeviceBuffer &arguments, size_t word);
-    void fill(const DeviceBuffer &, size_t bytes, uint32_t word);
+    template <class Push> void dispatch(Shader shader, const Push &push, const DeviceBuffer &arguments, size_t word) {
+        static_assert(sizeof push <= kPushBytes);
+        dispatch(shader, &push, sizeof push, arguments, word);
+    }
+    void fill(const DeviceBuffer &, size_t bytes, uint32_t word, size_t from_byte = 0);
     // Writes a few bytes, at most 64 KiB and a multiple of 4, that the command itself contains.
     void update(const DeviceBuffer &, const void *data, size_t bytes);
     void copy(const DeviceBuffer &from, const DeviceBuffer &to, size_t bytes, size_t from_byte = 0, size_t to_byte = 0);
@@ -68,7 +78,9 @@ class Device {
     void allocate(DeviceBuffer &, size_t bytes, Place);
     void wait(const volatile int32_t *cancel, bool &cancelled);
     void barrier();
-    void bind(Shader, const gs_push &);
+    void dispatch(Shader, const void *push, size_t bytes, uint32_t x, uint32_t y);
+    void dispatch(Shader, const void *push, size_t bytes, const DeviceBuffer &arguments, size_t word);
+    void bind(Shader, const void *push, size_t bytes);
     void ran(Shader);
     void add_kernel_times();
     uint32_t memory_type(uint32_t allowed, Place) const;

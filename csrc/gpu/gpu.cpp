@@ -140,8 +140,16 @@ void gs_gpu::fetch(const Transfers &transfers) {
 }
 
 void gs_gpu::upload(const gs_splats &in, gs_gpu_splats &out) {
-    const size_t count = size_t(in.count), planes = planes_of(in.sh_rest);
-    device.ensure(out.model, planes * count * 4 * sizeof(float));
+    device.ensure(out.model, planes_of(in.sh_rest) * size_t(in.count) * 4 * sizeof(float));
+    out.gpu = this;
+    out.count = in.count;
+    out.sh_rest = in.sh_rest;
+    out.raw = in.raw;
+    write_rows(in, out, 0);
+}
+
+void gs_gpu::write_rows(const gs_splats &in, gs_gpu_splats &out, size_t first) {
+    const size_t count = size_t(in.count), planes = planes_of(out.sh_rest);
     const size_t rows = std::max<size_t>(kChunkBytes / (4 * sizeof(float)), 1);
     for (size_t plane = 0; plane < planes; ++plane)
         for (size_t begin = 0; begin < count; begin += rows) {
@@ -149,13 +157,9 @@ void gs_gpu::upload(const gs_splats &in, gs_gpu_splats &out) {
             device.ensure(upload_, bytes, Place::kUpload);
             write_plane(in, plane, begin, end, static_cast<float *>(upload_.mapped));
             device.begin();
-            device.copy(upload_, out.model, bytes, 0, (plane * count + begin) * 4 * sizeof(float));
+            device.copy(upload_, out.model, bytes, 0, (plane * size_t(out.count) + first + begin) * 4 * sizeof(float));
             device.finish(nullptr);
         }
-    out.gpu = this;
-    out.count = in.count;
-    out.sh_rest = in.sh_rest;
-    out.raw = in.raw;
 }
 
 void gs_gpu::release(gs_gpu_splats &splats) {

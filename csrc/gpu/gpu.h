@@ -25,6 +25,8 @@ struct gs_gpu {
     ~gs_gpu();
 
     void upload(const gs_splats &, gs_gpu_splats &);
+    // Writes rows of a model from row `first` on; SH coefficients that they lack are zero.
+    void write_rows(const gs_splats &, gs_gpu_splats &, size_t first);
     void release(gs_gpu_splats &);
     gs_status draw(const gs_gpu_splats &, const gs_view &, const gs_host &, const gs_image &);
     void weights(const gs_gpu_splats &, const float *shares, float *sums);
@@ -35,6 +37,7 @@ struct gs_gpu {
     gs_gpu_stats stats = {};
 
   private:
+    friend struct gs_gpu_model;
     // Part of a device buffer, and the array that it is sent from or fetched to.
     struct Transfer {
         gs::DeviceBuffer *buffer;

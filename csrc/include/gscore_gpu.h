@@ -68,6 +68,7 @@ typedef struct gs_gpu_stats {
 
 typedef struct gs_gpu gs_gpu;
 typedef struct gs_gpu_splats gs_gpu_splats;
+typedef struct gs_gpu_model gs_gpu_model;
 
 /* GS_GPU_ABI_VERSION of the header with which the library was built. */
 GS_API int32_t gs_gpu_abi_version(void);
@@ -115,3 +116,14 @@ enum {
 };
 GS_API gs_status gs_gpu_test(gs_gpu *gpu, int32_t kernel, const uint32_t *a, const uint32_t *b, uint32_t *out,
                              int64_t count);
+
+/* Splats in training. A model has five tables of rows: values, the first and second Adam moments, gradients of shN that
+ * wait for its step, and counters. Row numbers do not count frozen splats, which are drawn but never change. A model takes
+ * 144 bytes per splat on the device, and 64 for four numbers of its SH coefficients. */
+
+/* Create a model from raw splats; all but the values is zero. `frozen` may be null; it has at most as many SH coefficients,
+ * and the missing ones are zero. GS_TOO_MANY if shaders cannot number the rows. */
+GS_API gs_status gs_gpu_model_create(gs_gpu *gpu, const gs_splats *splats, const gs_splats *frozen, int32_t counters,
+                                     gs_gpu_model **out);
+/* Free it, before its device is closed. */
+GS_API void gs_gpu_model_destroy(gs_gpu_model *model);

@@ -162,7 +162,26 @@ void what_cannot_be_drawn_is_refused(gs_gpu *gpu) {
     gs_gpu_release(uploaded);
 }
 
+// Oracle: the rules of gs_gpu_model_create.
+void models_are_created(gs_gpu *gpu) {
+    const Scene scene(300), before(5);
+    gs_splats splats = scene.splats(), frozen = before.splats();
+    gs_gpu_model *model = nullptr;
+    for (const gs_splats *f : std::initializer_list<const gs_splats *>{nullptr, &frozen}) {
+        CHECK(gs_gpu_model_create(gpu, &splats, f, 3, &model) == GS_OK);
+        gs_gpu_model_destroy(model);
+    }
+    CHECK(gs_gpu_model_create(gpu, &splats, nullptr, -1, &model) == GS_BAD_ARGUMENT);
+    frozen.sh_rest = 3;
+    frozen.shN = scene.means.data();
+    CHECK(gs_gpu_model_create(gpu, &splats, &frozen, 0, &model) == GS_BAD_ARGUMENT);
+    splats.raw = 0;
+    CHECK(gs_gpu_model_create(gpu, &splats, nullptr, 0, &model) == GS_BAD_ARGUMENT);
+}
+
 void nulls_are_refused() {
+    CHECK(gs_gpu_model_create(nullptr, nullptr, nullptr, 0, nullptr) == GS_BAD_ARGUMENT);
+    gs_gpu_model_destroy(nullptr);
     CHECK(gs_gpu_devices(nullptr, 0, nullptr) == GS_BAD_ARGUMENT);
     CHECK(gs_gpu_open(0, nullptr) == GS_BAD_ARGUMENT);
     CHECK(gs_gpu_upload(nullptr, nullptr, nullptr) == GS_BAD_ARGUMENT);
@@ -194,6 +213,7 @@ int main() {
         pictures_are_those_of_the_cpu(gpu);
         lists_grow_with_the_pictures(gpu);
         what_cannot_be_drawn_is_refused(gpu);
+        models_are_created(gpu);
         gs_gpu_close(gpu);
     }
     return failures == 0 ? 0 : 1;

@@ -17,8 +17,13 @@ layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs
     gs_frame frame;
 };
 
+// A shader with push constants of its own defines their struct.
+#ifndef GS_PUSH
+#define GS_PUSH gs_push
+#endif
+
 layout(push_constant) uniform gs_push_block {
-    gs_push push;
+    GS_PUSH push;
 };
 
 #define frame push.block.frame

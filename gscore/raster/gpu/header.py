@@ -37,6 +37,8 @@ SIGNATURES = base.signatures(
         "gs_gpu_profile": "pointer int32",
         "gs_gpu_kernel_time": "pointer int32 pointer pointer int64*",
         "gs_gpu_projected": "pointer pointer pointer pointer pointer pointer",
+        "gs_gpu_model_create": "pointer gs_splats gs_splats int32 pointer",
+        "gs_gpu_model_destroy": "pointer",
         "gs_gpu_test": "pointer int32 pointer pointer pointer int64",
     },
 )
