@@ -81,6 +81,19 @@ gs_status gs_gpu_weights(gs_gpu *gpu, const gs_gpu_splats *splats, const float *
     });
 }
 
+gs_status gs_gpu_backward(gs_gpu *gpu, const gs_gpu_splats *splats, const gs_image_grads *image_grads,
+                          const gs_splat_grads *grads) {
+    if (!gpu || !splats || !image_grads || !grads)
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_backward: an argument is null");
+    if (splats->count > 0 && (!grads->means || !grads->quats || !grads->scales || !grads->opacities || !grads->sh0 ||
+                              (splats->sh_rest && !grads->shN)))
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_backward: an array of grads is null");
+    return run("gs_gpu_backward", [&] {
+        gpu->backward(*splats, *image_grads, *grads);
+        return GS_OK;
+    });
+}
+
 gs_status gs_gpu_draw_stats(const gs_gpu *gpu, gs_gpu_stats *out) {
     if (!gpu || !out)
         return fail(GS_BAD_ARGUMENT, "gs_gpu_draw_stats: an argument is null");

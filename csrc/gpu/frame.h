@@ -36,6 +36,12 @@
 #define GS_ARGS_ENTRY_BLOCKS 12
 #define GS_COUNTERS 16
 
+/* Bit of gs_view.outputs: what gradients need is kept; GS_GPU_GRADIENTS in gscore_gpu.h. */
+#define GS_OUT_GRADIENTS 16u
+
+/* Floats of the record of an entry's gradients, four quads: see blend_backward.comp. */
+#define GS_MOMENT_QUADS 3
+
 /* Key of a splat that is not drawn; depths are smaller, because they are finite. */
 #define GS_NO_KEY 0xFFFFFFFFu
 
@@ -54,8 +60,9 @@ struct gs_frame {
     gs_uint tile_x1, tile_y1;
     gs_uint entry_capacity;
     gs_uint has_tiles, has_far;
-    gs_uint unused;
-    GS_POINTER(gs_quads) model;     /* [planes, N] */
+    gs_uint seed_low, seed_high, step, stream; /* of the random numbers of dropout, see gscore/random.h */
+    float drop_rate;                           /* 0: no dropout */
+    GS_POINTER(gs_quads) model;                /* [planes, N] */
     GS_POINTER(gs_records) records; /* [N, 4] of four words, see project.comp; rows that are not drawn are undefined */
     GS_POINTER(gs_words) keys;      /* [N] bits of the depth, or GS_NO_KEY */
     GS_POINTER(gs_words) tile_counts;  /* [N] entries of a splat */
@@ -74,9 +81,17 @@ struct gs_frame {
     GS_POINTER(gs_floats) inverse_depth;
     GS_POINTER(gs_floats) depth;
     GS_POINTER(gs_floats) median_depth;
-    GS_POINTER(gs_floats) shares;     /* [H, W, 3] of gs_gpu_weights */
-    GS_POINTER(gs_floats) entry_sums; /* [3, entry_capacity] */
-    GS_POINTER(gs_floats) row_sums;   /* [N, 3] */
+    GS_POINTER(gs_floats) shares;         /* [H, W, 3] of gs_gpu_weights */
+    GS_POINTER(gs_floats) entry_sums;     /* [3, entry_capacity] */
+    GS_POINTER(gs_floats) row_sums;       /* [N, 3] */
+    GS_POINTER(gs_floats) transmittances; /* [H, W] behind the last splat */
+    GS_POINTER(gs_words) stops;           /* [H, W] number in its tile's list of the first entry that is not blended */
+    GS_POINTER(gs_words) row_entries;     /* [N] first entry of a row */
+    GS_POINTER(gs_floats) v_rgb;          /* [H, W, 3] gradient of the loss, then those of alpha and inverse depth */
+    GS_POINTER(gs_floats) v_alpha;
+    GS_POINTER(gs_floats) v_inverse_depth;
+    GS_POINTER(gs_quads_out) moments; /* [entry_capacity, GS_MOMENT_QUADS] */
+    GS_POINTER(gs_step_block) step_block;
 };
 
 /* Push constants: the frame, and what differs between dispatches of a shader. A shader gets these addresses ready, because

@@ -25,15 +25,6 @@ constexpr size_t kWord = sizeof(uint32_t);
 
 enum Stage { kBegin, kProjected, kSorted, kBinned, kBlended, kFetched };
 
-// Groups of `each` items.
-uint32_t groups_of(int64_t items, int64_t each) { return uint32_t(ceil_div(items, each)); }
-
-// Groups of a dispatch of any number of workgroups, folded into rows of at most 65535.
-struct Groups {
-    uint32_t x, y;
-    explicit Groups(int64_t count) : x(uint32_t(std::min<int64_t>(count, 65535))), y(groups_of(count, 65535)) {}
-};
-
 class Timer {
   public:
     double milliseconds() const {
@@ -81,7 +72,11 @@ template <class F> void gs_gpu::each_buffer(F f) {
                                  &tiles_,           &far_depths_,      &rgb_,
                                  &alpha_,           &inverse_depth_,   &depth_,
                                  &median_depth_,    &shares_,          &entry_sums_,
-                                 &row_sums_};
+                                 &row_sums_,        &transmittances_,  &stops_,
+                                 &row_entries_,     &moments_,         &v_rgb_,
+                                 &v_alpha_,         &v_inverse_depth_, &step_buffer_,
+                                 &gradients_,       &v_means2d_,       &camera_parts_,
+                                 &camera_};
     for (DeviceBuffer *b : all)
         f(*b);
 }
@@ -174,7 +169,7 @@ void gs_gpu::ensure_splats(size_t count) {
     device.ensure(counters_, GS_COUNTERS * kWord);
     device.ensure(records_, count * 64);
     for (DeviceBuffer *b : {&keys_, &tile_counts_, &radii_, &visible_keys_[0], &visible_keys_[1], &visible_rows_[0],
-                            &visible_rows_[1], &offsets_})
+                            &visible_rows_[1], &offsets_, &row_entries_})
         device.ensure(*b, count * kWord);
     // Of the workgroups of the projection, or the digits of a sort; and a total.
     device.ensure(sums_, std::max<size_t>(groups_of(int64_t(count), GS_GROUP),
@@ -189,6 +184,7 @@ void gs_gpu::ensure_splats(size_t count) {
     frame_.visible_keys = visible_keys_[0].address;
     frame_.visible_rows = visible_rows_[0].address;
     frame_.offsets = offsets_.address;
+    frame_.row_entries = row_entries_.address;
     frame_.sums = sums_.address;
 }
 
@@ -199,6 +195,11 @@ void gs_gpu::ensure_entries(size_t count) {
         capacity = std::min(capacity, b->bytes / kWord);
     }
     device.ensure(sums_, size_t(GS_DIGITS) * groups_of(int64_t(capacity), GS_BLOCK) * kWord + kWord);
+    if (frame_.view.outputs & GS_GPU_GRADIENTS) {
+        device.ensure(moments_, count * GS_MOMENT_QUADS * 4 * sizeof(float));
+        capacity = std::min(capacity, moments_.bytes / (GS_MOMENT_QUADS * 4 * sizeof(float)));
+    }
+    frame_.moments = moments_.address;
     frame_.entry_capacity = uint32_t(capacity);
     frame_.entry_rows = entry_rows_.address;
     frame_.sums = sums_.address;
@@ -222,6 +223,8 @@ void gs_gpu::ensure_picture(const gs_view &view, const gs_host &host) {
         {depth_, frame_.depth, view.outputs & GS_OUT_DEPTH ? pixels : 0},
         {median_depth_, frame_.median_depth, view.outputs & GS_OUT_MEDIAN_DEPTH ? pixels : 0},
         {far_depths_, frame_.far_depths, host.far_depths ? pixels : 0},
+        {transmittances_, frame_.transmittances, view.outputs & GS_GPU_GRADIENTS ? pixels : 0},
+        {stops_, frame_.stops, view.outputs & GS_GPU_GRADIENTS ? pixels : 0},
     };
     for (const auto &p : pictures) {
         device.ensure(p.buffer, p.floats * sizeof(float));

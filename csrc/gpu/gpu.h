@@ -3,6 +3,7 @@
 
 #include "device.h"
 #include "screen_values.h"
+#include "step.h"
 
 #include <vector>
 
@@ -10,6 +11,15 @@ namespace gs {
 
 // Number of planes of a model with `sh_rest` coefficients beyond the constant one, see frame.h.
 constexpr size_t planes_of(int sh_rest) { return GS_PLANE_SH + size_t(3 * (1 + sh_rest) + 3) / 4; }
+
+// Groups of `each` items.
+inline uint32_t groups_of(int64_t items, int64_t each) { return uint32_t((items + each - 1) / each); }
+
+// Groups of a dispatch of any number of workgroups, folded into rows of at most 65535.
+struct Groups {
+    uint32_t x, y;
+    explicit Groups(int64_t count) : x(uint32_t(count < 65535 ? count : 65535)), y(groups_of(count, 65535)) {}
+};
 
 } // namespace gs
 
@@ -30,6 +40,7 @@ struct gs_gpu {
     void release(gs_gpu_splats &);
     gs_status draw(const gs_gpu_splats &, const gs_view &, const gs_host &, const gs_image &);
     void weights(const gs_gpu_splats &, const float *shares, float *sums);
+    void backward(const gs_gpu_splats &, const gs_image_grads &, const gs_splat_grads &);
     void projected(const gs::ScreenValues &);
     void test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *out, int64_t count);
 
@@ -51,12 +62,15 @@ struct gs_gpu {
     void ensure_picture(const gs_view &, const gs_host &);
     // Sorts pairs of buffers by the lowest bits of their keys; returns which of the two has the result.
     int sort(gs::DeviceBuffer *keys, gs::DeviceBuffer *values, uint32_t counter, size_t arguments, uint32_t bits);
+    // A step whose pointers all have some address, because drivers may read ahead of a condition.
+    gs_step blank_step() const;
     gs_push push(uint32_t word0 = 0, uint32_t word1 = 0, uint32_t word2 = 0) const;
     void record_lists();
     void record_poison();
     gs_status lists(const gs_host &);
     uint32_t tile_rows_at_once() const;
     gs_status blend(const gs_host &, const Transfers &);
+    void record_blend_backward(uint32_t first_row, uint32_t rows, bool has_alpha, bool has_inverse_depth);
     Transfers pictures(const gs_image &);
     void send(const Transfers &);
     // Fetches; up to kFetchBytes in one piece, as commands of a submission that is open: record, finish, read.
@@ -73,5 +87,8 @@ struct gs_gpu {
     gs::DeviceBuffer entry_rows_, entry_keys_[2], entry_slots_[2], tile_ranges_;
     gs::DeviceBuffer tiles_, far_depths_, rgb_, alpha_, inverse_depth_, depth_, median_depth_;
     gs::DeviceBuffer shares_, entry_sums_, row_sums_;
+    gs::DeviceBuffer transmittances_, stops_, row_entries_, moments_; // if the draw keeps what gradients need
+    gs::DeviceBuffer v_rgb_, v_alpha_, v_inverse_depth_, step_buffer_;
+    gs::DeviceBuffer gradients_, v_means2d_, camera_parts_, camera_;
     gs::DeviceBuffer upload_, download_;
 };

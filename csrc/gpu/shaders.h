@@ -10,8 +10,13 @@ namespace gs {
 enum class Shader {
     kArguments,
     kBlend,
+    kBlendBackward,
+    kCameraSum,
     kCompact,
+    kDecide,
     kEmit,
+    kGradients,
+    kLearn,
     kOffsets,
     kProject,
     kRanges,

@@ -26,7 +26,7 @@
 #include "gscore/raster.h"
 
 /* Changes whenever a struct or a signature of this header changes. */
-#define GS_GPU_ABI_VERSION 1
+#define GS_GPU_ABI_VERSION 2
 
 /* Further values of gs_status. */
 enum {
@@ -55,6 +55,9 @@ typedef struct gs_gpu_info {
     uint64_t memory_free;    /* of these not in use by any program; 0: unknown */
     uint64_t largest_buffer; /* bytes */
 } gs_gpu_info;
+
+/* A further bit of gs_view.outputs: the draw keeps what gs_gpu_backward needs, 8 bytes per pixel and 48 per entry. */
+enum { GS_GPU_GRADIENTS = 16 };
 
 /* Statistics of the last draw. */
 typedef struct gs_gpu_stats {
@@ -95,6 +98,10 @@ GS_API gs_status gs_gpu_draw(gs_gpu *gpu, const gs_gpu_splats *splats, const gs_
 /* Blending weights of the splats in the last draw, summed over pixels with three weights per pixel: shares [H, W, 3],
  * sums [N, 3]. GS_BAD_ARGUMENT if these splats were not drawn last. */
 GS_API gs_status gs_gpu_weights(gs_gpu *gpu, const gs_gpu_splats *splats, const float *shares, float *sums);
+/* Gradients of the last draw, as gs_raster_backward; `depth` of `image_grads` is not supported, nor SH of degree 4.
+ * GS_BAD_ARGUMENT if these splats were not drawn last, with GS_GPU_GRADIENTS. */
+GS_API gs_status gs_gpu_backward(gs_gpu *gpu, const gs_gpu_splats *splats, const gs_image_grads *image_grads,
+                                 const gs_splat_grads *grads);
 GS_API gs_status gs_gpu_draw_stats(const gs_gpu *gpu, gs_gpu_stats *out);
 /* Start or stop measuring each kernel, from zero. */
 GS_API gs_status gs_gpu_profile(gs_gpu *gpu, int32_t on);

@@ -15,6 +15,7 @@ from gscore.raster.gpu.devices import find_devices
 from gscore.raster.gpu.gpu_raster import GpuRaster
 from gscore.raster.gpu.self_test import checks
 from gscore.raster.gpu.self_test_arithmetic import exponentials
+from gscore.raster.gpu.self_test_gradients import gradient_scenes, gradients
 from gscore.raster.gpu.self_test_pictures import drawn, self_test_scenes
 
 
@@ -53,6 +54,9 @@ def print_bits(repeats: int) -> None:
             for scene in self_test_scenes():
                 for name, picture in sorted(drawn(scene, raster).items()):
                     content.update(name.encode() + picture.tobytes())
+            for scene in gradient_scenes():
+                for name, gradient in gradients(scene, raster, fewer=scene.degree == 1).items():
+                    content.update(name.encode() + gradient.tobytes())
             hashes.append(content.hexdigest())
     _print({"bits": sorted(set(hashes))})
 

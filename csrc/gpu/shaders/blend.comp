@@ -5,31 +5,14 @@
 #include "arithmetic.glsl"
 #include "ellipse.glsl"
 #include "blend.glsl"
+#include "subtiles.glsl"
 
-const uint kLanesPerSubtile = GS_SUBTILE_WIDTH * GS_SUBTILE_HEIGHT;
-const uint kWords = GS_GROUP / 32;
-shared uint hits[GS_SUBTILES][kWords]; // splats of the batch that reach a subtile, a bit each
 shared uint live_pixels;
-
-// Bits of the subtiles that a splat reaches.
-uint subtiles_of(Splat s, ivec2 first) {
-    uint found = 0;
-    for (int r = 0; r < GS_TILE / GS_SUBTILE_HEIGHT; ++r) {
-        int y = first.y + r * GS_SUBTILE_HEIGHT;
-        ivec2 columns = columns_of(s, y, y + GS_SUBTILE_HEIGHT - 1) - first.x;
-        if (columns.x <= columns.y) {
-            found |= columns.x < GS_SUBTILE_WIDTH && columns.y >= 0 ? 1u << 2 * r : 0u;
-            found |= columns.x < GS_TILE && columns.y >= GS_SUBTILE_WIDTH ? 2u << 2 * r : 0u;
-        }
-    }
-    return found;
-}
 
 void main() {
     Tile tile = own_tile();
-    uint id = lane(), subtile = id / kLanesPerSubtile, within = id % kLanesPerSubtile;
-    ivec2 local = ivec2(subtile % 2 * GS_SUBTILE_WIDTH + within % GS_SUBTILE_WIDTH,
-                        subtile / 2 * GS_SUBTILE_HEIGHT + within / GS_SUBTILE_WIDTH);
+    uint id = lane(), subtile = id / kLanesPerSubtile;
+    ivec2 local = pixel_of(id);
     ivec2 pixel = tile.first + local;
     bool inside = pixel.x < frame.view.width && pixel.y < frame.view.height;
     float far = 0.0;
@@ -38,9 +21,9 @@ void main() {
     vec3 color = vec3(0.0);
     float transmittance = 1.0, cover = 0.0, inverse = 0.0, depth = 0.0, median = 0.0;
     bool done = !inside;
+    uint stop = 0x7FFFFFFFu;
     for (uint begin = tile.begin; begin < tile.end; begin += GS_GROUP) {
-        if (id < GS_SUBTILES * kWords)
-            hits[id / kWords][id % kWords] = 0;
+        clear_hits();
         if (id == 0)
             live_pixels = 0;
         barrier();
@@ -49,10 +32,7 @@ void main() {
         if (begin + id < tile.end) {
             Splat s = load_splat(frame.entry_rows.at[slot_of(begin + id)]);
             put_into_batch(id, s, tile.first);
-            uint reached = subtiles_of(s, tile.first);
-            for (uint k = 0; k < GS_SUBTILES; ++k)
-                if ((reached >> k & 1u) != 0)
-                    atomicOr(hits[k][id / 32], 1u << id % 32);
+            add_hits(subtiles_of(s, tile.first));
         }
         barrier();
         bool ended = live_pixels == 0;
@@ -66,6 +46,7 @@ void main() {
                 // A splat that would complete the pixel, or that is behind its far depth, is not blended.
                 if (next <= GS_TRANSMITTANCE_MIN || (has_far && batch_z[at] > far)) {
                     done = true;
+                    stop = begin - tile.begin + at;
                 } else {
                     vec4 c = batch_color[at];
                     color = fma(vec3(weight), c.rgb, color);
@@ -85,8 +66,9 @@ void main() {
     if (!inside)
         return;
     int at = pixel.y * frame.view.width + pixel.x;
+    vec3 background = frame.view.background; // whole, because a component of it is not aligned as the compiler takes it to be
     for (int k = 0; k < 3; ++k)
-        frame.rgb.at[3 * at + k] = color[k] + transmittance * frame.view.background[k];
+        frame.rgb.at[3 * at + k] = color[k] + transmittance * background[k];
     bool sums = (frame.view.outputs & (1u | 2u)) != 0; // GS_OUT_INVERSE_DEPTH, GS_OUT_DEPTH
     frame.alpha.at[at] = sums ? cover : 1.0 - transmittance;
     if ((frame.view.outputs & 1u) != 0)
@@ -95,4 +77,8 @@ void main() {
         frame.depth.at[at] = depth;
     if ((frame.view.outputs & 4u) != 0)
         frame.median_depth.at[at] = median;
+    if ((frame.view.outputs & GS_OUT_GRADIENTS) != 0) {
+        frame.transmittances.at[at] = transmittance;
+        frame.stops.at[at] = stop;
+    }
 }

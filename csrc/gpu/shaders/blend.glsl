@@ -41,13 +41,19 @@ void put_into_batch(uint at, Splat s, ivec2 first) {
     batch_z[at] = s.z;
 }
 
-// Alpha of a splat of the batch at a pixel of the tile, at most GS_ALPHA_MAX; 0 below GS_ALPHA_MIN.
-float alpha_at(uint at, vec2 pixel) {
+// Alpha of a splat of the batch at a pixel of the tile before its clamp, 0 below GS_ALPHA_MIN; with u and v there.
+float raw_alpha_at(uint at, vec2 pixel, out float u, out float v) {
     vec4 uv = batch_uv[at];
     vec2 vc = batch_vc[at];
-    float u = fma(uv.w, pixel.y, fma(uv.z, pixel.x, uv.x)), v = fma(vc.x, pixel.y, uv.y);
+    u = fma(uv.w, pixel.y, fma(uv.z, pixel.x, uv.x));
+    v = fma(vc.x, pixel.y, uv.y);
     float log2_alpha = fma(-v, v, fma(-u, u, vc.y));
-    return log2_alpha >= GS_LOG2_ALPHA_MIN ? min(exp2_polynomial(log2_alpha), GS_ALPHA_MAX) : 0.0;
+    return log2_alpha >= GS_LOG2_ALPHA_MIN ? exp2_polynomial(log2_alpha) : 0.0;
+}
+
+float alpha_at(uint at, vec2 pixel) {
+    float u, v;
+    return min(raw_alpha_at(at, pixel, u, v), GS_ALPHA_MAX);
 }
 
 // Depth beyond which nothing is drawn at a pixel; a number below 0 is 0. False: there is none.

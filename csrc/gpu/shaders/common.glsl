@@ -6,12 +6,14 @@
 layout(buffer_reference, std430, buffer_reference_align = 16) buffer gs_words { uint at[]; };
 layout(buffer_reference, std430, buffer_reference_align = 16) buffer gs_floats { float at[]; };
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_quads { vec4 at[]; };
+layout(buffer_reference, std430, buffer_reference_align = 16) buffer gs_quads_out { vec4 at[]; };
 layout(buffer_reference, std430, buffer_reference_align = 16) buffer gs_records { uvec4 at[]; };
 
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_frame_block;
+layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_step_block;
 
 #include "constants.h"
-#include "frame.h"
+#include "step.h"
 
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_frame_block {
     gs_frame frame;
@@ -22,11 +24,16 @@ layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs
 #define GS_PUSH gs_push
 #endif
 
+layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_step_block {
+    gs_step of;
+};
+
 layout(push_constant) uniform gs_push_block {
     GS_PUSH push;
 };
 
 #define frame push.block.frame
+#define training frame.step_block.of
 
 layout(local_size_x = GS_GROUP) in;
 

@@ -1,4 +1,4 @@
-// Number of the first entry of each splat, in their order by depth.
+// Number of the first entry of each splat, in their order by depth and by row.
 #version 450
 #extension GL_GOOGLE_include_directive : require
 #include "common.glsl"
@@ -16,8 +16,10 @@ void main() {
     if (first < count)
         running = add_saturating(running, frame.sums.at[group_number()]);
     for (uint k = 0; k < GS_PER_LANE; ++k) {
-        if (first + k < count)
+        if (first + k < count) {
             frame.offsets.at[first + k] = running;
+            frame.row_entries.at[frame.visible_rows.at[first + k]] = running;
+        }
         running = add_saturating(running, own[k]);
     }
 }

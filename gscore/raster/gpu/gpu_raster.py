@@ -140,6 +140,35 @@ class GpuRaster:
                 )
             )
 
+    def backward(
+        self,
+        splats: Sequence[Array],
+        view: Frustum,
+        settings: Settings,
+        v_pictures: Mapping[str, Array | None],
+        grads: Mapping[str, Array],
+        *,
+        add_shN: bool = False,
+    ) -> None:
+        """gs_gpu_backward of the last `forward`, whose settings had the output `header.GRADIENTS`.
+
+        Args:
+            splats: As in that call.
+            view: As in that call.
+            settings: As in that call.
+            v_pictures: Gradients of a loss by picture: `rgb`, `alpha`, `inverse_depth`; None: 0.
+            grads: Output arrays by parameter, and optionally `means2d` [N, 2], `viewmat` [4, 4].
+            add_shN: True: add to `shN`.
+        """
+        v_image = arguments.image_grads(v_pictures, view, settings.outputs)
+        count, rest = len(splats[0]), splats[5].shape[1]
+        out = arguments.splat_grads(grads, count, rest, add_shN=add_shN)
+        with self._lock:
+            drawn = self._kept.get(_key(splats, settings)) or self._last
+            handle = drawn.handle if drawn else None
+            found = ct.byref(v_image), ct.byref(out)
+            self._check(self._lib.gs_gpu_backward(self._open(), handle, *found))
+
     def weights(
         self, splats: Sequence[Array], settings: Settings, shares: Array, view: Frustum
     ) -> np.ndarray:

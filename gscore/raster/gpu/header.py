@@ -3,7 +3,9 @@
 from .. import header as base
 from ..header import struct
 
-ABI_VERSION = 1
+ABI_VERSION = 2
+GRADIENTS = 16
+"""Further output: the draw keeps what gradients need."""
 UNSUPPORTED, DEVICE_LOST, TIMED_OUT = 5, 7, 8
 KINDS = "other", "integrated", "discrete", "virtual", "software"
 """Names of GS_GPU_*, in their order."""
@@ -33,6 +35,7 @@ SIGNATURES = base.signatures(
         "gs_gpu_release": "pointer",
         "gs_gpu_draw": "pointer pointer gs_view gs_host gs_image",
         "gs_gpu_weights": "pointer pointer pointer pointer",
+        "gs_gpu_backward": "pointer pointer gs_image_grads gs_splat_grads",
         "gs_gpu_draw_stats": "pointer gs_gpu_stats",
         "gs_gpu_profile": "pointer int32",
         "gs_gpu_kernel_time": "pointer int32 pointer pointer int64*",

@@ -19,6 +19,7 @@ from .devices import find_devices
 from .gpu_raster import GpuRaster
 from .library import DeviceMemoryError, DeviceTimeoutError
 from .self_test_arithmetic import arithmetic_checks
+from .self_test_gradients import gradient_checks
 from .self_test_pictures import picture_checks
 
 _ENDED = 3
@@ -37,7 +38,7 @@ class Check:
 
 def checks() -> Iterator[Check]:
     """All tests of a device, the quick ones first."""
-    for name, run in (*picture_checks(), *arithmetic_checks()):
+    for name, run in (*picture_checks(), *gradient_checks(), *arithmetic_checks()):
         yield Check(name, run)
 
 
