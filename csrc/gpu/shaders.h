@@ -6,7 +6,7 @@
 
 namespace gs {
 
-// In the order of CMakeLists.txt's list.
+// In the order of the names of their files.
 enum class Shader {
     kArguments,
     kBlend,
