@@ -1,8 +1,7 @@
-// Drawing splats: upload, buffers, the order of the shaders, download.
+// Drawing splats: buffers, submissions, blending.
 #include "gpu.h"
 
 #include <algorithm>
-#include <bit>
 #include <chrono>
 #include <cmath>
 #include <cstring>
@@ -11,8 +10,6 @@ using namespace gs;
 
 namespace {
 
-// Bytes of a transfer at a time, so that host memory stays small.
-constexpr size_t kChunkBytes = size_t(64) << 20;
 // Bytes that a draw fetches at once, with its last submission; more are fetched in chunks.
 constexpr size_t kFetchBytes = size_t(256) << 20;
 // Pixels, and entries, of a submission: a long one freezes the screen, and systems end it after two seconds.
@@ -21,9 +18,6 @@ constexpr int64_t kPixelsAtOnce = int64_t(1) << 21, kEntriesAtOnce = int64_t(1) 
 constexpr int64_t kMostPixels = INT32_MAX / 3;
 // Fills all buffers before a draw under GSCORE_GPU_CHECK: a large negative float, an index far beyond any buffer.
 constexpr uint32_t kPoison = 0xCDCDCDCD;
-constexpr size_t kWord = sizeof(uint32_t);
-
-enum Stage { kBegin, kProjected, kSorted, kBinned, kBlended, kFetched };
 
 class Timer {
   public:
@@ -34,31 +28,6 @@ class Timer {
   private:
     std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
 };
-
-// Writes rows from `begin` to `end` of a plane of a model, see frame.h.
-void write_plane(const gs_splats &in, size_t plane, size_t begin, size_t end, float *to) {
-    const size_t rest = size_t(in.sh_rest);
-    for (size_t row = begin; row < end; ++row, to += 4) {
-        switch (plane) {
-        case GS_PLANE_MEAN:
-            std::copy_n(in.means + 3 * row, 3, to);
-            to[3] = in.opacities[row];
-            break;
-        case GS_PLANE_QUAT:
-            std::copy_n(in.quats + 4 * row, 4, to);
-            break;
-        case GS_PLANE_SCALE:
-            std::copy_n(in.scales + 3 * row, 3, to);
-            to[3] = 0;
-            break;
-        default:
-            for (size_t k = 0; k < 4; ++k) {
-                const size_t at = 4 * (plane - GS_PLANE_SH) + k;
-                to[k] = at < 3 ? in.sh0[3 * row + at] : at - 3 < 3 * rest ? in.shN[3 * rest * row + at - 3] : 0;
-            }
-        }
-    }
-}
 
 } // namespace
 
@@ -87,74 +56,6 @@ gs_gpu::~gs_gpu() {
     each_buffer([&](DeviceBuffer &b) { device.free(b); });
     device.free(upload_);
     device.free(download_);
-}
-
-void gs_gpu::send(const Transfers &transfers) {
-    for (const Transfer &t : transfers)
-        for (size_t at = 0; at < t.bytes; at += kChunkBytes) {
-            const size_t bytes = std::min(kChunkBytes, t.bytes - at);
-            device.ensure(upload_, bytes, Place::kUpload);
-            std::memcpy(upload_.mapped, static_cast<const char *>(t.array) + at, bytes);
-            device.begin();
-            device.copy(upload_, *t.buffer, bytes, 0, at);
-            device.finish(nullptr);
-        }
-}
-
-void gs_gpu::record_fetch(const Transfers &transfers) {
-    size_t total = 0;
-    for (const Transfer &t : transfers)
-        total += t.bytes;
-    device.ensure(download_, total, Place::kDownload);
-    size_t at = 0;
-    for (const Transfer &t : transfers) {
-        device.copy(*t.buffer, download_, t.bytes, 0, at);
-        at += t.bytes;
-    }
-}
-
-void gs_gpu::read_fetched(const Transfers &transfers) {
-    const char *from = static_cast<const char *>(download_.mapped);
-    for (const Transfer &t : transfers) {
-        if (t.bytes)
-            std::memcpy(t.array, from, t.bytes);
-        from += t.bytes;
-    }
-}
-
-void gs_gpu::fetch(const Transfers &transfers) {
-    for (const Transfer &t : transfers)
-        for (size_t at = 0; at < t.bytes; at += kChunkBytes) {
-            const size_t bytes = std::min(kChunkBytes, t.bytes - at);
-            device.ensure(download_, bytes, Place::kDownload);
-            device.begin();
-            device.copy(*t.buffer, download_, bytes, at, 0);
-            device.finish(nullptr);
-            std::memcpy(static_cast<char *>(t.array) + at, download_.mapped, bytes);
-        }
-}
-
-void gs_gpu::upload(const gs_splats &in, gs_gpu_splats &out) {
-    device.ensure(out.model, planes_of(in.sh_rest) * size_t(in.count) * 4 * sizeof(float));
-    out.gpu = this;
-    out.count = in.count;
-    out.sh_rest = in.sh_rest;
-    out.raw = in.raw;
-    write_rows(in, out, 0);
-}
-
-void gs_gpu::write_rows(const gs_splats &in, gs_gpu_splats &out, size_t first) {
-    const size_t count = size_t(in.count), planes = planes_of(out.sh_rest);
-    const size_t rows = std::max<size_t>(kChunkBytes / (4 * sizeof(float)), 1);
-    for (size_t plane = 0; plane < planes; ++plane)
-        for (size_t begin = 0; begin < count; begin += rows) {
-            const size_t end = std::min(begin + rows, count), bytes = (end - begin) * 4 * sizeof(float);
-            device.ensure(upload_, bytes, Place::kUpload);
-            write_plane(in, plane, begin, end, static_cast<float *>(upload_.mapped));
-            device.begin();
-            device.copy(upload_, out.model, bytes, 0, (plane * size_t(out.count) + first + begin) * 4 * sizeof(float));
-            device.finish(nullptr);
-        }
 }
 
 void gs_gpu::release(gs_gpu_splats &splats) {
@@ -269,77 +170,49 @@ gs_push gs_gpu::push(uint32_t word0, uint32_t word1, uint32_t word2) const {
     return p;
 }
 
-int gs_gpu::sort(DeviceBuffer *keys, DeviceBuffer *values, uint32_t counter, size_t arguments, uint32_t bits) {
-    int from = 0;
-    for (uint32_t bit = 0; bit < bits; bit += GS_DIGIT_BITS, from = 1 - from) {
-        gs_push p = push(counter, bit);
-        p.keys_in = keys[from].address;
-        p.values_in = values[from].address;
-        p.keys_out = keys[1 - from].address;
-        p.values_out = values[1 - from].address;
-        device.dispatch(Shader::kSortCount, p, counters_, arguments);
-        device.dispatch(Shader::kScan, push(counter, GS_DIGITS, GS_BLOCK), 1);
-        device.dispatch(Shader::kSortScatter, p, counters_, arguments);
-    }
-    return from;
+void gs_gpu::begin() {
+    device.begin();
+    device.timestamp(0);
+    laps_.clear();
+    paced_bytes_ = 0;
 }
 
-// Projects, and lists the entries of each tile in the order of their depths.
-void gs_gpu::record_lists() {
-    const uint32_t group_count = groups_of(frame_.count, GS_GROUP);
-    const Groups groups(group_count);
-    device.timestamp(kBegin);
-    device.dispatch(Shader::kProject, push(), groups.x, groups.y);
-    device.dispatch(Shader::kScan, push(0, 0, group_count), 1);
-    device.dispatch(Shader::kCompact, push(), groups.x, groups.y);
-    device.dispatch(Shader::kArguments, push(0, 0, group_count), 1);
-    device.timestamp(kProjected);
-    static_assert(32 / GS_DIGIT_BITS % 2 == 0, "the sorted splats are in the first pair of buffers");
-    sort(visible_keys_, visible_rows_, GS_COUNT_VISIBLE, GS_ARGS_VISIBLE_BLOCKS, 32);
-    device.dispatch(Shader::kTileSums, push(), counters_, GS_ARGS_VISIBLE_BLOCKS);
-    device.dispatch(Shader::kScan, push(GS_COUNT_VISIBLE, 1, GS_BLOCK), 1);
-    device.dispatch(Shader::kOffsets, push(), counters_, GS_ARGS_VISIBLE_BLOCKS);
-    device.dispatch(Shader::kArguments, push(1), 1);
-    device.timestamp(kSorted);
-    device.fill(tile_ranges_, size_t(frame_.tiles_x) * frame_.tiles_y * 2 * kWord, 0);
-    gs_push p = push();
-    p.keys_out = entry_keys_[0].address;
-    p.values_out = entry_slots_[0].address;
-    device.dispatch(Shader::kEmit, p, counters_, GS_ARGS_ENTRIES);
-    sorted_entries_ = sort(entry_keys_, entry_slots_, GS_COUNT_ENTRIES, GS_ARGS_ENTRY_BLOCKS,
-                           uint32_t(std::bit_width(frame_.tiles_x * frame_.tiles_y - 1)));
-    p = push();
-    p.keys_in = entry_keys_[sorted_entries_].address;
-    device.dispatch(Shader::kRanges, p, counters_, GS_ARGS_ENTRIES);
-    device.timestamp(kBinned);
+void gs_gpu::lap(double gs_gpu_stats::*time) {
+    laps_.push_back(time);
+    device.timestamp(uint32_t(laps_.size()));
+}
+
+void gs_gpu::submit() {
+    const gs_status status = device.finish(cancel_);
+    for (uint32_t i = 0; i < laps_.size(); ++i)
+        stats.*laps_[i] += device.milliseconds(i, i + 1);
+    if (status)
+        throw_failure(status, "cancelled");
 }
 
 uint32_t gs_gpu::tile_rows_at_once() const {
+    if (checks_enabled())
+        return 1;
     const int64_t bands = std::max<int64_t>(ceil_div(int64_t(frame_.view.width) * frame_.view.height, kPixelsAtOnce),
                                             ceil_div(stats.entries, kEntriesAtOnce));
     return uint32_t(std::max<int64_t>(frame_.tiles_y / bands, 1));
 }
 
-gs_status gs_gpu::blend(const gs_host &host, const Transfers &wanted) {
+void gs_gpu::blend(const Transfers &wanted) {
     const uint32_t band = tile_rows_at_once();
     for (uint32_t row = 0; row < frame_.tiles_y; row += band) {
         const bool last = row + band >= frame_.tiles_y;
-        device.begin();
-        device.timestamp(kBegin);
+        begin();
         gs_push p = push(row);
         p.values_in = entry_slots_[sorted_entries_].address;
         device.dispatch(Shader::kBlend, p, frame_.tiles_x, std::min(band, frame_.tiles_y - row));
-        device.timestamp(kBlended);
-        if (last)
+        lap(&gs_gpu_stats::blend_ms);
+        if (last) {
             record_fetch(wanted);
-        device.timestamp(kFetched);
-        if (const gs_status s = device.finish(host.cancel))
-            return s;
-        stats.blend_ms += device.milliseconds(kBegin, kBlended);
-        if (last)
-            stats.download_ms = device.milliseconds(kBlended, kFetched);
+            lap(&gs_gpu_stats::download_ms);
+        }
+        submit();
     }
-    return GS_OK;
 }
 
 void gs_gpu::record_poison() {
@@ -347,36 +220,6 @@ void gs_gpu::record_poison() {
         if (&b != &far_depths_ && &b != &tiles_ && b.bytes)
             device.fill(b, b.bytes, kPoison);
     });
-}
-
-// Makes the lists of all tiles. Most often the entries fit into the buffers of an earlier draw; else they are made larger,
-// once.
-gs_status gs_gpu::lists(const gs_host &host) {
-    uint32_t counters[GS_COUNTERS] = {};
-    size_t entries = std::max<size_t>(size_t(frame_.count) * 4, 1 << 12);
-    do {
-        if (entries > size_t(INT32_MAX))
-            throw_failure(GS_TOO_MANY, "the splats cover too many tiles: more than 2147483647 entries; use a smaller "
-                                       "image or fewer screen-filling splats");
-        ensure_entries(entries);
-        const Transfers wanted = {{&counters_, counters, sizeof counters}};
-        device.begin();
-        if (checks_enabled())
-            record_poison();
-        device.update(frame_buffer_, &frame_, sizeof frame_);
-        record_lists();
-        record_fetch(wanted);
-        if (const gs_status s = device.finish(host.cancel))
-            return s;
-        read_fetched(wanted);
-        entries = counters[GS_COUNT_OVERFLOW];
-    } while (entries);
-    stats.visible = counters[GS_COUNT_VISIBLE];
-    stats.entries = counters[GS_COUNT_ENTRIES];
-    stats.project_ms = device.milliseconds(kBegin, kProjected);
-    stats.sort_ms = device.milliseconds(kProjected, kSorted);
-    stats.bin_ms = device.milliseconds(kSorted, kBinned);
-    return GS_OK;
 }
 
 gs_gpu::Transfers gs_gpu::pictures(const gs_image &image) {
@@ -390,13 +233,14 @@ gs_gpu::Transfers gs_gpu::pictures(const gs_image &image) {
             {&radii_, image.radii, image.radii ? size_t(frame_.count) * kWord : 0}};
 }
 
-gs_status gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const gs_host &host, const gs_image &image) {
+void gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const gs_host &host, const gs_image &image) {
     const Timer timer;
     if (int64_t(view.width) * view.height > kMostPixels)
         throw_failure(GS_BAD_ARGUMENT, "a graphics card draws at most %lld pixels, got %d x %d", (long long)kMostPixels,
                       view.width, view.height);
     drawn_ = nullptr;
     stats = {};
+    cancel_ = host.cancel;
     const bool damage = device.inject_fault();
     frame_.view = view;
     frame_.count = uint32_t(splats.count);
@@ -404,15 +248,13 @@ gs_status gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const g
     frame_.model = splats.model.address;
     ensure_splats(size_t(splats.count));
     ensure_picture(view, host);
-    if (const gs_status s = lists(host))
-        return s;
+    lists();
     const Transfers wanted = pictures(image);
     size_t total = 0;
     for (const Transfer &t : wanted)
         total += t.bytes;
     const bool whole = total <= kFetchBytes;
-    if (const gs_status s = blend(host, whole ? wanted : Transfers{}))
-        return s;
+    blend(whole ? wanted : Transfers{});
     const Timer copying;
     whole ? read_fetched(wanted) : fetch(wanted);
     stats.download_ms += copying.milliseconds();
@@ -425,7 +267,6 @@ gs_status gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const g
     stats.device_bytes = int64_t(device.bytes_in_use());
     stats.total_ms = timer.milliseconds();
     drawn_ = &splats;
-    return GS_OK;
 }
 
 void gs_gpu::weights(const gs_gpu_splats &splats, const float *shares, float *sums) {
@@ -492,10 +333,12 @@ void gs_gpu::test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *ou
         rows[i] = uint32_t(i);
     uint32_t visible = uint32_t(count);
     send({{&visible_rows_[0], rows.data(), bytes}, {&sums_, &visible, kWord}});
-    device.begin();
+    cancel_ = nullptr;
+    begin();
     device.update(frame_buffer_, &frame_, sizeof frame_);
     device.dispatch(Shader::kArguments, push(), 1); // the count is the first sum
-    sort(visible_keys_, visible_rows_, GS_COUNT_VISIBLE, GS_ARGS_VISIBLE_BLOCKS, 32);
-    device.finish(nullptr);
+    sort(visible_keys_, visible_rows_, GS_COUNT_VISIBLE, GS_ARGS_VISIBLE_BLOCKS, 32, size_t(count),
+         &gs_gpu_stats::sort_ms);
+    submit();
     fetch({{&visible_rows_[0], out, bytes}});
 }

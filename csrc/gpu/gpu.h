@@ -21,6 +21,8 @@ struct Groups {
     explicit Groups(int64_t count) : x(uint32_t(count < 65535 ? count : 65535)), y(groups_of(count, 65535)) {}
 };
 
+constexpr size_t kWord = sizeof(uint32_t);
+
 } // namespace gs
 
 struct gs_gpu_splats {
@@ -38,7 +40,7 @@ struct gs_gpu {
     // Writes rows of a model from row `first` on; SH coefficients that they lack are zero.
     void write_rows(const gs_splats &, gs_gpu_splats &, size_t first);
     void release(gs_gpu_splats &);
-    gs_status draw(const gs_gpu_splats &, const gs_view &, const gs_host &, const gs_image &);
+    void draw(const gs_gpu_splats &, const gs_view &, const gs_host &, const gs_image &);
     void weights(const gs_gpu_splats &, const float *shares, float *sums);
     void backward(const gs_gpu_splats &, const gs_image_grads &, const gs_splat_grads &);
     void projected(const gs::ScreenValues &);
@@ -60,16 +62,24 @@ struct gs_gpu {
     void ensure_splats(size_t count);
     void ensure_entries(size_t count);
     void ensure_picture(const gs_view &, const gs_host &);
-    // Sorts pairs of buffers by the lowest bits of their keys; returns which of the two has the result.
-    int sort(gs::DeviceBuffer *keys, gs::DeviceBuffer *values, uint32_t counter, size_t arguments, uint32_t bits);
+    // A submission of a draw: `begin`, commands, of which `lap` ends a part and adds it to a time, and `submit`, which
+    // waits for them; throws GS_CANCELLED.
+    void begin();
+    void lap(double gs_gpu_stats::*time);
+    void submit();
+    // Starts another submission before a kernel that moves `bytes` if this one would become too long.
+    void pace(size_t bytes, double gs_gpu_stats::*time);
+    // Sorts pairs of buffers, of at most `most` keys, by the lowest bits; returns which of the two has the result.
+    int sort(gs::DeviceBuffer *keys, gs::DeviceBuffer *values, uint32_t counter, size_t arguments, uint32_t bits,
+             size_t most, double gs_gpu_stats::*time);
     // A step whose pointers all have some address, because drivers may read ahead of a condition.
     gs_step blank_step() const;
     gs_push push(uint32_t word0 = 0, uint32_t word1 = 0, uint32_t word2 = 0) const;
     void record_lists();
     void record_poison();
-    gs_status lists(const gs_host &);
+    void lists();
     uint32_t tile_rows_at_once() const;
-    gs_status blend(const gs_host &, const Transfers &);
+    void blend(const Transfers &);
     void record_blend_backward(uint32_t first_row, uint32_t rows, bool has_alpha, bool has_inverse_depth);
     Transfers pictures(const gs_image &);
     void send(const Transfers &);
@@ -80,8 +90,11 @@ struct gs_gpu {
     template <class F> void each_buffer(F f);
 
     gs_frame frame_ = {};
-    const gs_gpu_splats *drawn_ = nullptr; // by the last draw, if it succeeded
-    int sorted_entries_ = 0;               // which pair of buffers has them
+    const gs_gpu_splats *drawn_ = nullptr;     // by the last draw, if it succeeded
+    const volatile int32_t *cancel_ = nullptr; // of the draw
+    std::vector<double gs_gpu_stats::*> laps_; // of this submission
+    size_t paced_bytes_ = 0;
+    int sorted_entries_ = 0; // which pair of buffers has them
     gs::DeviceBuffer frame_buffer_, records_, keys_, tile_counts_, radii_, sums_, counters_;
     gs::DeviceBuffer visible_keys_[2], visible_rows_[2], offsets_;
     gs::DeviceBuffer entry_rows_, entry_keys_[2], entry_slots_[2], tile_ranges_;
