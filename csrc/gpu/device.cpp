@@ -18,9 +18,16 @@ double seconds_allowed(const gs_gpu_info &info) {
     return found > 0 ? found : info.kind == GS_GPU_SOFTWARE ? 600 : 20;
 }
 
+// Bytes of memory that an open device may take.
+size_t bytes_allowed() {
+    const char *const text = std::getenv("GSCORE_GPU_MEMORY");
+    const long long mebibytes = text ? std::atoll(text) : 0;
+    return mebibytes > 0 && mebibytes < (1LL << 40) ? size_t(mebibytes) << 20 : SIZE_MAX;
+}
+
 } // namespace
 
-Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(physical)) {
+Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(physical)), limit_(bytes_allowed()) {
     if (*info_.missing)
         throw_failure(GS_UNSUPPORTED, "%.80s lacks %.150s", info_.name, info_.missing);
     vkGetPhysicalDeviceMemoryProperties(physical, &memory_);
@@ -174,6 +181,9 @@ void Device::allocate(DeviceBuffer &b, size_t bytes, Place place) {
         if (needs.size > info_.largest_buffer)
             throw_failure(GS_OUT_OF_MEMORY, "%.100s allows %llu MiB in one buffer; %llu MiB are needed", info_.name,
                           (unsigned long long)(info_.largest_buffer >> 20), (unsigned long long)(needs.size >> 20));
+        if (bytes_ + needs.size > limit_)
+            throw_failure(GS_OUT_OF_MEMORY, "%.100s has no %llu MiB more (GSCORE_GPU_MEMORY); %llu MiB are in use here",
+                          info_.name, (unsigned long long)(needs.size >> 20), (unsigned long long)(bytes_ >> 20));
         const VkResult result = vk_.vkAllocateMemory(device_, &allocate, nullptr, &b.memory);
         if (result == VK_ERROR_OUT_OF_DEVICE_MEMORY || result == VK_ERROR_OUT_OF_HOST_MEMORY)
             throw_failure(GS_OUT_OF_MEMORY, "%.100s has no %llu MiB more; %llu MiB are in use here", info_.name,

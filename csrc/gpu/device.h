@@ -105,6 +105,7 @@ class Device {
     KernelTime times_[kShaders] = {};
     size_t bytes_ = 0;
     bool lost_ = false;
+    size_t limit_; // bytes
     int draws_ = 0;
     bool fails_to_allocate_ = false, hangs_ = false; // injected faults
 };
