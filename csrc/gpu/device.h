@@ -22,6 +22,9 @@ enum class Place { kDevice, kUpload, kDownload };
 // Timestamps of a submission: those of stages, then two for each dispatch that is profiled.
 constexpr uint32_t kStageTimestamps = 8, kMostTimestamps = kStageTimestamps + 256;
 
+// Fills all buffers before their use under GSCORE_GPU_CHECK: a large negative float, an index far beyond any buffer.
+constexpr uint32_t kPoison = 0xCDCDCDCD;
+
 // Bytes of push constants that every device has.
 constexpr uint32_t kPushBytes = 128;
 

@@ -16,8 +16,6 @@ constexpr size_t kFetchBytes = size_t(256) << 20;
 constexpr int64_t kPixelsAtOnce = int64_t(1) << 21, kEntriesAtOnce = int64_t(1) << 23;
 // Pixels of a picture, so that their RGB values have 32-bit indices in shaders.
 constexpr int64_t kMostPixels = INT32_MAX / 3;
-// Fills all buffers before a draw under GSCORE_GPU_CHECK: a large negative float, an index far beyond any buffer.
-constexpr uint32_t kPoison = 0xCDCDCDCD;
 
 class Timer {
   public:

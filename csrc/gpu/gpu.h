@@ -44,6 +44,8 @@ struct gs_gpu {
     void weights(const gs_gpu_splats &, const float *shares, float *sums);
     void backward(const gs_gpu_splats &, const gs_image_grads &, const gs_splat_grads &);
     void projected(const gs::ScreenValues &);
+    // As gs_gpu_loss.
+    void loss(const gs_loss_args &, const gs_gpu_loss_terms &, gs_gpu_loss_result &, float *v_image, float *v_alpha);
     void test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *out, int64_t count);
 
     gs::Device device;

@@ -25,7 +25,7 @@
  * (first: 1) fails so, for tests. GSCORE_GPU_CHECK_LOG: a file to which validation messages are appended. */
 #pragma once
 
-#include "gscore/raster.h"
+#include "gscore/loss.h"
 
 /* Changes whenever a struct or a signature of this header changes. */
 #define GS_GPU_ABI_VERSION 2
@@ -136,3 +136,30 @@ GS_API gs_status gs_gpu_model_create(gs_gpu *gpu, const gs_splats *splats, const
                                      gs_gpu_model **out);
 /* Free it, before its device is closed. */
 GS_API void gs_gpu_model_destroy(gs_gpu_model *model);
+
+/* What a loss on a device has besides gs_loss_args. */
+typedef struct gs_gpu_loss_terms {
+    const float *alpha; /* [H, W] rendered opacity; null if the fields that need it are 0 */
+    float mask_alpha;   /* weight of the mean of |alpha - mask|; needs alpha; without a mask the term is 0 */
+    float see_through;  /* weight of the mean of (1 - alpha) mask; needs alpha; without a mask that is 1 */
+    float counted;      /* share of unmasked pixels: mse is that of these, if the others have no error */
+    int32_t
+        fixed_background; /* 1: v_log_gain takes gs_loss_args.background, seen behind the splats, as constant, although
+                                 it was drawn before the gain; needs alpha */
+    int32_t rows_at_once; /* rows of tiles, GS_TILE px each, in a submission; 0: all */
+    int32_t unused;
+} gs_gpu_loss_terms;
+
+typedef struct gs_gpu_loss_result {
+    uint32_t sane;                 /* 1: the loss is finite and mse below 1e4 */
+    uint32_t infinite;             /* 1: the loss is not finite */
+    float loss, l1, ssim, mse;     /* loss with the terms of opacity; mse over `counted`, 0 if that is 0 */
+    float mask_alpha, see_through; /* the terms without their weights; 0 if no weight asks for them */
+    float v_log_gain[3];           /* derivative of the loss in ln gain; 0 without gain */
+    uint32_t unused;
+} gs_gpu_loss_result;
+
+/* Loss of a picture and its gradients, as gs_image_loss: v_image [H, W, 3] in the image, v_alpha [H, W] in opacity, either
+ * may be null. Of gs_loss_args, `threads` is not used. A mask counts for the terms of opacity also with GS_MASK_NONE. */
+GS_API gs_status gs_gpu_loss(gs_gpu *gpu, const gs_loss_args *args, const gs_gpu_loss_terms *terms,
+                             gs_gpu_loss_result *result, float *v_image, float *v_alpha);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "gscore/base.h"
+#include "gscore/loss.h"
 #include "gscore/raster.h"
 
 #include <new>
@@ -32,5 +33,6 @@ gs_status check_splats(const gs_splats &);
 gs_status check_view(const gs_view &);
 // A view of splats with `sh_rest` stored coefficients, and the arrays for what it asks for.
 gs_status check_draw(int32_t sh_rest, const gs_view &, const gs_image &);
+gs_status check_loss(const gs_loss_args &);
 
 } // namespace gs

@@ -84,4 +84,19 @@ gs_status check_draw(int32_t sh_rest, const gs_view &view, const gs_image &image
     return GS_OK;
 }
 
+gs_status check_loss(const gs_loss_args &a) {
+    if (!a.image || !a.target)
+        return fail(GS_BAD_ARGUMENT, "the image or target of a loss is null");
+    if (const gs_status s = check_image_size(a.width, a.height))
+        return s;
+    if (a.mask_mode < GS_MASK_NONE || a.mask_mode > GS_MASK_IGNORE || (a.mask_mode != GS_MASK_NONE && !a.mask))
+        return fail(GS_BAD_ARGUMENT, "mask_mode must be 0, 1 or 2, with a mask unless 0; got %d", a.mask_mode);
+    if (!(a.ssim_weight >= 0 && a.ssim_weight <= 1))
+        return fail(GS_BAD_ARGUMENT, "ssim_weight must be 0 to 1, got %g", double(a.ssim_weight));
+    for (int c = 0; a.gain && c < 3; ++c)
+        if (!(a.gain[c] > 0 && std::isfinite(a.gain[c])))
+            return fail(GS_BAD_ARGUMENT, "gain must be above 0 and finite, got %g", double(a.gain[c]));
+    return GS_OK;
+}
+
 } // namespace gs

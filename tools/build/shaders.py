@@ -35,7 +35,7 @@ def sources_hash() -> str:
     """SHA-256 of all sources, by their names in order."""
     found = hashlib.sha256()
     names = sorted([*SHADERS.glob("*.comp"), *SHADERS.glob("*.glsl")])
-    headers = [SHADERS.parent / "frame.h", SHADERS.parent / "step.h"]
+    headers = [SHADERS.parent / name for name in ("frame.h", "loss_frame.h", "step.h")]
     for path in [*names, *headers, *sorted(INCLUDES[-1].glob("*.h"))]:
         found.update(path.name.encode() + b"\0" + path.read_bytes())
     return found.hexdigest()

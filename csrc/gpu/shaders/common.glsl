@@ -11,9 +11,11 @@ layout(buffer_reference, std430, buffer_reference_align = 16) buffer gs_records 
 
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_frame_block;
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_step_block;
+layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_loss_block;
 
 #include "constants.h"
 #include "step.h"
+#include "loss_frame.h"
 
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_frame_block {
     gs_frame frame;

@@ -224,6 +224,21 @@ class GpuRaster:
             self._check(self._lib.gs_gpu_projected(self._open(), *found))
         return arrays
 
+    def loss(
+        self,
+        args: ct.Structure,
+        terms: ct.Structure,
+        v_image: int | None,
+        v_alpha: int | None,
+    ) -> Any:
+        """gs_gpu_loss: its result; the gradients are addresses of arrays or None, see
+        `gpu_loss.gpu_image_loss`."""
+        result = header.GpuLossResultStruct()
+        given = ct.byref(args), ct.byref(terms), ct.byref(result), v_image, v_alpha
+        with self._lock:
+            self._check(self._lib.gs_gpu_loss(self._open(), *given))
+        return result
+
     def test(self, kernel: int, a: np.ndarray, b: np.ndarray | None = None) -> np.ndarray:
         """gs_gpu_test: the words that a kernel of the self-test makes of `a` and `b`, [N] uint32.
 

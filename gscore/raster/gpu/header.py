@@ -25,8 +25,21 @@ GpuStatsStruct = struct(
     "int64 visible entries device_bytes",
     "double project_ms sort_ms bin_ms blend_ms download_ms total_ms",
 )
+GpuLossTermsStruct = struct(
+    "gs_gpu_loss_terms",
+    "pointer alpha",
+    "float mask_alpha see_through counted",
+    "int32 fixed_background rows_at_once unused",
+)
+GpuLossResultStruct = struct(
+    "gs_gpu_loss_result",
+    "uint32 sane infinite",
+    "float loss l1 ssim mse mask_alpha see_through",
+    "float[3] v_log_gain",
+    "uint32 unused",
+)
 SIGNATURES = base.signatures(
-    (*base.STRUCTS, GpuInfoStruct, GpuStatsStruct),
+    (*base.STRUCTS, GpuInfoStruct, GpuStatsStruct, GpuLossTermsStruct, GpuLossResultStruct),
     {
         "gs_gpu_devices": "gs_gpu_info int32 int32*",
         "gs_gpu_open": "int32 pointer",
@@ -42,6 +55,7 @@ SIGNATURES = base.signatures(
         "gs_gpu_projected": "pointer pointer pointer pointer pointer pointer",
         "gs_gpu_model_create": "pointer gs_splats gs_splats int32 pointer",
         "gs_gpu_model_destroy": "pointer",
+        "gs_gpu_loss": "pointer gs_loss_args gs_gpu_loss_terms gs_gpu_loss_result pointer pointer",
         "gs_gpu_test": "pointer int32 pointer pointer pointer int64",
     },
 )

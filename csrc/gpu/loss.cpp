@@ -1,0 +1,160 @@
+// Loss on a device: buffers, the order of its shaders, and the call that tests use.
+#include "loss.h"
+#include "gpu.h"
+
+#include "gscore/loss.h"
+
+#include <algorithm>
+#include <cstddef>
+
+namespace gs {
+
+namespace {
+
+// Pixels whose derivatives, nine floats each, have 32-bit indices in shaders.
+constexpr int64_t kMostPixels = UINT32_MAX / 9;
+
+static_assert(sizeof(gs_loss_frame) == 152 && sizeof(gs_gpu_loss_result) == 48);
+
+} // namespace
+
+void GpuLoss::ensure(Device &device, int32_t width, int32_t height) {
+    const int64_t pixels = int64_t(width) * height;
+    if (pixels > kMostPixels)
+        throw_failure(GS_BAD_ARGUMENT, "a device compares pictures of at most %lld pixels, got %d x %d",
+                      (long long)kMostPixels, width, height);
+    const size_t tiles = size_t(ceil_div(width, GS_TILE)) * tile_rows(height), floats = size_t(pixels) * sizeof(float);
+    device.ensure(block_, sizeof(gs_loss_frame));
+    device.ensure(derivatives_, 9 * floats);
+    device.ensure(sums_, GS_LOSS_SUMS * tiles * sizeof(float));
+    device.ensure(v_rgb_, 3 * floats);
+    device.ensure(v_alpha_, floats);
+    device.ensure(result_, sizeof(gs_gpu_loss_result));
+}
+
+void GpuLoss::free(Device &device) {
+    each_buffer([&](DeviceBuffer &b) { device.free(b); });
+}
+
+void GpuLoss::record_input(Device &device, const LossInput &in) {
+    if (checks_enabled())
+        each_buffer([&](DeviceBuffer &b) { device.fill(b, b.bytes, kPoison); });
+    gs_loss_frame f = {};
+    f.rgb = in.rgb;
+    // No address is null, because drivers may read ahead of a condition.
+    f.alpha = in.alpha ? in.alpha : in.rgb;
+    f.photo = in.photo;
+    f.mask = in.mask ? in.mask : in.photo;
+    f.derivatives = derivatives_.address;
+    f.sums = sums_.address;
+    f.v_rgb = v_rgb_.address;
+    f.v_alpha = v_alpha_.address;
+    f.result = result_.address;
+    f.width = uint32_t(in.width);
+    f.height = uint32_t(in.height);
+    f.tiles_x = tiles_x_ = uint32_t(ceil_div(in.width, GS_TILE));
+    f.tiles = tiles_x_ * tile_rows(in.height);
+    f.mask_mode = uint32_t(in.mask_mode);
+    f.has_mask = in.mask != 0;
+    f.has_gain = in.has_gain;
+    f.has_alpha_terms = in.has_alpha_terms();
+    f.fixed_background = in.fixed_background && in.has_gain;
+    for (int c = 0; c < 3; ++c)
+        f.gain[c] = in.has_gain ? in.gain[c] : 1;
+    std::copy_n(in.background, 3, f.background);
+    f.ssim_weight = in.ssim_weight;
+    f.mask_alpha = in.mask ? in.mask_alpha : 0;
+    f.see_through = in.see_through;
+    f.counted = in.counted;
+    device.update(block_, &f, sizeof f);
+}
+
+void GpuLoss::record_comparison(Device &device, uint32_t first_row, uint32_t rows) {
+    device.dispatch(Shader::kLossCompare, push(first_row), tiles_x_, rows);
+}
+
+void GpuLoss::record_gradient(Device &device, uint32_t first_row, uint32_t rows) {
+    device.dispatch(Shader::kLossGradient, push(first_row), tiles_x_, rows);
+}
+
+void GpuLoss::record_result(Device &device) { device.dispatch(Shader::kLossResult, push(0), 1); }
+
+void GpuLoss::record(Device &device, const LossInput &in) {
+    const uint32_t rows = tile_rows(in.height);
+    record_input(device, in);
+    record_comparison(device, 0, rows);
+    record_gradient(device, 0, rows);
+    record_result(device);
+}
+
+} // namespace gs
+
+using namespace gs;
+
+void gs_gpu::loss(const gs_loss_args &args, const gs_gpu_loss_terms &terms, gs_gpu_loss_result &result, float *v_image,
+                  float *v_alpha) {
+    const size_t pixels = size_t(args.width) * size_t(args.height), floats = pixels * sizeof(float);
+    GpuLoss work;
+    DeviceBuffer rgb, alpha, photo, mask;
+    const auto free_all = [&] {
+        if (device.is_lost())
+            return;
+        work.free(device);
+        for (DeviceBuffer *b : {&rgb, &alpha, &photo, &mask})
+            device.free(*b);
+    };
+    const auto upload = [&](DeviceBuffer &to, const void *array, size_t bytes) {
+        if (!array)
+            return VkDeviceAddress(0);
+        device.ensure(to, bytes);
+        send({{&to, const_cast<void *>(array), bytes}});
+        return to.address;
+    };
+    try {
+        work.ensure(device, args.width, args.height);
+        LossInput in = {};
+        in.width = args.width;
+        in.height = args.height;
+        in.rgb = upload(rgb, args.image, 3 * floats);
+        in.alpha = upload(alpha, terms.alpha, floats);
+        in.photo = upload(photo, args.target, 3 * pixels);
+        in.mask = upload(mask, args.mask, pixels);
+        in.mask_mode = args.mask_mode;
+        std::copy_n(args.background, 3, in.background);
+        in.ssim_weight = args.ssim_weight;
+        in.has_gain = args.gain != nullptr;
+        if (args.gain)
+            std::copy_n(args.gain, 3, in.gain);
+        in.fixed_background = terms.fixed_background != 0;
+        in.mask_alpha = terms.mask_alpha;
+        in.see_through = terms.see_through;
+        in.counted = terms.counted;
+        const uint32_t rows = GpuLoss::tile_rows(args.height);
+        const uint32_t band = terms.rows_at_once ? uint32_t(terms.rows_at_once) : rows;
+        const auto submit = [&](auto record) {
+            device.begin();
+            record();
+            device.finish(nullptr);
+        };
+        if (band >= rows) {
+            submit([&] { work.record(device, in); });
+        } else {
+            submit([&] { work.record_input(device, in); });
+            for (uint32_t row = 0; row < rows; row += band)
+                submit([&] { work.record_comparison(device, row, std::min(band, rows - row)); });
+            for (uint32_t row = 0; row < rows; row += band)
+                submit([&] { work.record_gradient(device, row, std::min(band, rows - row)); });
+            submit([&] { work.record_result(device); });
+        }
+        DeviceBuffer found = work.result(), by_rgb = work.v_rgb(), by_alpha = work.v_alpha();
+        fetch({{&found, &result, sizeof result},
+               {&by_rgb, v_image, v_image ? 3 * floats : 0},
+               {&by_alpha, v_alpha, v_alpha && in.has_alpha_terms() ? floats : 0}});
+        if (v_alpha && !in.has_alpha_terms())
+            std::fill_n(v_alpha, pixels, 0.0f);
+    } catch (...) {
+        free_all();
+        throw;
+    }
+    free_all();
+}
