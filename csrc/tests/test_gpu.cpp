@@ -180,6 +180,7 @@ void models_are_created(gs_gpu *gpu) {
 }
 
 void nulls_are_refused() {
+    CHECK(gs_gpu_loss(nullptr, nullptr, nullptr, nullptr, nullptr, nullptr) == GS_BAD_ARGUMENT);
     CHECK(gs_gpu_model_create(nullptr, nullptr, nullptr, 0, nullptr) == GS_BAD_ARGUMENT);
     gs_gpu_model_destroy(nullptr);
     CHECK(gs_gpu_devices(nullptr, 0, nullptr) == GS_BAD_ARGUMENT);

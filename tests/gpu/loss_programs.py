@@ -257,11 +257,49 @@ def insane(raster: GpuRaster) -> list[list[Any]]:
     return [*found, ["alpha", "none", one.sane, one.infinite, True]]
 
 
+def identical(raster: GpuRaster) -> list[float]:
+    """SSIM, L1, squares and loss of a picture that is its photo, and its largest gradient."""
+    _, photo, _, _ = Case((40, 50)).arrays()
+    one = gpu_image_loss(raster, photo.astype(np.float32) * np.float32(1 / WHITE), photo)
+    return [one.ssim, one.l1, one.mse, one.loss, float(np.abs(one.v_image).max())]
+
+
+def bright(raster: GpuRaster) -> list[float]:
+    """SSIM of a white wall with little noise, and the reference's."""
+    photo = np.full((64, 64, 3), 250, np.uint8)
+    noise = np.random.default_rng(1).standard_normal(photo.shape)
+    image = (0.98 + 0.002 * noise).astype(np.float32)
+    true = image_loss_reference(torch.from_numpy(image).double(), torch.from_numpy(photo))[1]
+    return [gpu_image_loss(raster, image, photo).ssim, true.item()]
+
+
+def reach(raster: GpuRaster) -> list[float]:
+    """Largest error, beyond a relative 1e-6, of the gradient around a dot in a flat picture, near
+    corners of tiles; and the least of the reference's gradients as far away as two windows
+    reach."""
+    photo = np.full((40, 40, 3), 128, np.uint8)
+    errors, least = [], []
+    for row, column in ((15, 16), (26, 5)):
+        image = photo.astype(np.float32) * np.float32(1 / WHITE)
+        image[row, column] += 0.5
+        exact = torch.from_numpy(image).double().requires_grad_()
+        image_loss_reference(exact, torch.from_numpy(photo), ssim_weight=1.0)[0].backward()
+        assert exact.grad is not None
+        true = exact.grad.numpy()
+        found = gpu_image_loss(raster, image, photo, ssim_weight=1.0).v_image
+        errors.append(float((np.abs(found - true) - 1e-6 * np.abs(true)).max()))
+        least.append(float(np.abs(true[[row - 10, row + 10], column]).min()))
+        least.append(float(np.abs(true[row, column + 10]).min()))
+    return [max(errors), min(least)]
+
+
 def print_all() -> None:
     """All of the above by their names."""
     with _opened() as raster:
-        found = losses(raster)
-        _print({**found, "slopes": slopes(raster), "insane": insane(raster)})
+        found: dict[str, Any] = losses(raster)
+        for test in (slopes, insane, identical, bright, reach):
+            found[test.__name__] = test(raster)
+    _print(found)
 
 
 def print_refusals() -> None:

@@ -69,6 +69,18 @@ def test_what_is_not_finite_or_absurd_is_not_sane(driver: Driver) -> None:
         assert true == (value not in ("0.5", "100000.0")), (value, mode)
 
 
+@each_driver
+def test_pictures_in_which_digits_are_lost(driver: Driver) -> None:
+    """Oracle: the definition, for a picture that is its photo; float64, for a bright wall, and for
+    a dot, whose least gradients reach into the next tiles."""
+    found = _ran(driver)
+    ssim, l1, mse, loss, largest = found["identical"]
+    assert (ssim, l1, mse, loss) == (1.0, 0.0, 0.0, 0.0) and largest < 1e-9
+    assert found["bright"][0] == pytest.approx(found["bright"][1], abs=2e-6)
+    error, least = found["reach"]
+    assert error < 1e-10 < 1e-9 < least
+
+
 def test_bad_input_is_named() -> None:
     """Oracle: the messages."""
     found = _result(ONE, "print_refusals()")
