@@ -48,16 +48,21 @@ PFN_vkGetInstanceProcAddr entry_of(const char *path, const char *source) {
     // vk_icdGetInstanceProcAddr is a driver's, see "Architecture of the Vulkan Loader Interfaces".
 #if defined(_WIN32)
     const HMODULE library = LoadLibraryA(path);
-    const auto find = [&](const char *name) { return (void *)(library ? GetProcAddress(library, name) : nullptr); };
+    if (!library)
+        throw_failure(GS_UNSUPPORTED, "%s is no Vulkan library: %.120s: Windows error %lu", source, path,
+                      GetLastError());
+    const auto find = [&](const char *name) { return (void *)GetProcAddress(library, name); };
 #else
     void *const library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
-    const auto find = [&](const char *name) { return library ? dlsym(library, name) : nullptr; };
+    if (!library) // the reason contains the path
+        throw_failure(GS_UNSUPPORTED, "%s is no Vulkan library: %.180s", source, dlerror());
+    const auto find = [&](const char *name) { return dlsym(library, name); };
 #endif
     void *entry = find("vkGetInstanceProcAddr");
     if (!entry)
         entry = find("vk_icdGetInstanceProcAddr");
     if (!entry)
-        throw_failure(GS_UNSUPPORTED, "%s is no Vulkan library: %.150s", source, path);
+        throw_failure(GS_UNSUPPORTED, "%s is no Vulkan library: %.120s: it has no vkGetInstanceProcAddr", source, path);
     return reinterpret_cast<PFN_vkGetInstanceProcAddr>(entry);
 }
 
@@ -84,27 +89,23 @@ bool has_instance_extension(const char *name) {
     return false;
 }
 
-// MoltenVK in the folder of this library, on macOS, which has no Vulkan of its own.
-void open_bundled() {
-#if defined(__APPLE__)
+// Opens MoltenVK in the folder of this library, if it is there: macOS has no Vulkan of its own.
+bool open_bundled() {
+#if !defined(_WIN32)
     Dl_info own;
     if (dladdr(reinterpret_cast<const void *>(&open_bundled), &own) && own.dli_fname) {
-        const std::string path(own.dli_fname);
-        const std::string bundled = path.substr(0, path.rfind('/') + 1) + "libMoltenVK.dylib";
-        volkInitializeCustom(entry_of(bundled.c_str(), "the bundled MoltenVK"));
-        return;
+        const std::string path(own.dli_fname), bundled = path.substr(0, path.rfind('/') + 1) + "libMoltenVK.dylib";
+        if (access(bundled.c_str(), R_OK) == 0) {
+            volkInitializeCustom(entry_of(bundled.c_str(), "the bundled MoltenVK"));
+            return true;
+        }
     }
 #endif
-    throw_failure(GS_UNSUPPORTED, "there is no Vulkan loader on this system");
+    return false;
 }
 
-VkInstance open_instance() {
-    const char *const path = std::getenv("GSCORE_VULKAN_LOADER");
-    if (path && *path)
-        volkInitializeCustom(entry_of(path, "GSCORE_VULKAN_LOADER"));
-    else if (volkInitialize() != VK_SUCCESS)
-        open_bundled();
-
+// Creates the instance; VK_ERROR_INCOMPATIBLE_DRIVER: there is a loader, but no driver.
+VkResult create_instance(VkInstance &made) {
     std::vector<const char *> extensions, layers;
     VkInstanceCreateFlags flags = 0;
     if (has_instance_extension(VK_KHR_PORTABILITY_ENUMERATION_EXTENSION_NAME)) { // MoltenVK is listed only with it
@@ -131,18 +132,37 @@ VkInstance open_instance() {
     info.ppEnabledLayerNames = layers.data();
     info.enabledExtensionCount = uint32_t(extensions.size());
     info.ppEnabledExtensionNames = extensions.data();
-    VkInstance made = VK_NULL_HANDLE;
     const VkResult result = vkCreateInstance(&info, nullptr, &made);
-    if (result == VK_ERROR_LAYER_NOT_PRESENT)
-        throw_failure(GS_UNSUPPORTED, "GSCORE_GPU_CHECK needs Vulkan's validation layer, which is not installed");
-    if (result == VK_ERROR_INCOMPATIBLE_DRIVER)
-        throw_failure(GS_UNSUPPORTED, "the Vulkan loader finds no driver");
-    check(result, "vkCreateInstance");
+    if (result != VK_SUCCESS)
+        return result;
     volkLoadInstanceOnly(made);
     if (checks_enabled()) {
         VkDebugUtilsMessengerEXT handle;
         check(vkCreateDebugUtilsMessengerEXT(made, &messenger, nullptr, &handle), "vkCreateDebugUtilsMessengerEXT");
     }
+    return result;
+}
+
+VkInstance open_instance() {
+#if defined(__APPLE__)
+    // MoltenVK reads this when it is loaded. Metal's fast math would reorder sums, also those marked NoContraction.
+    setenv("MVK_CONFIG_FAST_MATH_ENABLED", "0", 0);
+#endif
+    const char *const path = std::getenv("GSCORE_VULKAN_LOADER");
+    bool is_bundled = false;
+    if (path && *path)
+        volkInitializeCustom(entry_of(path, "GSCORE_VULKAN_LOADER"));
+    else if (volkInitialize() != VK_SUCCESS && !(is_bundled = open_bundled()))
+        throw_failure(GS_UNSUPPORTED, "there is no Vulkan loader on this system");
+    VkInstance made = VK_NULL_HANDLE;
+    VkResult result = create_instance(made);
+    if (result == VK_ERROR_INCOMPATIBLE_DRIVER && !(path && *path) && !is_bundled && open_bundled())
+        result = create_instance(made);
+    if (result == VK_ERROR_LAYER_NOT_PRESENT)
+        throw_failure(GS_UNSUPPORTED, "GSCORE_GPU_CHECK needs Vulkan's validation layer, which is not installed");
+    if (result == VK_ERROR_INCOMPATIBLE_DRIVER)
+        throw_failure(GS_UNSUPPORTED, "the Vulkan loader finds no driver");
+    check(result, "vkCreateInstance");
     return made;
 }
 
