@@ -101,23 +101,18 @@ class RenderClient:
         arguments.image(pictures, view, settings.outputs, len(splats[0]))
         cancel = settings.cancel or CancelFlag()
         with self._turn(cancel):
-            try:
-                for _attempt in range(_IDLE_ENDS):
-                    with contextlib.suppress(_IdleEndError):
-                        return self._drawn(splats, view, settings, pictures, cancel)
-                    self._kill()  # it ended at the moment of the request: a new one draws
-                return self._drawn(splats, view, settings, pictures, cancel)
-            except OSError as error:
-                self._kill()
-                raise RenderServerError(f"The render server failed: {error}.") from error
-            except RenderServerError:
-                self._kill()
-                raise
-            finally:
-                self.status = ""
+            for _attempt in range(_IDLE_ENDS):
+                with contextlib.suppress(_IdleEndError):
+                    return self._drawn(splats, view, settings, pictures, cancel)
+                self._kill()  # it ended at the moment of the request: a new one draws
+            return self._drawn(splats, view, settings, pictures, cancel)
 
     def first_answer(self) -> Message:
-        """Start the server, and return its first answer."""
+        """Start the server, and return its first answer.
+
+        Raises:
+            RenderServerError: it cannot be started, or has failed.
+        """
         with self._turn(CancelFlag()):
             return self._running(CancelFlag()).facts or {}
 
@@ -129,12 +124,20 @@ class RenderClient:
 
     @contextmanager
     def _turn(self, cancel: CancelFlag) -> Iterator[None]:
+        """Use the server alone; a failure ends it."""
         while not self._lock.acquire(timeout=_PERIOD):
             _check(cancel)
         try:
             _check(cancel)
             yield
+        except OSError as error:
+            self._kill()
+            raise RenderServerError(f"The render server failed: {error}.") from error
+        except RenderServerError:
+            self._kill()
+            raise
         finally:
+            self.status = ""
             self._lock.release()
 
     def _kill(self) -> None:

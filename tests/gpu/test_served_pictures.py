@@ -14,7 +14,7 @@ from gscore.raster.gpu.devices import Device
 from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
 from gscore.raster.render_client import RenderClient, find_devices
 from gscore.raster.render_messages import NoDeviceError, RenderServerError
-from tests.raster.test_render_server import drawn, same, splats_of
+from tests.raster.render_clients import drawn, same, splats_of
 
 TOLERANCE = 2e-5
 

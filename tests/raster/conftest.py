@@ -7,11 +7,13 @@ Helpers reach the tests as fixtures that return functions:
 - `hostile_rows()`: named damages to one splat that must cull it;
 - `central_difference(function, tensor, ...)`: numerical derivatives in float64;
 - `assert_grad_close(actual, expected, ...)`: element-wise comparison that refuses zero gradients;
-- `one_splat(...)`: a single isotropic splat with closed-form pixels.
+- `one_splat(...)`: a single isotropic splat with closed-form pixels;
+- `client`: a client of a render server, which ends with the test.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,7 @@ import torch
 from torch import Tensor
 
 from gscore.raster import reference
+from gscore.raster.render_client import RenderClient
 from gscore.raster.request import Frustum
 from gscore.stress import chain, scenes
 from tests.isas import isa  # noqa: F401
@@ -232,3 +235,11 @@ def assert_grad_close() -> Callable[..., None]:
 def one_splat() -> Callable[..., dict[str, Tensor]]:
     """`make_one_splat`: one splat whose pixels have a closed form."""
     return make_one_splat
+
+
+@pytest.fixture
+def client(tmp_path: Path) -> Iterator[RenderClient]:
+    """A client, whose server ends with the test."""
+    made = RenderClient("cpu", folder=str(tmp_path))
+    yield made
+    made.close()

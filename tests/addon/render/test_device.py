@@ -23,7 +23,7 @@ from gscore.raster import render_process
 from gscore.raster.render_client import RenderServerError
 from tests.addon import splat_scenes as lab
 from tests.addon.render.test_viewport import request_for, wait
-from tests.raster.test_render_server import WAITING
+from tests.raster.render_clients import WAITING
 
 CARD = "cpu"
 """The UUID of a card in the preferences: for the render server it is the device CPU."""
