@@ -30,7 +30,7 @@ class RenderDevice:
         self.is_off = False
         """Whether the CPU draws from now on."""
         self.sentences: list[str] = []
-        """All failures so far."""
+        """All failures so far, and the reason if there is no device."""
         self.problem = ""
         """Why the CPU has drawn the last picture; empty: it has not."""
 
@@ -42,11 +42,15 @@ class RenderDevice:
     def render(self, *args: Any, **how: Any) -> Rendered:
         """`gscore.render` on this device, or on the CPU where that fails."""
         if self.is_off:
+            if not self._failures:  # the reason is shown once
+                self.problem = ""
             return render(*args, **how)
         try:
             drawn = render(*args, **how, device=self._client)
-        except core.NoDeviceError:
+        except core.NoDeviceError as error:
             self.is_off = True
+            self.problem = error_text(error)
+            self.sentences.append(self.problem)
         except core.RenderServerError as error:
             self._fail(error_text(error))
         else:

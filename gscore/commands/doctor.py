@@ -22,9 +22,10 @@ from ..sh import rgb_to_sh0
 from ..shared_constants import ALPHA_MIN, EPS2D
 from ..splats import Splats
 from ..text_format import count_text, size_text
+from .args.device_option import test_report
 from .parser import add_option
 from .terminal.output import print_result
-from .terminal.status import Status, can_move, show_while
+from .terminal.status import Status, show_while
 
 _LITTLE_MEMORY = 2_000_000_000
 _TOLERANCE = 1e-5
@@ -150,10 +151,11 @@ def _graphics_facts(*, verify: bool) -> dict[str, Any]:
     """The devices for drawing, tested again if `verify`, and why others are missing."""
     found = find_devices()
     if verify:
-        with Status(sys.stderr, quiet=not can_move(sys.stderr)) as status:
+        with Status(sys.stderr) as status:
+            report = test_report(status)
             for device in found.devices:
                 if not device.unusable:
-                    verified(device, report=lambda what: status.show([what]), again=True)
+                    verified(device, report=report, again=True)
     return {
         "devices": [device.to_dict() for device in found.devices],
         "device_problems": list(found.problems),

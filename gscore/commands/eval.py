@@ -192,7 +192,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         splats=len(model.splats),
         sh_degree=model.splats.sh_degree,
         storage_bytes=model.file.storage_bytes,
-        isa=native_library.isa() if device.device is None else device.identity,
+        isa=device.identity,
         threads=args.threads or native_library.default_threads(),
         course=course,
         model="" if output == model.run else str(model.path.absolute()),

@@ -40,7 +40,9 @@ from .render_messages import (
 from .request import CancelFlag, Settings
 
 KEPT_BYTES = 1 << 30
-"""Bytes of splats kept for further pictures, besides those of the last picture."""
+"""Most bytes of splats kept for further pictures, besides those of the last picture."""
+_KEPT_SHARE = 4
+"""They take at most this part of the memory of a graphics card."""
 Lend = Callable[[], AbstractContextManager[Any]]
 """Lends what draws: a `Raster`, or a `GpuRaster`."""
 
@@ -48,14 +50,16 @@ Lend = Callable[[], AbstractContextManager[Any]]
 class RenderServer:
     """Answers requests, one after the other."""
 
-    def __init__(self, lend: Lend, memory: SharedMemory) -> None:
+    def __init__(self, lend: Lend, memory: SharedMemory, kept: int = KEPT_BYTES) -> None:
         """Initialise.
 
         Args:
             lend: Lends what draws.
             memory: Memory shared with the client.
+            kept: Bytes of splats kept besides those of the last picture.
         """
         self._lend, self._memory = lend, memory
+        self._kept_bytes = kept
         self._arrays: dict[str, np.ndarray] = {}
         self._filled: dict[str, int] = {}
         self._models: dict[tuple[str, ...], list[np.ndarray]] = {}
@@ -130,7 +134,7 @@ class RenderServer:
         found = self._models.pop(keys, None) or [self._arrays[key] for key in keys]
         self._models[keys] = found
         own = set(keys)
-        while len(self._models) > 1 and self._bytes_besides(own) > KEPT_BYTES:
+        while len(self._models) > 1 and self._bytes_besides(own) > self._kept_bytes:
             self._release(self._models.pop(next(iter(self._models))))
         used = {key for names in self._models for key in names}
         self._arrays = {key: array for key, array in self._arrays.items() if key in used}
@@ -151,8 +155,8 @@ def _error_answer(error: Exception) -> Message:
     return {"error": [type(error).__name__, str(error)]}
 
 
-def open_device(device: str, report: Callable[[str], None]) -> Lend:
-    """The function that lends what draws on a device.
+def open_device(device: str, report: Callable[[str], None]) -> tuple[Lend, int]:
+    """The function that lends what draws on a device, and the bytes of splats to keep for it.
 
     Args:
         device: `cpu`; `auto`, the best graphics card; or the UUID of a device.
@@ -163,7 +167,7 @@ def open_device(device: str, report: Callable[[str], None]) -> Lend:
         GsError: the device cannot be used, with the reason.
     """
     if device == "cpu":
-        return _native.pool.lend
+        return _native.pool.lend, KEPT_BYTES
     from .gpu.choice import choose
 
     chosen = choose(device if device == "auto" else _number_of(device), report=report)
@@ -171,7 +175,7 @@ def open_device(device: str, report: Callable[[str], None]) -> Lend:
         raise NoDeviceError(chosen.note)
     report(f"Starting {chosen.name}")
     with chosen.lend():  # compiles
-        return chosen.lend
+        return chosen.lend, min(KEPT_BYTES, chosen.device.memory_bytes // _KEPT_SHARE)
 
 
 def _number_of(uuid: str) -> str:
@@ -211,11 +215,11 @@ def main(arguments: Sequence[str]) -> None:
             if device == LIST:
                 write_message(sink, _listed())
                 os._exit(0)
-            lend = open_device(device, lambda text: write_message(sink, {"status": text}))
+            lend, kept = open_device(device, lambda text: write_message(sink, {"status": text}))
         except GsError as error:
             write_message(sink, _error_answer(error))
             os._exit(1)
-        server = RenderServer(lend, SharedMemory(name))
+        server = RenderServer(lend, SharedMemory(name), kept)
         write_message(sink, {"ready": device})
         while True:
             message, cancel = requests.get(timeout=float(idle))

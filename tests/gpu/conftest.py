@@ -1,5 +1,6 @@
 """Fixtures of tests for graphics cards: a private cache folder, a fake library, a real device."""
 
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,13 @@ from tests.run_verb import gscore  # noqa: F401
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The folder of the verdicts, empty; nothing of another test is remembered."""
+    """The folder of the verdicts, empty; nothing of another test is remembered; `auto` uses cards
+    on any system."""
     folder = tmp_path / "cache"
     monkeypatch.setattr(verdict, "cache_folder", lambda: folder)
     monkeypatch.setattr(verdict, "_of_process", {})
     monkeypatch.setattr(choice, "_by_name", {})
+    monkeypatch.setattr(choice, "_AUTO_ON", (sys.platform,))
     monkeypatch.delenv("GSCORE_GPU_FAULT", raising=False)
     yield folder
     gpu_raster.close_all()

@@ -5,6 +5,7 @@ import pytest
 
 import gscore
 from gscore.errors import BackendError, ConfigError
+from gscore.raster import native_library
 from gscore.raster.gpu import choice
 from gscore.raster.gpu.choice import choose
 from gscore.raster.gpu.devices import find_devices
@@ -64,6 +65,7 @@ def test_auto_is_the_cpu_on_untested_platforms(
     """Oracle: no list of devices for `auto`, a reason; cards can still be named."""
     machine(card())
     assert _number("gpu") == _number("0") == 0
+    monkeypatch.setattr(choice, "_AUTO_ON", ("linux",))
     monkeypatch.setattr(choice.sys, "platform", platform)
     found = choose("auto", find=lambda: pytest.fail("listed"))
     assert found.device is None and "no graphics card is chosen automatically" in found.note
@@ -143,7 +145,7 @@ def test_splats_are_copied_once_if_kept(machine) -> None:
         (2, DeviceMemoryError, "Close programs"),
     ],
 )
-def test_errors_of_a_card_name_the_mend(machine, status: int, kind: type, words: str) -> None:
+def test_errors_of_a_card_name_the_remedy(machine, status: int, kind: type, words: str) -> None:
     """Oracle: the class, the library's message and the remedy."""
     library = machine(card())
     library.statuses["draw"], library.message = [status], "the draw failed"
@@ -160,6 +162,7 @@ def test_auto_goes_on_with_the_cpu(machine, caplog: pytest.LogCaptureFixture) ->
     pictures = [_render(splats, device="auto").rgb for _ in range(3)]
     assert all(np.array_equal(picture, _render(splats).rgb) for picture in pictures)
     assert library.calls.count("draw") == 1
+    assert choice.chosen_device("auto").name == "Card, then cpu"
     (record,) = caplog.records
     assert record.getMessage().startswith("The CPU draws from here on, because Card failed: Lost.")
 
@@ -173,11 +176,56 @@ def test_kept_splats_make_room(machine) -> None:
     assert library.calls == ["open", "upload", "draw", "upload", "release", "upload", "draw"]
 
 
+def test_kept_splats_make_room_for_a_picture(machine) -> None:
+    """Oracle: a draw that succeeds after the other kept splats were freed; without any the error of
+    the first draw."""
+    library, first, second = machine(card()), _splats(), _splats()
+    _render(first, device="gpu", keep=True)
+    library.calls.clear()
+    library.statuses["draw"] = [2]
+    assert _render(second, device="gpu", keep=True).visible == 3
+    assert library.calls == ["upload", "draw", "release", "draw"]
+    library.statuses["draw"] = [2]
+    with pytest.raises(DeviceMemoryError):
+        _render(second, device="gpu", keep=True)
+
+
+def test_the_identity_has_library_and_failures(
+    machine, monkeypatch: pytest.MonkeyPatch, tmp_path
+) -> None:
+    """Oracle: SHA-256 of the library's file, and the CPU's instruction set after a failure."""
+    machine(card()).statuses["draw"] = [7]
+    (tmp_path / "lib").write_bytes(b"abc")
+    monkeypatch.setenv("GSCORE_GPU_LIBRARY", str(tmp_path / "lib"))
+    keep_verdict(find_devices().devices[0].key, DeviceVerdict(passed=True))
+    chosen, cpu = choose("auto"), choice.CPU.identity
+    assert chosen.identity == "gpu: Card, driver 1.0, library ba7816bf" and chosen.name == "Card"
+    _render(_splats(), device=chosen)
+    assert chosen.identity == f"gpu: Card, driver 1.0, library ba7816bf, then {cpu}"
+    assert cpu == native_library.isa()
+
+
+def test_a_self_test_is_logged(fake, monkeypatch: pytest.MonkeyPatch, caplog) -> None:
+    """Oracle: one sentence for each device, before its result."""
+    fake(card(), card(name=b"Other", uuid=bytes(16), kind=1))
+
+    def failing(device, *, report, **_: object) -> DeviceVerdict:
+        for end in ("", ": starting", ": drawing"):
+            report(f"Testing {device.name} once, at most 60 s{end}")
+        return DeviceVerdict(passed=device.name == "Other", problems=("black",))
+
+    monkeypatch.setattr(choice, "verified", failing)
+    _render(_splats(), device="gpu")
+    texts = [record.getMessage() for record in caplog.records]
+    assert texts[:2] == [f"Testing {name} once, at most 60 s." for name in ("Card", "Other")]
+    assert len(texts) == 3 and texts[2].startswith("Other draws.")
+
+
 def test_a_choice_by_name_is_made_once(machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the number of lists of devices."""
     machine(card())
     lists = []
-    monkeypatch.setattr(choice, "choose", lambda name: lists.append(name) or choose(name))
+    monkeypatch.setattr(choice, "choose", lambda name, **_: lists.append(name) or choose(name))
     for _ in range(3):
         _render(_splats(), device="auto")
     assert lists == ["auto"]

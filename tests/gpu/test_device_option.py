@@ -8,7 +8,7 @@ import pytest
 
 from gscore.io.cameras_json import write_cameras
 from gscore.io.ply.splats import write_splats
-from gscore.raster.gpu import gpu_raster
+from gscore.raster.gpu import choice, gpu_raster
 from gscore.raster.gpu.devices import Device
 from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
 from gscore.scene import Cameras
@@ -75,6 +75,26 @@ def test_auto_without_a_card_says_so(gscore, model: Path, fake, tmp_path: Path) 
     code, text, err = gscore("render", model, *options)
     assert code == 0 and json.loads(text)["device"] == "cpu"
     assert err.count("The CPU draws.") == 1 and "llvmpipe, is a software device" in err
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_self_test_is_named_where_lines_stay(
+    gscore, model: Path, fake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: bool
+) -> None:
+    """Oracle: one line on stderr, none with --quiet."""
+
+    def failing(device: Device, *, report, **_: object) -> DeviceVerdict:
+        for end in ("", ": starting"):
+            report(f"Testing {device.name} once, at most 60 s{end}")
+        return DeviceVerdict(passed=False, problems=("black",))
+
+    monkeypatch.setattr(choice, "verified", failing)
+    fake(card())
+    options = ("--device", "auto", "--view", "0", "-o", tmp_path / "out")
+    code, _, err = gscore("render", model, *options, *(["--quiet"] if quiet else []))
+    assert code == 0
+    assert err.splitlines().count("Testing Card once, at most 60 s.") == (not quiet)
+    assert err.count("Testing") == (not quiet)
 
 
 @pytest.mark.parametrize(

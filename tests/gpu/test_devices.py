@@ -73,13 +73,19 @@ def test_a_missing_library_is_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "/nowhere/libgscore_gpu.so (GSCORE_GPU_LIBRARY) cannot be opened" in found.problems[0]
 
 
+VARIABLES = (
+    *("VK_DRIVER_FILES", "VK_ICD_FILENAMES"),
+    *("VK_LOADER_DRIVERS_SELECT", "VK_LOADER_DRIVERS_DISABLE"),
+)
+"""Those of the Vulkan loader that hide drivers."""
 linux = pytest.mark.skipif(sys.platform != "linux", reason="only Linux lists its cards in files")
 
 
 @pytest.fixture
 def plain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Root of a machine outside of any container, with no card."""
-    for name in ("FLATPAK_ID", "SNAP", "NVIDIA_VISIBLE_DEVICES", "NVIDIA_DRIVER_CAPABILITIES"):
+    surroundings = "FLATPAK_ID", "SNAP", "NVIDIA_VISIBLE_DEVICES", "NVIDIA_DRIVER_CAPABILITIES"
+    for name in (*surroundings, *VARIABLES):
         monkeypatch.delenv(name, raising=False)
     return tmp_path / "root"
 
@@ -117,6 +123,7 @@ def test_settings_of_the_user_are_named_first(plain: Path) -> None:
         ({"run/.containerenv": ""}, {}, "This is a container without a graphics card"),
         ({}, {"FLATPAK_ID": "org.blender.Blender"}, "This is a Flatpak"),
         ({}, {"SNAP": "/snap/blender"}, "This is a Snap"),
+        *(({".dockerenv": ""}, {name: "/x.json"}, f"{name}=/x.json limits") for name in VARIABLES),
         (
             {".dockerenv": ""},
             {"NVIDIA_VISIBLE_DEVICES": "all", "NVIDIA_DRIVER_CAPABILITIES": "compute,utility"},
@@ -127,7 +134,8 @@ def test_settings_of_the_user_are_named_first(plain: Path) -> None:
 def test_surroundings_that_hide_cards_are_named(
     plain: Path, monkeypatch: pytest.MonkeyPatch, files, variables, words: str
 ) -> None:
-    """Oracle: the files and variables by which such surroundings are known."""
+    """Oracle: the files and variables by which such surroundings are known; variables of Vulkan are
+    named first."""
     for name, text in files.items():
         _put(plain, name, text)
     for name, value in variables.items():

@@ -5,7 +5,8 @@ import sys
 from collections.abc import Callable
 
 from ...quoting import quoted
-from ...raster.gpu.choice import CPU, Chosen, choose
+from ...raster.gpu.choice import CPU, Chosen, choose, once_a_device
+from ...raster.gpu.verification import Report
 from ..parser import add_option
 from ..terminal.output import print_warnings
 from ..terminal.status import Status, can_move
@@ -31,6 +32,13 @@ def _device(text: str) -> str:
     return text
 
 
+def test_report(status: Status) -> Report:
+    """Shows a self-test while it runs; where lines cannot be redrawn, a line at its begin."""
+    if can_move(sys.stderr):
+        return lambda sentence: status.show([sentence])
+    return once_a_device(lambda sentence: status.print_line(f"{sentence}."))
+
+
 def device_of(
     args: argparse.Namespace, *, cancel: Callable[[], bool] | None = None, warn: bool = True
 ) -> Chosen:
@@ -48,9 +56,8 @@ def device_of(
     """
     if args.device == "cpu":
         return CPU
-    quiet = getattr(args, "quiet", False) or not can_move(sys.stderr)
-    with Status(sys.stderr, quiet=quiet) as status:
-        found = choose(args.device, report=lambda sentence: status.show([sentence]), cancel=cancel)
+    with Status(sys.stderr, quiet=getattr(args, "quiet", False)) as status:
+        found = choose(args.device, report=test_report(status), cancel=cancel)
     if warn and found.note:
         print_warnings([found.note])
     return found

@@ -14,6 +14,13 @@ _VENDORS = {
     0x8086: ("Intel", "install Mesa's Vulkan drivers (Debian, Ubuntu: mesa-vulkan-drivers)"),
 }
 """Names of vendors of graphics cards, and where their Vulkan drivers come from."""
+_VARIABLES = (
+    "VK_DRIVER_FILES",
+    "VK_ICD_FILENAMES",
+    "VK_LOADER_DRIVERS_SELECT",
+    "VK_LOADER_DRIVERS_DISABLE",
+)
+"""Environment variables that hide drivers from the Vulkan loader."""
 _LOADERS = {"win32": "vulkan-1.dll", "darwin": "libvulkan.1.dylib"}
 
 
@@ -65,7 +72,13 @@ def _cards(root: Path) -> set[int]:
 
 
 def _surroundings(root: Path, environ: Mapping[str, str]) -> str:
-    """A sentence on WSL2, a sandbox or a container that hides graphics cards; empty: none."""
+    """A sentence on a variable, WSL2, a sandbox or a container that hides graphics cards; empty:
+    none."""
+    if name := next((name for name in _VARIABLES if environ.get(name)), ""):
+        return (
+            f"The environment variable {name}={environ[name][:100]} limits Vulkan's drivers: unset "
+            "it, or add the driver of the card."
+        )
     if sys.platform != "linux":
         return ""
     if environ.get("FLATPAK_ID") or (root / ".flatpak-info").exists():

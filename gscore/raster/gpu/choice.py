@@ -13,6 +13,7 @@ from ..buffers import Array
 from ..request import Frustum, Settings
 from .devices import Device, FoundDevices, failure_text, find_devices
 from .gpu_raster import GpuRaster, opened
+from .library import library_hash
 from .verification import Report, verified
 
 _log = logging.getLogger(__name__)
@@ -36,16 +37,26 @@ class Chosen:
     """A sentence for the user on the choice; empty: nothing to mention."""
     fallback: bool = False
     """Whether the CPU continues after an error of the device."""
+    failed: Device | None = None
+    """The device that drew before the CPU; None: the CPU did not continue."""
 
     @property
     def name(self) -> str:
-        """Name for tables and JSON: `cpu`, or the name of the device."""
-        return "cpu" if self.device is None else self.device.name
+        """Name for tables and JSON: `cpu`, or the name of the device; both if it has failed."""
+        return self._then([one.name for one in (self.failed, self.device) if one], "cpu")
 
     @property
     def identity(self) -> str:
-        """Identity of the bits of pictures: `cpu`, or the names of device and driver."""
-        return "cpu" if self.device is None else f"gpu: {self.device.name}, {self.device.driver}"
+        """Identity of the bits of pictures: the CPU's instruction set, or device, driver and the
+        first digits of the library's hash; both if the device has failed."""
+        library = library_hash()[:8]
+        used = [one for one in (self.failed, self.device) if one]
+        return self._then(
+            [f"gpu: {one.name}, {one.driver}, library {library}" for one in used], _native.isa()
+        )
+
+    def _then(self, used: list[str], cpu: str) -> str:
+        return ", then ".join(used if self.device else [*used, cpu])
 
     def lend(self) -> AbstractContextManager[_native.Raster | GpuRaster]:
         """The workspace that draws, for the duration of a block.
@@ -87,7 +98,7 @@ class Chosen:
             if self.device is None or not self.fallback:
                 raise
             _log.warning("The CPU draws from here on, because %s failed: %s", self.name, error)
-            self.device = None
+            self.device, self.failed = None, self.device
             return self._forward(splats, view, settings, pictures, keep=keep)
 
     def _forward(
@@ -200,6 +211,18 @@ def _why(failures: Sequence[str], software: Sequence[Device]) -> str:
     return ""
 
 
+def once_a_device(show: Report) -> Report:
+    """Receives the sentences on self-tests and passes on the first one of each device."""
+    shown: list[str] = []
+
+    def report(sentence: str) -> None:
+        if not shown or not sentence.startswith(shown[-1]):
+            shown.append(sentence)
+            show(sentence)
+
+    return report
+
+
 _by_name: dict[str, Chosen] = {}
 """Choices of this process by the value that named them."""
 
@@ -213,7 +236,7 @@ def chosen_device(device: str | Chosen) -> Chosen:
     if isinstance(device, Chosen):
         return device
     if device not in _by_name:
-        found = choose(device)
+        found = choose(device, report=once_a_device(lambda text: _log.warning("%s.", text)))
         if found.note:
             _log.warning("%s", found.note)
         _by_name[device] = found

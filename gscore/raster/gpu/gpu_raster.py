@@ -112,7 +112,8 @@ class GpuRaster:
         """gs_gpu_draw.
 
         Args:
-            splats: `PARAMETERS`, in their order; copied to the device unless they are kept.
+            splats: `PARAMETERS`, in their order; copied to the device unless they are kept. Other
+                kept splats are released if memory is short.
             view: Camera and picture size.
             settings: Render settings; `threads` and `disable` have no effect.
             pictures: Output arrays, by the names of gs_image.
@@ -130,15 +131,13 @@ class GpuRaster:
         host = arguments.host(view, settings)
         with self._lock:
             drawn = self._on_device(splats, settings)
-            self._check(
-                self._lib.gs_gpu_draw(
-                    self._open(),
-                    drawn.handle,
-                    ct.byref(camera),
-                    ct.byref(host),
-                    ct.byref(image),
-                )
-            )
+            given = drawn.handle, ct.byref(camera), ct.byref(host), ct.byref(image)
+            try:
+                self._check(self._lib.gs_gpu_draw(self._open(), *given))
+            except DeviceMemoryError:
+                if not self._make_room(besides=drawn):
+                    raise
+                self._check(self._lib.gs_gpu_draw(self._open(), *given))
 
     def backward(
         self,
@@ -281,13 +280,18 @@ class GpuRaster:
         try:
             self._check(self._lib.gs_gpu_upload(device, ct.byref(content), ct.byref(handle)))
         except DeviceMemoryError:
-            if not self._kept:
+            if not self._make_room():
                 raise
-            while self._kept:
-                self._lib.gs_gpu_release(self._kept.popitem()[1].handle)
             self._check(self._lib.gs_gpu_upload(device, ct.byref(content), ct.byref(handle)))
         self.uploads += 1
         return _Uploaded(handle, tuple(splats))
+
+    def _make_room(self, besides: _Uploaded | None = None) -> bool:
+        """Release kept splats; returns whether there were any."""
+        others = [key for key, one in self._kept.items() if one is not besides]
+        for key in others:
+            self._lib.gs_gpu_release(self._kept.pop(key).handle)
+        return bool(others)
 
     def _check(self, status: int) -> None:
         """Raise the exception for a status; a lost device is closed."""

@@ -190,19 +190,22 @@ def test_a_success_forgives_a_failure(scene, prefs, rendered, monkeypatch):
     assert chosen.sentences == [FIRST, FIRST]
 
 
-def test_automatic_without_a_card_says_nothing(scene, prefs, rendered, monkeypatch, capfd):
-    """Oracle also: no report; one process at most looks for cards."""
-    code = BREAKING.replace(
-        "s.main(", "def none(*_): raise s.NoDeviceError('none')\ns.open_device = none\ns.main("
-    )
+def test_automatic_without_a_card_gives_the_reason_once(scene, prefs, rendered, monkeypatch, capfd):
+    """Oracle also: one report; one process at most looks for cards."""
+    none = "def none(*_): raise s.NoDeviceError('The CPU draws. There is no card.')\n"
+    code = BREAKING.replace("s.main(", f"{none}s.open_device = none\ns.main(")
     monkeypatch.setattr(render_process, "_CODE", code)
     lab.prepare(scene)
     lab.add(scene, lab.blob())
     want = rendered("CPU")
-    for _ in range(2):
+    for count in (1, 0):
         capfd.readouterr()
         assert_same(rendered("AUTO"), want)
-        assert "failed" not in "".join(capfd.readouterr())
+        output = "".join(capfd.readouterr())
+        assert output.count("The CPU draws. There is no card.") == count
+        assert "failed" not in output
+        chosen = device.CHOICE.device()
+        assert chosen is not None and bool(chosen.problem) == bool(count), "in the view"
     assert client_of().started == 1
 
 
