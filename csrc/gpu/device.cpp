@@ -11,6 +11,9 @@ namespace gs {
 
 namespace {
 
+// Seconds of a hang that GSCORE_GPU_FAULT injects.
+constexpr double kInjectedHang = 0.1;
+
 // Seconds that a submission may take; a device in software is slow, but does not hang.
 double seconds_allowed(const gs_gpu_info &info) {
     const char *const text = std::getenv("GSCORE_GPU_SECONDS");
@@ -315,6 +318,7 @@ double Device::milliseconds(uint32_t from, uint32_t to) {
 void Device::wait(const volatile int32_t *cancel, bool &cancelled) {
     // Short waits, so that a cancel flag is polled; a device that hangs ends the call.
     const auto begin = std::chrono::steady_clock::now();
+    const double allowed = hangs_ ? kInjectedHang : seconds_allowed(info_);
     for (;;) {
         VkResult result = vk_.vkWaitForFences(device_, 1, &fence_, VK_TRUE, 5'000'000);
         if (hangs_ && result == VK_SUCCESS)
@@ -327,10 +331,9 @@ void Device::wait(const volatile int32_t *cancel, bool &cancelled) {
         }
         cancelled = cancelled || (cancel && *cancel);
         const std::chrono::duration<double> passed = std::chrono::steady_clock::now() - begin;
-        if (passed.count() > seconds_allowed(info_)) {
+        if (passed.count() > allowed) {
             lost_ = true;
-            throw_failure(gs_status(GS_TIMED_OUT), "%.100s did not finish within %g s", info_.name,
-                          seconds_allowed(info_));
+            throw_failure(gs_status(GS_TIMED_OUT), "%.100s did not finish within %g s", info_.name, allowed);
         }
     }
 }

@@ -22,7 +22,8 @@
  * Environment. GSCORE_VULKAN_LOADER: path of a Vulkan loader or driver. GSCORE_GPU_MEMORY: MiB that a gs_gpu takes at
  * most. GSCORE_GPU_CHECK=1: validation layers, an error of which fails the call; buffers are filled with a pattern before
  * each draw, and each kernel is submitted alone. GSCORE_GPU_FAULT=lost|oom|wrong|hang, optionally :N: the N-th draw
- * (first: 1) fails so, for tests. GSCORE_GPU_CHECK_LOG: a file to which validation messages are appended. */
+ * (first: 1) fails so, for tests; a hang lasts 0.1 s. GSCORE_GPU_CHECK_LOG: a file to which validation messages
+ * are appended. */
 #pragma once
 
 #include "gscore/loss.h"

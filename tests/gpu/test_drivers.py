@@ -105,7 +105,7 @@ def test_the_measuring_script_runs(tmp_path: Path) -> None:
 )
 def test_injected_faults_are_errors(fault: str, error: str, usable: bool) -> None:
     """Oracle: the class of the error; the device opened again draws the CPU's picture."""
-    variables = {"GSCORE_GPU_FAULT": f"{fault}:1", "GSCORE_GPU_SECONDS": "1"}
+    variables = {"GSCORE_GPU_FAULT": f"{fault}:1"}
     found: dict[str, Any] = result_of(ONE, "print_draw_error()", **variables)
     assert found["error"][0] == error and found["error"][1].endswith("`--device cpu`.")
     assert (found["again"] == "") == usable and found["difference"] < 1e-4

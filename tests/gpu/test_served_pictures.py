@@ -58,7 +58,6 @@ def test_a_failed_device_is_an_error(
 ) -> None:
     """Oracle: an injected fault; a new server draws the next picture."""
     monkeypatch.setenv("GSCORE_GPU_FAULT", f"{fault}:2")
-    monkeypatch.setenv("GSCORE_GPU_SECONDS", "2")
     splats = splats_of()
     first = drawn(splats, device=client)
     with pytest.raises(RenderServerError, match=r"GSCORE_GPU_FAULT|did not finish"):
