@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Protocol
 from weakref import WeakValueDictionary
 
 import bpy
@@ -252,9 +252,17 @@ def _from(width: int, height: int) -> Matrix:
     return Matrix(((2 / width, 0, 0, -1), (0, 2 / height, 0, -1), (0, 0, 1, 0), (0, 0, 0, 1)))
 
 
-FALLBACKS: list[Any] = []
-"""Registered live drawing, `live.draw_handler.LiveFallback`: it draws views whose picture is not
-ready."""
+class Fallback(Protocol):
+    """Live drawing of views whose picture is not ready, see `live.draw_handler.LiveFallback`."""
+
+    def draws_live(self, context: bpy.types.Context) -> bool: ...
+    def moves(self, context: bpy.types.Context) -> bool: ...
+    def stays(self, context: bpy.types.Context) -> bool: ...
+    def covers_photos(self, context: bpy.types.Context) -> bool: ...
+
+
+FALLBACKS: list[Fallback] = []
+"""Registered live drawing."""
 EXACT: set[int] = set()
 """Pointers of regions that show a finished, current picture."""
 OVER: WeakValueDictionary[int, Viewport] = WeakValueDictionary()

@@ -122,12 +122,7 @@ def arrival(count: int) -> None:
     path = Path(tempfile.mkdtemp()) / "many.ply"
     write_splats(path, splats)
     del splats
-    reader = loader.Loader()
-    reader.request(path, final=True)
-    while reader.busy:
-        time.sleep(0.01)
-    loaded = reader.take()
-    assert loaded is not None
+    loaded = loader.load(path, final=True)
     ob = objects.create(NO_SPLATS, "many")
     steps, mesh, hand = [], None, write_chunked.ChunkedWrite(loaded)
     while mesh is None:

@@ -276,7 +276,7 @@ class CpuEngine(base.Engine[CpuModel]):
     ) -> Iterator[Contribution]:
         """Yield the contributions of the splats to each view; overwrites the gradients that do not
         accumulate."""
-        settings = Settings(antialias=antialias, threads=self._threads)
+        settings = self._settings((0.0, 0.0, 0.0), antialias)
         for view, photo in views:
             counts = ones(view.height, view.width, 3)
             if photo.mask_mode == "ignore" and photo.mask is not None:
