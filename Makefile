@@ -22,6 +22,8 @@ DEMO_BLENDER ?= newest
 # (tests/conftest.py). `make test WORKERS=` uses one process, WORKERS="-n 4" four.
 WORKERS ?= -n logical --dist worksteal
 export WORKERS
+# Tests start hundreds of Python programs; compiled modules are kept, or each would compile gscore anew.
+unexport PYTHONDONTWRITEBYTECODE
 # Platforms of `make extension`: empty for this machine, all, or names like windows-x64.
 PLATFORMS ?=
 
@@ -92,8 +94,11 @@ ifneq ($(BLENDER),none)
 	$(BIN)/python tools/build/test_blender.py $(BLENDER) -- -m "not slow"
 endif
 
-test-slow: $(DEVELOPED) $(NATIVE_TESTS)  ## the tests that take minutes
+test-slow: $(DEVELOPED) $(NATIVE_TESTS)  ## the tests that take minutes; BLENDER=none leaves the add-on out
 	$(BIN)/python -m pytest -q $(WORKERS) -m "slow and not window"
+ifneq ($(BLENDER),none)
+	$(BIN)/python tools/build/test_blender.py $(BLENDER) -- -m slow
+endif
 
 # The add-on's tests, the slow ones too, in every Blender of tools/build/bpy_venvs.py: 350 MB and half a minute each at first.
 test-blender: $(LIBRARY)  ## the add-on's tests in every Blender known

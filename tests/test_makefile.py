@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from runpy import run_path
 
 import pytest
 
@@ -172,3 +173,27 @@ def test_help_lists_every_target() -> None:
     assert targets == re.findall(r"^([a-z-]+):", MAKEFILE, re.M)
     assert set(targets) == set(phony.split())
     assert max(map(len, lines)) <= 120 and make() == reported
+
+
+def test_slow_tests_of_the_add_on_run_too(plan: Callable[[str], str]) -> None:
+    """Oracle: the commands; those of one Blender, or none."""
+    assert "test_blender.py newest -- -m slow" in plan("test-slow")
+    assert "test_blender.py" not in make("-n", "test-slow", "BLENDER=none")
+
+
+@pytest.mark.parametrize(
+    ("given", "marks"),
+    [
+        ([], "graphics"),
+        (["-m", "slow"], "(slow) and graphics"),
+        (["-m", "a", "-k", "b"], "(a) and graphics"),
+    ],
+)
+def test_other_backends_draw_what_was_asked_for(
+    given: list[str], marks: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: pytest's rule that the last -m counts; the first backend runs what is given."""
+    monkeypatch.syspath_prepend(str(ROOT / "tools" / "build"))
+    chosen = run_path(str(ROOT / "tools" / "build" / "test_blender.py"))["chosen"]
+    assert chosen("opengl", given) == ["-q", "tests/addon", *given]
+    assert chosen("vulkan", given)[-2:] == ["-m", marks]

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 
 import bpy_venvs
@@ -22,8 +22,6 @@ LIMIT = 1200
 """Time limit of a version, s: bpy 4.5 hangs at exit if a class stays registered."""
 _BACKENDS = (None,) if sys.platform == "darwin" else ("opengl", "vulkan")
 """Blender's graphics backends; None: its default, which is Metal."""
-_DRAWING = ("-m", "graphics")
-"""Pytest's arguments for tests that draw; they override an earlier `-m`."""
 _WORKERS = shlex.split(os.environ.get("WORKERS", ""))
 """Pytest's arguments in the bpy module, for pytest-xdist; each process has a Blender."""
 _NOTHING_CHOSEN = 5
@@ -90,7 +88,11 @@ def program_packages() -> Path:
 
 def chosen(backend: str | None, arguments: Sequence[str]) -> list[str]:
     """Pytest's arguments: all tests for the first backend, only drawing tests for the others."""
-    return ["-q", "tests/addon", *arguments, *([] if backend == _BACKENDS[0] else _DRAWING)]
+    if backend == _BACKENDS[0]:
+        return ["-q", "tests/addon", *arguments]
+    marks = [f"({given})" for flag, given in pairwise(arguments) if flag == "-m"]
+    # The last -m counts.
+    return ["-q", "tests/addon", *arguments, "-m", " and ".join([*marks[-1:], "graphics"])]
 
 
 def test_version(version: str, backend: str | None, arguments: Sequence[str]) -> tuple[bool, str]:
