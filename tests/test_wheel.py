@@ -42,6 +42,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_name_serves_every_python(wheel: Path) -> None:
     """Oracle: the tags of PEP 425: any Python 3, no ABI, one platform."""
     tags = wheel.stem.split("-")[2:]

@@ -137,10 +137,15 @@ def test_skips_are_trained_once_each_and_named(
     assert names() == ["nothing", *Skip, "all of them"]
 
 
-def test_scaling_finds_the_line(capsys: pytest.CaptureFixture[str]) -> None:
-    """Oracle: points on a line; the promised rows of a small run."""
+def test_a_line_is_fitted() -> None:
+    """Oracle: points on a line."""
     line = fit_line([1, 2, 5], [5, 7, 13])
     assert (line.base, line.slope, line.r2) == pytest.approx((3, 2, 1))
+
+
+@pytest.mark.slow
+def test_scaling_finds_the_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: the promised rows of a small run."""
     sizes = ["--sizes", "--threads", "1", "--splats", "50", "100", "200", "--cloud", "50"]
     found = bench_json(capsys, "scaling", *sizes, "--views", "3", "--steps", "1")
     assert [s["quantity"] for s in found["series"]] == ["splats", "pixels", "threads", "views"]

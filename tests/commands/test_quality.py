@@ -249,14 +249,17 @@ def test_a_study_is_trained_once_and_goes_on(
 ) -> None:
     """Oracle: the requested trainings, in turns; after a stop only the missing ones, and the
     figures of an uninterrupted study."""
-    out, done = tmp_path / "out", []
+    out, done, trained = tmp_path / "out", [], {}
     real = study.train_scored
 
     def counted(config: TrainConfig, *args: Dataset, **names: object) -> Training:
         if len(done) == stop_at:
             raise KeyboardInterrupt
         done.append((names["variant"], config.seed, names["offset"]))
-        return real(config, *args, **names)  # pyright: ignore
+        key = names["variant"], names["offset"]
+        if key not in trained:  # one training measures for all seeds
+            trained[key] = real(config, *args, **names)  # pyright: ignore
+        return replace(trained[key], seed=config.seed)
 
     monkeypatch.setattr("gscore.commands.bench.quality.train_scored", counted)
     command = ["quality", str(EXAMPLE), *TINY, "-o", str(out), "--seeds", "0", "1"]
@@ -290,14 +293,16 @@ def test_trainings_take_the_steps_that_gscore_train_takes(
     the limit."""
     monkeypatch.setattr(caps, "_FEWEST_STEPS", 10)
     monkeypatch.setattr(caps, "_FEWEST_SPLATS", 10)
-    taken, splats = {}, {}
+    taken, splats, done = {}, {}, []
     real = study.train_scored
 
     def noted(config: TrainConfig, photos: Dataset, *args: Dataset, **names: object) -> Training:
         taken[names["variant"]] = config.iterations
         splats[names["variant"]] = config.max_splats
         assert taken.setdefault("photos", len(photos.train)) == len(photos.train)
-        return real(replace(config, iterations=2), photos, *args, **names)  # pyright: ignore
+        if not done:  # one training measures for all variants
+            done.append(real(replace(config, iterations=2), photos, *args, **names))  # pyright: ignore
+        return replace(done[0], variant=str(names["variant"]))
 
     monkeypatch.setattr("gscore.commands.bench.quality.train_scored", noted)
     command = ["quality", str(EXAMPLE), "-r", "60", "--mask-mode", "none", "--preset", "normal"]

@@ -165,7 +165,22 @@ def draw(random_scene):
 @pytest.fixture(scope="module")
 def true_of(draw):
     """The reference's answer for a scene of the table, computed once for all instruction sets."""
-    return cache(lambda name, antialias: ask_reference(draw(name), raw=True, antialias=antialias))
+    return cache(lambda name, **options: ask_reference(draw(name), **{"raw": True, **options}))
+
+
+@pytest.fixture(scope="module")
+def activated_truth(draw):
+    """The reference's answer for activated parameters."""
+    return ask_reference(draw("plain").activated(), raw=False)
+
+
+@pytest.fixture(scope="module")
+def slope(draw):
+    """Far depths of a slope through the splats, and the reference's answer for them."""
+    scene = draw("plain")
+    far_depths = torch.linspace(2, 6, scene.width).expand(scene.height, -1).clone()
+    far_depths[:, ::7] = torch.nan
+    return far_depths, ask_reference(scene, raw=True, far_depths=far_depths)
 
 
 def check_pictures(pictures, truth):
@@ -206,7 +221,7 @@ def check_gradients(gradients, truth):
 
 @pytest.mark.parametrize(("name", "antialias"), CASES)
 def test_pictures_and_gradients(draw, true_of, isa, name, antialias):
-    truth = true_of(name, antialias)
+    truth = true_of(name, antialias=antialias)
     pictures, gradients, aux = ask_native(draw(name), truth, raw=True, antialias=antialias)
     check_pictures(pictures, truth)
     check_gradients(gradients, truth)
@@ -214,49 +229,42 @@ def test_pictures_and_gradients(draw, true_of, isa, name, antialias):
     assert (aux.radii[drawn] > 0).all()
 
 
-def test_activated_parameters(draw, isa):
-    scene = draw("plain").activated()
-    truth = ask_reference(scene, raw=False)
+def test_activated_parameters(draw, activated_truth, isa):
+    scene, truth = draw("plain").activated(), activated_truth
     pictures, gradients, _ = ask_native(scene, truth, raw=False)
     check_pictures(pictures, truth)
     check_gradients(gradients, truth)
 
 
 @pytest.mark.parametrize("sh_degree", [0, 1, 2])
-def test_sh_degree_below_the_stored_one(draw, isa, sh_degree):
-    scene = draw("plain")
-    options = {"raw": True, "sh_degree": sh_degree}
-    truth = ask_reference(scene, **options)
+def test_sh_degree_below_the_stored_one(draw, true_of, isa, sh_degree):
+    truth = true_of("plain", sh_degree=sh_degree)
     if sh_degree == 0:
+        truth = truth._replace(gradients=dict(truth.gradients))
         assert not truth.gradients.pop("shN").any()
-    pictures, gradients, _ = ask_native(scene, truth, **options)
+    pictures, gradients, _ = ask_native(draw("plain"), truth, raw=True, sh_degree=sh_degree)
     check_pictures(pictures, truth)
     check_gradients(gradients, truth)
     assert not gradients["shN"][:, (sh_degree + 1) ** 2 - 1 :].any()
 
 
-def test_clip_planes_and_low_pass(draw, isa):
-    scene = draw("plain")
-    options = {"raw": True, "near": 2.5, "far": 4.75, "eps2d": 1.25}
-    truth = ask_reference(scene, **options)
+def test_clip_planes_and_low_pass(draw, true_of, isa):
+    options = {"near": 2.5, "far": 4.75, "eps2d": 1.25}
+    truth = true_of("plain", **options)
     culled = ~truth.gradients["v_means2d"].any(1)
     assert 0.2 < culled.double().mean() < 0.8
-    pictures, gradients, _ = ask_native(scene, truth, **options)
+    pictures, gradients, _ = ask_native(draw("plain"), truth, raw=True, **options)
     check_pictures(pictures, truth)
     check_gradients(gradients, truth)
 
 
-def test_pixels_that_end_at_depths_of_their_own(draw, isa):
+def test_pixels_that_end_at_depths_of_their_own(draw, true_of, slope, isa):
     """Pictures and gradients, for a slope through the splats, and for pixels without."""
-    scene = draw("plain")
-    far_depths = torch.linspace(2, 6, scene.width).expand(scene.height, -1).clone()
-    far_depths[:, ::7] = torch.nan
-    options = {"raw": True, "far_depths": far_depths}
-    truth = ask_reference(scene, **options)
-    whole = ask_reference(scene, raw=True).pictures["alpha"]
+    far_depths, truth = slope
+    whole = true_of("plain", antialias=False).pictures["alpha"]
     hidden = (whole - truth.pictures["alpha"])[:, 1:4]
     assert (hidden > 0.1).double().mean() > 0.5
     assert torch.equal(truth.pictures["alpha"][:, ::7], whole[:, ::7])
-    pictures, gradients, _ = ask_native(scene, truth, **options)
+    pictures, gradients, _ = ask_native(draw("plain"), truth, raw=True, far_depths=far_depths)
     check_pictures(pictures, truth)
     check_gradients(gradients, truth)

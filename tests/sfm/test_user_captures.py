@@ -187,7 +187,7 @@ def test_projects_of_metashape_and_realityscan(
     write(tmp_path / "scan", rig)
     assert main(["info", str(tmp_path / "scan")]) == 0
     assert kind in capsys.readouterr().out
-    arguments = ["--iterations", "2", "--preset", "preview", "--threads", "1", "--quiet"]
+    arguments = ["--iterations", "2", "--preset", "preview", "-r", "8", "--quiet"]
     assert main(["train", str(tmp_path / "scan"), "-o", str(tmp_path / "run"), *arguments]) == 0
     found = read_cameras_json(tmp_path / "run/cameras.json")
     assert found.names == names

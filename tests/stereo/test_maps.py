@@ -36,9 +36,15 @@ def errors(found: StereoMaps, scene: Scene, angles: tuple[float, ...] = ANGLES) 
     return np.concatenate(parts)
 
 
-def test_confirmed_depth_is_right(arc: Path) -> None:
+@pytest.fixture(scope="module")
+def arc_maps(arc: Path) -> StereoMaps:
+    """Depth of the arc."""
+    return found_in(arc)
+
+
+def test_confirmed_depth_is_right(arc_maps: StereoMaps) -> None:
     """Oracle: the traced depth; most of the photos is textured and visible in others."""
-    found = found_in(arc)
+    found = arc_maps
     assert len(found.maps) == len(ANGLES)
     off = errors(found, Scene(160, 120))
     assert found.known > 0.3
@@ -48,10 +54,10 @@ def test_confirmed_depth_is_right(arc: Path) -> None:
         assert one.confidence.max() <= 1 and (one.agree[one.inverse_depth > 0] >= 2).all()
 
 
-def test_points_lie_on_the_surfaces(arc: Path) -> None:
+def test_points_lie_on_the_surfaces(arc_maps: StereoMaps) -> None:
     """Oracle: the wall and the ball of the scene, in units of a pixel there."""
     scene = Scene(160, 120)
-    cloud = dense_points(found_in(arc), most=1500)
+    cloud = dense_points(arc_maps, most=1500)
     assert 1000 < len(cloud) <= 1500
     x, y, z = cloud.points.T
     wall = np.abs(6 - scene.slant * x - z) / np.hypot(1, scene.slant)
@@ -64,9 +70,9 @@ def test_points_lie_on_the_surfaces(arc: Path) -> None:
     assert np.quantile(spacing, 0.9) < 6 * np.quantile(spacing, 0.1)
 
 
-def test_no_more_points_than_asked(arc: Path) -> None:
+def test_no_more_points_than_asked(arc_maps: StereoMaps) -> None:
     """Oracle: the requested number."""
-    found = found_in(arc)
+    found = arc_maps
     for most in (0, 1, 7, 200):
         assert len(dense_points(found, most=most)) <= most
 

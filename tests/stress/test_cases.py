@@ -13,10 +13,13 @@ ALL = select(full=True)
 
 
 def each():
-    """A parameter for every quick case and, where it matters, every instruction set."""
+    """A parameter for every quick case and, where it matters, every instruction set; those between
+    the widest and the narrowest are slow tests."""
+    isas = native_library.available_isas()
     for one in select():
-        for isa in native_library.available_isas() if one.per_isa else [""]:
-            yield pytest.param(one, isa, id=f"{one.key}-{isa}" if isa else one.key)
+        for isa in isas if one.per_isa else [""]:
+            marks = [pytest.mark.slow] if isa in isas[1:-1] else []
+            yield pytest.param(one, isa, id=f"{one.key}-{isa}" if isa else one.key, marks=marks)
 
 
 @pytest.mark.parametrize(("one", "isa"), list(each()))

@@ -97,7 +97,7 @@ def test_a_second_ctrl_c_ends_at_once(
     assert all(checkpoint.load(path) for path in RunFolder(tmp_path).checkpoints())
 
 
-@pytest.mark.parametrize("runs", [4, pytest.param(30, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("runs", [2, pytest.param(30, marks=pytest.mark.slow)])
 def test_ctrl_c_at_any_moment(capture: Path, tmp_path: Path, runs: int) -> None:
     """Oracle: no traceback and no torn file, for one to three keys at random moments from the start
     of the interpreter on: imports, reading, checkpoints, evaluation, report."""
@@ -123,7 +123,11 @@ def test_ctrl_c_at_any_moment(capture: Path, tmp_path: Path, runs: int) -> None:
 
 @pytest.mark.parametrize(
     ("closed", "more"),
-    [(">&-", ["--json"]), ("2>&-", []), ("<&- >&- 2>&-", ["--events", "jsonl"])],
+    [
+        pytest.param(">&-", ["--json"], marks=pytest.mark.slow),
+        pytest.param("2>&-", [], marks=pytest.mark.slow),
+        ("<&- >&- 2>&-", ["--events", "jsonl"]),
+    ],
 )
 def test_streams_that_are_closed_from_the_start_are_not_missed(
     capture: Path, tmp_path: Path, closed: str, more: list[str]

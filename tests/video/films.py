@@ -57,7 +57,9 @@ def write(
             file.metadata["comment"] = comment
         for index, picture in enumerate(pictures):
             if stream is None:
-                stream = file.add_stream(codec, rate=rate, options=options or {"crf": "12"})
+                stream = file.add_stream(
+                    codec, rate=rate, options=options or {"crf": "12", "preset": "veryfast"}
+                )
                 stream.height, stream.width = picture.shape[:2]
                 stream.pix_fmt = pix_fmt
                 stream.codec_context.time_base = Fraction(1, 1000 if times else rate)

@@ -213,7 +213,7 @@ def test_a_real_run(result: bpy.types.Object) -> None:
     """Oracle: a bad model: every camera has a PSNR, and the map has the splats' positions."""
     preferences.get().python_path = REAL
     run = measure_errors.run_of(result)
-    config = {"gscore": "0.1.0", "data": {"source": str(STUDIO)}, "train": {}}
+    config = {"gscore": "0.1.0", "data": {"source": str(STUDIO), "resolution": 4}, "train": {}}
     (run / "config.json").write_text(json.dumps(config))
     job = measure_errors.measure(result, wait=True)
     assert job.status == verb_job.FINISHED, job.sentence

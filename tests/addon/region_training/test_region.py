@@ -336,8 +336,8 @@ def test_invalid_regions_are_refused(studio: bpy.types.Scene, tmp_path: Path, pl
 def test_a_real_training_of_a_region(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: bytes of the splats outside of the box, of the object and of the PLY."""
     preferences.get().python_path = REAL
-    studio.gscore.preset = "preview"
-    studio.gscore.iterations = 150
+    studio.gscore.preset, studio.gscore.resolution = "preview", "4"
+    studio.gscore.iterations = 60
     bpy.ops.gscore.train(wait=True)
     ob = studio.gscore.result
     bpy.context.view_layer.objects.active = ob
@@ -348,7 +348,7 @@ def test_a_real_training_of_a_region(studio: bpy.types.Scene, tmp_path: Path) ->
     outside = ~in_box(ob, before.means)
     count = int(outside.sum())
     assert 0 < count < len(before)
-    studio.gscore_steer.region_steps = 100
+    studio.gscore_steer.region_steps = 60
     assert bpy.ops.gscore.train_region(wait=True) == {"FINISHED"}
     after = objects.read(ob)
     start, whole = (read_splats(tmp_path / f"out_region_1/{name}.ply") for name in FILES)

@@ -178,12 +178,12 @@ def test_a_rolling_shutter_leans_like_that_of_cycles(scene, tmp_path, share):
     curve.curves[0].points[0].location.y = 0.2
     curve.update()
     scene.cycles.rolling_shutter_type, scene.cycles.rolling_shutter_duration = "TOP", share
-    scene.gscore_render.blur_samples = 240
+    scene.gscore_render.blur_samples = 120
     bar.hide_render = True
     ours, width = column(lab.render_exr(tmp_path, "ours"))
     bar.hide_render, splats.hide_render = False, True
     scene.render.engine = "CYCLES"
-    scene.cycles.samples, scene.cycles.use_denoising = 512, False
+    scene.cycles.samples, scene.cycles.use_denoising = 256, False
     scene.cycles.use_adaptive_sampling, scene.cycles.pixel_filter_type = False, "BOX"
     theirs, spread = column(lab.render_exr(tmp_path, "theirs"))
     assert np.abs(ours - theirs).max() < 0.35

@@ -266,7 +266,7 @@ def test_a_panorama_that_moves_blurs(scene, tmp_path):
     scene.frame_set(1)
     scene.render.use_motion_blur, scene.render.motion_blur_position = True, "START"
     scene.render.motion_blur_shutter = 1.0
-    scene.gscore_render.blur_samples = 64
+    scene.gscore_render.blur_samples = 32
     lit = np.flatnonzero(lab.render_exr(tmp_path)[..., 0].sum(0) > 1e-4)
     assert lit.min() == pytest.approx(100, abs=2) and np.ptp(lit) == pytest.approx(20, abs=3)
 

@@ -220,6 +220,7 @@ def test_unsupported_parts_are_reported(
 
 
 @needs_trainer
+@pytest.mark.slow
 def test_a_real_sequence_is_guided(video: bpy.types.Scene, tmp_path: Path) -> None:  # noqa: F811
     """Oracle: config.json of each frame, and files that the trainer has read."""
     two_real_frames(video, tmp_path)

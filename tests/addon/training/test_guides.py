@@ -203,6 +203,7 @@ def test_training_receives_its_guides(studio: bpy.types.Scene, tmp_path: Path) -
 
 
 @needs_trainer
+@pytest.mark.slow
 def test_a_real_training_sees_a_wall_where_blender_does(studio: bpy.types.Scene) -> None:
     """Oracle: the number of cameras' rays through a grid of pixels that hit the wall, by Blender;
     and the trainer's message about a wall in mid-air that its points do not support."""
@@ -224,7 +225,7 @@ def test_a_real_training_sees_a_wall_where_blender_does(studio: bpy.types.Scene)
                 hit = hit or (found[0] and found[4].name == "Wall")
         seen += hit
     preferences.get().python_path = REAL
-    studio.gscore.preset, studio.gscore.iterations = "preview", 20
+    studio.gscore.preset, studio.gscore.iterations = "preview", 4
     studio.gscore.eval = False
     assert bpy.ops.gscore.train(wait=True) == {"FINISHED"}
     state = start_training.job_of(studio).state

@@ -529,7 +529,7 @@ def test_the_real_trainer_from_start_to_resume(studio: bpy.types.Scene, tmp_path
     preferences.get().python_path = REAL
     preferences.get().live_seconds = 1.0
     preferences.get().preview_seconds = 1.0
-    studio.gscore.iterations = 100_000
+    studio.gscore.iterations, studio.gscore.resolution = 100_000, "4"
     job = start_training.train(studio)
 
     def follow(condition: Callable[[], bool], timeout: float = 120.0) -> None:
@@ -568,7 +568,7 @@ def test_the_real_trainer_from_start_to_resume(studio: bpy.types.Scene, tmp_path
 def test_the_real_trainer_is_killed(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: an error; training can be resumed from the earlier checkpoint."""
     preferences.get().python_path = REAL
-    studio.gscore.iterations = 100_000
+    studio.gscore.iterations, studio.gscore.resolution = 100_000, "4"
     studio.gscore.max_splats = 10_000
     job = start_training.train(studio)
     until(lambda: job.state.step > 5, timeout=120)

@@ -33,7 +33,10 @@ status = Path("/proc/self/status").read_text()
 print(json.dumps([said[0], 1024 * int(status.split("VmHWM:")[1].split()[0])]))
 """
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc"),
+]
 
 
 def said_and_taken(source: Path, width: float) -> tuple[float, float]:

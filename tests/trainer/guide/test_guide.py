@@ -399,6 +399,7 @@ def test_memory_of_a_surface_is_foreseen() -> None:
     assert np.diff(found) == pytest.approx([maps] * 3, rel=0.15)  # forecasts are rounded
 
 
+@pytest.mark.slow
 def test_no_triangle_too_many_is_silent(tmp_path: Path, dataset: Dataset) -> None:
     """Oracle: the depth of a plane, for its grid of a million triangles."""
     side = 708

@@ -126,7 +126,7 @@ PROGRAMS: dict[str, tuple[list[str], dict[str, str]]] = {
 """Options and environment of an interpreter; -OO leaves out what -O does, and docstrings."""
 
 
-@pytest.mark.parametrize("name", PROGRAMS)
+@pytest.mark.parametrize("name", [pytest.param("LC_ALL=C", marks=pytest.mark.slow), "LC_ALL=de_DE"])
 def test_options_of_the_interpreter_change_no_bit(
     deep: Path, tmp_path: Path, ordinary: str, name: str, request: pytest.FixtureRequest
 ) -> None:
