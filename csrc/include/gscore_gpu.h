@@ -27,6 +27,8 @@
 #pragma once
 
 #include "gscore/loss.h"
+#include "gscore/random.h"
+#include "gscore/raster.h"
 
 /* Changes whenever a struct or a signature of this header changes. */
 #define GS_GPU_ABI_VERSION 2
@@ -137,6 +139,48 @@ GS_API gs_status gs_gpu_model_create(gs_gpu *gpu, const gs_splats *splats, const
                                      gs_gpu_model **out);
 /* Free it, before its device is closed. */
 GS_API void gs_gpu_model_destroy(gs_gpu_model *model);
+/* Its splats, frozen ones first, for calls that draw; valid until it is freed, and not to be released. */
+GS_API gs_status gs_gpu_model_splats(const gs_gpu_model *model, const gs_gpu_splats **out);
+
+/* Tables of a model. Components of a row are numbered: means 0 to 2, opacity 3, quaternion 4 to 7, scales 8 to 10, sh0 12
+ * to 14, shN from GS_GPU_SHN on. */
+enum { GS_GPU_VALUES = 0, GS_GPU_MOMENT1 = 1, GS_GPU_MOMENT2 = 2, GS_GPU_ACCUMULATED = 3, GS_GPU_COUNTERS = 4 };
+enum { GS_GPU_SHN = 15 };
+
+/* Components of rows of a table. */
+typedef struct gs_gpu_columns {
+    int32_t table;        /* GS_GPU_VALUES to GS_GPU_COUNTERS; of GS_GPU_ACCUMULATED only components of shN exist */
+    int32_t first, width; /* number of the first component, or of a counter, and how many */
+    const int64_t *rows;  /* [M]; null: M rows from `begin` on */
+    int64_t begin;
+    int64_t count; /* M */
+} gs_gpu_columns;
+
+/* Copy components to `out` [M, width]. */
+GS_API gs_status gs_gpu_model_read(gs_gpu_model *model, const gs_gpu_columns *columns, float *out);
+/* Copy them from `values` [M, width]; null: zeros. Rows must differ. */
+GS_API gs_status gs_gpu_model_write(gs_gpu_model *model, const gs_gpu_columns *columns, const float *values);
+/* Take the memory that a rebuild to so many rows needs; the rows stay. One table after another is moved, so that no more
+ * than one exists twice. After GS_OUT_OF_MEMORY the model is as before. */
+GS_API gs_status gs_gpu_model_reserve(gs_gpu_model *model, int64_t count);
+/* Make row i of the old row rows[i], for `count` rows. Where fresh[i] is not 0, moments, accumulated gradients and counters
+ * are zero; `fresh` may be null. After GS_OUT_OF_MEMORY the model is as before. */
+GS_API gs_status gs_gpu_model_rebuild(gs_gpu_model *model, const int64_t *rows, const uint8_t *fresh, int64_t count);
+/* Extend the SH coefficients to at least this number beyond the constant one; new ones are zero in all tables. */
+GS_API gs_status gs_gpu_model_widen(gs_gpu_model *model, int32_t sh_rest);
+/* Reset rows that are not finite or absurdly large, and clamp saturated parameters, by the rules of
+ * gscore/engine/cpu/sanitize.py; `extent` of the cameras in world units, `reset` receives the number of rows reset. */
+GS_API gs_status gs_gpu_model_clamp(gs_gpu_model *model, double extent, int64_t *reset);
+/* Move faint splats by covariance @ normal numbers times `weight` (Kheradmand et al. 2024, section 5), by the rules of
+ * gscore/engine/cpu/splat_terms.py; rows, count and threads of `random` are not used. */
+GS_API gs_status gs_gpu_model_noise(gs_gpu_model *model, float weight, const gs_random *random);
+/* Order of rows [count] (null: the first `count`) along a Morton curve through their means, in a grid of 1024 cells per side
+ * from low [3] to high [3]; means beyond are in the outermost cells. order[i] is a place in `rows`; rows of one cell keep
+ * their order. */
+GS_API gs_status gs_gpu_model_morton(gs_gpu_model *model, const int64_t *rows, int64_t count, const float *low,
+                                     const float *high, uint32_t *order);
+/* Free moments and accumulated gradients of a model that takes no more steps; these tables do not exist then. */
+GS_API gs_status gs_gpu_model_drop_moments(gs_gpu_model *model);
 
 /* What a loss on a device has besides gs_loss_args. */
 typedef struct gs_gpu_loss_terms {

@@ -35,7 +35,8 @@ def sources_hash() -> str:
     """SHA-256 of all sources, by their names in order."""
     found = hashlib.sha256()
     names = sorted([*SHADERS.glob("*.comp"), *SHADERS.glob("*.glsl")])
-    headers = [SHADERS.parent / name for name in ("frame.h", "loss_frame.h", "step.h")]
+    names_of_headers = ("frame.h", "loss_frame.h", "model_push.h", "step.h")
+    headers = [SHADERS.parent / name for name in names_of_headers]
     for path in [*names, *headers, *sorted(INCLUDES[-1].glob("*.h"))]:
         found.update(path.name.encode() + b"\0" + path.read_bytes())
     return found.hexdigest()

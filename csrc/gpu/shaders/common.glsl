@@ -16,6 +16,7 @@ layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs
 #include "constants.h"
 #include "step.h"
 #include "loss_frame.h"
+#include "model_push.h"
 
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_frame_block {
     gs_frame frame;

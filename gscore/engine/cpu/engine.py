@@ -92,8 +92,10 @@ class CpuEngine(base.Engine[CpuModel]):
             )
         return self._new({name: torch.from_numpy(columns[name]) for name in PARAMETERS}, counters)
 
-    def load(self, saved: Columns, adam_steps: Mapping[str, int], like: CpuModel) -> CpuModel:
-        """Create a model from `EngineModel.save`, see `Engine.load`."""
+    def load(
+        self, saved: Columns, adam_steps: Mapping[str, int], like: CpuModel | None = None
+    ) -> CpuModel:
+        """Create a model from `EngineModel.save`, see `Engine.load`; `like` is not used."""
         tensors = {name: torch.from_numpy(column) for name, column in saved.items()}
         moments = {
             name: Moments(

@@ -15,7 +15,8 @@ from ...splats import PARAMETERS, SH_REST_BY_DEGREE
 from ..base import EngineModel, RowEdit, ShUpdate, column_key
 from . import sanitize
 
-_VISIBLE, _PENDING = "shN_visible", "shN_pending"
+LAZY_COUNTERS = _VISIBLE, _PENDING = "shN_visible", "shN_pending"
+"""Names of the counters of pending steps, [N] uint8."""
 ACCUMULATED = "gathered/shN"
 """Name of the accumulated gradient of shN in checkpoints; other ranks append /1, /2 ..."""
 
@@ -356,10 +357,10 @@ def morton_order(means: torch.Tensor) -> torch.Tensor:
     The grid has 1024 cells per side over the middle 98 % of each axis; splats beyond are clamped
     to the outermost cells.
     """
-    points = np.nan_to_num(means.numpy().astype(np.float64))
-    if len(points) == 0:
+    if len(means) == 0:
         return zeros(0, dtype=torch.int64)
-    low, high = np.percentile(points[:: max(1, len(points) // 4096)], (1, 99), axis=0)
+    points = np.nan_to_num(means.numpy().astype(np.float64))
+    low, high = morton_bounds(points[:: max(1, len(points) // 4096)])
     cells = (points - low) / np.maximum(high - low, 1e-30) * (_CELLS - 1)
     cells = np.clip(cells, 0, _CELLS - 1).astype(np.uint32)
     x, y, z = (_spread(cells[:, axis]) for axis in range(3))
@@ -367,6 +368,13 @@ def morton_order(means: torch.Tensor) -> torch.Tensor:
 
 
 _CELLS = 1024
+
+
+def morton_bounds(sample: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lower and upper corner, [3] float64, of the grid for means, [M, 3], M > 0."""
+    points = np.nan_to_num(sample.astype(np.float64))
+    low, high = np.percentile(points, (1, 99), axis=0)
+    return low, high
 
 
 def _spread(x: np.ndarray) -> np.ndarray:

@@ -4,10 +4,11 @@ import atexit
 import ctypes as ct
 import os
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakSet
 
 import numpy as np
 
@@ -52,6 +53,8 @@ class GpuRaster:
         self._process = os.getpid()
         self._kept: dict[tuple[Any, ...], _Uploaded] = {}
         self._last: _Uploaded | None = None
+        self.rows: WeakSet[Any] = WeakSet()
+        """Rows on the device, `GpuRows`, which are closed with it."""
         self.uploads = 0
         """Number of copies of splats to the device so far."""
         self._lib = library()
@@ -69,6 +72,8 @@ class GpuRaster:
 
     def close(self) -> None:
         """Free all memory and the device; twice does no harm."""
+        for rows in list(self.rows):
+            rows.close()
         handle, self.handle = self.handle, _pointer()
         if not handle or self._process != os.getpid():  # those of a parent process are not ours
             return
@@ -254,6 +259,23 @@ class GpuRaster:
         with self._lock:
             self._check(self._lib.gs_gpu_test(self._open(), kernel, *found, len(a)))
         return out
+
+    @property
+    def usable(self) -> bool:
+        """Whether the device is open and of this process."""
+        return bool(self.handle) and self._process == os.getpid()
+
+    def call(
+        self, function: Callable[..., int], *values: Any, handle: ct.c_void_p | None = None
+    ) -> None:
+        """Call a function of the library, whose first argument is the device or `handle`.
+
+        Raises:
+            As `forward`.
+        """
+        with self._lock:
+            device = self._open()
+            self._check(function(device if handle is None else handle, *values))
 
     def _open(self) -> ct.c_void_p:
         """The handle; BackendError after `close` and in a forked process."""

@@ -9,6 +9,10 @@ GRADIENTS = 16
 UNSUPPORTED, DEVICE_LOST, TIMED_OUT = 5, 7, 8
 KINDS = "other", "integrated", "discrete", "virtual", "software"
 """Names of GS_GPU_*, in their order."""
+VALUES, MOMENT1, MOMENT2, ACCUMULATED, COUNTERS = range(5)
+"""Tables of a model in training."""
+SHN = 15
+"""Component of the first coefficient of shN."""
 TEST_EXP2, TEST_NATIVE_EXP2, TEST_PRODUCT, TEST_SUM, TEST_FMA, TEST_SORT = range(6)
 
 GpuInfoStruct = struct(
@@ -38,8 +42,18 @@ GpuLossResultStruct = struct(
     "float[3] v_log_gain",
     "uint32 unused",
 )
+GpuColumnsStruct = struct(
+    "gs_gpu_columns", "int32 table first width", "pointer rows", "int64 begin count"
+)
 SIGNATURES = base.signatures(
-    (*base.STRUCTS, GpuInfoStruct, GpuStatsStruct, GpuLossTermsStruct, GpuLossResultStruct),
+    (
+        *base.STRUCTS,
+        GpuInfoStruct,
+        GpuStatsStruct,
+        GpuLossTermsStruct,
+        GpuLossResultStruct,
+        GpuColumnsStruct,
+    ),
     {
         "gs_gpu_devices": "gs_gpu_info int32 int32*",
         "gs_gpu_open": "int32 pointer",
@@ -56,6 +70,16 @@ SIGNATURES = base.signatures(
         "gs_gpu_model_create": "pointer gs_splats gs_splats int32 pointer",
         "gs_gpu_model_destroy": "pointer",
         "gs_gpu_loss": "pointer gs_loss_args gs_gpu_loss_terms gs_gpu_loss_result pointer pointer",
+        "gs_gpu_model_splats": "pointer pointer",
+        "gs_gpu_model_read": "pointer gs_gpu_columns pointer",
+        "gs_gpu_model_write": "pointer gs_gpu_columns pointer",
+        "gs_gpu_model_reserve": "pointer int64",
+        "gs_gpu_model_rebuild": "pointer pointer pointer int64",
+        "gs_gpu_model_widen": "pointer int32",
+        "gs_gpu_model_clamp": "pointer double int64*",
+        "gs_gpu_model_noise": "pointer float gs_random",
+        "gs_gpu_model_morton": "pointer pointer int64 pointer pointer pointer",
+        "gs_gpu_model_drop_moments": "pointer",
         "gs_gpu_test": "pointer int32 pointer pointer pointer int64",
     },
 )

@@ -1,0 +1,1 @@
+"""GPU engine: training on a graphics card through the library for them."""
