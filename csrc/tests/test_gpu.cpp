@@ -182,6 +182,16 @@ void models_are_created(gs_gpu *gpu) {
 void nulls_are_refused() {
     CHECK(gs_gpu_loss(nullptr, nullptr, nullptr, nullptr, nullptr, nullptr) == GS_BAD_ARGUMENT);
     CHECK(gs_gpu_model_create(nullptr, nullptr, nullptr, 0, nullptr) == GS_BAD_ARGUMENT);
+    CHECK(gs_gpu_model_splats(nullptr, nullptr) == GS_BAD_ARGUMENT);
+    CHECK(gs_gpu_model_read(nullptr, nullptr, nullptr) == GS_BAD_ARGUMENT);
+    CHECK(gs_gpu_model_write(nullptr, nullptr, nullptr) == GS_BAD_ARGUMENT);
+    CHECK(gs_gpu_model_reserve(nullptr, 1) == GS_BAD_ARGUMENT);
+    CHECK(gs_gpu_model_rebuild(nullptr, nullptr, nullptr, 0) == GS_BAD_ARGUMENT);
+    CHECK(gs_gpu_model_widen(nullptr, 3) == GS_BAD_ARGUMENT);
+    CHECK(gs_gpu_model_clamp(nullptr, 1, nullptr) == GS_BAD_ARGUMENT);
+    CHECK(gs_gpu_model_noise(nullptr, 1, nullptr) == GS_BAD_ARGUMENT);
+    CHECK(gs_gpu_model_morton(nullptr, nullptr, 0, nullptr, nullptr, nullptr) == GS_BAD_ARGUMENT);
+    CHECK(gs_gpu_model_drop_moments(nullptr) == GS_BAD_ARGUMENT);
     gs_gpu_model_destroy(nullptr);
     CHECK(gs_gpu_devices(nullptr, 0, nullptr) == GS_BAD_ARGUMENT);
     CHECK(gs_gpu_open(0, nullptr) == GS_BAD_ARGUMENT);
