@@ -27,6 +27,7 @@ DRIVERS = (
     Driver("swiftshader"),
 )
 """Mesa's with subgroups of 4, 8 and 16 invocations, and Google's."""
+each_driver = pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
 
 
 def required() -> bool:

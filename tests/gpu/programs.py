@@ -11,12 +11,14 @@ import numpy as np
 from gscore.errors import BackendError
 from gscore.raster import _native
 from gscore.raster.blend_weights import GEOMETRY, blending_weights
+from gscore.raster.gpu.choice import Chosen
 from gscore.raster.gpu.devices import find_devices
 from gscore.raster.gpu.gpu_raster import GpuRaster
 from gscore.raster.gpu.self_test import checks
 from gscore.raster.gpu.self_test_arithmetic import exponentials
 from gscore.raster.gpu.self_test_gradients import gradient_scenes, gradients
-from gscore.raster.gpu.self_test_pictures import drawn, self_test_scenes
+from gscore.raster.gpu.self_test_pictures import SelfTestScene, drawn, self_test_scenes
+from gscore.raster.request import Settings
 
 
 def _print(value: object) -> None:
@@ -122,3 +124,88 @@ def print_forked() -> None:
                 os._exit(0 if right(own) else 1)
     code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     _print({"parent": 0 if before and right(raster) else 1, "child": code})
+
+
+def print_large_picture() -> None:
+    """Share of the numbers of a picture of 7680 x 4320 px that differ from the CPU's."""
+    scene = SelfTestScene(name="8k", count=20, width=7680, height=4320, sigma=(2.0, 40.0), degree=0)
+    with _opened() as raster:
+        found = drawn(scene, raster)["rgb"]
+    true = drawn(scene, _native.Raster())["rgb"]
+    different = float((abs(found - true) > 3e-5).mean())
+    _print({"different": different, "drawn": float(true.max())})
+
+
+def print_rows_with_nan() -> None:
+    """Largest difference to the CPU's picture of splats of which each number of a row is once
+    infinite or not a number, and the radii of these."""
+    scene = SelfTestScene(name="broken", count=100)
+    splats, damaged = scene.splats(), []
+    for array in splats[:4]:
+        for column in range(array[0].size):
+            for value in (np.nan, np.inf, -np.inf):
+                array.reshape(len(array), -1)[len(damaged), column] = value
+                damaged.append(value)
+    found = []
+    with _opened() as raster:
+        for one in (raster, _native.Raster()):
+            size = scene.height, scene.width
+            pictures = {"rgb": np.ones((*size, 3), np.float32), "alpha": np.ones(size, np.float32)}
+            pictures["radii"] = np.ones(scene.count, np.int32)
+            one.forward(splats, scene.view(), Settings(), pictures)
+            found.append(pictures)
+    card, cpu = found
+    _print(
+        {
+            "difference": float(max(abs(card[name] - cpu[name]).max() for name in cpu)),
+            "damaged": card["radii"][: len(damaged)].tolist(),
+            "others": int((card["radii"] > 0).sum()),
+        }
+    )
+
+
+def _blank(count: int) -> list[np.ndarray]:
+    """Splats of SH degree 3, all zeros."""
+    return [np.zeros((count, *a.shape[1:]), np.float32) for a in SelfTestScene(name="").splats()]
+
+
+def print_small_memory() -> None:
+    """The error of a model that is larger than the memory, what a small picture differs from the
+    CPU's afterwards, copies of kept models of which three fit, and who drew where the CPU may."""
+    found = find_devices().devices
+    scene, large = next(iter(self_test_scenes())), _blank(1_300_000)
+    true = drawn(scene, _native.Raster())["rgb"]
+    view, settings = scene.view(), Settings()
+    pictures = {"rgb": np.ones_like(true), "alpha": np.ones(true.shape[:2], np.float32)}
+    with _opened() as raster:
+        try:
+            raster.forward(large, view, settings, pictures)
+            error = None
+        except Exception as caught:
+            error = [type(caught).__name__, str(caught)]
+        difference = float(abs(drawn(scene, raster)["rgb"] - true).max())
+        before, models = raster.uploads, [_blank(200_000) for _ in range(6)]
+        for model in models:
+            raster.keep(model, settings)
+            raster.forward(model, view, settings, pictures)
+        uploads = raster.uploads - before
+    chosen = Chosen(device=found[0], fallback=True)
+    chosen.forward(large, view, settings, pictures, keep=True)
+    _print(
+        {
+            "error": error,
+            "difference": difference,
+            "uploads": uploads,
+            "name": chosen.name.partition(", then ")[2],
+        }
+    )
+
+
+def print_all_devices() -> None:
+    """Name of each device, and what its picture differs from the CPU's, while all are open."""
+    scene = next(iter(self_test_scenes()))
+    true = drawn(scene, _native.Raster())["rgb"]
+    devices = find_devices().devices
+    rasters = [GpuRaster(device.number) for device in devices]
+    found = [float(abs(drawn(scene, raster)["rgb"] - true).max()) for raster in rasters]
+    _print({device.name: error for device, error in zip(devices, found, strict=True)})

@@ -10,11 +10,10 @@ from typing import Any
 
 import pytest
 
-from tests.gpu.drivers import DRIVERS, ROOT, Driver, absent, result_of, variables_of
+from tests.gpu.drivers import DRIVERS, ROOT, Driver, absent, each_driver, result_of, variables_of
 
 ONE = DRIVERS[1]
 LAYER = "libVkLayer_khronos_validation.so"
-each_driver = pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
 
 
 @each_driver
