@@ -13,7 +13,9 @@ typedef struct gs_view gs_view;
 #else
 #define gs_int int
 #define gs_uint uint
+#ifndef gs_vec3 /* float[3] where a block is behind a pointer, which has the same offsets in std430 */
 #define gs_vec3 vec3
+#endif
 #define gs_mat4 mat4
 #endif
 

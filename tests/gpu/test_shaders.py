@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from runpy import run_path
+from typing import Any
 
 import pytest
 
@@ -23,6 +24,13 @@ CAPABILITIES = {1, 5347}
 SUBGROUP_OPERATIONS = range(333, 367)
 ATOMIC_FLOAT_OPERATIONS = {5614, 5615, 6035}
 """Minimum, maximum and sum."""
+
+
+@pytest.fixture
+def tool(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Functions of tools/build/shaders.py by name."""
+    monkeypatch.syspath_prepend(str(TOOL.parent))
+    return run_path(str(TOOL))
 
 
 def instructions(path: Path) -> Iterator[list[int]]:
@@ -66,29 +74,58 @@ def test_nothing_is_fused(path: Path) -> None:
     assert arithmetic <= decorated
 
 
-def test_a_fused_module_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fused_module_is_noticed(tool) -> None:
     """Oracle: a module of one sum, by hand: the tool adds a decoration before the first type."""
     header = [0x07230203, 0x00010500, 0, 9, 0]
     type_float, function_sum = [3 << 16 | 22, 1, 32], [5 << 16 | 129, 1, 5, 2, 3]
     code = struct.pack("<13I", *header, *type_float, *function_sum)
-    monkeypatch.syspath_prepend(str(TOOL.parent))
-    found = run_path(str(TOOL))["without_contraction"](code)
+    found = tool["without_contraction"](code)
     decoration = [3 << 16 | 71, 5, 42]
     expected = [*header, *decoration, *type_float, *function_sum]
     assert struct.unpack(f"<{len(found) // 4}I", found) == tuple(expected)
 
 
 @pytest.mark.parametrize("path", SPIRV, ids=lambda path: path.stem)
-def test_shaders_translate_to_metal(path: Path) -> None:
-    """Oracle: SPIRV-Cross, which MoltenVK translates with; buffers have one pointer type each, so
-    no pointer is cast."""
+def test_shaders_translate_to_metal(tool, path: Path) -> None:
+    """Oracle: SPIRV-Cross, which MoltenVK translates with."""
     if shutil.which("spirv-cross") is None:
         absent("spirv-cross is not installed.")
-    command = ["spirv-cross", "--msl", "--msl-version", "20300", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert "kernel void main0" in done.stdout
-    assert "reinterpret_cast" not in done.stdout
+    tool["check_for_metal"](path)
+
+
+@pytest.mark.parametrize(
+    ("block", "use", "words"),
+    [
+        ("uint n; vec3 v;", "o.at[0] = vec4(o.in_.v, 1)", "3-vector"),
+        ("mat3 m[2];", "o.at[0] = vec4(o.in_.m[1][0], 1)", "3-vector"),
+        ("float v[3]; vec4 w;", "o.at[0] = vec4(o.in_.v[0]) + o.in_.w", ""),
+        ("vec4 w;", "o.at[0] = vec4(other(uvec2(o)).at[1])", "casts a pointer"),
+    ],
+)
+def test_what_metal_cannot_run_is_refused(
+    tool, tmp_path: Path, block: str, use: str, words: str
+) -> None:
+    """Oracle: compiled GLSL with and without 3-vectors in memory and casts of pointers."""
+    if shutil.which("glslangValidator") is None or shutil.which("spirv-cross") is None:
+        absent("glslangValidator or spirv-cross is not installed.")
+    source, module = tmp_path / "a.comp", tmp_path / "a.spv"
+    source.write_text(
+        "#version 450\n"
+        "#extension GL_EXT_buffer_reference : require\n"
+        "#extension GL_EXT_buffer_reference_uvec2 : require\n"
+        f"struct inner {{ {block} }};\n"
+        "layout(buffer_reference, std430) buffer other { float at[]; };\n"
+        "layout(buffer_reference, std430) buffer block { inner in_; vec4 at[]; };\n"
+        "layout(push_constant) uniform pushed { block o; };\n"
+        f"void main() {{ {use}; }}\n"
+    )
+    command = ["glslangValidator", "--target-env", "vulkan1.2", "-V", source, "-o", module]
+    subprocess.run(command, check=True, capture_output=True)
+    if not words:
+        tool["check_for_metal"](module)
+        return
+    with pytest.raises(RuntimeError, match=words):
+        tool["check_for_metal"](module)
 
 
 def test_the_library_knows_all_shaders_in_one_order() -> None:

@@ -1,9 +1,9 @@
 """SPIR-V of the shaders: compiles csrc/gpu/shaders/*.comp into csrc/gpu/shaders/spirv/.
 
-`python tools/build/shaders.py` needs glslangValidator and spirv-val (Debian's glslang-tools and
-spirv-tools) and writes the files and sources.json: the hash of the sources and the compiler's
-version. `--check` fails if the sources have changed since, and, with the same compiler at hand, if
-it gives other bytes.
+`python tools/build/shaders.py` needs glslangValidator, spirv-val and spirv-cross (Debian's
+glslang-tools, spirv-tools and spirv-cross) and writes the files and sources.json: the hash of the
+sources and the compiler's version. `--check` fails if the sources have changed since, and, with the
+same compiler at hand, if it gives other bytes.
 """
 
 import hashlib
@@ -25,6 +25,11 @@ STATED = SPIRV / "sources.json"
 INCLUDES = [SHADERS, SHADERS.parent, ROOT / "csrc" / "shared"]
 _HEADER_WORDS = 5
 _DECORATE, _NO_CONTRACTION = 71, 42
+_MEMBER_DECORATE, _OFFSET, _TYPE_VECTOR, _TYPE_STRUCT = 72, 35, 23, 30
+_TYPES_OF_ONE = {24, 28, 29}
+"""Matrices and arrays."""
+_TOOLS = "glslangValidator", "spirv-val", "spirv-cross"
+_PACKAGES = "glslang-tools, spirv-tools, spirv-cross"
 _TYPES = range(19, 40)
 """Opcodes of type declarations, which follow the decorations."""
 _FLOAT_ARITHMETIC = {127, 129, 131, 133, 136, 140, 141, 142, 143, 144, 145, 146, 147, 148}
@@ -43,8 +48,8 @@ def sources_hash() -> str:
 
 
 def compiler_version() -> str:
-    """First line of the compiler's version; empty if it is not installed."""
-    if shutil.which("glslangValidator") is None:
+    """First line of the compiler's version; empty if it or another tool is not installed."""
+    if not all(map(shutil.which, _TOOLS)):
         return ""
     run = subprocess.run(["glslangValidator", "--version"], capture_output=True, text=True)
     return run.stdout.splitlines()[0]
@@ -83,6 +88,33 @@ def without_contraction(code: bytes) -> bytes:
     return struct.pack(f"<{len(words)}I", *words)
 
 
+def three_vectors_in_memory(code: bytes) -> list[int]:
+    """Ids of structs in memory that contain vectors or matrix columns of three, which MoltenVK
+    mishandles behind pointers."""
+    words = list(struct.unpack(f"<{len(code) // 4}I", code))
+    threes, in_memory, found = set(), set(), []
+    for at, opcode, length in _instructions(words):
+        operands = words[at + 1 : at + length]
+        if opcode == _MEMBER_DECORATE and operands[2] == _OFFSET:
+            in_memory.add(operands[0])
+        elif (opcode, operands[2:]) == (_TYPE_VECTOR, [3]) or (
+            opcode in _TYPES_OF_ONE and operands[1] in threes
+        ):
+            threes.add(operands[0])
+        elif opcode == _TYPE_STRUCT and operands[0] in in_memory and threes & {*operands[1:]}:
+            found.append(operands[0])
+    return found
+
+
+def check_for_metal(path: Path) -> None:
+    """Raise RuntimeError if MoltenVK, which translates with SPIRV-Cross, could not run a module."""
+    if three_vectors_in_memory(path.read_bytes()):
+        raise RuntimeError(f"{path.name} has a 3-vector behind a pointer; use float[3]")
+    text = _run(["spirv-cross", "--msl", "--msl-version", "20300", str(path)])
+    if "reinterpret_cast" in text:
+        raise RuntimeError(f"{path.name} casts a pointer: a buffer has two types of pointers")
+
+
 def compiled(source: Path) -> bytes:
     """SPIR-V of a shader. Raises RuntimeError with the compiler's message."""
     with tempfile.TemporaryDirectory() as folder:
@@ -92,13 +124,16 @@ def compiled(source: Path) -> bytes:
         _run([*command, str(source), "-o", str(out)])
         out.write_bytes(without_contraction(out.read_bytes()))
         _run(["spirv-val", "--target-env", "vulkan1.2", str(out)])
+        check_for_metal(out)
         return out.read_bytes()
 
 
-def _run(command: list[str]) -> None:
+def _run(command: list[str]) -> str:
+    """The output of a program. Raises RuntimeError with its message."""
     run = subprocess.run(command, capture_output=True, text=True)
     if run.returncode:
         raise RuntimeError(f"{command[0]} failed:\n{run.stdout}{run.stderr}")
+    return run.stdout
 
 
 @exit_with_message
@@ -114,7 +149,7 @@ def main() -> None:
         print("Only the hash of the sources was checked: the compiler is", version or "missing")
         return
     if not version:
-        raise RuntimeError("glslangValidator is missing (Debian: glslang-tools, spirv-tools)")
+        raise RuntimeError(f"{', '.join(_TOOLS)} are needed (Debian: {_PACKAGES})")
     SPIRV.mkdir(exist_ok=True)
     for source in sorted(SHADERS.glob("*.comp")):
         code, out = compiled(source), SPIRV / f"{source.stem}.spv"

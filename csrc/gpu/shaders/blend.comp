@@ -66,7 +66,7 @@ void main() {
     if (!inside)
         return;
     int at = pixel.y * frame.view.width + pixel.x;
-    vec3 background = frame.view.background; // whole, because a component of it is not aligned as the compiler takes it to be
+    vec3 background = vec3(frame.view.background[0], frame.view.background[1], frame.view.background[2]);
     for (int k = 0; k < 3; ++k)
         frame.rgb.at[3 * at + k] = color[k] + transmittance * background[k];
     bool sums = (frame.view.outputs & (1u | 2u)) != 0; // GS_OUT_INVERSE_DEPTH, GS_OUT_DEPTH

@@ -48,7 +48,7 @@ void load_pixel(Tile tile) {
     }
     uvec4 bits = floatBitsToUint(v);
     uint any = (bits.x | bits.y | bits.z | bits.w | floatBitsToUint(back)) & 0x7FFFFFFFu; // negative zeros are zero
-    vec3 background = frame.view.background;
+    vec3 background = vec3(frame.view.background[0], frame.view.background[1], frame.view.background[2]);
     for (int k = 0; k < 3; ++k)
         back = fma(v[k], background[k], back);
     color_gradients[id] = v;

@@ -13,6 +13,9 @@ layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_step_block;
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_loss_block;
 
+// MoltenVK mishandles 3-vectors behind pointers; tools/build/shaders.py refuses them.
+#define gs_vec3 float[3]
+
 #include "constants.h"
 #include "step.h"
 #include "loss_frame.h"
