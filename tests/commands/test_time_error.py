@@ -102,6 +102,7 @@ def test_ablations_change_what_they_name(
     ]
 
 
+@pytest.mark.slow
 def test_all_sizes_are_measured_at_one_size(
     capsys: pytest.CaptureFixture[str], small: list[str], tmp_path: Path
 ) -> None:

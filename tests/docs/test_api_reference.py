@@ -19,6 +19,7 @@ def test_the_reference_has_every_public_name() -> None:
     assert sorted(listed) == sorted(set(gscore.__all__) - {"__version__"})
 
 
+@pytest.mark.slow
 def test_the_reference_builds_without_warnings(tmp_path: Path) -> None:
     """Oracle: Sphinx, which ends with 1 on a warning."""
     pytest.importorskip("sphinx")

@@ -3,6 +3,7 @@
 import re
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -45,8 +46,28 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(write_chunked, "BUDGET", 0.0)
 
 
+FILES: list[Path] = []
+"""Folder of the files of `prepare`."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def file_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """A folder for `FILES`."""
+    FILES[:] = [tmp_path_factory.mktemp("edits")]
+
+
 def prepare(name: str) -> bpy.types.Object:
-    """An empty file with the operator's target as active object."""
+    """A file with the operator's target as active object, made once for each operator."""
+    path = FILES[0] / f"{name}.blend"
+    if not path.exists():
+        made(name)
+        bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
+    return bpy.context.view_layer.objects.active
+
+
+def made(name: str) -> None:
+    """Make the operator's target in an empty file."""
     bpy.ops.wm.read_homefile(use_empty=True)
     scene = bpy.context.scene
     far = lab.blob(20, center=(30, 0, 0), size=0.1)
@@ -72,7 +93,6 @@ def prepare(name: str) -> bpy.types.Object:
         bpy.context.view_layer.update()
         bpy.ops.object.transform_apply()
     bpy.context.view_layer.update()
-    return ob
 
 
 def state() -> dict[str, Any]:

@@ -565,6 +565,7 @@ def test_the_real_trainer_from_start_to_resume(studio: bpy.types.Scene, tmp_path
 
 
 @needs_trainer
+@pytest.mark.slow
 def test_the_real_trainer_is_killed(studio: bpy.types.Scene, tmp_path: Path) -> None:
     """Oracle: an error; training can be resumed from the earlier checkpoint."""
     preferences.get().python_path = REAL
