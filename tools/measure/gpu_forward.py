@@ -2,7 +2,8 @@
 
     python tools/measure/gpu_forward.py [--device gpu] [--tiny] [-o gpu.json]
 
-It needs gscore's wheel, numpy and a Vulkan driver, no network, and about three minutes on a card.
+It needs gscore's wheel, numpy and a Vulkan driver, no checkout and no network, and about three
+minutes on a card.
 `--tiny` proves the script on a software device.
 """
 
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from gscore.raster import _native
-from gscore.raster.gpu.choice import choose
+from gscore.raster.gpu.choice import choose, once_a_device
 from gscore.raster.gpu.gpu_raster import GpuRaster
 from gscore.raster.request import Frustum, Settings
 
@@ -91,7 +92,7 @@ def timed(raster: GpuRaster, count: int, width: int) -> dict[str, Any]:
     raster.profile(True)
     for _ in range(TIMED):
         picture_of(raster, arrays, view)
-    kernels = {name: total / TIMED for name, (total, _) in raster.kernel_times().items()}
+    kernels = {n: total / TIMED for n, (total, calls) in raster.kernel_times().items() if calls}
     raster.profile(False)
     raster.release(arrays, settings)
     device = sum(median[name] for name in ("project_ms", "sort_ms", "bin_ms", "blend_ms"))
@@ -138,7 +139,8 @@ def main() -> int:
     parser.add_argument("--tiny", action="store_true", help="small, for software devices")
     parser.add_argument("-o", "--output", type=Path)
     options = parser.parse_args()
-    chosen = choose(options.device, report=lambda text: print(text, file=sys.stderr))
+    report = once_a_device(lambda text: print(text, file=sys.stderr))
+    chosen = choose(options.device, report=report)
     assert chosen.device is not None
     counts, widths = (
         ((500, 5_000), (64, 160))

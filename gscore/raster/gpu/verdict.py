@@ -77,11 +77,13 @@ def _parsed(content: Mapping[str, Any]) -> DeviceVerdict:
     )
 
 
-def keep_verdict(key: Mapping[str, Any], verdict: DeviceVerdict) -> None:
-    """Keep a verdict for this process and, if it lasts and its folder can be written, for later
-    ones."""
+def keep_verdict(key: Mapping[str, Any], verdict: DeviceVerdict, *, in_files: bool = True) -> None:
+    """Keep a verdict for this process and with `in_files`, if it lasts and its folder can be
+    written, for later ones."""
     name = _file_name(key)
     _of_process[name] = verdict
+    if not in_files:
+        return
     if not verdict.lasting:
         with contextlib.suppress(OSError, RuntimeError):
             (cache_folder() / name).unlink(missing_ok=True)

@@ -48,8 +48,8 @@ def verified(
     if not again and (found := device.verdict) is not None:
         return found
     verdict = _tested(device, report or (lambda _: None), cancel, seconds)
-    if not os.environ.get("GSCORE_GPU_FAULT"):  # injected faults say nothing about the device
-        keep_verdict(device.key, verdict)
+    # Injected faults tell nothing about the device to later programs.
+    keep_verdict(device.key, verdict, in_files=not os.environ.get("GSCORE_GPU_FAULT"))
     return verdict
 
 
