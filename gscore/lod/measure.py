@@ -63,6 +63,7 @@ def _level_psnr(file: LodFile, level: int, against: int, device: Chosen) -> floa
         for viewmat in _views(file.index.levels[level], chunk):
             squares, covered = _loss(coarse, exact, viewmat, file.index, device)
             total, pixels = total + squares, pixels + covered
+        device.release()
     return -10 * math.log10(total / pixels) if total and pixels else None
 
 
@@ -100,6 +101,7 @@ def _loss(
             antialias=index.antialias,
             near=index.near,
             device=device,
+            keep=True,
         )
         for splats in (coarse, exact)
     ]

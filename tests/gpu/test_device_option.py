@@ -8,6 +8,7 @@ import pytest
 
 from gscore.io.cameras_json import write_cameras
 from gscore.io.ply.splats import write_splats
+from gscore.lod import groups
 from gscore.raster.gpu import choice, gpu_raster
 from gscore.raster.gpu.devices import Device
 from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
@@ -66,6 +67,25 @@ def test_render_draws_the_cpu_s_pictures(gscore, model: Path, tested: Device, tm
     assert max(np.abs(a - b).max() for a, b in zip(one, other, strict=True)) < 1e-4
     assert any(a.any() for a in one)
     assert gpu_raster.opened(tested).uploads == 1
+
+
+def test_splats_of_a_level_are_copied_once(
+    gscore, model: Path, tested: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the PSNR of the CPU; coarse and fine splats of a measured chunk are copied once, for
+    six pictures, and no copy stays."""
+    monkeypatch.setattr(groups, "MOST_IN_A_CHUNK", 50)
+    found = {}
+    for name in ("cpu", str(tested.number)):
+        out = tmp_path / f"{name}.lod"
+        code, text, err = gscore("lod", model, "--device", name, "--json", "-o", out)
+        assert code == 0, err
+        found[name] = json.loads(text)["levels"]
+    one, other = ([level["psnr"] for level in levels[1:]] for levels in found.values())
+    assert one == pytest.approx(other, abs=0.01) and None not in one and one
+    raster = gpu_raster.opened(tested)
+    chunks = sum(min(level["chunks"], 4) for level in found["cpu"][1:])
+    assert raster.uploads == 2 * chunks and not raster._kept
 
 
 def test_auto_without_a_card_says_so(gscore, model: Path, fake, tmp_path: Path) -> None:

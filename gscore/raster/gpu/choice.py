@@ -66,6 +66,11 @@ class Chosen:
         """
         return _native.pool.lend() if self.device is None else opened(self.device).lend()
 
+    def release(self) -> None:
+        """Free the device's memory of kept splats; nothing on the CPU."""
+        if self.device is not None:
+            opened(self.device).release_all()
+
     def forward(
         self,
         splats: Sequence[Array],

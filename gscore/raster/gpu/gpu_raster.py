@@ -107,6 +107,11 @@ class GpuRaster:
             if found := self._kept.pop(_key(splats, settings), None):
                 self._lib.gs_gpu_release(found.handle)
 
+    def release_all(self) -> None:
+        """Free the memory of all kept splats."""
+        with self._lock:
+            self._make_room()
+
     def forward(
         self,
         splats: Sequence[Array],
