@@ -28,8 +28,8 @@ gs_step gs_gpu::blank_step() const {
     return s;
 }
 
-void gs_gpu::record_blend_backward(uint32_t first_row, uint32_t rows, bool has_alpha, bool has_inverse_depth) {
-    gs_push p = push(first_row, (has_alpha ? 1u : 0u) | (has_inverse_depth ? 2u : 0u));
+void gs_gpu::record_blend_backward(uint32_t first_row, uint32_t rows, bool has_alpha, bool has_depth, bool of_depth) {
+    gs_push p = push(first_row, (has_alpha ? 1u : 0u) | (has_depth ? 2u : 0u) | (of_depth ? 4u : 0u));
     p.values_in = entry_slots_[sorted_entries_].address;
     device.dispatch(Shader::kBlendBackward, p, frame_.tiles_x, rows);
 }
@@ -37,16 +37,14 @@ void gs_gpu::record_blend_backward(uint32_t first_row, uint32_t rows, bool has_a
 void gs_gpu::backward(const gs_gpu_splats &splats, const gs_image_grads &in, const gs_splat_grads &out) {
     if (drawn_ != &splats || !(frame_.view.outputs & GS_GPU_GRADIENTS))
         throw_failure(GS_BAD_ARGUMENT, "gs_gpu_backward: these splats were not drawn last, with GS_GPU_GRADIENTS");
-    if (frame_.view.orthographic || frame_.view.sh_degree > 3 || in.depth)
-        throw_failure(GS_UNSUPPORTED,
-                      "gs_gpu_backward: there are no gradients of orthographic views, of SH of degree 4 "
-                      "or through depths that are not inverse");
+    if (frame_.view.orthographic)
+        throw_failure(GS_UNSUPPORTED, "gs_gpu_backward: there are no gradients of orthographic views");
     const size_t pixels = size_t(frame_.view.width) * size_t(frame_.view.height), count = size_t(frame_.count);
     const size_t planes = planes_of(splats.sh_rest);
     const std::vector<float> zeros(in.rgb ? 0 : 3 * pixels);
     device.ensure(v_rgb_, 3 * pixels * sizeof(float));
     device.ensure(v_alpha_, (in.alpha ? pixels : 0) * sizeof(float));
-    device.ensure(v_inverse_depth_, (in.inverse_depth ? pixels : 0) * sizeof(float));
+    device.ensure(v_inverse_depth_, (in.inverse_depth || in.depth ? pixels : 0) * sizeof(float));
     device.ensure(gradients_, planes * count * kQuad);
     device.ensure(v_means2d_, 2 * count * sizeof(float));
     device.ensure(camera_parts_, 12 * size_t(groups_of(int64_t(count), GS_GROUP)) * sizeof(float));
@@ -68,12 +66,17 @@ void gs_gpu::backward(const gs_gpu_splats &splats, const gs_image_grads &in, con
     step.camera_parts = camera_parts_.address;
     step.camera = camera_.address;
     const uint32_t band = tile_rows_at_once();
-    for (uint32_t row = 0; row < frame_.tiles_y; row += band) {
-        device.begin();
-        device.update(frame_buffer_, &frame_, sizeof frame_);
-        device.update(step_buffer_, &step, sizeof step);
-        record_blend_backward(row, std::min(band, frame_.tiles_y - row), in.alpha, in.inverse_depth);
-        device.finish(nullptr);
+    for (const bool of_depth : {false, true}) {
+        if (of_depth && in.depth)
+            send({{&v_inverse_depth_, array(in.depth), pixels * sizeof(float)}});
+        const bool has_alpha = in.alpha && !of_depth, has_depth = of_depth || in.inverse_depth;
+        for (uint32_t row = 0; row < frame_.tiles_y && (!of_depth || in.depth); row += band) {
+            device.begin();
+            device.update(frame_buffer_, &frame_, sizeof frame_);
+            device.update(step_buffer_, &step, sizeof step);
+            record_blend_backward(row, std::min(band, frame_.tiles_y - row), has_alpha, has_depth, of_depth);
+            device.finish(nullptr);
+        }
     }
     const Groups groups(groups_of(int64_t(count), GS_GROUP));
     device.begin();

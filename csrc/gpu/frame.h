@@ -87,7 +87,7 @@ struct gs_frame {
     GS_POINTER(gs_floats) transmittances; /* [H, W] behind the last splat */
     GS_POINTER(gs_words) stops;           /* [H, W] number in its tile's list of the first entry that is not blended */
     GS_POINTER(gs_words) row_entries;     /* [N] first entry of a row */
-    GS_POINTER(gs_floats) v_rgb;          /* [H, W, 3] gradient of the loss, then those of alpha and inverse depth */
+    GS_POINTER(gs_floats) v_rgb; /* [H, W, 3] gradient of the loss, then those of alpha and inverse depth or depth */
     GS_POINTER(gs_floats) v_alpha;
     GS_POINTER(gs_floats) v_inverse_depth;
     GS_POINTER(gs_quads_out) moments; /* [entry_capacity, GS_MOMENT_QUADS] */

@@ -103,7 +103,7 @@ GS_API gs_status gs_gpu_draw(gs_gpu *gpu, const gs_gpu_splats *splats, const gs_
 /* Blending weights of the splats in the last draw, summed over pixels with three weights per pixel: shares [H, W, 3],
  * sums [N, 3]. GS_BAD_ARGUMENT if these splats were not drawn last. */
 GS_API gs_status gs_gpu_weights(gs_gpu *gpu, const gs_gpu_splats *splats, const float *shares, float *sums);
-/* Gradients of the last draw, as gs_raster_backward; `depth` of `image_grads` is not supported, nor SH of degree 4.
+/* Gradients of the last draw, as gs_raster_backward.
  * GS_BAD_ARGUMENT if these splats were not drawn last, with GS_GPU_GRADIENTS. */
 GS_API gs_status gs_gpu_backward(gs_gpu *gpu, const gs_gpu_splats *splats, const gs_image_grads *image_grads,
                                  const gs_splat_grads *grads);

@@ -8,6 +8,8 @@
 // the pixels pass through the invocations: at turn t, invocation l has its next splat at pixel (t - l) mod 32. So every
 // pixel meets the splats in their order, one at a time, and the sums of a splat stay in registers. After each 32 turns
 // the sums of the splats that are done are added over the subtiles, in their order.
+//
+// Gradients of the undivided depth have a pass of their own after the others, in which z takes the place of 1 / z.
 #version 450
 #extension GL_GOOGLE_include_directive : require
 #include "common.glsl"
@@ -17,10 +19,10 @@
 #include "subtiles.glsl"
 
 // Sums over pixels, with g = dL / d ln(alpha) and u, v of ellipse.glsl: of g, g u, g v, g u^2, g u v, g v^2, then the
-// gradients of the colour and of the inverse depth.
+// gradients of the colour and of the inverse depth, or of z.
 const uint kSums = 10;
 
-shared vec4 color_gradients[GS_GROUP]; // dL/dC of a pixel: RGB, inverse depth
+shared vec4 color_gradients[GS_GROUP]; // dL/dC of a pixel: RGB, inverse depth or depth
 shared float behind[GS_GROUP], transmittances[GS_GROUP];
 shared uint stops[GS_GROUP];       // of a pixel
 shared uint last_stop, most_hits;
@@ -30,6 +32,11 @@ shared uint hit_counts[GS_SUBTILES];
 shared uint hit_lists[GS_SUBTILES][GS_GROUP / 4]; // splats that reach a subtile in their order, a byte each
 shared float sums_done[kSums][GS_GROUP];
 
+// Bits of word1: alpha and depth have gradients; this is the pass of the undivided depth, without other gradients.
+bool has_alpha() { return (push.word1 & 1u) != 0; }
+bool has_depth() { return (push.word1 & 2u) != 0; }
+bool of_depth() { return (push.word1 & 4u) != 0; }
+
 void load_pixel(Tile tile) {
     uint id = lane();
     ivec2 pixel = tile.first + pixel_of(id);
@@ -38,10 +45,11 @@ void load_pixel(Tile tile) {
     uint stop = 0;
     if (pixel.x < frame.view.width && pixel.y < frame.view.height) {
         int at = pixel.y * frame.view.width + pixel.x;
-        v.rgb = vec3(frame.v_rgb.at[3 * at], frame.v_rgb.at[3 * at + 1], frame.v_rgb.at[3 * at + 2]);
-        if ((push.word1 & 2u) != 0)
+        if (!of_depth())
+            v.rgb = vec3(frame.v_rgb.at[3 * at], frame.v_rgb.at[3 * at + 1], frame.v_rgb.at[3 * at + 2]);
+        if (has_depth())
             v.a = frame.v_inverse_depth.at[at];
-        if ((push.word1 & 1u) != 0)
+        if (has_alpha())
             back = -frame.v_alpha.at[at];
         transmittance = frame.transmittances.at[at];
         stop = min(frame.stops.at[at], tile.end - tile.begin);
@@ -73,9 +81,16 @@ uint hits_before(uint subtile) {
 bool is_hit(uint subtile) { return (hits[subtile][lane() / 32] >> lane() % 32 & 1u) != 0; }
 
 void store_record(uint slot, float sums[kSums]) {
-    frame.moments.at[GS_MOMENT_QUADS * slot] = vec4(sums[0], sums[1], sums[2], sums[3]);
-    frame.moments.at[GS_MOMENT_QUADS * slot + 1] = vec4(sums[4], sums[5], sums[6], sums[7]);
-    frame.moments.at[GS_MOMENT_QUADS * slot + 2] = vec4(sums[8], sums[9], 0.0, 0.0);
+    vec4 a = vec4(sums[0], sums[1], sums[2], sums[3]), b = vec4(sums[4], sums[5], sums[6], sums[7]);
+    vec4 c = vec4(sums[8], sums[9], 0.0, 0.0);
+    if (of_depth()) { // beside those of the first pass
+        a += frame.moments.at[GS_MOMENT_QUADS * slot];
+        b += frame.moments.at[GS_MOMENT_QUADS * slot + 1];
+        c = frame.moments.at[GS_MOMENT_QUADS * slot + 2] + vec4(0.0, 0.0, sums[9], 0.0);
+    }
+    frame.moments.at[GS_MOMENT_QUADS * slot] = a;
+    frame.moments.at[GS_MOMENT_QUADS * slot + 1] = b;
+    frame.moments.at[GS_MOMENT_QUADS * slot + 2] = c;
 }
 
 // Adds splat `at` of the batch at a pixel, both places in the tile's arrays, to the sums of the splat.
@@ -144,6 +159,8 @@ void main() {
             slot = slot_of(tile.begin + index);
             Splat s = load_splat(frame.entry_rows.at[slot]);
             put_into_batch(id, s, tile.first);
+            if (of_depth())
+                batch_color[id].a = s.z;
             uint reached = subtiles_of(s, tile.first);
             for (uint k = 0; k < GS_SUBTILES; ++k)
                 if (index >= subtile_stops[k] || subtile_lives[k] == 0)

@@ -7,7 +7,7 @@ struct Moments {
     vec2 g_uv;    // with u, with v
     vec3 g_uu_vv; // with u^2, u v, v^2
     vec3 color;
-    float inverse_z;
+    float inverse_z, z;
 };
 
 // Gradients of the raw parameters, of the colour before its lower clamp, and of what all splats share.
@@ -31,7 +31,14 @@ Moments load_moments(uint row) {
         b += frame.moments.at[GS_MOMENT_QUADS * e + 1];
         c += frame.moments.at[GS_MOMENT_QUADS * e + 2];
     }
-    return Moments(a.x, a.yz, vec3(a.w, b.xy), vec3(b.zw, c.x), c.y);
+    return Moments(a.x, a.yz, vec3(a.w, b.xy), vec3(b.zw, c.x), c.y, c.z);
+}
+
+// Power of two that brings the largest component of a row to 1 to 2; smaller rows keep their size.
+float shrink_of(vec3 row) {
+    vec3 a = abs(row);
+    uint exponent = floatBitsToUint(max(max(a.x, max(a.y, a.z)), 1.0)) >> 23;
+    return uintBitsToFloat((254u - exponent) << 23);
 }
 
 // Gradients of the rows of M. With G the matrix of second moments of d and Q the conic, that of the covariance is
@@ -39,28 +46,29 @@ Moments load_moments(uint row) {
 // (ln det0 - ln det) / 2 adds -log_gain Q M for its second term. In pairs, because for needles entries of Q G Q are ten
 // thousand times the product.
 void covariance_backward(Projection p, vec3 second, float log_gain, out vec3 v_m0, out vec3 v_m1) {
-    // Scaled by a power of two, which is exact, so that no square is too large for two_product.
-    float largest = max(max(max(abs(p.m0.x), abs(p.m0.y)), abs(p.m0.z)), max(max(abs(p.m1.x), abs(p.m1.y)), abs(p.m1.z)));
-    uint exponent = floatBitsToUint(max(largest, 1.0)) >> 23;
-    float shrink = uintBitsToFloat((254u - exponent) << 23);
-    vec3 m0 = p.m0 * shrink, m1 = p.m1 * shrink;
-    float eps = frame.view.eps2d * shrink * shrink;
-    Pair xx = Pair(eps, 0.0), yy = xx, xy = Pair(0.0);
+    // Scaled by powers of two, which is exact: a splat of 1e18 px has factors that float or two_product cannot hold. xx,
+    // det and the minors have factor s^2, s^2 and s, xy has s t, and yy has t^2.
+    float t = shrink_of(p.m1), s = min(shrink_of(p.m0), t), eps = frame.view.eps2d;
+    vec3 m0 = p.m0 * s, m1 = p.m1 * t;
+    Pair xx = Pair(eps * s * s, 0.0), yy = Pair(eps * t * t, 0.0), yy_det = Pair(0.0), xy = Pair(0.0);
     for (int k = 0; k < 3; ++k) {
         xx = sum(xx, two_product(m0[k], m0[k]));
         yy = sum(yy, two_product(m1[k], m1[k]));
+        yy_det = sum(yy_det, two_product(p.m1[k] * s, p.m1[k] * s));
         xy = sum(xy, two_product(m0[k], m1[k]));
     }
     // From the minors: for needles xx yy - xy^2 cancels even in pairs.
-    Pair det = product(difference(sum(xx, yy), Pair(eps, 0.0)), eps);
+    Pair det = product(sum(xx, yy_det), eps);
     for (int k = 0; k < 3; ++k) {
         int next = k == 2 ? 0 : k + 1;
-        Pair minor = difference(two_product(m0[k], m1[next]), two_product(m0[next], m1[k]));
+        Pair minor = difference(two_product(m0[k], p.m1[next]), two_product(m0[next], p.m1[k]));
         det = sum(det, product(minor, minor));
     }
     // Squares and products of ua, ub = -ratio ua and vc, all over GS_HALF_LOG2E.
     Pair one = Pair(1.0, 0.0), inverse_yy = quotient(one, yy), inverse_det = quotient(one, det);
-    Pair ratio = product(xy, inverse_yy), aa = product(yy, inverse_det), ac = square_root(inverse_det);
+    Pair ratio = product(xy, inverse_yy) * (t / s), aa = product(yy, inverse_det) * (s / t) * (s / t);
+    Pair ac = square_root(inverse_det) * s;
+    inverse_yy = inverse_yy * t * t;
     Pair scale = quotient(one, Pair(GS_HALF_LOG2E, 0.0));
     Pair uu = product(product(scale, second.x), aa), uv = product(product(scale, second.y), ac);
     Pair vv = product(product(scale, second.z), inverse_yy);
@@ -68,8 +76,8 @@ void covariance_backward(Projection p, vec3 second, float log_gain, out vec3 v_m
     Pair k01 = difference(uv, product(ratio, k00));
     Pair k11 = difference(difference(vv, product(inverse_yy, log_gain)), product(ratio, sum(uv, k01)));
     for (int k = 0; k < 3; ++k) {
-        v_m0[k] = to_float(sum(product(k00, m0[k]), product(k01, m1[k]))) * shrink;
-        v_m1[k] = to_float(sum(product(k01, m0[k]), product(k11, m1[k]))) * shrink;
+        v_m0[k] = to_float(sum(product(k00, p.m0[k]), product(k01, p.m1[k])));
+        v_m1[k] = to_float(sum(product(k01, p.m0[k]), product(k11, p.m1[k])));
     }
 }
 
@@ -103,7 +111,8 @@ vec4 quat_backward(Projection p, mat3 v) {
 }
 
 // Gradient of dL/d(mean in the camera's frame); those of J are by its diagonal and offset.
-vec3 screen_backward(Projection p, vec2 v_diagonal, vec2 v_offset, vec2 v_mean2d, float v_inverse_z) {
+vec3 screen_backward(Projection p, vec2 v_diagonal, vec2 v_offset, vec2 v_mean2d, float v_inverse_z,
+                     float v_z) {
     vec2 focal = vec2(frame.view.fx, frame.view.fy);
     vec3 v_cam;
     for (int i = 0; i < 2; ++i) {
@@ -114,7 +123,7 @@ vec3 screen_backward(Projection p, vec2 v_diagonal, vec2 v_offset, vec2 v_mean2d
         v_cam[i] = v_ratio * p.inverse_z;
         v_inverse_z += v_ratio * p.cam[i];
     }
-    v_cam.z = -(p.inverse_z * p.inverse_z) * v_inverse_z;
+    v_cam.z = v_z - (p.inverse_z * p.inverse_z) * v_inverse_z;
     return v_cam;
 }
 
@@ -149,7 +158,7 @@ Gradients chain(uint row, Projection p, Splat s, Moments m) {
     for (int k = 0; k < 3; ++k)
         v_rot[k] = w0 * out_.v_world_rot[k].x + (w1 * out_.v_world_rot[k].y + w2 * out_.v_world_rot[k].z);
     out_.quat = quat_backward(p, v_rot);
-    out_.v_cam = screen_backward(p, v_diagonal, v_offset, out_.mean2d, m.inverse_z);
+    out_.v_cam = screen_backward(p, v_diagonal, v_offset, out_.mean2d, m.inverse_z, m.z);
 
     out_.color = vec3(s.color.r > 0.0 ? m.color.r : 0.0, s.color.g > 0.0 ? m.color.g : 0.0, s.color.b > 0.0 ? m.color.b : 0.0);
     vec3 d = from_centre(p);

@@ -165,7 +165,8 @@ class GpuRaster:
             splats: As in that call.
             view: As in that call.
             settings: As in that call.
-            v_pictures: Gradients of a loss by picture: `rgb`, `alpha`, `inverse_depth`; None: 0.
+            v_pictures: Gradients of a loss by picture: `rgb`, `alpha`, `inverse_depth`,
+                `depth` (undivided); None: 0.
             grads: Output arrays by parameter, and optionally `means2d` [N, 2], `viewmat` [4, 4].
             add_shN: True: add to `shN`.
         """

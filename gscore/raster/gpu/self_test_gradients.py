@@ -9,7 +9,7 @@ import numpy as np
 
 from ...splats import PARAMETERS
 from .. import _native
-from ..header import OUT_INVERSE_DEPTH
+from ..header import OUT_DEPTH, OUT_INVERSE_DEPTH
 from ..request import Settings
 from .gpu_raster import GpuRaster
 from .header import GRADIENTS
@@ -34,6 +34,8 @@ def gradient_scenes() -> Iterator[SelfTestScene]:
     yield make(name="gradients of antialiased dots", count=900, sigma=(0.05, 0.6), settings=dots)
     for degree in (0, 1, 2):
         yield make(name=f"gradients of degree {degree}", count=200, degree=degree)
+    depths = replace(settings, outputs=settings.outputs | OUT_DEPTH)
+    yield make(name="gradients of degree 4 and of depths", count=200, degree=4, settings=depths)
     yield make(name="gradients of a lower degree", settings=replace(settings, sh_degree=1))
     yield make(name="gradients of one pixel", count=40, width=1, height=1)
     yield make(name="gradients of no splats", count=0)
@@ -42,11 +44,13 @@ def gradient_scenes() -> Iterator[SelfTestScene]:
 def gradients(scene: SelfTestScene, raster: Any, *, fewer: bool = False) -> dict[str, np.ndarray]:
     """Gradients of a random function of a scene's pictures, by the names of gs_splat_grads.
 
-    `fewer`: the function has no inverse depth and no alpha.
+    `fewer`: the function has no depths and no alpha.
     """
     size, splats = (scene.height, scene.width), scene.splats()
     pictures = {"rgb": np.zeros((*size, 3), np.float32)}
-    pictures |= {name: np.zeros(size, np.float32) for name in ("alpha", "inverse_depth")}
+    names = ["alpha", "inverse_depth"]
+    names += ["depth"] if scene.settings.outputs & OUT_DEPTH else []
+    pictures |= {name: np.zeros(size, np.float32) for name in names}
     rng = np.random.default_rng(2)
     v = {name: rng.normal(size=p.shape).astype(np.float32) for name, p in pictures.items()}
     found = {name: np.zeros_like(a) for name, a in zip(PARAMETERS, splats, strict=True)}
