@@ -39,7 +39,7 @@ class Case:
     per_isa: bool
     """Run for each instruction set."""
     on_device: bool
-    """Runs on graphics cards too, as far as it needs no gradients."""
+    """Runs on graphics cards too."""
     needs: tuple[str, ...]
     """Required packages; skipped without them."""
     slow: bool

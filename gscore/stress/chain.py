@@ -161,7 +161,7 @@ def _check(
         yield Measure(f"native, {name}{kind}", worst, 2e-5)
 
 
-@case("S01", "gradients of the whole chain")
+@case("S01", "gradients of the whole chain", on_device=True)
 def chain(full: bool) -> Iterator[Measure]:
     """Oracle: fourth-order differences of the float64 reference, every raw parameter."""
     yield from _check(100, PARAMETERS, sh_degree=3 if full else 1)
@@ -169,7 +169,7 @@ def chain(full: bool) -> Iterator[Measure]:
         yield from _check(200, PARAMETERS, antialias=True)
 
 
-@case("S28", "gradients of the camera")
+@case("S28", "gradients of the camera", on_device=True)
 def camera_by_differences(full: bool) -> Iterator[Measure]:
     """Oracle: as in S01, for all entries of the view matrix, which also rotate covariances."""
     for seed in range(300, 303 + 5 * full):

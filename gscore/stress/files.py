@@ -30,11 +30,11 @@ def round_trip(full: bool) -> Iterator[Measure]:
             back = read_ply(path)
             broken = scene.with_row(7, means=np.nan).with_row(9, sh0=np.inf)
             write_splats(path, Splats(**{name: getattr(broken, name) for name in PARAMETERS}))
-            logging.getLogger("gscore.io.ply.splats").setLevel(logging.ERROR)
+            logging.getLogger("gscore.io.splat_rows").setLevel(logging.ERROR)
             try:
                 filtered = read_ply(path)
             finally:
-                logging.getLogger("gscore.io.ply.splats").setLevel(logging.NOTSET)
+                logging.getLogger("gscore.io.splat_rows").setLevel(logging.NOTSET)
         before = {name: getattr(model, name) for name in PARAMETERS}
         changed = different_bits(before, {name: getattr(back, name) for name in PARAMETERS})
         yield Measure("numbers changed", float(changed), 0)

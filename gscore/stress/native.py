@@ -1,35 +1,37 @@
 """Native renders of a stress scene with numpy only: pictures, gradients, counts."""
 
+import math
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ..raster import _native, header
 from ..raster.gpu.choice import CPU, Chosen
+from ..raster.gpu.gpu_raster import GpuRaster
+from ..raster.gpu.header import GRADIENTS
 from ..raster.request import Frustum, Settings
 from ..shared_constants import EPS2D
 from ..splats import PARAMETERS
-from .case import UnsupportedMachineError
+from .case import Measure, UnsupportedMachineError
 from .scenes import SplatScene
 
 BACKGROUND = (0.25, 0.5, 0.125)
 """Exact in float32."""
 PICTURES = ("rgb", "alpha", "inverse_depth", "depth")
 ALL_DEPTHS = header.OUT_INVERSE_DEPTH | header.OUT_DEPTH | header.OUT_MEDIAN_DEPTH
-NOT_YET = "not on this device yet"
+ONLY_CPU = "measures the CPU only"
 """Reason of what is skipped on a graphics card."""
 _GUARD = np.float32(-777.25)
 _GUARD_WORDS = 64
 
 
-class NotOnDevice(dict[str, Any]):
-    """Values that a graphics card does not compute: using one skips the rest of the case."""
+class _DeviceStats(dict[str, float]):
+    """Counts of a graphics card: using one that only the CPU has skips the rest of the case."""
 
-    def __missing__(self, key: str) -> Any:
-        raise UnsupportedMachineError(f"{key}: {NOT_YET}")
+    def __missing__(self, key: str) -> float:
+        raise UnsupportedMachineError(f"{key}: {ONLY_CPU}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +45,7 @@ class Drawn:
     projected: dict[str, np.ndarray]
     """means2d, depths, conics, colors, opacities; zero rows where culled."""
     gradients: dict[str, np.ndarray]
-    """Gradients by parameter, and means2d [N, 2], viewmat [4, 4]; empty without weights, and
-    `NotOnDevice` on a graphics card."""
+    """Gradients by parameter, and means2d [N, 2], viewmat [4, 4]; empty without weights."""
     stats: dict[str, float]
     guards_broken: int
     """Words changed next to the output arrays of the library."""
@@ -120,25 +121,26 @@ def draw(
         eps2d=eps2d,
         antialias=antialias,
         background=background,
-        outputs=outputs,
+        outputs=outputs | (GRADIENTS if weights is not None and draws_on_device() else 0),
         threads=threads,
         disable=disable,
     )
-    if weights is not None and orthographic and draws_on_device():
-        raise UnsupportedMachineError(f"gradients: {NOT_YET}")
-    on_cpu = not draws_on_device()
-    with nullcontext(_native.Raster()) if on_cpu else _chosen.lend() as raster:
+    gradients: dict[str, np.ndarray] = {}
+    with workspace() as raster:
         raster.forward(arrays, view, settings, pictures | {"radii": radii})
-        projected, stats = raster.projected(n), raster.stats()
-    gradients: dict[str, np.ndarray] = {} if on_cpu else NotOnDevice()
-    if weights is not None and isinstance(raster, _native.Raster):
-        gradients = {
-            name: memory.array(*a.shape) for name, a in zip(PARAMETERS, arrays, strict=True)
-        }
-        gradients |= {"means2d": memory.array(n, 2), "viewmat": memory.array(4, 4)}
-        kept = {k: np.ascontiguousarray(weights[k], np.float32) for k in PICTURES if k in weights}
-        raster.backward(arrays, view, settings, kept, gradients)
+        projected = raster.projected(n)
+        if weights is not None:
+            gradients = {
+                name: memory.array(*a.shape) for name, a in zip(PARAMETERS, arrays, strict=True)
+            }
+            gradients |= {"means2d": memory.array(n, 2), "viewmat": memory.array(4, 4)}
+            kept = {
+                k: np.ascontiguousarray(weights[k], np.float32) for k in PICTURES if k in weights
+            }
+            raster.backward(arrays, view, settings, kept, gradients)
         stats = raster.stats()
+        if isinstance(raster, GpuRaster):
+            stats = _DeviceStats({name: stats[name] for name in ("visible", "entries")})
     kept_names = ["rgb", "alpha"]
     kept_names += ["inverse_depth"] if outputs & header.OUT_INVERSE_DEPTH else []
     kept_names += ["depth"] if outputs & header.OUT_DEPTH else []
@@ -148,8 +150,7 @@ def draw(
         radii=radii,
         projected=projected,
         gradients=gradients,
-        # The other counts are those of lists that only the CPU has.
-        stats=stats if on_cpu else NotOnDevice(visible=stats["visible"]),
+        stats=stats,
         guards_broken=memory.broken(),
     )
 
@@ -165,17 +166,32 @@ def random_weights(scene: SplatScene, seed: int, *names: str) -> dict[str, np.nd
     return {name: made[name] for name in names or PICTURES}
 
 
+def only_cpu(what: str) -> Measure:
+    """A measure that is skipped on a graphics card."""
+    return Measure(what, math.nan, math.nan, ONLY_CPU, skipped=True)
+
+
 _chosen = CPU
 
 
 def draws_on_device() -> bool:
-    """Whether `draw` uses a graphics card, which computes no gradients."""
+    """Whether `draw` uses a graphics card."""
     return _chosen.device is not None
 
 
 @contextmanager
+def workspace() -> Iterator[_native.Raster | GpuRaster]:
+    """Context with what draws: a new workspace of the CPU, or the device."""
+    if not draws_on_device():
+        yield _native.Raster()
+        return
+    with _chosen.lend() as raster:
+        yield raster
+
+
+@contextmanager
 def with_device(chosen: Chosen) -> Iterator[None]:
-    """Context in which `draw` uses a device."""
+    """Context in which `draw` and `workspace` use a device."""
     global _chosen
     before, _chosen = _chosen, chosen
     try:

@@ -5,10 +5,12 @@ the metrics."""
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from ..raster.gpu.gpu_loss import gpu_image_loss
+from ..raster.gpu.gpu_raster import GpuRaster
 from ..shared_constants import SSIM_C1, SSIM_C2
 from . import native, truth
 from .case import EmptyTestError, Measure, case
@@ -187,7 +189,6 @@ def _around(seed: int) -> SplatScene:
 def harmonics(full: bool) -> Iterator[Measure]:
     """Oracle: the reference; truncated coefficients, bit for bit, for lower degrees."""
     clamped = 0
-    gradients = () if native.draws_on_device() else ("shN",)
     for seed in range(2400, 2406):
         scene = _around(seed)
         for degree in range(5):
@@ -206,7 +207,7 @@ def harmonics(full: bool) -> Iterator[Measure]:
             less = replace(scene, shN=scene.shN[:, :rest])
             short = native.draw(less, true.weights)
             changed = different_bits(drawn.pictures, short.pictures)
-            above = sum(np.count_nonzero(drawn.gradients[k][:, rest:]) for k in gradients)
+            above = np.count_nonzero(drawn.gradients["shN"][:, rest:])
             yield Measure("a lower degree is a prefix, bits changed", float(changed + above), 0)
     if clamped < 5:
         raise EmptyTestError("no colour is clamped at zero")
@@ -232,7 +233,28 @@ def _pairs(full: bool) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
         yield f"{w} x {h}", noise(h, w), (noise(h, w) * 255).astype(np.uint8)
 
 
-@case("S22", "image loss")
+def _image_loss(
+    image: np.ndarray, target: np.ndarray, *, mask: Any = None, **options: Any
+) -> tuple[float, float, np.ndarray]:
+    """Loss, SSIM and gradient [H, W, 3], of the device or of `gscore.image_loss`."""
+    import torch
+
+    from ..raster import loss
+
+    if native.draws_on_device():
+        with native.workspace() as raster:
+            assert isinstance(raster, GpuRaster)
+            words = None if mask is None else mask.numpy()
+            on_device = gpu_image_loss(raster, image, target, mask=words, **options)
+        return on_device.loss, on_device.ssim, on_device.v_image
+    leaf = torch.from_numpy(image.copy()).requires_grad_()
+    found = loss.image_loss(leaf, torch.from_numpy(target), mask=mask, **options)
+    found.loss.backward()
+    assert leaf.grad is not None
+    return found.loss.item(), found.ssim, leaf.grad.numpy()
+
+
+@case("S22", "image loss", on_device=True)
 def loss_by_autograd(full: bool) -> Iterator[Measure]:
     """Oracle: the loss in float64 torch, with its autograd.
 
@@ -241,7 +263,6 @@ def loss_by_autograd(full: bool) -> Iterator[Measure]:
     """
     import torch
 
-    from ..raster import loss
     from ..raster.reference import image_loss_reference
 
     rng = np.random.default_rng(2201)
@@ -253,7 +274,7 @@ def loss_by_autograd(full: bool) -> Iterator[Measure]:
             if share is not None:
                 soft = (rng.random(image.shape[:2]) * 255 * share).astype(np.uint8)
                 mask = torch.from_numpy(soft)
-            options = {
+            options: dict[str, Any] = {
                 "mask": mask,
                 "mask_mode": "ignore" if share == 0 else mode,
                 "background": (0.2, 0.5, 0.9),
@@ -261,30 +282,25 @@ def loss_by_autograd(full: bool) -> Iterator[Measure]:
             exact = torch.from_numpy(image.astype(np.float64)).requires_grad_()
             true, ssim = image_loss_reference(exact, torch.from_numpy(target), **options)
             true.backward()
-            leaf = torch.from_numpy(image.copy()).requires_grad_()
-            found = loss.image_loss(leaf, torch.from_numpy(target), **options)
-            found.loss.backward()
-            assert exact.grad is not None and leaf.grad is not None
+            found, found_ssim, found_gradient = _image_loss(image, target, **options)
+            assert exact.grad is not None
             flat = name in ("constant", "white wall")
             kind = " of flat pictures" if flat else ""
+            yield Measure(f"loss{kind}", abs(found - true.item()), 5e-6 if flat else 1e-6)
             yield Measure(
-                f"loss{kind}", abs(found.loss.item() - true.item()), 5e-6 if flat else 1e-6
-            )
-            yield Measure(
-                f"SSIM{kind}", abs(found.ssim - ssim.item()), 3e-5 if flat else 1e-6, name
+                f"SSIM{kind}", abs(found_ssim - ssim.item()), 3e-5 if flat else 1e-6, name
             )
             # At x = y the derivative of |x - y| is any value between -1 and 1.
             kink = np.abs(image - target.astype(np.float64) / 255) < 1e-6
             gradient = exact.grad.numpy()
-            error = np.where(kink, 0, np.abs(leaf.grad.numpy() - gradient))
+            error = np.where(kink, 0, np.abs(found_gradient - gradient))
             scale = max(float(np.abs(gradient).max()), 1 / image.size)
             bound = 1e-4 if flat else 1e-5
             yield Measure(f"gradient{kind}", float(error.max()) / scale, bound, name)
             moved |= bool(np.abs(gradient).max() > 0)
     target = (rng.random((40, 50, 3)) * 255).astype(np.uint8)
-    same = torch.from_numpy(target).float() * (1 / 255)
-    found = loss.image_loss(same, torch.from_numpy(target))
-    yield Measure("identical pictures, 1 - SSIM", abs(1 - found.ssim), 1e-7)
+    found_ssim = _image_loss(target * np.float32(1 / 255), target)[1]
+    yield Measure("identical pictures, 1 - SSIM", abs(1 - found_ssim), 1e-7)
     if not moved:
         raise EmptyTestError("all gradients are zero")
 

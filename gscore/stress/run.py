@@ -14,7 +14,7 @@ from ..raster import native_library
 from ..raster.gpu.choice import CPU, Chosen
 from .case import CASES, Case, Measure, UnsupportedMachineError
 from .compare import merge
-from .native import NOT_YET, with_device, with_isa
+from .native import ONLY_CPU, with_device, with_isa
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +101,7 @@ def _outcomes(one: Case, isa: str, device: Chosen, full: bool) -> Iterator[Outco
         )
 
     if device.device and not one.on_device:
-        yield outcome("", math.nan, math.nan, None, f"skipped: {NOT_YET}")
+        yield outcome("", math.nan, math.nan, None, f"skipped: {ONLY_CPU}")
         return
     missing = [name for name in one.needs if importlib.util.find_spec(name) is None]
     if missing:

@@ -21,7 +21,7 @@ _ENTRY_BYTES = 512
 
 
 def _list_tiles(width: int, height: int) -> int:
-    wide, high = header.LIST_TILE
+    wide, high = (header.TILE, header.TILE) if native.draws_on_device() else header.LIST_TILE
     return -(-width // wide) * -(-height // high)
 
 
@@ -42,8 +42,11 @@ def screen_filling(full: bool) -> Iterator[Measure]:
     yield Measure(
         "entries beyond tiles x splats", max(0.0, drawn.stats["entries"] - tiles * seen), 0
     )
-    size = drawn.stats["workspace_bytes"] / (tiles * count)
-    yield Measure("workspace bytes an entry", size, _ENTRY_BYTES)
+    if native.draws_on_device():
+        yield native.only_cpu("workspace bytes an entry")
+    else:
+        size = drawn.stats["workspace_bytes"] / (tiles * count)
+        yield Measure("workspace bytes an entry", size, _ENTRY_BYTES)
     few = scene.rows(slice(0, count if full else 150))
     true = truth.reference_truth(few, gradients=False)
     # So faint and wide that the cutoff at 1/255 affects large parts of the picture. A thousand
@@ -136,7 +139,7 @@ def empty_scenes(full: bool) -> Iterator[Measure]:
     yield Measure("pixels and gradients that are not empty", float(changed), 0)
 
 
-@case("S29", "nothing written beside the arrays, skips exact", needs=())
+@case("S29", "nothing written beside the arrays, skips exact", on_device=True, needs=())
 def guards(full: bool) -> Iterator[Measure]:
     """Oracle: guard words; the same call with all skips disabled, bit for bit."""
     broken = changed = fewer = 0
@@ -156,13 +159,18 @@ def guards(full: bool) -> Iterator[Measure]:
         broken += drawn.guards_broken
         off = header.NO_EXACT_CULL | header.NO_ZERO_TILE
         off |= header.NO_OPACITY_EXTENT | header.NO_ROW_RANGE
+        if native.draws_on_device():
+            continue
         plain = native.draw(scene, weights, disable=off)
         broken += plain.guards_broken
         changed += sum(int((drawn.pictures[k] != plain.pictures[k]).sum()) for k in drawn.pictures)
         fewer += drawn.stats["forward_pairs"] < plain.stats["forward_pairs"]
+    yield Measure("guard words overwritten", float(broken), 0)
+    if native.draws_on_device():
+        yield native.only_cpu("pixels changed by skipping")
+        return
     if not fewer:
         raise EmptyTestError("nothing was skipped")
-    yield Measure("guard words overwritten", float(broken), 0)
     yield Measure("pixels changed by skipping", float(changed), 0)
 
 
@@ -245,7 +253,7 @@ _EXTREME = (
 )
 
 
-@case("S12", "one broken row in a thousand", needs=())
+@case("S12", "one broken row in a thousand", on_device=True, needs=())
 def broken_row(full: bool) -> Iterator[Measure]:
     """Oracle: the scene without the row, pictures and the other rows' gradients bit for bit."""
     count = 1000
