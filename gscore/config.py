@@ -80,7 +80,6 @@ class DataConfig:
         False,
         "Mask files are white where pixels do not count, instead of black. `auto` is then "
         "`ignore`. The alpha of photos is never inverted.",
-        basic=True,
         when="masks",
     )
     depths: str = _depth_option(
@@ -262,6 +261,14 @@ class TrainConfig:
         "CPU threads; `auto`: one per core that this process may use.",
         auto=0,
         range=Range(high=_MOST_THREADS),
+        basic=True,
+        free=True,
+    )
+    device: str = _run_option(
+        "cpu",
+        "`cpu`, `gpu`: a graphics card; `auto`: a usable card or the CPU; or a number of `gscore "
+        "doctor`.",
+        metavar="DEVICE",
         basic=True,
         free=True,
     )

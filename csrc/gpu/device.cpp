@@ -62,10 +62,11 @@ Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(
         VkCommandBufferAllocateInfo allocate = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
         allocate.commandPool = pool_;
         allocate.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
-        allocate.commandBufferCount = 1;
-        check(vk_.vkAllocateCommandBuffers(device_, &allocate, &commands_), "vkAllocateCommandBuffers");
+        allocate.commandBufferCount = kCommandBuffers;
+        check(vk_.vkAllocateCommandBuffers(device_, &allocate, buffers_), "vkAllocateCommandBuffers");
         const VkFenceCreateInfo fence = {VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
-        check(vk_.vkCreateFence(device_, &fence, nullptr, &fence_), "vkCreateFence");
+        for (VkFence &f : fences_)
+            check(vk_.vkCreateFence(device_, &fence, nullptr, &f), "vkCreateFence");
 
         uint32_t count = 0;
         vkGetPhysicalDeviceQueueFamilyProperties(physical, &count, nullptr);
@@ -121,7 +122,8 @@ void Device::destroy() {
         vk_.vkDestroyPipeline(device_, p, nullptr);
     vk_.vkDestroyPipelineLayout(device_, layout_, nullptr);
     vk_.vkDestroyQueryPool(device_, queries_, nullptr);
-    vk_.vkDestroyFence(device_, fence_, nullptr);
+    for (const VkFence f : fences_)
+        vk_.vkDestroyFence(device_, f, nullptr);
     vk_.vkDestroyCommandPool(device_, pool_, nullptr);
     vk_.vkDestroyDevice(device_, nullptr);
 }
@@ -209,22 +211,31 @@ void Device::allocate(DeviceBuffer &b, size_t bytes, Place place) {
 }
 
 void Device::free(DeviceBuffer &b) {
+    if (b.bytes)
+        await_all(); // commands in flight may use it
     vk_.vkDestroyBuffer(device_, b.buffer, nullptr);
     vk_.vkFreeMemory(device_, b.memory, nullptr);
     bytes_ -= b.bytes;
     b = {};
 }
 
-void Device::begin() {
+void Device::begin(int commands) {
     if (lost_)
         throw_failure(gs_status(GS_DEVICE_LOST), "%.100s was lost in an earlier call", info_.name);
+    current_ = commands;
+    commands_ = buffers_[commands];
     check(vk_.vkResetCommandBuffer(commands_, 0), "vkResetCommandBuffer");
     VkCommandBufferBeginInfo begin = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
     check(vk_.vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
+    profiled_.clear();
+    if (current_) {
+        barrier(); // behind what earlier submissions wrote
+        return;
+    }
     if (nanoseconds_ > 0)
         vk_.vkCmdResetQueryPool(commands_, queries_, 0, kMostTimestamps);
-    profiled_.clear();
+    barrier();
 }
 
 void Device::barrier() {
@@ -238,7 +249,7 @@ void Device::barrier() {
 }
 
 void Device::bind(Shader shader, const void *push, size_t bytes) {
-    if (profiles_ && kStageTimestamps + 2 * (profiled_.size() + 1) <= kMostTimestamps) {
+    if (profiles_ && !current_ && kStageTimestamps + 2 * (profiled_.size() + 1) <= kMostTimestamps) {
         profiled_.push_back(shader);
         timestamp(uint32_t(kStageTimestamps + 2 * profiled_.size() - 2));
     }
@@ -301,7 +312,7 @@ void Device::copy(const DeviceBuffer &from, const DeviceBuffer &to, size_t bytes
 }
 
 void Device::timestamp(uint32_t index) {
-    if (nanoseconds_ == 0)
+    if (nanoseconds_ == 0 || current_)
         return;
     vk_.vkCmdWriteTimestamp(commands_, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, index);
 }
@@ -315,12 +326,12 @@ double Device::milliseconds(uint32_t from, uint32_t to) {
     return double((ticks[to - from] - ticks[0]) & ticks_mask_) * nanoseconds_ * 1e-6;
 }
 
-void Device::wait(const volatile int32_t *cancel, bool &cancelled) {
+void Device::wait(int commands, const volatile int32_t *cancel, bool &cancelled) {
     // Short waits, so that a cancel flag is polled; a device that hangs ends the call.
     const auto begin = std::chrono::steady_clock::now();
     const double allowed = hangs_ ? kInjectedHang : seconds_allowed(info_);
     for (;;) {
-        VkResult result = vk_.vkWaitForFences(device_, 1, &fence_, VK_TRUE, 5'000'000);
+        VkResult result = vk_.vkWaitForFences(device_, 1, &fences_[commands], VK_TRUE, 5'000'000);
         if (hangs_ && result == VK_SUCCESS)
             result = VK_TIMEOUT;
         if (result == VK_ERROR_DEVICE_LOST)
@@ -338,35 +349,60 @@ void Device::wait(const volatile int32_t *cancel, bool &cancelled) {
     }
 }
 
-gs_status Device::finish(const volatile int32_t *cancel) {
+void Device::submit() {
     VkMemoryBarrier to_host = {VK_STRUCTURE_TYPE_MEMORY_BARRIER};
     to_host.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
     to_host.dstAccessMask = VK_ACCESS_HOST_READ_BIT;
     vk_.vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_PIPELINE_STAGE_HOST_BIT, 0, 1, &to_host, 0,
                              nullptr, 0, nullptr);
     check(vk_.vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
-    check(vk_.vkResetFences(device_, 1, &fence_), "vkResetFences");
+    check(vk_.vkResetFences(device_, 1, &fences_[current_]), "vkResetFences");
     VkSubmitInfo submit = {VK_STRUCTURE_TYPE_SUBMIT_INFO};
     submit.commandBufferCount = 1;
     submit.pCommandBuffers = &commands_;
-    const VkResult result = vk_.vkQueueSubmit(queue_, 1, &submit, fence_);
+    const VkResult result = vk_.vkQueueSubmit(queue_, 1, &submit, fences_[current_]);
     lost_ = lost_ || result == VK_ERROR_DEVICE_LOST;
     check(result, "vkQueueSubmit");
+    runs_[current_] = true;
+}
+
+gs_status Device::await(int commands, const volatile int32_t *cancel) {
+    if (lost_)
+        throw_failure(gs_status(GS_DEVICE_LOST), "%.100s was lost in an earlier call", info_.name);
     bool cancelled = cancel && *cancel;
-    wait(cancel, cancelled);
-    add_kernel_times();
+    if (runs_[commands])
+        wait(commands, cancel, cancelled);
+    runs_[commands] = false;
     if (checks_enabled())
         throw_validation_errors();
     return cancelled ? GS_CANCELLED : GS_OK;
 }
 
-bool Device::inject_fault() {
-    ++draws_;
+void Device::await_all() noexcept {
+    for (int i = 0; i < kCommandBuffers; ++i)
+        try {
+            if (runs_[i] && !lost_)
+                await(i, nullptr);
+        } catch (const GpuFailure &) {
+            // The next call fails too.
+        }
+}
+
+gs_status Device::finish(const volatile int32_t *cancel) {
+    submit();
+    const gs_status status = await(current_, cancel);
+    add_kernel_times();
+    return status;
+}
+
+bool Device::inject_fault(bool is_step) {
+    const int count = is_step ? ++steps_ : ++draws_;
     const char *const text = std::getenv("GSCORE_GPU_FAULT");
     if (!text || !*text)
         return false;
     const char *const colon = std::strchr(text, ':');
-    if (draws_ != (colon ? std::atoi(colon + 1) : 1))
+    const bool of_steps = colon && colon[1] == 's';
+    if (of_steps != is_step || count != (colon ? std::atoi(colon + 1 + of_steps) : 1))
         return false;
     const size_t length = colon ? size_t(colon - text) : std::strlen(text);
     const auto is = [&](const char *name) { return std::strlen(name) == length && !std::strncmp(text, name, length); };

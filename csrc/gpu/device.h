@@ -16,6 +16,9 @@ struct DeviceBuffer {
     size_t bytes = 0;
 };
 
+// Command buffers: one for calls that wait, and one for each step in flight.
+constexpr int kCommandBuffers = 4;
+
 // Where a buffer is.
 enum class Place { kDevice, kUpload, kDownload };
 
@@ -46,7 +49,8 @@ class Device {
 
     // Commands between `begin` and `finish`, which waits for them and polls `cancel`, which may be null; a cancelled
     // call still waits. Each command sees what earlier ones wrote.
-    void begin();
+    void begin(int commands = 0);
+    bool is_step() const { return current_ != 0; } // the commands are those of a step in flight
     // Push constants are a struct of the shader's, of at most kPushBytes.
     template <class Push> void dispatch(Shader shader, const Push &push, uint32_t x, uint32_t y = 1) {
         static_assert(sizeof push <= kPushBytes);
@@ -63,6 +67,9 @@ class Device {
     void copy(const DeviceBuffer &from, const DeviceBuffer &to, size_t bytes, size_t from_byte = 0, size_t to_byte = 0);
     void timestamp(uint32_t index);
     gs_status finish(const volatile int32_t *cancel);
+    // Ends the commands without waiting for them; `await` waits, in any order.
+    void submit();
+    gs_status await(int commands, const volatile int32_t *cancel);
     // Milliseconds between two timestamps; 0 where the device has no timer.
     double milliseconds(uint32_t from, uint32_t to);
 
@@ -74,12 +81,13 @@ class Device {
     void profile(bool on);
     KernelTime kernel_time(Shader shader) const { return times_[int(shader)]; }
 
-    // Fails as GSCORE_GPU_FAULT demands; to be called once per draw. True: the picture is to be damaged.
-    bool inject_fault();
+    // Fails as GSCORE_GPU_FAULT demands; to be called once per draw or training step. True: the picture is to be damaged.
+    bool inject_fault(bool is_step = false);
 
   private:
     void allocate(DeviceBuffer &, size_t bytes, Place);
-    void wait(const volatile int32_t *cancel, bool &cancelled);
+    void wait(int commands, const volatile int32_t *cancel, bool &cancelled);
+    void await_all() noexcept;
     void barrier();
     void dispatch(Shader, const void *push, size_t bytes, uint32_t x, uint32_t y);
     void dispatch(Shader, const void *push, size_t bytes, const DeviceBuffer &arguments, size_t word);
@@ -96,8 +104,11 @@ class Device {
     VolkDeviceTable vk_ = {};
     VkQueue queue_ = VK_NULL_HANDLE;
     VkCommandPool pool_ = VK_NULL_HANDLE;
+    VkCommandBuffer buffers_[kCommandBuffers] = {};
+    VkFence fences_[kCommandBuffers] = {};
+    bool runs_[kCommandBuffers] = {}; // submitted and not waited for
+    int current_ = 0;                 // whose commands are being recorded
     VkCommandBuffer commands_ = VK_NULL_HANDLE;
-    VkFence fence_ = VK_NULL_HANDLE;
     VkQueryPool queries_ = VK_NULL_HANDLE;
     double nanoseconds_ = 0;  // per tick; 0: no timer
     uint64_t ticks_mask_ = 0; // of the bits that count
@@ -109,7 +120,7 @@ class Device {
     size_t bytes_ = 0;
     bool lost_ = false;
     size_t limit_; // bytes
-    int draws_ = 0;
+    int draws_ = 0, steps_ = 0;
     bool fails_to_allocate_ = false, hangs_ = false; // injected faults
 };
 

@@ -90,7 +90,8 @@ struct gs_frame {
     GS_POINTER(gs_floats) v_rgb; /* [H, W, 3] gradient of the loss, then those of alpha and inverse depth or depth */
     GS_POINTER(gs_floats) v_alpha;
     GS_POINTER(gs_floats) v_inverse_depth;
-    GS_POINTER(gs_quads_out) moments; /* [entry_capacity, GS_MOMENT_QUADS] */
+    GS_POINTER(gs_floats) v_alpha_more; /* [H, W] added to v_alpha */
+    GS_POINTER(gs_quads_out) moments;   /* [entry_capacity, GS_MOMENT_QUADS] */
     GS_POINTER(gs_step_block) step_block;
 };
 

@@ -29,7 +29,7 @@ class Timer {
 
 } // namespace
 
-template <class F> void gs_gpu::each_buffer(F f) {
+void gs_gpu::each_buffer(const std::function<void(DeviceBuffer &)> &f) {
     DeviceBuffer *const all[] = {&frame_buffer_,    &records_,         &keys_,
                                  &tile_counts_,     &radii_,           &sums_,
                                  &counters_,        &visible_keys_[0], &visible_keys_[1],
@@ -43,7 +43,8 @@ template <class F> void gs_gpu::each_buffer(F f) {
                                  &row_entries_,     &moments_,         &v_rgb_,
                                  &v_alpha_,         &v_inverse_depth_, &step_buffer_,
                                  &gradients_,       &v_means2d_,       &camera_parts_,
-                                 &camera_};
+                                 &camera_,          &photo_,           &mask_,
+                                 &v_alpha_more_,    &step_state_};
     for (DeviceBuffer *b : all)
         f(*b);
 }
@@ -52,6 +53,11 @@ gs_gpu::~gs_gpu() {
     if (device.is_lost())
         return;
     each_buffer([&](DeviceBuffer &b) { device.free(b); });
+    for (StepSlot &slot : slots_) {
+        device.free(slot.upload);
+        device.free(slot.download);
+    }
+    step_loss_.free(device);
     device.free(upload_);
     device.free(download_);
 }
@@ -66,6 +72,8 @@ void gs_gpu::release(gs_gpu_splats &splats) {
 void gs_gpu::ensure_splats(size_t count) {
     device.ensure(frame_buffer_, sizeof(gs_frame));
     device.ensure(counters_, GS_COUNTERS * kWord);
+    device.ensure(step_buffer_, sizeof(gs_step));
+    frame_.step_block = step_buffer_.address;
     device.ensure(records_, count * 64);
     for (DeviceBuffer *b : {&keys_, &tile_counts_, &radii_, &visible_keys_[0], &visible_keys_[1], &visible_rows_[0],
                             &visible_rows_[1], &offsets_, &row_entries_})
@@ -130,31 +138,33 @@ void gs_gpu::ensure_picture(const gs_view &view, const gs_host &host) {
         p.address = p.buffer.address;
     }
     frame_.has_far = host.far_depths != nullptr;
-    frame_.has_tiles = host.tiles != nullptr;
-    frame_.tile_x0 = frame_.tile_y0 = 0;
-    frame_.tile_x1 = tiles_x;
-    frame_.tile_y1 = tiles_y;
     if (host.far_depths)
         send({{&far_depths_, const_cast<float *>(host.far_depths), pixels * sizeof(float)}});
-    std::vector<uint32_t> drawn(host.tiles ? size_t(tiles_x) * tiles_y : 0);
+    std::vector<uint32_t> drawn = choose_tiles(host.tiles);
+    if (host.tiles)
+        send({{&tiles_, drawn.data(), drawn.size() * kWord}});
+}
+
+std::vector<uint32_t> gs_gpu::choose_tiles(const uint8_t *tiles) {
+    const uint32_t tiles_x = frame_.tiles_x, tiles_y = frame_.tiles_y;
+    std::vector<uint32_t> drawn(tiles ? size_t(tiles_x) * tiles_y : 0);
     device.ensure(tiles_, drawn.size() * kWord);
     frame_.tiles = tiles_.address;
-    if (host.tiles) {
-        uint32_t x0 = tiles_x, y0 = tiles_y, x1 = 0, y1 = 0;
-        for (uint32_t y = 0; y < tiles_y; ++y)
-            for (uint32_t x = 0; x < tiles_x; ++x)
-                if ((drawn[size_t(y) * tiles_x + x] = host.tiles[size_t(y) * tiles_x + x])) {
-                    x0 = std::min(x0, x);
-                    y0 = std::min(y0, y);
-                    x1 = std::max(x1, x + 1);
-                    y1 = std::max(y1, y + 1);
-                }
-        frame_.tile_x0 = x0;
-        frame_.tile_y0 = y0;
-        frame_.tile_x1 = x1;
-        frame_.tile_y1 = y1;
-        send({{&tiles_, drawn.data(), drawn.size() * kWord}});
+    frame_.has_tiles = tiles != nullptr;
+    frame_.tile_x0 = tiles ? tiles_x : 0;
+    frame_.tile_y0 = tiles ? tiles_y : 0;
+    frame_.tile_x1 = tiles ? 0 : tiles_x;
+    frame_.tile_y1 = tiles ? 0 : tiles_y;
+    for (size_t at = 0; at < drawn.size(); ++at) {
+        const uint32_t x = uint32_t(at % tiles_x), y = uint32_t(at / tiles_x);
+        if ((drawn[at] = tiles[at])) {
+            frame_.tile_x0 = std::min(frame_.tile_x0, x);
+            frame_.tile_y0 = std::min(frame_.tile_y0, y);
+            frame_.tile_x1 = std::max(frame_.tile_x1, x + 1);
+            frame_.tile_y1 = std::max(frame_.tile_y1, y + 1);
+        }
     }
+    return drawn;
 }
 
 gs_push gs_gpu::push(uint32_t word0, uint32_t word1, uint32_t word2) const {
@@ -176,6 +186,8 @@ void gs_gpu::begin() {
 }
 
 void gs_gpu::lap(double gs_gpu_stats::*time) {
+    if (device.is_step())
+        return;
     laps_.push_back(time);
     device.timestamp(uint32_t(laps_.size()));
 }
@@ -215,7 +227,7 @@ void gs_gpu::blend(const Transfers &wanted) {
 
 void gs_gpu::record_poison() {
     each_buffer([&](DeviceBuffer &b) {
-        if (&b != &far_depths_ && &b != &tiles_ && b.bytes)
+        if (&b != &far_depths_ && &b != &tiles_ && &b != &step_state_ && b.bytes)
             device.fill(b, b.bytes, kPoison);
     });
 }
@@ -244,6 +256,7 @@ void gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const gs_hos
     frame_.count = uint32_t(splats.count);
     frame_.raw = uint32_t(splats.raw);
     frame_.model = splats.model.address;
+    frame_.drop_rate = 0;
     ensure_splats(size_t(splats.count));
     ensure_picture(view, host);
     lists();

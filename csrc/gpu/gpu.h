@@ -2,9 +2,11 @@
 #pragma once
 
 #include "device.h"
+#include "loss.h"
 #include "screen_values.h"
 #include "step.h"
 
+#include <functional>
 #include <vector>
 
 namespace gs {
@@ -46,6 +48,11 @@ struct gs_gpu {
     void projected(const gs::ScreenValues &);
     // As gs_gpu_loss.
     void loss(const gs_loss_args &, const gs_gpu_loss_terms &, gs_gpu_loss_result &, float *v_image, float *v_alpha);
+    void request_step(gs_gpu_model &, const gs_gpu_step &, int slot);
+    void read_step_picture(int slot, float *inverse_depth, float *alpha);
+    void resume_step(int slot, double value, const float *v_inverse_depth, const float *v_alpha);
+    void read_step(int slot, gs_gpu_step_numbers &);
+    void release_steps();
     void test(int kernel, const uint32_t *a, const uint32_t *b, uint32_t *out, int64_t count);
 
     gs::Device device;
@@ -53,6 +60,16 @@ struct gs_gpu {
 
   private:
     friend struct gs_gpu_model;
+    // A step in flight, with what a repetition needs.
+    struct StepSlot {
+        gs_gpu_step request;
+        gs_gpu_model *model;     // null: no step
+        gs::DeviceBuffer upload; // photo, mask, tiles; gradients of a further term
+        gs::DeviceBuffer download;
+        std::vector<uint8_t> tile_bytes; // copy of request.tiles; the other arrays are in `upload`
+        std::vector<uint32_t> tiles;     // words of it
+        bool paused, term_is_sane, has_term_alpha, has_term_depth;
+    };
     // Part of a device buffer, and the array that it is sent from or fetched to.
     struct Transfer {
         gs::DeviceBuffer *buffer;
@@ -74,6 +91,8 @@ struct gs_gpu {
     // Sorts pairs of buffers, of at most `most` keys, by the lowest bits; returns which of the two has the result.
     int sort(gs::DeviceBuffer *keys, gs::DeviceBuffer *values, uint32_t counter, size_t arguments, uint32_t bits,
              size_t most, double gs_gpu_stats::*time);
+    // Sets the frame's tiles; returns the words that are to be sent to `tiles_`. Null: all are drawn.
+    std::vector<uint32_t> choose_tiles(const uint8_t *tiles);
     // A step whose pointers all have some address, because drivers may read ahead of a condition.
     gs_step blank_step() const;
     gs_push push(uint32_t word0 = 0, uint32_t word1 = 0, uint32_t word2 = 0) const;
@@ -90,7 +109,18 @@ struct gs_gpu {
     void fetch(const Transfers &);
     void record_fetch(const Transfers &);
     void read_fetched(const Transfers &);
-    template <class F> void each_buffer(F f);
+    void each_buffer(const std::function<void(gs::DeviceBuffer &)> &);
+
+    void prepare_step(StepSlot &);
+    void record_step(StepSlot &, int commands, bool with_term);
+    void start_step(int slot);
+    gs::LossInput loss_input(const StepSlot &) const;
+    gs_step step_block(const StepSlot &) const;
+
+    StepSlot slots_[GS_GPU_STEPS_MAX] = {};
+    std::vector<int> in_flight_; // slots in the order of their requests
+    gs::GpuLoss step_loss_;
+    gs::DeviceBuffer photo_, mask_, v_alpha_more_, step_state_;
 
     gs_frame frame_ = {};
     const gs_gpu_splats *drawn_ = nullptr;     // by the last draw, if it succeeded

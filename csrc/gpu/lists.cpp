@@ -17,6 +17,8 @@ constexpr size_t kProjectBytes = 400, kSortBytes = 28, kEmitBytes = 128;
 } // namespace
 
 void gs_gpu::pace(size_t bytes, double gs_gpu_stats::*time) {
+    if (device.is_step())
+        return; // a step is one submission, which nobody waits for
     if (paced_bytes_ && (paced_bytes_ + bytes > kBytesAtOnce || checks_enabled())) {
         lap(time);
         submit();

@@ -36,7 +36,9 @@ struct gs_step {
     gs_uint frozen;                                    /* rows in front that do not change */
     gs_uint sh_planes, sh_update;
     gs_uint observes, learns_pose;
-    gs_uint unused0, unused1, unused2;
+    gs_uint updates;      /* 0: the model stays */
+    gs_uint term_is_sane; /* 0: a term of the loss that the host computes is not finite */
+    gs_uint unused;
     GS_POINTER(gs_quads_out) values; /* [planes, N], the frame's model */
     GS_POINTER(gs_quads_out) moment1;
     GS_POINTER(gs_quads_out) moment2;
@@ -48,7 +50,7 @@ struct gs_step {
     GS_POINTER(gs_floats) camera_parts; /* [workgroups, 12] */
     GS_POINTER(gs_floats) camera;       /* [12] gradient of the upper three rows of viewmat */
     GS_POINTER(gs_words) state;         /* [GS_STATE_WORDS] */
-    GS_POINTER(gs_words) sane;          /* the loss's word: 1 if it is finite and not absurd */
+    GS_POINTER(gs_words) sane;          /* words of the loss: 1 if it is finite and not absurd; 1 if it is not finite */
 };
 
 #endif

@@ -22,7 +22,7 @@
  * Environment. GSCORE_VULKAN_LOADER: path of a Vulkan loader or driver. GSCORE_GPU_MEMORY: MiB that a gs_gpu takes at
  * most. GSCORE_GPU_CHECK=1: validation layers, an error of which fails the call; buffers are filled with a pattern before
  * each draw, and each kernel is submitted alone. GSCORE_GPU_FAULT=lost|oom|wrong|hang, optionally :N: the N-th draw
- * (first: 1) fails so, for tests; a hang lasts 0.1 s. GSCORE_GPU_CHECK_LOG: a file to which validation messages
+ * (first: 1) fails so, or :sN: the N-th step of a training, for tests; a hang lasts 0.1 s. GSCORE_GPU_CHECK_LOG: a file to which validation messages
  * are appended. */
 #pragma once
 
@@ -209,3 +209,66 @@ typedef struct gs_gpu_loss_result {
  * Takes 56 bytes per pixel on the device besides image and opacity, during the call. */
 GS_API gs_status gs_gpu_loss(gs_gpu *gpu, const gs_loss_args *args, const gs_gpu_loss_terms *terms,
                              gs_gpu_loss_result *result, float *v_image, float *v_alpha);
+/* Training steps: draw a view, compare it with its photo, and update the rows of a model, as gscore/engine/base.py's
+ * StepRequest says, by Adam (Kingma and Ba 2015). */
+#define GS_GPU_STEPS_MAX 3
+
+/* gs_gpu_step.sh_update. */
+enum {
+    GS_GPU_SH_OFF = 0,        /* coefficients beyond the constant one are not in use */
+    GS_GPU_SH_ACCUMULATE = 1, /* their gradients wait for a later step */
+    GS_GPU_SH_STEP = 2        /* all rows step */
+};
+
+/* Arrays are copied by the call. */
+typedef struct gs_gpu_step {
+    gs_view view;              /* perspective; sh_degree 0 to 3; GS_OUT_INVERSE_DEPTH if there is a gradient in it */
+    const uint8_t *photo;      /* [H, W, 3] */
+    const uint8_t *mask;       /* [H, W]; may be null */
+    const uint8_t *tiles;      /* as gs_host.tiles */
+    int32_t mask_mode;         /* GS_MASK_* */
+    float shown_background[3]; /* behind a GS_MASK_COMPOSITE photo, after the gain */
+    float counted;             /* share of unmasked pixels */
+    float ssim_weight, mask_alpha, see_through; /* weights of loss terms */
+    int32_t has_gain;
+    float gain[3];
+    float rates[6];    /* learning rates of means, quats, scales, opacities, sh0, shN */
+    int32_t sh_update; /* GS_GPU_SH_* */
+    int64_t steps[6];  /* numbers of their Adam steps, from 1 */
+    uint64_t seed;     /* of random numbers, with `number` as in gs_random.step */
+    uint32_t number;
+    uint32_t drop_stream, noise_stream;
+    float drop_rate;                        /* 0: no dropout */
+    float noise;                            /* weight; 0: none */
+    float opacity_reg, scale_reg;           /* weights of the mean opacity and the mean scale */
+    int32_t gradient_counter, view_counter; /* numbers of counters; -1: nothing is counted */
+    int32_t learns_pose;
+    int32_t updates; /* 0: the model stays; for the gradient of the pose alone */
+    int32_t pauses;  /* 1: waits behind the picture for gs_gpu_step_resume */
+    float extent;    /* camera extent, for rows that are checked after an absurd loss */
+} gs_gpu_step;
+
+typedef struct gs_gpu_step_numbers {
+    double loss, mse; /* without the term of gs_gpu_step_resume */
+    double v_log_gain[3];
+    float v_viewmat[16]; /* zeros without `learns_pose` */
+    int64_t bad_rows;    /* rows with gradients that were not finite */
+    int64_t lost_rows;   /* rows that were reset */
+    int64_t visible, entries;
+    int32_t skipped; /* 1: nothing was updated */
+    int32_t unused;
+} gs_gpu_step_numbers;
+
+/* Start a step without waiting for it. `slot`: 0 to GS_GPU_STEPS_MAX - 1, whose last result was read. While a step is in
+ * flight the model is not touched by other calls than these. */
+GS_API gs_status gs_gpu_step_request(gs_gpu *gpu, gs_gpu_model *model, const gs_gpu_step *step, int32_t slot);
+/* Wait for the picture of a step that pauses: inverse depth and alpha [H, W]. */
+GS_API gs_status gs_gpu_step_picture(gs_gpu *gpu, int32_t slot, float *inverse_depth, float *alpha);
+/* Go on with a step that paused: value of a further term of the loss, and its gradients [H, W], which may be null. */
+GS_API gs_status gs_gpu_step_resume(gs_gpu *gpu, int32_t slot, double value, const float *v_inverse_depth,
+                                    const float *v_alpha);
+/* Wait for a step, in the order of their requests. A step that did not fit into its buffers is repeated with larger ones,
+ * and those requested after it too, which have changed nothing. */
+GS_API gs_status gs_gpu_step_result(gs_gpu *gpu, int32_t slot, gs_gpu_step_numbers *out);
+/* Forget all steps in flight, and free the memory of steps. */
+GS_API gs_status gs_gpu_steps_release(gs_gpu *gpu);

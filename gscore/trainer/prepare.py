@@ -14,6 +14,7 @@ from ..control import Control
 from ..datasets import load_dataset
 from ..datasets.dataset import Dataset
 from ..depth.maps import MapFolder
+from ..engine.base import Engine
 from ..errors import BackendError, ConfigError
 from ..events import TOPICS, Decision, Event
 from ..formats import Decoded
@@ -146,6 +147,7 @@ def prepare(
     check: Callable[[Dataset], None] = lambda photos: None,
     emit: Callable[[Event], None],
     control: Control,
+    engine: Engine[Any] | None = None,
     group: ProcessGroup | None = None,
 ) -> Prepared:
     """Read the photos and create the trainer.
@@ -157,6 +159,7 @@ def prepare(
         check: Called with the capture before its photos are read; may raise.
         emit: Receives progress events.
         control: Cancels the preparation.
+        engine: Computes the training; None: that of `config.device`.
         group: Process group of a distributed training; None: one process.
 
     Raises:
@@ -217,7 +220,7 @@ def prepare(
         exposure, pose_check = decide_exposure(config, analysis), check_poses(config, analysis)
         analysis = replace(analysis, gains=exposure.gains, pose_check=pose_check)
         trainer = (
-            Trainer(config, analysis)
+            Trainer(config, analysis, engine)
             if group is None
             else DistributedTrainer(config, analysis, group)
         )

@@ -1,17 +1,23 @@
 """Run: `train` prepares and checks a training, then runs its session."""
 
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from ..config import DataConfig, TrainConfig
 from ..config_file import to_dict
 from ..control import Control
-from ..errors import GsError
-from ..events import ENDED, Event
-from ..io.runs import AGENT
+from ..engine.base import Engine
+from ..engine.opening import open_engine
+from ..errors import ConfigError, GsError
+from ..events import ENDED, Event, Warn
+from ..io.runs import AGENT, checkpoints_in
 from ..live.viewer_clients import ViewerClients
 from ..metrics import find_lpips, lpips_warnings
+from ..raster.gpu.library import DeviceLostError, DeviceMemoryError, DeviceTimeoutError
 from .distributed.consistency import all_ready, check_equal
 from .distributed.process_group import BEGIN, ProcessGroup, RankLostError
 from .files.run_folder import RunFolder, open_folder
@@ -21,6 +27,11 @@ from .preflight import check_training
 from .prepare import prepare, readable_memory_errors
 from .run_start import RunStart
 from .session import Session
+
+DEVICE = "device"
+"""Code of warnings about the device."""
+DEVICE_ERRORS = (DeviceLostError, DeviceMemoryError, DeviceTimeoutError)
+"""Failures of a device, after which the CPU may continue."""
 
 
 def train(
@@ -59,14 +70,64 @@ def train(
     Returns:
         The result of the run. A stop by `control` is not an error.
 
+    If the device fails and was chosen automatically, the CPU continues from the last checkpoint.
+
     Raises:
         GsError: bad input, a folder in use, too little memory, a full disk or a diverged training.
         Cancelled: stopped by `control` while the photos were read; nothing was written.
     """
     emit, control = on_event or (lambda event: None), control or Control()
     mmap_large_blocks()
+    run = partial(
+        _train,
+        emit=emit,
+        control=control,
+        viewers=viewers,
+        group=group,
+        agent=agent,
+    )
+    before = set(_checkpoints(output))
+    start = {"resume": resume, "overwrite": overwrite, "start_checkpoint": start_checkpoint}
+    try:
+        return run(config, data, output, **start)
+    except DEVICE_ERRORS as error:
+        if config.device != "auto":
+            raise
+        # Not the checkpoints of a run that is overwritten.
+        continues = resume or set(_checkpoints(output)) - before != set()
+        how = "continues from the last checkpoint" if continues else "starts again"
+        emit(Warn(message=f"The CPU {how}, because the device failed: {error}", code=DEVICE))
+        if continues:
+            start = {"resume": True, "overwrite": False, "start_checkpoint": None}
+        else:
+            start["overwrite"] = not resume
+        return run(replace(config, device="cpu"), data, output, **start)
+
+
+def _checkpoints(output: Path) -> Iterator[tuple[Path, int]]:
+    """The checkpoints in a folder, with the times of their last change."""
+    with suppress(OSError):
+        for path in checkpoints_in(output).values():
+            yield path, path.stat().st_mtime_ns
+
+
+def _train(
+    config: TrainConfig,
+    data: DataConfig,
+    output: Path,
+    *,
+    emit: Callable[[Event], None],
+    control: Control,
+    resume: bool,
+    overwrite: bool,
+    start_checkpoint: Path | None,
+    viewers: ViewerClients | None,
+    group: ProcessGroup | None,
+    agent: str,
+) -> TrainResult:
+    """`train` on the device of `config`."""
     opened = open_folder(output, resume=resume, overwrite=overwrite, data=data)
-    with opened as folder, isolated_torch_state():
+    with opened as folder, isolated_torch_state(), ExitStack() as stack:
         run_start = RunStart(folder, config, data, resume=resume, start_checkpoint=start_checkpoint)
         if run_start.ended is not None:
             emit(run_start.ended.event())
@@ -76,10 +137,14 @@ def train(
             options = {"config": to_dict(run_start.config), "data": to_dict(data)}
             group.broadcast({"do": BEGIN, "facts": run_start.state.facts(), **options})
         with all_ready(group):
+            engine = _engine_of(run_start.config, emit=emit, control=control, group=group)
+            if engine is not None:
+                stack.enter_context(closing(engine))
             found = prepare(
                 run_start.config,
                 data,
                 run_start.state,
+                engine=engine,
                 check=run_start.check,
                 emit=emit,
                 control=control,
@@ -117,6 +182,44 @@ def train(
                     group.note_end()
                 end(result)
                 return result
+
+
+def _engine_of(
+    config: TrainConfig,
+    *,
+    emit: Callable[[Event], None],
+    control: Control,
+    group: ProcessGroup | None,
+) -> Engine[Any] | None:
+    """Open the engine of a training; None: a rank has its own.
+
+    Raises:
+        ConfigError: there is no such device, or several ranks train on one that is not the CPU.
+        BackendError: the device cannot be used.
+    """
+    if group is not None:
+        if config.device not in ("cpu", "auto"):
+            raise ConfigError(
+                f"torchrun trains on CPUs alone; leave out `--device {config.device}`, or train "
+                "without torchrun."
+            )
+        return None
+    sentences: list[str] = []
+
+    def report(sentence: str) -> None:
+        if not sentences:  # the later ones name parts of the test
+            emit(Warn(message=f"{sentence.partition(': ')[0]}.", code=DEVICE))
+        sentences.append(sentence)
+
+    engine, note = open_engine(
+        config.device,
+        threads=config.threads,
+        report=report,
+        cancel=lambda: bool(control.stop_reason),
+    )
+    if note:
+        emit(Warn(message=note, code=DEVICE))
+    return engine
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import torch
 
 from ..config import Skip, TrainConfig
 from ..engine.base import Engine, EngineModel
-from ..engine.cpu.engine import CpuEngine
+from ..engine.opening import open_engine
 from ..engine.random import generator_of
 from ..engine.stage_timer import StageTimer
 from ..splats import Splats
@@ -52,7 +52,7 @@ class Trainer:
         Args:
             config: Training options.
             analysis: The capture and what was found out about it.
-            engine: Computes the steps; None: the CPU.
+            engine: Computes the steps; None: that of the device in `config`.
 
         Raises:
             DatasetError: no training photos.
@@ -95,7 +95,7 @@ class Trainer:
         start = training_start(
             config, analysis, self.frame, self.plan, cameras, count=self.rules.points
         )
-        self.engine = CpuEngine(threads=config.threads) if engine is None else engine
+        self.engine = engine or open_engine(config.device, threads=config.threads)[0]
         """Computes the steps."""
         drops, frozen = self.rules.drop_rate > 0, start.frozen is not None
         check_engine(self.engine.info, config, analysis, self._terms, drops=drops, frozen=frozen)

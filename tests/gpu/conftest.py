@@ -12,6 +12,7 @@ from gscore.raster.gpu.devices import Device, find_devices
 from tests.gpu.drivers import absent
 from tests.gpu.fake_gpu import FakeGpu
 from tests.run_verb import gscore  # noqa: F401
+from tests.trainer.conftest import capture  # noqa: F401
 
 
 @pytest.fixture(autouse=True)

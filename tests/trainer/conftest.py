@@ -140,7 +140,7 @@ def fake_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch)
     """Trainings compute by fake engines, for tests of all but their splats."""
     if "real_engine" in request.fixturenames:
         return
-    monkeypatch.setattr("gscore.trainer.trainer.CpuEngine", lambda **_: FakeEngine())
+    monkeypatch.setattr("gscore.engine.opening.CpuEngine", lambda **_: FakeEngine())
 
 
 @pytest.fixture(autouse=True)

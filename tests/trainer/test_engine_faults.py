@@ -33,7 +33,7 @@ def use(monkeypatch: pytest.MonkeyPatch) -> Use:
     """Makes trainings use an engine."""
 
     def place(engine: FakeEngine) -> FakeEngine:
-        monkeypatch.setattr("gscore.trainer.trainer.CpuEngine", lambda **_: engine)
+        monkeypatch.setattr("gscore.engine.opening.CpuEngine", lambda **_: engine)
         return engine
 
     return place

@@ -32,9 +32,11 @@ shared uint hit_counts[GS_SUBTILES];
 shared uint hit_lists[GS_SUBTILES][GS_GROUP / 4]; // splats that reach a subtile in their order, a byte each
 shared float sums_done[kSums][GS_GROUP];
 
-// Bits of word1: alpha and depth have gradients; this is the pass of the undivided depth, without other gradients.
+// Bits of word1: alpha and depth have gradients; this is the pass of the undivided depth, without other gradients; alpha
+// has further gradients.
 bool has_alpha() { return (push.word1 & 1u) != 0; }
 bool has_depth() { return (push.word1 & 2u) != 0; }
+bool has_alpha_more() { return (push.word1 & 8u) != 0; }
 bool of_depth() { return (push.word1 & 4u) != 0; }
 
 void load_pixel(Tile tile) {
@@ -51,6 +53,8 @@ void load_pixel(Tile tile) {
             v.a = frame.v_inverse_depth.at[at];
         if (has_alpha())
             back = -frame.v_alpha.at[at];
+        if (has_alpha_more())
+            back -= frame.v_alpha_more.at[at];
         transmittance = frame.transmittances.at[at];
         stop = min(frame.stops.at[at], tile.end - tile.begin);
     }

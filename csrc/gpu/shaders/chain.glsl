@@ -140,7 +140,7 @@ Gradients chain(uint row, Projection p, Splat s, Moments m) {
 
     // alpha is proportional to the opacity.
     out_.opacity = frame.raw != 0 ? m.g * p.see_through : m.g / p.opacity;
-    if (frame.drop_rate > 0.0) // the opacity was divided by 1 - rate, and clamped; the clamp passes gradients
+    if (frame.drop_rate > 0.0 && row >= training.frozen) // the opacity was divided by 1 - rate, and clamped; the clamp passes gradients
         out_.opacity = m.g / p.raised / (1.0 - frame.drop_rate) * (frame.raw != 0 ? p.opacity * p.see_through : 1.0);
 
     vec2 v_diagonal = vec2(0.0), v_offset = vec2(0.0);

@@ -6,6 +6,7 @@
 #include "pairs.glsl"
 #include "ellipse.glsl"
 #include "harmonics.glsl"
+#include "philox.glsl"
 #include "projection.glsl"
 #include "harmonics_backward.glsl"
 #include "chain.glsl"

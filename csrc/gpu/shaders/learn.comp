@@ -7,6 +7,7 @@
 #include "pairs.glsl"
 #include "ellipse.glsl"
 #include "harmonics.glsl"
+#include "philox.glsl"
 #include "projection.glsl"
 #include "harmonics_backward.glsl"
 #include "chain.glsl"
@@ -93,7 +94,7 @@ void main() {
         visible = gradients_of(row, p, g);
     if (training.learns_pose != 0)
         store_camera_parts(visible, p, g);
-    if (row >= n || row < training.frozen)
+    if (row >= n || row < training.frozen || training.updates == 0)
         return;
     if (!visible) {
         g.mean = g.scale = g.color = g.direction = vec3(0.0);

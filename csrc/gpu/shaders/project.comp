@@ -6,6 +6,7 @@
 #include "arithmetic.glsl"
 #include "ellipse.glsl"
 #include "harmonics.glsl"
+#include "philox.glsl"
 #include "projection.glsl"
 #include "scan.glsl"
 

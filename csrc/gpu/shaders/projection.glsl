@@ -1,6 +1,9 @@
 // Projection of a splat (EWA, Zwicker et al. 2001): what drawing and its gradients need. The formulas are those of
 // csrc/src/project.inl.h.
 
+// Highest opacity of dropout, as in gscore/engine/cpu/splat_terms.py; blending clamps it further.
+#define GS_RAISED_MAX 0.999
+
 // By bits, because a compiler may assume that comparisons meet no NaN.
 bool finite(float x) { return (floatBitsToUint(x) & 0x7F800000u) != 0x7F800000u; }
 bool finite(vec3 v) { return finite(v.x) && finite(v.y) && finite(v.z); }
@@ -74,6 +77,12 @@ bool place(uint row, out Projection p) {
         p.see_through = e * p.opacity;
     }
     p.raised = p.opacity;
+    if (frame.drop_rate > 0.0 && row >= training.frozen) {
+        uvec4 words = random_words(row - training.frozen, frame.step, frame.stream, uvec2(frame.seed_low, frame.seed_high));
+        if (uniform_number(words) < frame.drop_rate)
+            return false;
+        p.raised = min(p.opacity / (1.0 - frame.drop_rate), GS_RAISED_MAX);
+    }
     return rotation(p);
 }
 

@@ -152,6 +152,10 @@ class GpuModel(EngineModel):
         out["drift"] = np.zeros(ADAM_PENDING_SIZE)
         return out | {column_key(name): np.zeros(len(self), np.uint8) for name in LAZY_COUNTERS}
 
+    def counter(self, name: str) -> int:
+        """Number of a counter."""
+        return self._counters.index(name)
+
     def close(self) -> None:
         """Free all memory of the device."""
         self.rows.close()

@@ -55,9 +55,11 @@ class GpuRaster:
         self._last: _Uploaded | None = None
         self.rows: WeakSet[Any] = WeakSet()
         """Rows on the device, `GpuRows`, which are closed with it."""
+        self.wait_for_steps: Callable[[], None] = lambda: None
+        """Waits for steps in flight."""
         self.uploads = 0
         """Number of copies of splats to the device so far."""
-        self._lib = library()
+        self._lib = self.library = library()
         raise_status(self._lib.gs_gpu_open(number, ct.byref(self.handle)))
 
     def __enter__(self) -> "GpuRaster":
@@ -272,15 +274,23 @@ class GpuRaster:
         return bool(self.handle) and self._process == os.getpid()
 
     def call(
-        self, function: Callable[..., int], *values: Any, handle: ct.c_void_p | None = None
+        self,
+        function: Callable[..., int],
+        *values: Any,
+        handle: ct.c_void_p | None = None,
+        waits: bool = True,
     ) -> None:
         """Call a function of the library, whose first argument is the device or `handle`.
+
+        `waits`: wait for steps in flight first.
 
         Raises:
             As `forward`.
         """
         with self._lock:
             device = self._open()
+            if waits:
+                self.wait_for_steps()
             self._check(function(device if handle is None else handle, *values))
 
     def _open(self) -> ct.c_void_p:

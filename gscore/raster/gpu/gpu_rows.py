@@ -138,6 +138,21 @@ class GpuRows:
         drawn = [ct.byref(camera), ct.byref(arguments.host(view, settings)), ct.byref(image)]
         self._raster.call(self._lib.gs_gpu_draw, self._splats, *drawn)
 
+    def weights(self, view: Frustum, shares: np.ndarray) -> np.ndarray:
+        """Blending weights in the last view drawn, summed over pixels, as `GpuRaster.weights`.
+
+        Args:
+            view: As in that call of `draw`.
+            shares: [H, W, 3] float32.
+
+        Returns:
+            [N, 3] float32, without frozen splats.
+        """
+        sums = np.zeros((self._frozen + len(self), 3), np.float32)
+        found = address("shares", shares, (view.height, view.width, 3))
+        self._raster.call(self._lib.gs_gpu_weights, self._splats, found, sums.ctypes.data)
+        return sums[self._frozen :]
+
     def reserve(self, count: int) -> None:
         """Take the memory that a `rebuild` to `count` rows needs; the rows stay."""
         self._call("reserve", count)

@@ -4,6 +4,9 @@ from .. import header as base
 from ..header import struct
 
 ABI_VERSION = 2
+STEPS_MAX = 3
+"""Most steps in flight."""
+SH_OFF, SH_ACCUMULATE, SH_STEP = range(3)
 GRADIENTS = 16
 """Further output: the draw keeps what gradients need."""
 UNSUPPORTED, DEVICE_LOST, TIMED_OUT = 5, 7, 8
@@ -45,14 +48,42 @@ GpuLossResultStruct = struct(
 GpuColumnsStruct = struct(
     "gs_gpu_columns", "int32 table first width", "pointer rows", "int64 begin count"
 )
+GpuStepStruct = struct(
+    "gs_gpu_step",
+    ("view", base.ViewStruct),
+    "pointer photo mask tiles",
+    "int32 mask_mode",
+    "float[3] shown_background",
+    "float counted ssim_weight mask_alpha see_through",
+    "int32 has_gain",
+    "float[3] gain",
+    "float[6] rates",
+    "int32 sh_update",
+    "int64[6] steps",
+    "uint64 seed",
+    "uint32 number drop_stream noise_stream",
+    "float drop_rate noise opacity_reg scale_reg",
+    "int32 gradient_counter view_counter learns_pose updates pauses",
+    "float extent",
+)
+GpuStepNumbersStruct = struct(
+    "gs_gpu_step_numbers",
+    "double loss mse",
+    "double[3] v_log_gain",
+    "float[16] v_viewmat",
+    "int64 bad_rows lost_rows visible entries",
+    "int32 skipped unused",
+)
 SIGNATURES = base.signatures(
     (
         *base.STRUCTS,
-        GpuInfoStruct,
-        GpuStatsStruct,
-        GpuLossTermsStruct,
-        GpuLossResultStruct,
         GpuColumnsStruct,
+        GpuInfoStruct,
+        GpuLossResultStruct,
+        GpuLossTermsStruct,
+        GpuStatsStruct,
+        GpuStepNumbersStruct,
+        GpuStepStruct,
     ),
     {
         "gs_gpu_devices": "gs_gpu_info int32 int32*",
@@ -80,6 +111,11 @@ SIGNATURES = base.signatures(
         "gs_gpu_model_noise": "pointer float gs_random",
         "gs_gpu_model_morton": "pointer pointer int64 pointer pointer pointer",
         "gs_gpu_model_drop_moments": "pointer",
+        "gs_gpu_step_request": "pointer pointer gs_gpu_step int32",
+        "gs_gpu_step_picture": "pointer int32 pointer pointer",
+        "gs_gpu_step_resume": "pointer int32 double pointer pointer",
+        "gs_gpu_step_result": "pointer int32 gs_gpu_step_numbers",
+        "gs_gpu_steps_release": "pointer",
         "gs_gpu_test": "pointer int32 pointer pointer pointer int64",
     },
 )

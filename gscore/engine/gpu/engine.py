@@ -1,0 +1,317 @@
+"""GPU engine: training steps and pictures by a device, two steps in flight."""
+
+import ctypes as ct
+import math
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from ...raster import arguments
+from ...raster.buffers import UINT8, address, optional
+from ...raster.gpu import header
+from ...raster.gpu.gpu_raster import GpuRaster
+from ...raster.header import MASK_MODES, OUT_INVERSE_DEPTH, TILE
+from ...raster.request import Frustum, Settings
+from ...splats import PARAMETERS
+from .. import base
+from ..base import Color, Columns, Feature, ShUpdate, StepNumbers, StepPhoto, StepRequest, TermKind
+from ..ensemble import merge_models
+from .model import GpuModel
+
+IN_FLIGHT = 2
+"""Steps in flight; a constant, so that results do not depend on time."""
+COST = base.CostModel(step=2e-3, pixel=2e-9, splat=4e-9, number=0.0)
+"""Cost of a card that nobody has measured yet: a guess, which `pace` corrects."""
+_SH_UPDATES = {
+    ShUpdate.OFF: header.SH_OFF,
+    ShUpdate.ACCUMULATE: header.SH_ACCUMULATE,
+    ShUpdate.STEP: header.SH_STEP,
+}
+
+
+class PendingStep:
+    """A step in flight."""
+
+    def __init__(self, engine: "GpuEngine", model: GpuModel, request: StepRequest) -> None:
+        self.model, self.request = model, request
+        self.began = time.perf_counter()
+        self.added = 0.0
+        """Value of the picture term."""
+        self.numbers: StepNumbers | None = None
+        """Its result, once it was read."""
+        self.error: Exception | None = None
+        self._engine = engine
+
+    def result(self) -> StepNumbers:
+        """Wait for the step and return its numbers; errors of the step are raised here."""
+        while self.numbers is None and self.error is None:
+            self._engine.read_next()
+        if self.error is not None:
+            raise self.error
+        assert self.numbers is not None
+        return self.numbers
+
+
+class GpuEngine(base.Engine[GpuModel]):
+    """Engine that computes on a device, which it closes."""
+
+    def __init__(self, raster: GpuRaster, *, name: str, numerics: str) -> None:
+        """Take over an open device.
+
+        Args:
+            raster: The device.
+            name: Its name.
+            numerics: Identity of its bits, see `EngineInfo.numerics`.
+        """
+        self.in_flight = IN_FLIGHT
+        self.info = base.EngineInfo(
+            name=name,
+            numerics=numerics,
+            features=frozenset(base.Feature) - {Feature.ANOMALIES},
+            cost=COST,
+        )
+        """Identity and capabilities."""
+        self._raster = raster
+        self._photos: dict[int, StepPhoto] = {}
+        self._unread: deque[tuple[int, PendingStep]] = deque()
+        """Slots and steps in flight, in their order."""
+        raster.wait_for_steps = self.read_all
+
+    def model(
+        self, columns: Columns, *, counters: Sequence[str] = (), frozen: Columns | None = None
+    ) -> GpuModel:
+        """Create a model, see `Engine.model`."""
+        return GpuModel(self._raster, columns, counters=counters, frozen=frozen)
+
+    def load(self, saved: Columns, adam_steps: Mapping[str, int], like: GpuModel) -> GpuModel:
+        """Create a model from `EngineModel.save`, see `Engine.load`."""
+        return GpuModel.load(self._raster, saved, adam_steps, frozen=like.frozen)
+
+    def put(self, key: int, photo: StepPhoto) -> None:
+        """Provide a photo for the next step that names it."""
+        self._photos[key] = photo
+
+    def step(self, model: GpuModel, request: StepRequest) -> base.Pending:
+        """Start a step, see `StepRequest`."""
+        photo = self._photos.pop(request.photo)
+        while len(self._unread) > IN_FLIGHT:
+            self.read_next()
+        for name in PARAMETERS:
+            steps = name != "shN" or request.sh_update is ShUpdate.STEP
+            model.adam_steps[name] += steps
+        pending = PendingStep(self, model, request)
+        slot = self._request(pending, photo)
+        if request.picture_term is not None:
+            self._add_term(pending, slot)
+        return pending
+
+    def _request(self, pending: PendingStep, photo: StepPhoto, *, updates: bool = True) -> int:
+        """Start a step in a free slot; returns its number."""
+        used = {slot for slot, _ in self._unread}
+        slot = next(one for one in range(header.STEPS_MAX) if one not in used)
+        model, request = pending.model, pending.request
+        found = step_struct(model, request, photo, updates=updates)
+        lib = self._raster.library
+        asked = model.rows.handle, ct.byref(found), slot
+        self._raster.call(lib.gs_gpu_step_request, *asked, waits=False)
+        self._unread.append((slot, pending))
+        return slot
+
+    def _add_term(self, pending: PendingStep, slot: int) -> None:
+        """Compute a further loss term of a picture that waits for it."""
+        view, lib = pending.request.view, self._raster.library
+        pictures = [np.empty((view.height, view.width), np.float32) for _ in range(2)]
+        size = view.height, view.width
+        found = [address(n, p, size) for n, p in zip(("depth", "alpha"), pictures, strict=True)]
+        self._raster.call(lib.gs_gpu_step_picture, slot, *found, waits=False)
+        assert pending.request.picture_term is not None
+        term = pending.request.picture_term(*pictures)
+        pending.added = term.value
+        gradients = [
+            optional(name, None if v is None else np.ascontiguousarray(v, np.float32), size)
+            for name, v in (("v_inverse_depth", term.v_inverse_depth), ("v_alpha", term.v_alpha))
+        ]
+        self._raster.call(lib.gs_gpu_step_resume, slot, term.value, *gradients, waits=False)
+
+    def read_next(self) -> None:
+        """Wait for the first step in flight and keep its numbers or its error."""
+        slot, pending = self._unread.popleft()
+        found = header.GpuStepNumbersStruct()
+        try:
+            lib = self._raster.library
+            self._raster.call(lib.gs_gpu_step_result, slot, ct.byref(found), waits=False)
+        except Exception as error:
+            pending.error = error
+            return
+        request = pending.request
+        loss = found.loss + pending.added
+        skipped = bool(found.skipped)
+        if skipped:
+            for name in PARAMETERS:
+                steps = name != "shN" or request.sh_update is ShUpdate.STEP
+                pending.model.adam_steps[name] -= steps
+        slopes = [*found.v_log_gain, *found.v_viewmat] if not skipped else [0.0] * 19
+        if request.gain is None:
+            slopes[:3] = [0.0] * 3
+        pending.numbers = StepNumbers(
+            step=request.step,
+            loss=loss,
+            mse=found.mse,
+            slopes=np.array([slopes], np.float64),
+            bad_rows=found.bad_rows,
+            lost_rows=found.lost_rows,
+            skipped=skipped,
+            seconds={"device": time.perf_counter() - pending.began},
+            raster={"visible": found.visible, "entries": found.entries},
+        )
+
+    def read_all(self) -> None:
+        """Wait for all steps in flight; their numbers stay for `PendingStep.result`."""
+        while self._unread:
+            self.read_next()
+
+    def draw(
+        self,
+        models: Sequence[GpuModel],
+        view: Frustum,
+        *,
+        background: Color,
+        antialias: bool,
+        inverse_depth: bool = False,
+        scaling: float = 1.0,
+    ) -> base.DrawnPicture:
+        """Draw the current models, see `Engine.draw`."""
+        self.read_all()
+        outputs = OUT_INVERSE_DEPTH if inverse_depth else 0
+        settings = Settings(background=background, antialias=antialias, outputs=outputs)
+        size = view.height, view.width
+        pictures = {"rgb": np.empty((*size, 3), np.float32), "alpha": np.empty(size, np.float32)}
+        if inverse_depth:
+            pictures["inverse_depth"] = np.empty(size, np.float32)
+        if len(models) == 1 and scaling == 1:
+            models[0].rows.draw(view, settings, pictures, sh_degree=models[0].sh_degree)
+        else:
+            splats = dict(_merged(models))
+            splats["scales"] = splats["scales"] + np.float32(math.log(scaling))
+            self._raster.forward([splats[name] for name in PARAMETERS], view, settings, pictures)
+        return base.DrawnPicture(**pictures)
+
+    def contributions(
+        self, model: GpuModel, views: Iterable[tuple[Frustum, StepPhoto]], *, antialias: bool
+    ) -> Iterator[base.Contribution]:
+        """Yield the contributions of the splats to each view."""
+        self.read_all()
+        settings = Settings(antialias=antialias)
+        for view, photo in views:
+            shares = np.ones((view.height, view.width, 3), np.float32)
+            if photo.mask_mode == "ignore" and photo.mask is not None:
+                shares[..., 0] = photo.mask.astype(np.float32) / 255
+            size = view.height, view.width
+            pictures = {"rgb": np.empty((*size, 3), np.float32)}
+            pictures |= {"alpha": np.empty(size, np.float32)}
+            model.rows.draw(view, settings, pictures, sh_degree=0)
+            sums = model.rows.weights(view, shares)
+            yield base.Contribution(sums[:, 0].copy(), sums[:, 1].copy())
+
+    def pose_gradient(
+        self,
+        models: Sequence[GpuModel],
+        view: Frustum,
+        photo: StepPhoto,
+        *,
+        background: Color,
+        antialias: bool,
+    ) -> np.ndarray:
+        """Return the gradient of a view's loss in its pose, see `Engine.pose_gradient`."""
+        self.read_all()
+        model = models[0]
+        if len(models) > 1:
+            model = GpuModel(self._raster, _merged(models), frozen=None)
+        request = StepRequest(
+            step=0,
+            photo=0,
+            view=view,
+            background=background,
+            shown_background=background,
+            antialias=antialias,
+            sh_degree=model.sh_degree,
+            sh_update=ShUpdate.OFF,
+            rates=dict.fromkeys(PARAMETERS, 0.0),
+            terms=((TermKind.L1, 0.8), (TermKind.SSIM, 0.2)),
+            learn_pose=True,
+            extent=1.0,
+        )
+        pending = PendingStep(self, model, request)
+        self._request(pending, photo, updates=False)
+        return pending.result().slopes[0, 3:].reshape(4, 4).astype(np.float32)
+
+    def release(self) -> None:
+        """Free the memory of steps."""
+        self.read_all()
+        self._raster.call(self._raster.library.gs_gpu_steps_release)
+
+    def close(self) -> None:
+        """Free the device."""
+        self._unread.clear()
+        self._photos.clear()
+        self._raster.close()
+
+
+def _merged(models: Sequence[GpuModel]) -> Columns:
+    """Raw parameters of several models as one, frozen splats first."""
+    if len(models) == 1 and models[0].frozen is not None:
+        # Frozen splats have their own degree.
+        own, frozen = models[0].part(0, len(models[0])), dict(models[0].frozen)
+        rest = own["shN"].shape[1]
+        missing = rest - frozen["shN"].shape[1]
+        frozen["shN"] = np.pad(frozen["shN"], ((0, 0), (0, missing), (0, 0)))
+        return {name: np.concatenate([frozen[name], own[name]]) for name in PARAMETERS}
+    return merge_models([model.part(0, len(model)) for model in models])
+
+
+def step_struct(
+    model: GpuModel, request: StepRequest, photo: StepPhoto, *, updates: bool
+) -> ct.Structure:
+    """gs_gpu_step of a request; its arrays must live until it was started."""
+    view, weights = request.view, dict(request.terms)
+    outputs = OUT_INVERSE_DEPTH if request.picture_term is not None else 0
+    settings = Settings(background=request.background, antialias=request.antialias, outputs=outputs)
+    size = view.height, view.width
+    masked = photo.mask is not None
+    stream = base.STREAMS * request.place
+    counters = [model.counter(name) for name in request.observe] or [-1, -1]
+    tile_shape = (-(-view.height // TILE), -(-view.width // TILE))
+    found = header.GpuStepStruct(
+        view=arguments.view(view, settings, request.sh_degree),
+        photo=address("photo", photo.image, (*size, 3), UINT8),
+        mask=optional("mask", photo.mask, size, UINT8),
+        tiles=optional("tiles", photo.tiles, tile_shape, UINT8),
+        mask_mode=MASK_MODES[photo.mask_mode] if masked else MASK_MODES["none"],
+        counted=photo.counted,
+        ssim_weight=weights[TermKind.SSIM],
+        mask_alpha=weights.get(TermKind.MASK_ALPHA, 0.0),
+        see_through=weights.get(TermKind.SEE_THROUGH, 0.0),
+        has_gain=request.gain is not None,
+        sh_update=_SH_UPDATES[request.sh_update],
+        seed=request.seed,
+        number=request.step,
+        drop_stream=stream + base.DROPOUT_STREAM,
+        noise_stream=stream + base.NOISE_STREAM,
+        drop_rate=request.drop_rate,
+        noise=request.noise,
+        opacity_reg=request.opacity_reg,
+        scale_reg=request.scale_reg,
+        gradient_counter=counters[0],
+        view_counter=counters[1],
+        learns_pose=request.learn_pose,
+        updates=updates,
+        pauses=request.picture_term is not None,
+        extent=request.extent,
+    )
+    found.shown_background = (ct.c_float * 3)(*request.shown_background)
+    found.gain = (ct.c_float * 3)(*(request.gain or (1.0, 1.0, 1.0)))
+    found.rates = (ct.c_float * 6)(*(request.rates[name] for name in PARAMETERS))
+    found.steps = (ct.c_int64 * 6)(*(model.adam_steps[name] for name in PARAMETERS))
+    return found

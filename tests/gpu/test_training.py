@@ -1,0 +1,157 @@
+"""Trainings on devices in software; oracles: the CPU's trainings, and their own bits."""
+
+import json
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gscore.config import DataConfig, TrainConfig
+from gscore.engine import opening
+from gscore.engine.base import StepPhoto, TermGradients
+from gscore.engine.cpu.engine import CpuEngine
+from gscore.splats import PARAMETERS
+from gscore.stress.capture import toy_photos, toy_splats
+from gscore.trainer import run
+from tests.engine.test_contract import COUNTERS, columns_of, request_of
+from tests.gpu.drivers import DRIVERS, ROOT, Driver, result_of, software_engine, variables_of
+from tests.gpu.training_programs import CASES
+
+ONE = DRIVERS[1]
+each_driver = pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
+
+
+def trained(driver: Driver, code: str, **variables: str) -> Any:
+    """The JSON value that a program prints with functions of training_programs."""
+    return result_of(driver, f"from tests.gpu.training_programs import *\n{code}", **variables)
+
+
+@cache
+def _short(driver: Driver) -> Any:
+    cases = "default,mcmc" if driver.width else "default"  # SwiftShader is slow
+    return trained(driver, f"print_trainings({cases!r}, 24, size=24)")
+
+
+@each_driver
+def test_trainings_have_the_bits_of_their_repetition(driver: Driver) -> None:
+    """Oracle: a second training; the errors of the CPU's within 2 %."""
+    for case, found in _short(driver).items():
+        assert found["hashes"][0] == found["hashes"][1], case
+        assert found["errors"][0] == pytest.approx(found["errors"][1], rel=0.02)
+        assert found["counts"][0] == found["counts"][1]
+
+
+def test_trainings_do_not_depend_on_the_width_of_subgroups() -> None:
+    """Oracle: lavapipe's other widths."""
+    found = [_short(driver) for driver in DRIVERS if driver.width]
+    assert found.count(found[0]) == 3
+
+
+@pytest.mark.parametrize("mask", ["none", "ignore", "composite"])
+def test_every_option_trains_on_both_engines(mask: str) -> None:
+    """Oracle: the CPU's training with the same options: its error within 3 %, its number of splats
+    within 2 %; a repetition on the device."""
+    cases = ",".join(CASES) if mask == "none" else "every option"
+    found = trained(ONE, f"print_trainings({cases!r}, 60, mask={mask!r})")
+    for case, one in found.items():
+        assert one["hashes"][0] == one["hashes"][1], case
+        assert one["errors"][0] == pytest.approx(one["errors"][1], rel=0.03), case
+        assert one["counts"][0] == pytest.approx(one["counts"][1], rel=0.02), case
+
+
+@pytest.mark.parametrize("stop", [1, 17])
+def test_a_training_continues_with_the_same_bits(stop: int) -> None:
+    """Oracle: the training that was not stopped; and the error of one that goes from the CPU to the
+    device and back, within 3 %."""
+    found = trained(ONE, f"print_continued(36, {stop})")
+    assert found["hashes"][0] == found["hashes"][1]
+    assert found["errors"][1] == pytest.approx(found["errors"][0], rel=0.03)
+
+
+def test_steps_that_need_more_room_are_repeated() -> None:
+    """Oracle: a training whose steps are read at once; the CPU's, within 0.1 %."""
+    found = trained(ONE, "print_crowded()")
+    assert found["hashes"][0] == found["hashes"][1]
+    assert found["errors"][0] == pytest.approx(found["errors"][2], rel=1e-3)
+
+
+def test_validation_layers_find_nothing_in_a_training() -> None:
+    """Oracle: the bits without GSCORE_GPU_CHECK, under which the layers run, and buffers are filled
+    with a pattern before each step."""
+    code = "print_trainings('every option', 14, size=24, mask='composite')"
+    assert trained(ONE, code, GSCORE_GPU_CHECK="1") == trained(ONE, code)
+
+
+def _train(capture: Path, out: Path, *options: str, **variables: str) -> Any:
+    command = [sys.executable, "-m", "gscore", "train", str(capture), "-o", str(out)]
+    command += ["--preset", "preview", "--iterations", "12", "--quiet", *options]
+    env = variables_of(ONE) | {"XDG_CACHE_HOME": str(out.parent / "cache")} | variables
+    env |= {"PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, capture_output=True, text=True, env=env, check=False)
+
+
+def test_the_command_trains_on_a_device(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the device in config.json and metrics.json; the same splats from a second run; then a
+    device that is lost in a step: one sentence, and a resumed run with the same splats."""
+    options = ("--device", "0", "--set", "checkpoint_iterations=2,8", "--eval")
+    for name in ("one", "two"):
+        assert _train(capture, tmp_path / name, *options).returncode == 0
+    splats = [(tmp_path / name / "point_cloud.ply").read_bytes() for name in ("one", "two")]
+    assert splats[0] == splats[1]
+    config = json.loads((tmp_path / "one" / "config.json").read_text(encoding="utf-8"))
+    assert config["train"]["device"] == "0"
+    metrics = json.loads((tmp_path / "one" / "metrics.json").read_text(encoding="utf-8"))
+    assert metrics["machine"]["isa"].startswith("gpu: ")
+
+    lost = _train(capture, tmp_path / "lost", *options, GSCORE_GPU_FAULT="lost:s5")
+    assert lost.returncode == 2 and "Traceback" not in lost.stderr
+    assert "lost" in lost.stderr
+    done = _train(capture, tmp_path / "lost", *options, "--resume")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "lost" / "point_cloud.ply").read_bytes() == splats[0]
+
+
+@pytest.mark.parametrize("step", [1, 5])
+def test_the_cpu_takes_over_from_a_device_chosen_automatically(
+    step: int, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: a finished run and one sentence, on a device that is lost at a step."""
+
+    def opened(device: str, **options: Any) -> Any:
+        return (software_engine(), "") if device == "auto" else opening.open_engine(device)
+
+    monkeypatch.setenv("GSCORE_GPU_FAULT", f"lost:s{step}")
+    monkeypatch.setattr(run, "open_engine", opened)
+    events: list[Any] = []
+    config = TrainConfig(iterations=12, device="auto", checkpoint_iterations=(2, 8))
+    done = run.train(config, DataConfig(source=capture), tmp_path / "run", events.append)
+    assert done.steps == 12
+    messages = [one.message for one in events if getattr(one, "code", "") == run.DEVICE]
+    assert len(messages) == 1 and "because the device failed: " in messages[0]
+
+
+def test_a_term_computed_by_the_trainer_counts() -> None:
+    """Oracle: the CPU engine's steps with the same loss of inverse depth and alpha."""
+    photos, splats = toy_photos(splats=toy_splats(count=40), size=20), toy_splats(count=40)
+
+    def term(inverse_depth: np.ndarray, alpha: np.ndarray) -> TermGradients:
+        v = np.full_like(alpha, 1e-3)
+        return TermGradients(float(inverse_depth.mean()), v * inverse_depth, v)
+
+    columns, losses = [], []
+    engines: list[Any] = [CpuEngine(), software_engine()]
+    for engine in engines:
+        model = engine.model(columns_of(splats), counters=COUNTERS)
+        for step in range(1, 4):
+            engine.put(0, StepPhoto(image=photos.image(0)))
+            request = request_of(photos, 0, step, picture_term=term)
+            losses.append(engine.step(model, request).result().loss)
+        columns.append({name: model.column(name) for name in PARAMETERS})
+    assert losses[:3] == pytest.approx(losses[3:], rel=1e-5)
+    for name, found in columns[1].items():
+        np.testing.assert_allclose(found, columns[0][name], atol=1e-5, err_msg=name)
+    assert np.abs(columns[0]["means"] - splats.means).max() > 1e-4

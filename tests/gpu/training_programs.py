@@ -1,0 +1,122 @@
+"""Trainings on a device and on the CPU, of a toy capture; each function prints one line of JSON."""
+
+import hashlib
+import json
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gscore.config import TrainConfig
+from gscore.engine.base import Engine, RowEdit
+from gscore.engine.cpu.engine import CpuEngine
+from gscore.stress.capture import toy_photos
+from gscore.trainer.analysis.analysis import Analysis
+from gscore.trainer.trainer import Trainer
+from tests.gpu.drivers import software_engine
+from tests.trainer.short_run import CONFIG
+
+SHORT = replace(CONFIG, sh_degree=3, shN_every=4)
+CASES: dict[str, dict[str, Any]] = {
+    "default": {},
+    "mcmc": {"strategy": "mcmc", "refine_start": 15, "scale_reg": 0.02},
+    "every option": {
+        "antialias": True,
+        "drop_rate": 0.1,
+        "opaque_weight": 0.01,
+        "alpha_weight": 0.1,
+        "exposure": "on",
+        "refine_poses": "on",
+        "prune_share": 0.3,
+        "finest": 0.3,
+    },
+    "two models": {"ensemble": 2, "refine_start": 15},
+}
+"""Options of a training by its name."""
+
+
+def trainer_of(case: str, engine: Engine[Any], size: int, mask: str = "none") -> Trainer:
+    """A training of the toy capture with photos of `size` px."""
+    photos = toy_photos(size=size)
+    if mask != "none":
+        y, x = np.mgrid[:size, :size] - size / 2
+        disc = (255 * (np.hypot(x, y) < 0.45 * size)).astype(np.uint8)
+        photos = replace(photos, masks=[disc for _ in photos.images], mask_mode=mask)
+    config: TrainConfig = replace(SHORT, **CASES[case])
+    return Trainer(config, Analysis(photos=photos), engine=engine)
+
+
+def hash_of(trainer: Trainer) -> str:
+    """Hash of all that the next step depends on."""
+    trainer.read_all()
+    content = hashlib.sha256()
+    for name, tensor in sorted(trainer.tensors().items()):
+        content.update(name.encode() + tensor.numpy().tobytes())
+    return content.hexdigest()
+
+
+def print_trainings(cases: str, steps: int, size: int = 32, mask: str = "none") -> None:
+    """By case: hashes of two trainings on the device, and the root mean squared errors and numbers
+    of splats of the first and of one on the CPU."""
+    found = {}
+    for case in cases.split(","):
+        hashes, errors, counts = [], [], []
+        for make in (software_engine, software_engine, CpuEngine):
+            trainer = trainer_of(case, make(), size, mask)
+            for _ in range(steps):
+                trainer.step() if make is CpuEngine else trainer.advance()
+            hashes.append(hash_of(trainer))
+            errors.append(trainer.error())
+            counts.append(trainer.splat_count)
+            trainer.engine.close()
+        found[case] = {"hashes": hashes[:2], "errors": errors[1:], "counts": counts[1:]}
+    sys.stdout.write(f"\n{json.dumps(found)}\n")
+
+
+def print_continued(steps: int, stop: int) -> None:
+    """Hashes of a training, and of one that another process's engine continues from its state at
+    step `stop`; root mean squared errors of one that goes from the CPU to the device and back."""
+    whole = trainer_of("default", software_engine(), 32)
+    for _ in range(steps):
+        whole.advance()
+    first = trainer_of("default", software_engine(), 32)
+    for _ in range(stop):
+        first.advance()
+    second = trainer_of("default", software_engine(), 32)
+    _continue(first, second)
+    for _ in range(steps - stop):
+        second.advance()
+    engines = (CpuEngine(), software_engine(), CpuEngine())
+    trainers = [trainer_of("default", one, 32) for one in engines]
+    for i, one in enumerate(trainers):
+        if i:
+            _continue(trainers[i - 1], one)
+        for _ in range(steps // 3):
+            one.advance()
+    errors = [one.error() for one in (whole, trainers[-1])]
+    hashes = [hash_of(whole), hash_of(second)]
+    rows = len(trainers[-1].splats().means)
+    sys.stdout.write(f"\n{json.dumps({'hashes': hashes, 'errors': errors, 'rows': rows})}\n")
+
+
+def _continue(before: Trainer, after: Trainer) -> None:
+    before.read_all()
+    state = json.loads(json.dumps(before.state()))
+    after.restore(state, {name: one.clone() for name, one in before.tensors().items()})
+
+
+def print_crowded() -> None:
+    """Hashes of trainings whose entries do not fit into the first buffers, read at once and late,
+    and the root mean squared errors of device and CPU."""
+    hashes, errors = [], []
+    for depth in (2, 0, -1):
+        engine: Any = CpuEngine() if depth < 0 else software_engine()
+        trainer = trainer_of("default", engine, 96)
+        wide = np.zeros_like(trainer.model.column("scales"))
+        trainer.model.edit(RowEdit(values={"scales": wide}))
+        for _ in range(6):
+            trainer.advance() if depth else trainer.step()
+        hashes.append(hash_of(trainer))
+        errors.append(trainer.error())
+    sys.stdout.write(f"\n{json.dumps({'hashes': hashes, 'errors': errors})}\n")
