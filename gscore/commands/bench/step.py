@@ -21,6 +21,7 @@ from ...trainer.host.isolated_state import isolated_torch_state, mmap_large_bloc
 from ...trainer.photos.view_sampler import Photos
 from ...trainer.trainer import Trainer
 from ..args.data_options import add_data_options, with_data_options
+from ..args.device_option import add_device_option
 from ..parser import add_option, add_threads_option
 from .raster import STAGES, BenchSetting
 from .shared import check_numbers, for_each_isa
@@ -71,6 +72,7 @@ def _bench(
         refine_start=10_000 + total,
         coarse_factor=1.0,
         threads=threads,
+        device=args.device,
         strategy=Strategy(args.strategy),
         without=tuple(Skip(name) for name in args.without),
     )
@@ -91,13 +93,15 @@ def _bench(
             for name, value in trainer.stage_timer.seconds.items():
                 parts[name] = parts.get(name, 0.0) + value
             for name in STAGES:
-                stages[name] += trainer.stage_timer.raster[name]
-            pairs += trainer.stage_timer.raster["forward_pairs"]
+                stages[name] += trainer.stage_timer.raster.get(name, 0.0)  # the CPU's
+            pairs += trainer.stage_timer.raster.get("forward_pairs", 0)
             pixels += trainer.stage_timer.pixels
+        identity = trainer.engine.info.numerics
+        trainer.engine.close()
     cameras = photos.scene.cameras
     raster = sum(stages.values()) / 1000
     return StepBench(
-        isa=native_library.isa(),
+        isa=identity,
         threads=threads or native_library.default_threads(),
         splats=len(splats),
         views=len(photos.train),
@@ -127,6 +131,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     skips = [skip.value for skip in Skip]
     option("--without SKIP...", choices=skips, default=())
     add_threads_option(parser)
+    add_device_option(parser)
     option(
         "--cache-mb MB",
         "memory for decoded photos of SOURCE; others are decoded at each use (all)",

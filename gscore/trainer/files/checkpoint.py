@@ -35,7 +35,7 @@ FREE = frozenset(name for name, one in options_of(TrainConfig).items() if one.fr
 """Options that may change when a run is resumed."""
 _OPENINGS = 16
 """Largest number of openings of a file while its tensors are read, minus one."""
-_OFTEN_CHANGED = ("iterations", "time_budget", "target_psnr", "early_stop", "threads")
+_OFTEN_CHANGED = ("iterations", "time_budget", "target_psnr", "early_stop", "threads", "device")
 """The `FREE` options that messages name."""
 _DEPTHS, _REGION, _GUIDE = "depths", "region", "guide"
 """Keys in a checkpoint's `capture`: depth maps, region with frozen splats, and guide meshes."""
@@ -201,6 +201,11 @@ def isa_warning(checkpoint: Checkpoint, trainer: Trainer) -> str | None:
     was, now = checkpoint.isa, trainer.engine.info.numerics
     if was is None or was == now:
         return None
+    if was.startswith("gpu") or now.startswith("gpu"):
+        return (
+            f"The run used {was} up to step {checkpoint.steps} and continues with {now}: its "
+            "splats will differ slightly from those of a run on a single device."
+        )
     return (
         f"The run used {was} up to step {checkpoint.steps} and continues with {now}: its splats "
         "will differ slightly from those of a run with a single instruction set. If this machine "
