@@ -56,7 +56,7 @@ _ERRORS: dict[int, tuple[type[BackendError], str]] = {
     OUT_OF_MEMORY: (
         DeviceMemoryError,
         "Close programs that use the graphics card, use smaller images (`--resolution`) or fewer "
-        "splats (`gscore convert --count`), or use `--device cpu`.",
+        "splats (`--max-splats`, for files `gscore convert --count`), or use `--device cpu`.",
     ),
 }
 """Class of error and remedy by status."""
