@@ -18,6 +18,7 @@ from gscore.raster.gpu.self_test import checks
 from gscore.raster.gpu.self_test_arithmetic import exponentials
 from gscore.raster.gpu.self_test_gradients import gradient_scenes, gradients
 from gscore.raster.gpu.self_test_pictures import SelfTestScene, drawn, self_test_scenes
+from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
 from gscore.raster.request import Settings
 
 
@@ -34,36 +35,59 @@ def _opened() -> GpuRaster:
     return GpuRaster(0)
 
 
+def keep_passed() -> None:
+    """Keep a passing verdict of the first device, so that later programs need no self-test, which
+    has a time limit."""
+    with _opened():
+        keep_verdict(find_devices().devices[0].key, DeviceVerdict(passed=True))
+    _print({})
+
+
 def print_problems(step: int) -> None:
     """The problems of all tests of the self-test, with one exponential in `step`."""
-    problems, subgroup = [], 0
     with _opened() as raster:
-        subgroup = find_devices().devices[0].subgroup
-        for check in checks():
-            if check.name == "exponentials":
-                problems += exponentials(raster, step)[0]
-            else:
-                problems += check.run(raster)[0]
-    _print({"problems": problems, "subgroup": subgroup})
+        _print({"problems": _problems(raster, step)})
+
+
+def _problems(raster: GpuRaster, step: int) -> list[str]:
+    problems = []
+    for check in checks():
+        if check.name == "exponentials":
+            problems += exponentials(raster, step)[0]
+        else:
+            problems += check.run(raster)[0]
+    return problems
+
+
+def print_all(step: int, repeats: int) -> None:
+    """Problems, hashes and weights of one device, and the width of its subgroups."""
+    with _opened() as raster:
+        found = {"problems": _problems(raster, step), "bits": _bits(raster, repeats)}
+        found |= {"subgroup": find_devices().devices[0].subgroup, "weights": _weights(raster)}
+    _print(found)
 
 
 def print_bits(repeats: int) -> None:
     """Hashes of all scenes in every repeat."""
-    hashes = []
     with _opened() as raster:
-        for _ in range(repeats):
-            content = hashlib.sha256()
-            for scene in self_test_scenes():
-                for name, picture in sorted(drawn(scene, raster).items()):
-                    content.update(name.encode() + picture.tobytes())
-            for scene in gradient_scenes():
-                for name, gradient in gradients(scene, raster, fewer=scene.degree == 1).items():
-                    content.update(name.encode() + gradient.tobytes())
-            hashes.append(content.hexdigest())
-    _print({"bits": sorted(set(hashes))})
+        _print({"bits": _bits(raster, repeats)})
 
 
-def print_weights() -> None:
+def _bits(raster: GpuRaster, repeats: int) -> list[str]:
+    hashes = []
+    for _ in range(repeats):
+        content = hashlib.sha256()
+        for scene in self_test_scenes():
+            for name, picture in sorted(drawn(scene, raster).items()):
+                content.update(name.encode() + picture.tobytes())
+        for scene in gradient_scenes():
+            for name, gradient in gradients(scene, raster, fewer=scene.degree == 1).items():
+                content.update(name.encode() + gradient.tobytes())
+        hashes.append(content.hexdigest())
+    return sorted(set(hashes))
+
+
+def _weights(raster: GpuRaster) -> dict[str, object]:
     """Difference of the blending weights to the CPU's, relative to the largest, and the names of
     the kernels that were measured meanwhile."""
     scene = next(iter(self_test_scenes()))
@@ -73,12 +97,11 @@ def print_weights() -> None:
     settings = replace(scene.settings, outputs=0, sh_degree=None)
     scratch = {name: np.zeros_like(a) for name, a in zip(GEOMETRY, splats, strict=False)}
     true = blending_weights(splats[:4], view, settings, shares, scratch=scratch)
-    with _opened() as raster:
-        raster.profile(True)
-        drawn(scene, raster)
-        found = raster.weights(splats, scene.settings, shares, view)
-        kernels = [name for name, (_, calls) in raster.kernel_times().items() if calls]
-    _print({"difference": float(abs(found - true).max() / true.max()), "kernels": kernels})
+    raster.profile(True)
+    drawn(scene, raster)
+    found = raster.weights(splats, scene.settings, shares, view)
+    kernels = [name for name, (_, calls) in raster.kernel_times().items() if calls]
+    return {"difference": float(abs(found - true).max() / true.max()), "kernels": kernels}
 
 
 def print_draw_error(scene_number: int = 0) -> None:

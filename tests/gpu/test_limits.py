@@ -14,6 +14,7 @@ ONE, OTHER = DRIVERS[1], DRIVERS[-1]
 TOLERANCE = 1e-4
 
 
+@pytest.mark.slow
 def test_a_picture_of_8k() -> None:
     """Oracle: the CPU's within 3e-5, as positions up to 7680 px have steps of 5e-4 px in float32; a
     few pixels differ where rounding decides whether a splat is visible."""

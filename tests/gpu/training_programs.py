@@ -56,37 +56,49 @@ def hash_of(trainer: Trainer) -> str:
     return content.hexdigest()
 
 
-def print_trainings(cases: str, steps: int, size: int = 32, mask: str = "none") -> None:
-    """By case: hashes of two trainings on the device, and the root mean squared errors and numbers
-    of splats of the first and of one on the CPU."""
+def print_trainings(cases: str, steps: int, size: int = 32) -> None:
+    """By case, whose mask mode may follow a colon: hashes of two trainings on the device, and the
+    root mean squared errors and numbers of splats of the first and of one on the CPU."""
     found = {}
-    for case in cases.split(","):
+    for name in cases.split(","):
+        case, _, mask = name.partition(":")
         hashes, errors, counts = [], [], []
         for make in (software_engine, software_engine, CpuEngine):
-            trainer = trainer_of(case, make(), size, mask)
+            trainer = trainer_of(case, make(), size, mask or "none")
             for _ in range(steps):
                 trainer.step() if make is CpuEngine else trainer.advance()
             hashes.append(hash_of(trainer))
             errors.append(trainer.error())
             counts.append(trainer.splat_count)
             trainer.engine.close()
-        found[case] = {"hashes": hashes[:2], "errors": errors[1:], "counts": counts[1:]}
+        found[name] = {"hashes": hashes[:2], "errors": errors[1:], "counts": counts[1:]}
     sys.stdout.write(f"\n{json.dumps(found)}\n")
 
 
-def print_continued(steps: int, stop: int) -> None:
-    """Hashes of a training, and of one that another process's engine continues from its state at
-    step `stop`; root mean squared errors of one that goes from the CPU to the device and back."""
+def print_hash(case: str, steps: int, size: int, mask: str) -> None:
+    """Hash of a training on the device."""
+    trainer = trainer_of(case, software_engine(), size, mask)
+    for _ in range(steps):
+        trainer.advance()
+    sys.stdout.write(f"\n{json.dumps(hash_of(trainer))}\n")
+
+
+def print_continued(steps: int, *stops: int) -> None:
+    """Hashes of a training, and of those that another engine continues from its state at
+    each of the steps `stops`; root mean squared errors of one that goes from the CPU to the device
+    and back."""
     whole = trainer_of("default", software_engine(), 32)
     for _ in range(steps):
         whole.advance()
-    first = trainer_of("default", software_engine(), 32)
-    for _ in range(stop):
-        first.advance()
-    second = trainer_of("default", software_engine(), 32)
-    _continue(first, second)
-    for _ in range(steps - stop):
-        second.advance()
+    hashes = [hash_of(whole)]
+    for stop in stops:
+        first, second = (trainer_of("default", software_engine(), 32) for _ in range(2))
+        for _ in range(stop):
+            first.advance()
+        _continue(first, second)
+        for _ in range(steps - stop):
+            second.advance()
+        hashes.append(hash_of(second))
     engines = (CpuEngine(), software_engine(), CpuEngine())
     trainers = [trainer_of("default", one, 32) for one in engines]
     for i, one in enumerate(trainers):
@@ -95,7 +107,6 @@ def print_continued(steps: int, stop: int) -> None:
         for _ in range(steps // 3):
             one.advance()
     errors = [one.error() for one in (whole, trainers[-1])]
-    hashes = [hash_of(whole), hash_of(second)]
     rows = len(trainers[-1].splats().means)
     sys.stdout.write(f"\n{json.dumps({'hashes': hashes, 'errors': errors, 'rows': rows})}\n")
 

@@ -143,7 +143,7 @@ def main() -> int:
     chosen = choose(options.device, report=report)
     assert chosen.device is not None
     counts, widths = (
-        ((500, 5_000), (64, 160))
+        ((500, 2_000), (64, 96))
         if options.tiny
         else (
             (50_000, 300_000, 1_000_000),
