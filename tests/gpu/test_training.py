@@ -15,6 +15,7 @@ from gscore.config import DataConfig, TrainConfig
 from gscore.engine import opening
 from gscore.engine.base import StepPhoto, TermGradients
 from gscore.engine.cpu.engine import CpuEngine
+from gscore.engine.gpu.engine import GpuEngine
 from gscore.splats import PARAMETERS
 from gscore.stress.capture import toy_photos, toy_splats
 from gscore.trainer import run
@@ -28,7 +29,7 @@ from tests.gpu.drivers import (
     software_engine,
     variables_of,
 )
-from tests.gpu.training_programs import CASES
+from tests.gpu.training_programs import CASES, trainer_of
 
 ONE = DRIVERS[1]
 
@@ -77,6 +78,32 @@ def test_a_training_continues_with_the_same_bits() -> None:
     found = trained(ONE, "print_continued(36, 1, 17)")
     assert len(found["hashes"]) == 3 and len(set(found["hashes"])) == 1
     assert found["errors"][1] == pytest.approx(found["errors"][0], rel=0.03)
+
+
+def test_steps_are_requested_before_earlier_ones_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the results of steps 1 to 7 were waited for where a step more than two later was
+    requested, and nothing else waited; the refinement of step 10 waits for all."""
+    engine = software_engine()
+    trainer = trainer_of("default", engine, 24)
+    waits: list[tuple[int, int]] = []
+    read_next, read_all = GpuEngine.read_next, GpuEngine.read_all
+
+    def counted(self: GpuEngine) -> None:
+        waits.append((trainer.steps, len(self._unread)))
+        read_next(self)
+
+    def refused(self: GpuEngine) -> None:
+        assert trainer.steps >= 9 or not self._unread
+        read_all(self)
+
+    monkeypatch.setattr(GpuEngine, "read_next", counted)
+    monkeypatch.setattr(GpuEngine, "read_all", refused)
+    engine._raster.wait_for_steps = engine.read_all
+    for _ in range(9):
+        trainer.advance()
+    assert waits == [(step, 3) for step in range(3, 10)]
+    trainer.advance()
+    assert [unread for _, unread in waits[7:]] == [3, 2, 1]
 
 
 def test_steps_that_need_more_room_are_repeated() -> None:

@@ -125,8 +125,9 @@ class GpuModel(EngineModel):
 
     def widen_sh(self, degree: int) -> None:
         """Extend the SH coefficients to at least `degree`; new ones and their moments are zero."""
-        self._sh_rest = max(self._sh_rest, SH_REST_BY_DEGREE[degree])
-        self.rows.widen(self._sh_rest)
+        if SH_REST_BY_DEGREE[degree] > self._sh_rest:  # else steps in flight would be waited for
+            self._sh_rest = SH_REST_BY_DEGREE[degree]
+            self.rows.widen(self._sh_rest)
 
     def clamp_runaways(self, extent: float) -> int:
         """Reset runaway rows and clamp saturated parameters; returns the number of reset rows."""
