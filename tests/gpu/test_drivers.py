@@ -39,6 +39,13 @@ def test_bits_repeat(driver: Driver) -> None:
     assert len(_ran(driver)["bits"]) == 1
 
 
+@pytest.mark.slow
+@each_driver
+def test_bits_repeat_twenty_times(driver: Driver) -> None:
+    """Oracle: the one hash of fewer repeats."""
+    assert result_of(driver, "print_bits(20)")["bits"] == _ran(driver)["bits"]
+
+
 def test_bits_do_not_depend_on_the_width_of_subgroups() -> None:
     """Oracle: lavapipe's other widths."""
     found = [_ran(driver)["bits"] for driver in DRIVERS if driver.width]
