@@ -190,6 +190,34 @@ def test_a_term_computed_by_the_trainer_counts() -> None:
     assert np.abs(columns[0]["means"] - splats.means).max() > 1e-4
 
 
+def test_a_term_is_computed_of_the_picture_after_repeated_steps() -> None:
+    """Oracle: the same steps, each read before the next is requested; the first needs more entries
+    than its buffers have, so it is repeated."""
+    photos, splats = toy_photos(splats=toy_splats(count=40), size=64), toy_splats(count=1500)
+    wide = columns_of(splats) | {"scales": np.zeros_like(splats.scales)}
+
+    def term(inverse_depth: np.ndarray, alpha: np.ndarray) -> TermGradients:
+        return TermGradients(float(inverse_depth.mean()), np.full_like(alpha, 1e-3), None)
+
+    found: list[tuple[Any, ...]] = []
+    for late in (False, True):
+        engine = software_engine()
+        model = engine.model(wide, counters=COUNTERS)
+        pending = []
+        for step in range(1, 4):
+            engine.put(0, StepPhoto(image=photos.image(0)))
+            request = request_of(photos, 0, step, picture_term=term if step == 2 else None)
+            pending.append(engine.step(model, request))
+            if not late:
+                pending[-1].result()
+        numbers = [one.result() for one in pending]
+        assert not any(one.skipped for one in numbers)
+        assert numbers[0].raster["entries"] > max(4 * len(model), 1 << 12)
+        losses = [one.loss for one in numbers]
+        found.append((losses, model.adam_steps, model.column("means").tobytes()))
+    assert found[0] == found[1]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["studio", "plush", "lund"])
 def test_trainings_of_captures_are_as_good_as_those_of_the_cpu(name: str, tmp_path: Path) -> None:

@@ -96,6 +96,9 @@ class GpuEngine(base.Engine[GpuModel]):
     def step(self, model: GpuModel, request: StepRequest) -> base.Pending:
         """Start a step, see `StepRequest`."""
         photo = self._photos.pop(request.photo)
+        if request.picture_term is not None:
+            # An earlier step that is repeated changes the picture, and the term with it.
+            self.read_all()
         while len(self._unread) > IN_FLIGHT:
             self.read_next()
         for name in PARAMETERS:
