@@ -80,6 +80,31 @@ def test_a_training_continues_with_the_same_bits() -> None:
     assert found["errors"][1] == pytest.approx(found["errors"][0], rel=0.03)
 
 
+def test_steps_in_flight_end_with_the_error_of_one() -> None:
+    """Oracle: the error of a loss term at step 3 for it alone, the numbers of Adam steps that were
+    taken, and a step afterwards, which is the CPU's third."""
+    photos = toy_photos(splats=toy_splats(count=40), size=20)
+
+    def failing(inverse_depth: np.ndarray, alpha: np.ndarray) -> TermGradients:
+        raise ValueError("no map")
+
+    engines: list[Any] = [CpuEngine(), software_engine()]
+    means = []
+    for engine in engines:
+        model = engine.model(columns_of(toy_splats(count=40)), counters=COUNTERS)
+        for step in range(1, 4):
+            engine.put(0, StepPhoto(image=photos.image(0)))
+            if step == 3 and engine is engines[1]:
+                with pytest.raises(ValueError, match="no map"):
+                    engine.step(model, request_of(photos, 0, step, picture_term=failing))
+                assert model.adam_steps["means"] == 2
+                engine.put(0, StepPhoto(image=photos.image(0)))
+            engine.step(model, request_of(photos, 0, step)).result()
+        assert model.adam_steps["means"] == 3
+        means.append(model.column("means"))
+    np.testing.assert_allclose(means[1], means[0], atol=1e-5)
+
+
 def test_steps_are_requested_before_earlier_ones_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: the results of steps 1 to 7 were waited for where a step more than two later was
     requested, and nothing else waited; the refinement of step 10 waits for all."""

@@ -5,9 +5,11 @@ import math
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 
+from ...errors import GsError
 from ...raster import arguments
 from ...raster.buffers import UINT8, address, optional
 from ...raster.gpu import header
@@ -41,8 +43,18 @@ class PendingStep:
         """Value of the picture term."""
         self.numbers: StepNumbers | None = None
         """Its result, once it was read."""
-        self.error: Exception | None = None
+        self.error: BaseException | None = None
         self._engine = engine
+        self._counted = 0
+
+    def count(self, change: int) -> None:
+        """Add it to the numbers of Adam steps; a step that is not counted is not taken back."""
+        if self._counted + change < 0:
+            return
+        self._counted += change
+        for name in PARAMETERS:
+            if name != "shN" or self.request.sh_update is ShUpdate.STEP:
+                self.model.adam_steps[name] += change
 
     def result(self) -> StepNumbers:
         """Wait for the step and return its numbers; errors of the step are raised here."""
@@ -101,14 +113,27 @@ class GpuEngine(base.Engine[GpuModel]):
             self.read_all()
         while len(self._unread) > IN_FLIGHT:
             self.read_next()
-        for name in PARAMETERS:
-            steps = name != "shN" or request.sh_update is ShUpdate.STEP
-            model.adam_steps[name] += steps
         pending = PendingStep(self, model, request)
-        slot = self._request(pending, photo)
-        if request.picture_term is not None:
-            self._add_term(pending, slot)
+        pending.count(1)
+        try:
+            slot = self._request(pending, photo)
+            if request.picture_term is not None:
+                self._add_term(pending, slot)
+        except BaseException as error:
+            if all(one is not pending for _, one in self._unread):
+                pending.count(-1)
+            self._drop(error)
+            raise
         return pending
+
+    def _drop(self, error: BaseException) -> None:
+        """Give up all steps in flight after an error, which is theirs too."""
+        for _, pending in self._unread:
+            pending.error = error
+            pending.count(-1)
+        self._unread.clear()
+        with suppress(GsError):
+            self._raster.call(self._raster.library.gs_gpu_steps_release, waits=False)
 
     def _request(self, pending: PendingStep, photo: StepPhoto, *, updates: bool = True) -> int:
         """Start a step in a free slot; returns its number."""
@@ -146,15 +171,14 @@ class GpuEngine(base.Engine[GpuModel]):
             lib = self._raster.library
             self._raster.call(lib.gs_gpu_step_result, slot, ct.byref(found), waits=False)
         except Exception as error:
-            pending.error = error
+            self._unread.appendleft((slot, pending))
+            self._drop(error)
             return
         request = pending.request
         loss = found.loss + pending.added
         skipped = bool(found.skipped)
         if skipped:
-            for name in PARAMETERS:
-                steps = name != "shN" or request.sh_update is ShUpdate.STEP
-                pending.model.adam_steps[name] -= steps
+            pending.count(-1)
         slopes = [*found.v_log_gain, *found.v_viewmat] if not skipped else [0.0] * 19
         if request.gain is None:
             slopes[:3] = [0.0] * 3
