@@ -31,9 +31,9 @@ def make(*arguments: str | Path, **environment: str) -> str:
 
 
 @pytest.fixture
-def plan(tmp_path: Path) -> Callable[[str], str]:
-    """`plan(target)`: the commands of a target where nothing is installed yet."""
-    return lambda target: make("-n", f"VENV={tmp_path / 'new'}", "DEMO_BLENDER=none", target)
+def plan(tmp_path: Path) -> Callable[..., str]:
+    """`plan(target, ...)`: the commands of a target where nothing is installed yet."""
+    return lambda *words: make("-n", f"VENV={tmp_path / 'new'}", "DEMO_BLENDER=none", *words)
 
 
 @pytest.mark.parametrize("target", ["install", "demo"])
@@ -175,9 +175,9 @@ def test_help_lists_every_target() -> None:
     assert max(map(len, lines)) <= 120 and make() == reported
 
 
-def test_slow_tests_of_the_add_on_run_too(plan: Callable[[str], str]) -> None:
+def test_slow_tests_of_the_add_on_run_too(plan: Callable[..., str]) -> None:
     """Oracle: the commands; those of one Blender, or none."""
-    assert "test_blender.py newest -- -m slow" in plan("test-slow")
+    assert "test_blender.py newest -- -m slow" in plan("test-slow", "BLENDER=newest")
     assert "test_blender.py" not in make("-n", "test-slow", "BLENDER=none")
 
 

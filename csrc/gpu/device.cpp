@@ -55,19 +55,7 @@ Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(
     volkLoadDeviceTable(&vk_, device_);
     try {
         vk_.vkGetDeviceQueue(device_, family, 0, &queue_);
-        VkCommandPoolCreateInfo pool = {VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
-        pool.flags = VK_COMMAND_POOL_CREATE_RESET_COMMAND_BUFFER_BIT;
-        pool.queueFamilyIndex = family;
-        check(vk_.vkCreateCommandPool(device_, &pool, nullptr, &pool_), "vkCreateCommandPool");
-        VkCommandBufferAllocateInfo allocate = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
-        allocate.commandPool = pool_;
-        allocate.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
-        allocate.commandBufferCount = kCommandBuffers;
-        check(vk_.vkAllocateCommandBuffers(device_, &allocate, buffers_), "vkAllocateCommandBuffers");
-        const VkFenceCreateInfo fence = {VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
-        for (VkFence &f : fences_)
-            check(vk_.vkCreateFence(device_, &fence, nullptr, &f), "vkCreateFence");
-
+        create_commands(family);
         uint32_t count = 0;
         vkGetPhysicalDeviceQueueFamilyProperties(physical, &count, nullptr);
         std::vector<VkQueueFamilyProperties> families(count);
@@ -110,6 +98,21 @@ Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(
         destroy();
         throw;
     }
+}
+
+void Device::create_commands(uint32_t family) {
+    VkCommandPoolCreateInfo pool = {VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
+    pool.flags = VK_COMMAND_POOL_CREATE_RESET_COMMAND_BUFFER_BIT;
+    pool.queueFamilyIndex = family;
+    check(vk_.vkCreateCommandPool(device_, &pool, nullptr, &pool_), "vkCreateCommandPool");
+    VkCommandBufferAllocateInfo allocate = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
+    allocate.commandPool = pool_;
+    allocate.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
+    allocate.commandBufferCount = kCommandBuffers;
+    check(vk_.vkAllocateCommandBuffers(device_, &allocate, buffers_), "vkAllocateCommandBuffers");
+    const VkFenceCreateInfo fence = {VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
+    for (VkFence &f : fences_)
+        check(vk_.vkCreateFence(device_, &fence, nullptr, &f), "vkCreateFence");
 }
 
 Device::~Device() { destroy(); }

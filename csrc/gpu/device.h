@@ -85,6 +85,7 @@ class Device {
     bool inject_fault(bool is_step = false);
 
   private:
+    void create_commands(uint32_t family);
     void allocate(DeviceBuffer &, size_t bytes, Place);
     void wait(int commands, const volatile int32_t *cancel, bool &cancelled);
     void await_all() noexcept;
