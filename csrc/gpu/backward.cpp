@@ -28,8 +28,8 @@ gs_step gs_gpu::blank_step() const {
     return s;
 }
 
-void gs_gpu::record_blend_backward(uint32_t first_row, uint32_t rows, bool has_alpha, bool has_depth, bool of_depth) {
-    gs_push p = push(first_row, (has_alpha ? 1u : 0u) | (has_depth ? 2u : 0u) | (of_depth ? 4u : 0u));
+void gs_gpu::record_blend_backward(uint32_t first_row, uint32_t rows, uint32_t what) {
+    gs_push p = push(first_row, what);
     p.values_in = entry_slots_[sorted_entries_].address;
     device.dispatch(Shader::kBlendBackward, p, frame_.tiles_x, rows);
 }
@@ -69,12 +69,13 @@ void gs_gpu::backward(const gs_gpu_splats &splats, const gs_image_grads &in, con
     for (const bool of_depth : {false, true}) {
         if (of_depth && in.depth)
             send({{&v_inverse_depth_, array(in.depth), pixels * sizeof(float)}});
-        const bool has_alpha = in.alpha && !of_depth, has_depth = of_depth || in.inverse_depth;
+        const uint32_t what =
+            of_depth ? GS_V_DEPTH | GS_V_OF_DEPTH : (in.alpha ? GS_V_ALPHA : 0) | (in.inverse_depth ? GS_V_DEPTH : 0);
         for (uint32_t row = 0; row < frame_.tiles_y && (!of_depth || in.depth); row += band) {
             device.begin();
             device.update(frame_buffer_, &frame_, sizeof frame_);
             device.update(step_buffer_, &step, sizeof step);
-            record_blend_backward(row, std::min(band, frame_.tiles_y - row), has_alpha, has_depth, of_depth);
+            record_blend_backward(row, std::min(band, frame_.tiles_y - row), what);
             device.finish(nullptr);
         }
     }

@@ -39,8 +39,15 @@
 /* Bit of gs_view.outputs: what gradients need is kept; GS_GPU_GRADIENTS in gscore_gpu.h. */
 #define GS_OUT_GRADIENTS 16u
 
-/* Floats of the record of an entry's gradients, four quads: see blend_backward.comp. */
+/* Quads of the record of an entry's gradients, see blend_backward.comp. */
 #define GS_MOMENT_QUADS 3
+
+/* Bits of word1 of blend_backward.comp: what has gradients besides the colours; GS_V_OF_DEPTH: this is the pass of the
+ * undivided depth, which has no others. */
+#define GS_V_ALPHA 1u
+#define GS_V_DEPTH 2u
+#define GS_V_OF_DEPTH 4u
+#define GS_V_ALPHA_MORE 8u
 
 /* Key of a splat that is not drawn; depths are smaller, because they are finite. */
 #define GS_NO_KEY 0xFFFFFFFFu

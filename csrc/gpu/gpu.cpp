@@ -208,14 +208,18 @@ uint32_t gs_gpu::tile_rows_at_once() const {
     return uint32_t(std::max<int64_t>(frame_.tiles_y / bands, 1));
 }
 
+void gs_gpu::record_blend(uint32_t first_row, uint32_t rows) {
+    gs_push p = push(first_row);
+    p.values_in = entry_slots_[sorted_entries_].address;
+    device.dispatch(Shader::kBlend, p, frame_.tiles_x, rows);
+}
+
 void gs_gpu::blend(const Transfers &wanted) {
     const uint32_t band = tile_rows_at_once();
     for (uint32_t row = 0; row < frame_.tiles_y; row += band) {
         const bool last = row + band >= frame_.tiles_y;
         begin();
-        gs_push p = push(row);
-        p.values_in = entry_slots_[sorted_entries_].address;
-        device.dispatch(Shader::kBlend, p, frame_.tiles_x, std::min(band, frame_.tiles_y - row));
+        record_blend(row, std::min(band, frame_.tiles_y - row));
         lap(&gs_gpu_stats::blend_ms);
         if (last) {
             record_fetch(wanted);

@@ -101,8 +101,8 @@ struct gs_gpu {
     void lists();
     uint32_t tile_rows_at_once() const;
     void blend(const Transfers &);
-    void record_blend_backward(uint32_t first_row, uint32_t rows, bool has_alpha, bool has_depth,
-                               bool of_depth = false);
+    void record_blend(uint32_t first_row, uint32_t rows);
+    void record_blend_backward(uint32_t first_row, uint32_t rows, uint32_t what); // bits GS_V_*
     Transfers pictures(const gs_image &);
     void send(const Transfers &);
     // Fetches; up to kFetchBytes in one piece, as commands of a submission that is open: record, finish, read.

@@ -11,6 +11,9 @@ namespace {
 
 constexpr size_t kCameraFloats = 12;
 
+static_assert(GS_SH_OFF == GS_GPU_SH_OFF && GS_SH_ACCUMULATE == GS_GPU_SH_ACCUMULATE && GS_SH_STEP == GS_GPU_SH_STEP);
+static_assert(GS_OUT_GRADIENTS == GS_GPU_GRADIENTS);
+
 size_t whole(size_t bytes) { return (bytes + 15) / 16 * 16; }
 
 // Where the parts of a step's upload begin.
@@ -174,9 +177,7 @@ void gs_gpu::record_step(StepSlot &slot, int commands, bool with_term) {
     device.update(step_buffer_, &block, sizeof block);
     if (!with_term) {
         record_lists();
-        gs_push p = push();
-        p.values_in = entry_slots_[sorted_entries_].address;
-        device.dispatch(Shader::kBlend, p, frame_.tiles_x, frame_.tiles_y);
+        record_blend(0, frame_.tiles_y);
         if (s.pauses)
             return;
     }
@@ -190,10 +191,9 @@ void gs_gpu::record_step(StepSlot &slot, int commands, bool with_term) {
         device.copy(slot.upload, v_inverse_depth_, pixels * sizeof(float), at.inverse_depth);
     if (slot.has_term_alpha)
         device.copy(slot.upload, v_alpha_more_, pixels * sizeof(float), at.alpha);
-    gs_push p =
-        push(0, (loss.has_alpha_terms() ? 1u : 0u) | (slot.has_term_depth ? 2u : 0u) | (slot.has_term_alpha ? 8u : 0u));
-    p.values_in = entry_slots_[sorted_entries_].address;
-    device.dispatch(Shader::kBlendBackward, p, frame_.tiles_x, frame_.tiles_y);
+    record_blend_backward(0, frame_.tiles_y,
+                          (loss.has_alpha_terms() ? GS_V_ALPHA : 0) | (slot.has_term_depth ? GS_V_DEPTH : 0) |
+                              (slot.has_term_alpha ? GS_V_ALPHA_MORE : 0));
     const Groups groups(groups_of(model.splats.count, GS_GROUP));
     device.dispatch(Shader::kLearn, push(), groups.x, groups.y);
     if (s.learns_pose)

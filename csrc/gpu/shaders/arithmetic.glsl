@@ -74,3 +74,6 @@ float rounded_sum(Pair a, Pair b) {
     Pair s = two_sum(a.x, b.x);
     return s.x + (s.y + (a.y + b.y));
 }
+
+// By bits, because a compiler may assume that comparisons meet no NaN.
+bool finite(float x) { return (floatBitsToUint(x) & 0x7F800000u) != 0x7F800000u; }

@@ -32,12 +32,7 @@ shared uint hit_counts[GS_SUBTILES];
 shared uint hit_lists[GS_SUBTILES][GS_GROUP / 4]; // splats that reach a subtile in their order, a byte each
 shared float sums_done[kSums][GS_GROUP];
 
-// Bits of word1: alpha and depth have gradients; this is the pass of the undivided depth, without other gradients; alpha
-// has further gradients.
-bool has_alpha() { return (push.word1 & 1u) != 0; }
-bool has_depth() { return (push.word1 & 2u) != 0; }
-bool has_alpha_more() { return (push.word1 & 8u) != 0; }
-bool of_depth() { return (push.word1 & 4u) != 0; }
+bool has(uint what) { return (push.word1 & what) != 0; }
 
 void load_pixel(Tile tile) {
     uint id = lane();
@@ -47,13 +42,13 @@ void load_pixel(Tile tile) {
     uint stop = 0;
     if (pixel.x < frame.view.width && pixel.y < frame.view.height) {
         int at = pixel.y * frame.view.width + pixel.x;
-        if (!of_depth())
+        if (!has(GS_V_OF_DEPTH))
             v.rgb = vec3(frame.v_rgb.at[3 * at], frame.v_rgb.at[3 * at + 1], frame.v_rgb.at[3 * at + 2]);
-        if (has_depth())
+        if (has(GS_V_DEPTH))
             v.a = frame.v_inverse_depth.at[at];
-        if (has_alpha())
+        if (has(GS_V_ALPHA))
             back = -frame.v_alpha.at[at];
-        if (has_alpha_more())
+        if (has(GS_V_ALPHA_MORE))
             back -= frame.v_alpha_more.at[at];
         transmittance = frame.transmittances.at[at];
         stop = min(frame.stops.at[at], tile.end - tile.begin);
@@ -87,7 +82,7 @@ bool is_hit(uint subtile) { return (hits[subtile][lane() / 32] >> lane() % 32 & 
 void store_record(uint slot, float sums[kSums]) {
     vec4 a = vec4(sums[0], sums[1], sums[2], sums[3]), b = vec4(sums[4], sums[5], sums[6], sums[7]);
     vec4 c = vec4(sums[8], sums[9], 0.0, 0.0);
-    if (of_depth()) { // beside those of the first pass
+    if (has(GS_V_OF_DEPTH)) { // beside those of the first pass
         a += frame.moments.at[GS_MOMENT_QUADS * slot];
         b += frame.moments.at[GS_MOMENT_QUADS * slot + 1];
         c = frame.moments.at[GS_MOMENT_QUADS * slot + 2] + vec4(0.0, 0.0, sums[9], 0.0);
@@ -163,7 +158,7 @@ void main() {
             slot = slot_of(tile.begin + index);
             Splat s = load_splat(frame.entry_rows.at[slot]);
             put_into_batch(id, s, tile.first);
-            if (of_depth())
+            if (has(GS_V_OF_DEPTH))
                 batch_color[id].a = s.z;
             uint reached = subtiles_of(s, tile.first);
             for (uint k = 0; k < GS_SUBTILES; ++k)

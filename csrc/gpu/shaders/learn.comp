@@ -87,21 +87,13 @@ void main() {
     if (training.state.at[GS_STATE_SKIP] != 0)
         return;
     uint row = group_number() * GS_GROUP + lane(), n = frame.count;
-    bool visible = row < n && frame.keys.at[min(row, n - 1)] != GS_NO_KEY;
     Projection p;
     Gradients g;
-    if (visible)
-        visible = gradients_of(row, p, g);
+    bool visible = gradients_of(row, p, g);
     if (training.learns_pose != 0)
         store_camera_parts(visible, p, g);
     if (row >= n || row < training.frozen || training.updates == 0)
         return;
-    if (!visible) {
-        g.mean = g.scale = g.color = g.direction = vec3(0.0);
-        g.quat = vec4(0.0);
-        g.opacity = 0.0;
-        g.direction.z = 1.0;
-    }
     if (visible && training.observes != 0) {
         vec2 v = g.mean2d * vec2(training.half_width, training.half_height);
         training.gradient_sums.at[row] += sqrt(v.x * v.x + v.y * v.y);

@@ -28,9 +28,6 @@ float total(uint kind) {
     return parts[0].x + parts[0].y;
 }
 
-// By the bits, because compilers may take numbers to be finite.
-bool is_finite(float value) { return (floatBitsToUint(value) & 0x7f800000u) != 0x7f800000u; }
-
 void main() {
     float sums[GS_LOSS_SUMS];
     for (uint kind = 0; kind < GS_LOSS_SUMS; ++kind)
@@ -48,9 +45,9 @@ void main() {
         see_through = sums[GS_LOSS_SEE_THROUGH] / pixels;
     float value = (1.0 - loss.ssim_weight) * l1 + loss.ssim_weight * (1.0 - ssim) + loss.mask_alpha * mask_alpha +
                   loss.see_through * see_through;
-    bool finite = is_finite(value);
-    loss.result.at[0] = finite && is_finite(mse) && mse < GS_ABSURD_MSE ? 1u : 0u;
-    loss.result.at[1] = finite ? 0u : 1u;
+    bool is_finite = finite(value);
+    loss.result.at[0] = is_finite && finite(mse) && mse < GS_ABSURD_MSE ? 1u : 0u;
+    loss.result.at[1] = is_finite ? 0u : 1u;
     float found[] = {value, l1, ssim, mse, mask_alpha, see_through};
     for (uint i = 0; i < 6; ++i)
         loss.result.at[2 + i] = floatBitsToUint(found[i]);

@@ -4,8 +4,6 @@
 // Highest opacity of dropout, as in gscore/engine/cpu/splat_terms.py; blending clamps it further.
 #define GS_RAISED_MAX 0.999
 
-// By bits, because a compiler may assume that comparisons meet no NaN.
-bool finite(float x) { return (floatBitsToUint(x) & 0x7F800000u) != 0x7F800000u; }
 bool finite(vec3 v) { return finite(v.x) && finite(v.y) && finite(v.z); }
 
 float sum3(vec3 a, vec3 b) { return a.x * b.x + (a.y * b.y + a.z * b.z); }

@@ -1,12 +1,20 @@
 // Gradients of a row, and of the camera.
 
-// False: the splat has no gradients.
+// Gradients of a row; false: they are zero, because the splat is not in the picture.
 bool gradients_of(uint row, out Projection p, out Gradients g) {
-    if (!place(row, p))
-        return false;
-    linearise(p);
-    g = chain(row, p, load_splat(row), load_moments(row));
-    return true;
+    bool visible = row < frame.count && frame.keys.at[min(row, frame.count - 1)] != GS_NO_KEY;
+    if (visible)
+        visible = place(row, p);
+    if (visible) {
+        linearise(p);
+        g = chain(row, p, load_splat(row), load_moments(row));
+    } else {
+        g.mean = g.scale = g.color = g.direction = vec3(0.0);
+        g.opacity = 0.0;
+        g.quat = vec4(0.0);
+        g.mean2d = vec2(0.0);
+    }
+    return visible;
 }
 
 shared vec4 camera_shared[GS_GROUP];

@@ -13,7 +13,7 @@ from ..header import OUT_DEPTH, OUT_INVERSE_DEPTH
 from ..request import Settings
 from .gpu_raster import GpuRaster
 from .header import GRADIENTS
-from .self_test_pictures import SelfTestScene
+from .self_test_pictures import SelfTestScene, blank_pictures
 
 _MEDIAN, _TAIL = 2e-5, 2e-3
 """Twice the errors that docs/accuracy.md allows each of card and CPU: median and 99.9th percentile
@@ -46,11 +46,7 @@ def gradients(scene: SelfTestScene, raster: Any, *, fewer: bool = False) -> dict
 
     `fewer`: the function has no depths and no alpha.
     """
-    size, splats = (scene.height, scene.width), scene.splats()
-    pictures = {"rgb": np.zeros((*size, 3), np.float32)}
-    names = ["alpha", "inverse_depth"]
-    names += ["depth"] if scene.settings.outputs & OUT_DEPTH else []
-    pictures |= {name: np.zeros(size, np.float32) for name in names}
+    splats, pictures = scene.splats(), blank_pictures(scene)
     rng = np.random.default_rng(2)
     v = {name: rng.normal(size=p.shape).astype(np.float32) for name, p in pictures.items()}
     found = {name: np.zeros_like(a) for name, a in zip(PARAMETERS, splats, strict=True)}

@@ -98,13 +98,19 @@ def picture_checks() -> Iterator[tuple[str, Callable[[GpuRaster], _Result]]]:
         yield scene.name, partial(compared, scene)
 
 
-def drawn(scene: SelfTestScene, raster: Any) -> dict[str, np.ndarray]:
-    """Pictures and radii of a scene, by the names of gs_image."""
+def blank_pictures(scene: SelfTestScene) -> dict[str, np.ndarray]:
+    """Arrays for the pictures of a scene, by the names of gs_image."""
     size = scene.height, scene.width
     pictures = {"rgb": np.zeros((*size, 3), np.float32), "alpha": np.zeros(size, np.float32)}
     for name, bit in DEPTH_OUTPUTS.items():
         if scene.settings.outputs & bit:
             pictures[name] = np.zeros(size, np.float32)
+    return pictures
+
+
+def drawn(scene: SelfTestScene, raster: Any) -> dict[str, np.ndarray]:
+    """Pictures and radii of a scene, by the names of gs_image."""
+    pictures = blank_pictures(scene)
     pictures["radii"] = np.zeros(scene.count, np.int32)
     raster.forward(scene.splats(), scene.view(), scene.settings, pictures)
     return pictures
