@@ -25,7 +25,7 @@ from .model import GpuModel
 IN_FLIGHT = 2
 """Steps in flight; a constant, so that results do not depend on time."""
 COST = base.CostModel(step=2e-3, pixel=2e-9, splat=4e-9, number=0.0)
-"""Cost of a card that nobody has measured yet: a guess, which `pace` corrects."""
+"""Cost of a card: a guess, because none was measured."""
 _SH_UPDATES = {
     ShUpdate.OFF: header.SH_OFF,
     ShUpdate.ACCUMULATE: header.SH_ACCUMULATE,
@@ -36,8 +36,11 @@ _SH_UPDATES = {
 class PendingStep:
     """A step in flight."""
 
-    def __init__(self, engine: "GpuEngine", model: GpuModel, request: StepRequest) -> None:
-        self.model, self.request = model, request
+    def __init__(
+        self, engine: "GpuEngine", model: GpuModel, request: StepRequest, *, updates: bool = True
+    ) -> None:
+        """Count the Adam steps of a request; `updates`: it changes the model."""
+        self.model, self.request, self.updates = model, request, updates
         self.began = time.perf_counter()
         self.added = 0.0
         """Value of the picture term."""
@@ -45,14 +48,14 @@ class PendingStep:
         """Its result, once it was read."""
         self.error: BaseException | None = None
         self._engine = engine
-        self._counted = 0
+        self._count(1)
 
-    def count(self, change: int) -> None:
-        """Add it to the numbers of Adam steps; a step that is not counted is not taken back."""
-        if self._counted + change < 0:
-            return
-        self._counted += change
-        for name in PARAMETERS:
+    def take_back(self) -> None:
+        """Count the step no longer, because it was not taken."""
+        self._count(-1)
+
+    def _count(self, change: int) -> None:
+        for name in PARAMETERS if self.updates else ():
             if name != "shN" or self.request.sh_update is ShUpdate.STEP:
                 self.model.adam_steps[name] += change
 
@@ -111,41 +114,35 @@ class GpuEngine(base.Engine[GpuModel]):
         if request.picture_term is not None:
             # An earlier step that is repeated changes the picture, and the term with it.
             self.read_all()
+        pending = PendingStep(self, model, request)
+        self._request(pending, photo)
+        return pending
+
+    def _request(self, pending: PendingStep, photo: StepPhoto) -> None:
+        """Start a step in a free slot."""
         while len(self._unread) > IN_FLIGHT:
             self.read_next()
-        pending = PendingStep(self, model, request)
-        pending.count(1)
+        used = {slot for slot, _ in self._unread}
+        slot = next(one for one in range(header.STEPS_MAX) if one not in used)
+        self._unread.append((slot, pending))
+        found = step_struct(pending, photo)
+        asked = pending.model.rows.handle, ct.byref(found), slot
         try:
-            slot = self._request(pending, photo)
-            if request.picture_term is not None:
+            self._raster.call(self._raster.library.gs_gpu_step_request, *asked, waits=False)
+            if pending.request.picture_term is not None:
                 self._add_term(pending, slot)
         except BaseException as error:
-            if all(one is not pending for _, one in self._unread):
-                pending.count(-1)
             self._drop(error)
             raise
-        return pending
 
     def _drop(self, error: BaseException) -> None:
         """Give up all steps in flight after an error, which is theirs too."""
         for _, pending in self._unread:
             pending.error = error
-            pending.count(-1)
+            pending.take_back()
         self._unread.clear()
         with suppress(GsError):
-            self._raster.call(self._raster.library.gs_gpu_steps_release, waits=False)
-
-    def _request(self, pending: PendingStep, photo: StepPhoto, *, updates: bool = True) -> int:
-        """Start a step in a free slot; returns its number."""
-        used = {slot for slot, _ in self._unread}
-        slot = next(one for one in range(header.STEPS_MAX) if one not in used)
-        model, request = pending.model, pending.request
-        found = step_struct(model, request, photo, updates=updates)
-        lib = self._raster.library
-        asked = model.rows.handle, ct.byref(found), slot
-        self._raster.call(lib.gs_gpu_step_request, *asked, waits=False)
-        self._unread.append((slot, pending))
-        return slot
+            self.release()
 
     def _add_term(self, pending: PendingStep, slot: int) -> None:
         """Compute a further loss term of a picture that waits for it."""
@@ -165,20 +162,20 @@ class GpuEngine(base.Engine[GpuModel]):
 
     def read_next(self) -> None:
         """Wait for the first step in flight and keep its numbers or its error."""
-        slot, pending = self._unread.popleft()
+        slot, pending = self._unread[0]
         found = header.GpuStepNumbersStruct()
         try:
             lib = self._raster.library
             self._raster.call(lib.gs_gpu_step_result, slot, ct.byref(found), waits=False)
         except Exception as error:
-            self._unread.appendleft((slot, pending))
             self._drop(error)
             return
+        self._unread.popleft()
         request = pending.request
         loss = found.loss + pending.added
         skipped = bool(found.skipped)
         if skipped:
-            pending.count(-1)
+            pending.take_back()
         slopes = [*found.v_log_gain, *found.v_viewmat] if not skipped else [0.0] * 19
         if request.gain is None:
             slopes[:3] = [0.0] * 3
@@ -210,7 +207,6 @@ class GpuEngine(base.Engine[GpuModel]):
         scaling: float = 1.0,
     ) -> base.DrawnPicture:
         """Draw the current models, see `Engine.draw`."""
-        self.read_all()
         outputs = OUT_INVERSE_DEPTH if inverse_depth else 0
         settings = Settings(background=background, antialias=antialias, outputs=outputs)
         size = view.height, view.width
@@ -229,7 +225,6 @@ class GpuEngine(base.Engine[GpuModel]):
         self, model: GpuModel, views: Iterable[tuple[Frustum, StepPhoto]], *, antialias: bool
     ) -> Iterator[base.Contribution]:
         """Yield the contributions of the splats to each view."""
-        self.read_all()
         settings = Settings(antialias=antialias)
         for view, photo in views:
             shares = np.ones((view.height, view.width, 3), np.float32)
@@ -252,7 +247,6 @@ class GpuEngine(base.Engine[GpuModel]):
         antialias: bool,
     ) -> np.ndarray:
         """Return the gradient of a view's loss in its pose, see `Engine.pose_gradient`."""
-        self.read_all()
         model = models[0]
         if len(models) > 1:
             model = GpuModel(self._raster, _merged(models), frozen=None)
@@ -270,13 +264,12 @@ class GpuEngine(base.Engine[GpuModel]):
             learn_pose=True,
             extent=1.0,
         )
-        pending = PendingStep(self, model, request)
-        self._request(pending, photo, updates=False)
+        pending = PendingStep(self, model, request, updates=False)
+        self._request(pending, photo)
         return pending.result().slopes[0, 3:].reshape(4, 4).astype(np.float32)
 
     def release(self) -> None:
-        """Free the memory of steps."""
-        self.read_all()
+        """Free the memory of steps, after those in flight."""
         self._raster.call(self._raster.library.gs_gpu_steps_release)
 
     def close(self) -> None:
@@ -298,10 +291,9 @@ def _merged(models: Sequence[GpuModel]) -> Columns:
     return merge_models([model.part(0, len(model)) for model in models])
 
 
-def step_struct(
-    model: GpuModel, request: StepRequest, photo: StepPhoto, *, updates: bool
-) -> ct.Structure:
+def step_struct(pending: PendingStep, photo: StepPhoto) -> ct.Structure:
     """gs_gpu_step of a request; its arrays must live until it was started."""
+    model, request = pending.model, pending.request
     view, weights = request.view, dict(request.terms)
     outputs = OUT_INVERSE_DEPTH if request.picture_term is not None else 0
     settings = Settings(background=request.background, antialias=request.antialias, outputs=outputs)
@@ -333,7 +325,7 @@ def step_struct(
         gradient_counter=counters[0],
         view_counter=counters[1],
         learns_pose=request.learn_pose,
-        updates=updates,
+        updates=pending.updates,
         pauses=request.picture_term is not None,
         extent=request.extent,
     )
