@@ -17,6 +17,7 @@ from ..events import ENDED, Event, Warn
 from ..io.runs import AGENT, checkpoints_in
 from ..live.viewer_clients import ViewerClients
 from ..metrics import find_lpips, lpips_warnings
+from ..raster.gpu.choice import once_a_device
 from ..raster.gpu.library import DeviceLostError, DeviceMemoryError, DeviceTimeoutError
 from .distributed.consistency import all_ready, check_equal
 from .distributed.process_group import BEGIN, ProcessGroup, RankLostError
@@ -94,13 +95,13 @@ def train(
         if config.device != "auto":
             raise
         # Not the checkpoints of a run that is overwritten.
-        continues = resume or set(_checkpoints(output)) - before != set()
+        continues = resume or bool(set(_checkpoints(output)) - before)
         how = "continues from the last checkpoint" if continues else "starts again"
         emit(Warn(message=f"The CPU {how}, because the device failed: {error}", code=DEVICE))
         if continues:
             start = {"resume": True, "overwrite": False, "start_checkpoint": None}
         else:
-            start["overwrite"] = not resume
+            start["overwrite"] = True
         return run(replace(config, device="cpu"), data, output, **start)
 
 
@@ -204,17 +205,10 @@ def _engine_of(
                 "without torchrun."
             )
         return None
-    sentences: list[str] = []
-
-    def report(sentence: str) -> None:
-        if not sentences:  # the later ones name parts of the test
-            emit(Warn(message=f"{sentence.partition(': ')[0]}.", code=DEVICE))
-        sentences.append(sentence)
-
     engine, note = open_engine(
         config.device,
         threads=config.threads,
-        report=report,
+        report=once_a_device(lambda text: emit(Warn(message=f"{text}.", code=DEVICE))),
         cancel=lambda: bool(control.stop_reason),
     )
     if note:
