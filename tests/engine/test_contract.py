@@ -17,7 +17,7 @@ from gscore.trainer.photos.view_sampler import training_camera
 from gscore.trainer.trainer import Trainer
 from tests.engine.fake_engine import FakeEngine
 from tests.engine.small_engine import SmallEngine
-from tests.gpu.drivers import software_engine
+from tests.gpu.engines import software_engine
 from tests.trainer.short_run import CONFIG
 
 Make = Callable[[], Any]

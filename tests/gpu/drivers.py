@@ -10,10 +10,6 @@ from typing import Any, NoReturn
 
 import pytest
 
-from gscore.engine.gpu.engine import GpuEngine
-from gscore.raster.gpu.devices import find_devices
-from gscore.raster.gpu.gpu_raster import GpuRaster
-
 ROOT = Path(__file__).parents[2]
 
 
@@ -73,12 +69,3 @@ def result_of(driver: Driver, code: str, **variables: str) -> Any:
     if isinstance(result, dict) and "absent" in result:
         absent(result["absent"])
     return result
-
-
-def software_engine() -> GpuEngine:
-    """An engine on the first device of this machine; skips the test if there is none."""
-    found = find_devices()
-    if not found.devices:
-        absent(" ".join(found.problems))
-    device = found.devices[0]
-    return GpuEngine(GpuRaster(device.number), name=device.name, numerics=f"gpu: {device.name}")

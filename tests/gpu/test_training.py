@@ -20,15 +20,8 @@ from gscore.splats import PARAMETERS
 from gscore.stress.capture import toy_photos, toy_splats
 from gscore.trainer import run
 from tests.engine.test_contract import COUNTERS, columns_of, request_of
-from tests.gpu.drivers import (
-    DRIVERS,
-    ROOT,
-    Driver,
-    each_driver,
-    result_of,
-    software_engine,
-    variables_of,
-)
+from tests.gpu.drivers import DRIVERS, ROOT, Driver, each_driver, result_of, variables_of
+from tests.gpu.engines import software_engine
 from tests.gpu.training_programs import CASES, trainer_of
 
 ONE = DRIVERS[1]

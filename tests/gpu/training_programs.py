@@ -14,7 +14,7 @@ from gscore.engine.cpu.engine import CpuEngine
 from gscore.stress.capture import toy_photos
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.trainer import Trainer
-from tests.gpu.drivers import software_engine
+from tests.gpu.engines import software_engine
 from tests.trainer.short_run import CONFIG
 
 SHORT = replace(CONFIG, sh_degree=3, shN_every=4)
