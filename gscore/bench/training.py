@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Collection, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -186,7 +187,7 @@ def train_measured(
     if eval_views is not None:
         eval_views.preload(eval_views.test)
     seconds = forward = backward = 0.0
-    with isolated_torch_state():
+    with isolated_torch_state(), ExitStack() as stack:
         began = time.perf_counter()
         start = stereo_start(config, photos, photos.scene.points)
         if limited:
@@ -203,13 +204,17 @@ def train_measured(
         analysis = Analysis(photos=photos, facts=facts, points=start.points, known=start.known)
         gains, pose_check = decide_exposure(config, analysis).gains, check_poses(config, analysis)
         trainer = Trainer(config, replace(analysis, gains=gains, pose_check=pose_check))
+        stack.enter_context(closing(trainer.engine))
         for step in range(1, config.iterations + 1):
+            measured = step in at or step == config.iterations
             began = time.perf_counter()
-            trainer.step()
+            trainer.advance()
+            if measured:
+                trainer.read_all()
             seconds += time.perf_counter() - began
             forward += trainer.stage_timer.raster.get("forward_pairs", 0)
             backward += trainer.stage_timer.raster.get("backward_pairs", 0)
-            if step in at or step == config.iterations:
+            if measured:
                 background = trainer.renderer.background
                 targets = trainer.photos if eval_views is None else eval_views
                 found = quality(targets, _pictures(trainer, eval_views), background)

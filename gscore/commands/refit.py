@@ -20,6 +20,7 @@ from ..splats import Splats
 from ..text_format import count_text, number
 from ..viewers.rules import VIEWERS, ViewerRules, rules_of
 from .args.data_options import add_data_options
+from .args.device_option import add_device_option, device_of
 from .args.model_argument import (
     ModelArgument,
     add_model_argument,
@@ -52,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--all-viewers", "measure in every viewer; takes minutes")
     add_option(parser, "--overwrite", "replace a file that gscore did not write")
     add_threads_option(parser)
+    add_device_option(parser)
     add_output_options(parser)
     add_data_options(parser)
 
@@ -82,7 +84,8 @@ def _refit(args: argparse.Namespace, show: Show, control: Control) -> dict[str, 
     config = data_config_of(args, model)
     dataset = load_dataset(config)
     cameras = model.world_of(dataset.scene.cameras)
-    for sentence in (*model.warnings, *dataset.warnings):
+    model = model.drawn_by(device_of(args, cancel=lambda: control.stopping, warn=False))
+    for sentence in filter(None, (*model.warnings, *dataset.warnings, model.device.note)):
         show(Warn(message=sentence))
     if not dataset.train:
         raise DatasetError(f"{config.source} has no training photos; choose another `--hold-out`.")
@@ -101,6 +104,7 @@ def _refit(args: argparse.Namespace, show: Show, control: Control) -> dict[str, 
     }
     if args.views:
         result |= _measured(args, model, fitted, dataset, cameras, rules, show, control)
+    result["device"] = model.device.name
     comments = (f"Made by gscore refit for {rules.name}", near_comment(model.near))
     written = write_splat_file(output, fitted, origin=model.origin, comments=comments)
     for sentence in written.notes:
@@ -164,6 +168,7 @@ def _fitted(
         antialias=model.antialias,
         background=model.background,
         threads=args.threads,
+        device=model.device,
     )
     views = [_view(model, cameras, index) for index in train]
     return refit(model.splats, views, rules, settings, on_step=lambda step, loss: count())

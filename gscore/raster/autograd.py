@@ -1,7 +1,7 @@
 """The native rasterizer as a differentiable torch function: one camera per call, float32, CPU."""
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -10,9 +10,13 @@ from ..shared_constants import EPS2D
 from ..splats import PARAMETERS
 from . import _native, arguments, header
 from .buffers import address
+from .gpu.header import GRADIENTS
 from .memory import empty, zeros
 from .no_double_backward import no_double_backward
 from .request import CancelFlag, Frustum, Settings
+
+if TYPE_CHECKING:
+    from .gpu.gpu_raster import GpuRaster
 
 
 @dataclass
@@ -47,25 +51,28 @@ class RasterOutput:
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *args: Any) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        *splats, _viewmat, view, settings, aux = args
+        *splats, _viewmat, view, settings, aux, device = args
         size = (view.height, view.width)
         pictures = {"rgb": zeros(*size, 3), "alpha": zeros(*size)}
         requested = (n for n, bit in header.DEPTH_OUTPUTS.items() if settings.outputs & bit)
         pictures |= {name: zeros(*size) for name in requested}
         radii = {} if aux is None else {"radii": zeros(len(splats[0]), dtype=torch.int32)}
-        raster = _native.pool.take()
+        learns = any(ctx.needs_input_grad)
+        if learns and device is not None:
+            settings = replace(settings, outputs=settings.outputs | GRADIENTS)
+        raster = device or _native.pool.take()
         try:
             raster.forward(splats, view, settings, pictures | radii)
             if aux is not None:
                 aux.radii, aux.stats = radii["radii"], raster.stats()
         except BaseException:
-            _native.pool.release(raster)
+            _give_back(raster)
             raise
-        if any(ctx.needs_input_grad):
+        if learns:
             ctx.save_for_backward(*splats, _viewmat)
             ctx.raster, ctx.call, ctx.aux = _Lease(raster), (view, settings), aux
         else:
-            _native.pool.release(raster)
+            _give_back(raster)
         ctx.set_materialize_grads(False)
         found = [pictures.get(name, zeros(0)) for name in ("rgb", "alpha", *header.DEPTH_OUTPUTS)]
         ctx.mark_non_differentiable(found[-1])
@@ -96,18 +103,25 @@ class _Rasterize(torch.autograd.Function):
             None,
             None,
             None,
+            None,
         )
+
+
+def _give_back(raster: "_native.Raster | GpuRaster") -> None:
+    """Return a workspace of the CPU to the pool; a device is shared."""
+    if isinstance(raster, _native.Raster):
+        _native.pool.release(raster)
 
 
 class _Lease:
     """Returns a workspace to the pool when its graph is deleted, with or without a backward
     pass."""
 
-    def __init__(self, raster: _native.Raster) -> None:
+    def __init__(self, raster: "_native.Raster | GpuRaster") -> None:
         self.raster = raster
 
     def __del__(self) -> None:
-        _native.pool.release(self.raster)
+        _give_back(self.raster)
 
 
 def rasterize(
@@ -138,6 +152,7 @@ def rasterize(
     tiles: Tensor | None = None,
     far_depths: Tensor | None = None,
     aux: RasterAux | None = None,
+    device: "GpuRaster | None" = None,
 ) -> RasterOutput:
     """Render splats from one pinhole camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
 
@@ -173,6 +188,7 @@ def rasterize(
         far_depths: [H, W] float32: at a pixel only splats with z at most this are drawn, in front
             of an opaque object; world units. None, or NaN at a pixel: all.
         aux: Receives radii, screen-space gradients and statistics.
+        device: An open device that draws; None: the CPU.
 
     Returns:
         The picture, alpha and the requested depths.
@@ -206,7 +222,9 @@ def rasterize(
         disable=disable,
         cancel=cancel,
     )
-    rgb, alpha, inverse, weighted, median = _Rasterize.apply(*splats, viewmat, view, settings, aux)  # pyright: ignore[reportGeneralTypeIssues]
+    rgb, alpha, inverse, weighted, median = _Rasterize.apply(  # pyright: ignore[reportGeneralTypeIssues]
+        *splats, viewmat, view, settings, aux, device
+    )
     expected = None
     if depth:
         # torch differentiates the quotient; where alpha is 0 so is the sum.

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from ..raster.autograd import rasterize
+from ..raster.gpu.gpu_raster import GpuRaster
 from ..raster.reference.geometry import (
     covariance,
     covariance_to_camera,
@@ -95,6 +96,7 @@ def drawn_picture(
     *,
     threads: int = 0,
     cancel: CancelFlag | None = None,
+    device: GpuRaster | None = None,
 ) -> Tensor:
     """`modelled_picture` by the native rasterizer: float32, differentiable in scales, opacities,
     sh0 and shN, not clamped at 1.
@@ -109,6 +111,7 @@ def drawn_picture(
         background: sRGB.
         threads: 0: all cores.
         cancel: Set it from another thread to stop.
+        device: An open device that draws; None: the CPU.
 
     Returns:
         [H, W, 3] float32, sRGB.
@@ -138,6 +141,7 @@ def drawn_picture(
         antialias=rules.compensated,
         threads=threads,
         cancel=cancel,
+        device=device,
     ).rgb
     return to_srgb(rgb) if rules.linear else rgb
 

@@ -8,8 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import GsError
+from ..errors import BackendError, GsError
 from ..raster.autograd import rasterize
+from ..raster.gpu.choice import CPU, Chosen
+from ..raster.gpu.gpu_raster import GpuRaster
 from ..raster.loss import image_loss
 from ..raster.reference.rasterize import SplatTensors
 from ..raster.request import Frustum
@@ -36,6 +38,8 @@ class RefitSettings:
     """Seed of the order of the cameras."""
     threads: int = 0
     """0: all cores."""
+    device: Chosen = CPU
+    """The device that draws, and computes gradients of pictures."""
 
 
 def tensors_of(splats: Splats) -> SplatTensors:
@@ -68,6 +72,7 @@ def refit(
 
     Raises:
         GsError: The loss is not finite.
+        BackendError: The device failed, and the CPU may not continue.
     """
     given = tensors_of(splats)
     fitted = {name: getattr(given, name).clone().requires_grad_() for name in RATES}
@@ -79,16 +84,16 @@ def refit(
     for step in range(1, settings.steps + 1):
         rounds = rounds or order.permutation(len(views)).tolist()
         view = views[rounds.pop()]
-        target = _own_picture(given, view, settings)
-        picture = drawn_picture(
-            given._replace(**fitted), view, rules, settings.background, threads=settings.threads
-        )
-        loss = image_loss(picture.clamp(max=1), target, threads=settings.threads).loss
         adam.zero_grad()
-        loss.backward()
+        try:
+            value = _differentiate(given, fitted, view, rules, settings)
+        except BackendError as error:
+            if not settings.device.fall_back(error):
+                raise
+            adam.zero_grad()
+            value = _differentiate(given, fitted, view, rules, settings)
         adam.step()
         fall.step()
-        value = loss.item()
         if not math.isfinite(value):
             raise GsError(f"The loss of step {step} of the refit is not finite.")
         on_step(step, value)
@@ -96,7 +101,26 @@ def refit(
     return Splats(means=splats.means, quats=splats.quats, **found)
 
 
-def _own_picture(splats: SplatTensors, view: Frustum, settings: RefitSettings) -> Tensor:
+def _differentiate(
+    given: SplatTensors,
+    fitted: dict[str, Tensor],
+    view: Frustum,
+    rules: ViewerRules,
+    settings: RefitSettings,
+) -> float:
+    """Compute the loss of a view and add its gradients to those of `fitted`; returns the loss."""
+    threads, device = settings.threads, settings.device.raster()
+    target = _own_picture(given, view, settings, device)
+    splats, background = given._replace(**fitted), settings.background
+    picture = drawn_picture(splats, view, rules, background, threads=threads, device=device)
+    loss = image_loss(picture.clamp(max=1), target, threads=threads).loss
+    loss.backward()
+    return loss.item()
+
+
+def _own_picture(
+    splats: SplatTensors, view: Frustum, settings: RefitSettings, device: GpuRaster | None
+) -> Tensor:
     """[H, W, 3] uint8, gscore's own picture."""
     with torch.no_grad():
         rgb = rasterize(
@@ -110,5 +134,6 @@ def _own_picture(splats: SplatTensors, view: Frustum, settings: RefitSettings) -
             near=view.near,
             antialias=settings.antialias,
             threads=settings.threads,
+            device=device,
         ).rgb
         return (rgb.clamp(0, 1) * 255).round().to(torch.uint8)

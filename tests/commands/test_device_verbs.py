@@ -1,5 +1,6 @@
 """`--device` of the verbs that measure; oracle: the draws that a fake library counts."""
 
+import json
 import shutil
 
 import numpy as np
@@ -43,6 +44,20 @@ def test_the_device_draws_what_is_measured(gscore, fake, trained, tmp_path, verb
     assert code == 0, err
     assert fake.calls.count("draw") >= 4
     assert fake.calls.count("upload") == (1 if verb == "eval" else 2)
+
+
+def test_the_device_draws_for_a_refit(gscore, fake, trained, tmp_path) -> None:
+    """Oracle: the card's name in the JSON, and what it draws: two pictures a step, one of them with
+    gradients; one error where there is no card."""
+    run = shutil.copytree(trained, tmp_path / "run")
+    words = (run, "--for-viewer", "spark", "--iterations", 3, "--views", 0, "--json")
+    code, out, err = gscore("refit", *words)
+    assert code == 0 and json.loads(out)["device"] == "cpu", err
+    code, out, err = gscore("refit", *words, "--device", "gpu")
+    assert code == 0 and json.loads(out)["device"] == "Card", err
+    assert (fake.calls.count("draw"), fake.calls.count("backward")) == (6, 3)
+    code, _, err = gscore("refit", *words, "--device", "7")
+    assert code == 2 and "There is no device 7" in err
 
 
 def test_the_device_draws_levels_of_detail(gscore, fake, tmp_path) -> None:

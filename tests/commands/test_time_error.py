@@ -187,10 +187,10 @@ def test_evaluation_and_callbacks_are_outside_the_clock(monkeypatch: pytest.Monk
     """Oracle: a clock that a step moves by 2 s, a measurement and a callback by 1000 s."""
     now = [0.0]
     monkeypatch.setattr("gscore.bench.training.time", SimpleNamespace(perf_counter=lambda: now[0]))
-    step = Trainer.step
+    advance = Trainer.advance
 
     def slow_step(trainer: Trainer) -> None:
-        step(trainer)
+        advance(trainer)
         now[0] += 2
 
     def slow_quality(*_: object) -> tuple[float, float]:
@@ -200,7 +200,7 @@ def test_evaluation_and_callbacks_are_outside_the_clock(monkeypatch: pytest.Monk
     def slow_callback(_: int) -> None:
         now[0] += 1000
 
-    monkeypatch.setattr(Trainer, "step", slow_step)
+    monkeypatch.setattr(Trainer, "advance", slow_step)
     monkeypatch.setattr("gscore.bench.training.quality", slow_quality)
     data, config = PRESETS["preview"](EXAMPLE)
     photos = load_for_bench(

@@ -1,4 +1,5 @@
-"""Engines on drivers that compute on the CPU. Apart from `drivers`, which Blender's Python loads too: it has no torch."""
+"""Engines on drivers that compute on the CPU. Apart from `drivers`, which Blender's Python loads
+too: it has no torch."""
 
 from gscore.engine.gpu.engine import GpuEngine
 from gscore.raster.gpu.devices import find_devices

@@ -66,6 +66,9 @@ class FakeGpu:
     def gs_gpu_draw(self, gpu: Any, splats: Any, view: Any, host: Any, image: Any) -> int:
         return self._called("draw")
 
+    def gs_gpu_backward(self, gpu: Any, splats: Any, v_image: Any, grads: Any) -> int:
+        return self._called("backward")
+
     def gs_gpu_draw_stats(self, gpu: Any, stats: Any) -> int:
         stats._obj.visible = 3
         return 0

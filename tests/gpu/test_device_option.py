@@ -209,6 +209,26 @@ def test_bench_measures_a_device(gscore, tested: Device) -> None:
     assert found["total_ms"] > 0 and tested.name in found["device"]
 
 
+def test_benches_of_trainings_name_their_device(gscore, tested: Device, tmp_path: Path) -> None:
+    """Oracle: device and driver in results.json; the CPU's results are not continued."""
+    capture = Path(__file__).parents[2] / "examples" / "studio"
+    options = ("-r", "60", "--iterations", "3", "--seeds", "0", "--preset", "preview")
+    for verb, rest in (
+        ("quality", (*options, "--offsets", "0")),
+        ("time-error", (*options[:-2], "--presets", "preview", "--mask-mode", "none")),
+    ):
+        out = ("-o", tmp_path / verb, "--json")
+        device = ("--device", str(tested.number))
+        code, text, err = gscore("bench", verb, capture, *rest, *out, *device)
+        assert code == 0, err
+        found = json.loads(text)
+        assert found["device"] == tested.name and found["isa"].startswith(f"gpu: {tested.name}")
+        if verb == "quality":
+            assert found["trainings"][0]["splats"] > 0
+            code, _, err = gscore("bench", verb, capture, *rest, *out)
+            assert code == 2 and "has other settings: isa was gpu: " in " ".join(err.split())
+
+
 @pytest.mark.parametrize("verb", [("stress",), ("bench", "raster")])
 def test_an_instruction_set_is_of_the_cpu(gscore, verb) -> None:
     """Oracle: exit code 2 and both options."""

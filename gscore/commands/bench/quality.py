@@ -16,6 +16,7 @@ from ...metrics import Lpips, LpipsNet, find_lpips
 from ...presets import RECIPES
 from ...quoting import quoted
 from ...trainer.schedule.caps import cap_by_photos
+from ..args.device_option import device_of
 from ..parser import add_option
 from ..terminal.output import check_replaced
 from ..terminal.status import Status
@@ -81,7 +82,8 @@ def run(args: argparse.Namespace) -> int:
     check_replaced(written, overwrite=args.overwrite)
     lpips, _ = find_lpips(args.lpips, threads=args.threads)
     cells = deque(cells_of(args))
-    results = QualityResults(args, cells, lpips.net if lpips else None)
+    device = device_of(args)
+    results = QualityResults(args, device, cells, lpips.net if lpips else None)
     train_cells(cells, lambda cell, status: _train(cell, args.seeds, results, lpips, status))
     results.write_report(finished=True)
     print(results.text() if args.json else tables(results.report()), flush=True)

@@ -24,6 +24,7 @@ from ...events import finite
 from ...io.files import read_bytes
 from ...json_text import parse_json
 from ...raster import native_library
+from ...raster.gpu.choice import Chosen
 from ...text_format import markdown_table, number, number_text
 from .shared import Cell, ResultsFile
 
@@ -36,14 +37,16 @@ _SEPARATOR = ("source", "test_offset", "max_width")
 class QualityResults(ResultsFile):
     """The results so far; docs/quality.md describes the file."""
 
-    def __init__(self, args: argparse.Namespace, cells: Collection[Cell], net: str | None) -> None:
+    def __init__(
+        self, args: argparse.Namespace, device: Chosen, cells: Collection[Cell], net: str | None
+    ) -> None:
         """Read the results of an earlier call, unless `args.overwrite`.
 
         Raises:
             ConfigError: that call had other settings, or the file is damaged.
         """
-        self._setting = _setting(args, cells, net)
-        super().__init__(args.output, command=command_text(args), setting=self._setting)
+        self._setting = _setting(args, device, cells, net)
+        super().__init__(args.output, device, command=command_text(args), setting=self._setting)
         self._requested = [
             (cell.capture, variant.label, seed, cell.offset)
             for cell in cells
@@ -128,7 +131,9 @@ def command_text(args: argparse.Namespace) -> str:
     return shlex.join(words)
 
 
-def _setting(args: argparse.Namespace, cells: Iterable[Cell], net: str | None) -> dict[str, Any]:
+def _setting(
+    args: argparse.Namespace, device: Chosen, cells: Iterable[Cell], net: str | None
+) -> dict[str, Any]:
     """Settings that must be equal for comparable trainings."""
     variants: dict[str, Any] = {}
     captures: dict[str, Any] = {}
@@ -143,7 +148,7 @@ def _setting(args: argparse.Namespace, cells: Iterable[Cell], net: str | None) -
     return finite(
         {
             "gscore": __version__,
-            "isa": native_library.isa(),
+            "isa": device.identity,
             "threads": args.threads or native_library.default_threads(),
             "lpips_net": net,
             "variants": variants,

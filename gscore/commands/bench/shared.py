@@ -25,9 +25,11 @@ from ...option_marks import mark_option
 from ...presets import RECIPES
 from ...quoting import brief, quoted
 from ...raster import native_library
+from ...raster.gpu.choice import Chosen
 from ...text_format import number
 from ...trainer.files.checkpoint import FREE
 from ..args.data_options import add_data_options, with_data_options
+from ..args.device_option import add_device_option
 from ..parser import add_option, add_threads_option
 from ..terminal.output import MARKDOWN_MARK, check_folder, print_json
 from ..terminal.status import Status, show_while, wrapped
@@ -43,6 +45,7 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
     option("--max-splats MAX_SPLATS", "cap of the number of splats; default: the preset's", int)
     option("--strategy", "densification strategy", choices=tuple(Strategy))
     add_threads_option(parser)
+    add_device_option(parser)
     add_data_options(parser)
 
 
@@ -77,7 +80,7 @@ def training_configs(
     given |= {LIFTED_BY[name]: 0 for name in given}  # as for `gscore train`
     if args.strategy is not None:
         given["strategy"] = Strategy(args.strategy)
-    return data, replace(train, threads=args.threads, **given)
+    return data, replace(train, threads=args.threads, device=args.device, **given)
 
 
 class Ticker:
@@ -113,14 +116,15 @@ class Cell:
 class ResultsFile:
     """results.json in the output folder, written after each training."""
 
-    def __init__(self, output: Path, **content: Any) -> None:
-        """Start the content, with the version and the machine."""
+    def __init__(self, output: Path, device: Chosen, **content: Any) -> None:
+        """Start the content, with the version, the machine and the device that trains."""
         self.path = output / "results.json"
         self.content: dict[str, Any] = {
             "gscore": __version__,
             "finished": False,
             "machine": machine(),
-            "isa": native_library.isa(),
+            "device": device.name,
+            "isa": device.identity,
             **content,
         }
 

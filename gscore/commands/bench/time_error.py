@@ -28,6 +28,7 @@ from ...raster import native_library
 from ...report.curves import Series
 from ...report.figure import figure
 from ...text_format import markdown_table
+from ..args.device_option import device_of
 from ..parser import add_option
 from ..terminal.output import check_replaced
 from ..terminal.status import Status
@@ -75,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
         written += [*figure_files(args.output, cell.capture), sizes_file(args.output, cell.capture)]
     check_replaced(written, overwrite=args.overwrite)
     threads = args.threads or native_library.default_threads()
-    results = ResultsFile(args.output, threads=threads, seeds=args.seeds, captures={})
+    device = device_of(args)
+    results = ResultsFile(args.output, device, threads=threads, seeds=args.seeds, captures={})
     train_cells(cells, lambda cell, status: _measure(args, cell, results, status))
     results.write(finished=True)
     if args.json:

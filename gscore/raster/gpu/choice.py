@@ -100,11 +100,26 @@ class Chosen:
         try:
             return self._forward(splats, view, settings, pictures, keep=keep)
         except BackendError as error:
-            if self.device is None or not self.fallback:
+            if not self.fall_back(error):
                 raise
-            _log.warning("The CPU draws from here on, because %s failed: %s", self.name, error)
-            self.device, self.failed = None, self.device
             return self._forward(splats, view, settings, pictures, keep=keep)
+
+    def fall_back(self, error: BackendError) -> bool:
+        """Change to the CPU after an error of the device, with a warning; returns False where
+        `fallback` does not allow that."""
+        if self.device is None or not self.fallback:
+            return False
+        _log.warning("The CPU draws from here on, because %s failed: %s", self.name, error)
+        self.device, self.failed = None, self.device
+        return True
+
+    def raster(self) -> GpuRaster | None:
+        """The open device; None: the CPU.
+
+        Raises:
+            BackendError: it cannot be opened.
+        """
+        return None if self.device is None else opened(self.device)
 
     def _forward(
         self,

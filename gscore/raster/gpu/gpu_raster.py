@@ -15,7 +15,7 @@ import numpy as np
 from ...errors import BackendError
 from .. import arguments
 from ..buffers import UINT32, Array, address
-from ..header import OK
+from ..header import DEPTH_OUTPUTS, OK
 from ..request import Frustum, Settings
 from . import header
 from .devices import Device
@@ -53,6 +53,8 @@ class GpuRaster:
         self._process = os.getpid()
         self._kept: dict[tuple[Any, ...], _Uploaded] = {}
         self._last: _Uploaded | None = None
+        self._drawn: tuple[Any, ...] = ()
+        """Splats, settings and view of the last `forward`; empty: none, or something else since."""
         self.rows: WeakSet[Any] = WeakSet()
         """Rows on the device, `GpuRows`, which are closed with it."""
         self.wait_for_steps: Callable[[], None] = lambda: None
@@ -142,6 +144,7 @@ class GpuRaster:
         camera = arguments.view(view, settings, degree)
         host = arguments.host(view, settings)
         with self._lock:
+            self._drawn = ()
             drawn = self._on_device(splats, settings)
             given = drawn.handle, ct.byref(camera), ct.byref(host), ct.byref(image)
             try:
@@ -150,6 +153,7 @@ class GpuRaster:
                 if not self._make_room(besides=drawn):
                     raise
                 self._check(self._lib.gs_gpu_draw(self._open(), *given))
+            self._drawn = _key(splats, settings), view, settings
 
     def backward(
         self,
@@ -161,7 +165,8 @@ class GpuRaster:
         *,
         add_shN: bool = False,
     ) -> None:
-        """gs_gpu_backward of the last `forward`, whose settings had the output `header.GRADIENTS`.
+        """gs_gpu_backward of a `forward` whose settings had the output `header.GRADIENTS`. It is
+        drawn again if it was not the last one.
 
         Args:
             splats: As in that call.
@@ -176,10 +181,19 @@ class GpuRaster:
         count, rest = len(splats[0]), splats[5].shape[1]
         out = arguments.splat_grads(grads, count, rest, add_shN=add_shN)
         with self._lock:
+            if not self._was_drawn(splats, view, settings):
+                self.forward(splats, view, settings, _unused_pictures(view, settings))
             drawn = self._kept.get(_key(splats, settings)) or self._last
             handle = drawn.handle if drawn else None
             found = ct.byref(v_image), ct.byref(out)
             self._check(self._lib.gs_gpu_backward(self._open(), handle, *found))
+
+    def _was_drawn(self, splats: Sequence[Array], view: Frustum, settings: Settings) -> bool:
+        """Whether the last drawing was a `forward` with these arguments."""
+        if not self._drawn:
+            return False
+        key, last_view, last_settings = self._drawn
+        return key == _key(splats, settings) and last_view is view and last_settings is settings
 
     def weights(
         self, splats: Sequence[Array], settings: Settings, shares: Array, view: Frustum
@@ -289,6 +303,7 @@ class GpuRaster:
         """
         with self._lock:
             device = self._open()
+            self._drawn = ()
             if waits:
                 self.wait_for_steps()
             self._check(function(device if handle is None else handle, *values))
@@ -340,6 +355,14 @@ class GpuRaster:
         except (DeviceLostError, DeviceTimeoutError):
             self.close()
             raise
+
+
+def _unused_pictures(view: Frustum, settings: Settings) -> dict[str, Array]:
+    """Arrays for the pictures of a drawing of which only gradients are needed."""
+    size = view.height, view.width
+    found = {"rgb": np.empty((*size, 3), np.float32), "alpha": np.empty(size, np.float32)}
+    requested = (n for n, bit in DEPTH_OUTPUTS.items() if settings.outputs & bit)
+    return found | {name: np.empty(size, np.float32) for name in requested}
 
 
 def _key(splats: Sequence[Array], settings: Settings) -> tuple[Any, ...]:
