@@ -1,4 +1,4 @@
-"""3D Gaussian Splatting that trains and renders on any CPU.
+"""3D Gaussian Splatting that trains and renders on CPUs and graphics cards.
 
 `__all__` is the interface of scripts, `gscore.frontend` the additional one of front ends. The stub
 `__init__.pyi` lists the names. Both load a name on first use: importing gscore takes a few

@@ -6,7 +6,7 @@ project = "gscore"
 release = version = __version__
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 html_theme = "alabaster"
-html_theme_options = {"description": "3D Gaussian Splatting on any CPU"}
+html_theme_options = {"description": "3D Gaussian Splatting on CPUs and graphics cards"}
 html_show_copyright = False
 default_role = "literal"
 autodoc_typehints = "signature"
