@@ -147,6 +147,7 @@ uint32_t Device::memory_type(uint32_t allowed, Place place) const {
 }
 
 void Device::ensure(DeviceBuffer &b, size_t bytes, Place place) {
+    require();
     bytes = std::max<size_t>((bytes + 255) / 256 * 256, 256);
     if (fails_to_allocate_) {
         fails_to_allocate_ = false;
@@ -214,6 +215,10 @@ void Device::allocate(DeviceBuffer &b, size_t bytes, Place place) {
 }
 
 void Device::free(DeviceBuffer &b) {
+    if (lost_) { // a device that hangs may still use it
+        b = {};
+        return;
+    }
     if (b.bytes)
         await_all(); // commands in flight may use it
     vk_.vkDestroyBuffer(device_, b.buffer, nullptr);
@@ -222,9 +227,13 @@ void Device::free(DeviceBuffer &b) {
     b = {};
 }
 
-void Device::begin(int commands) {
+void Device::require() const {
     if (lost_)
         throw_failure(gs_status(GS_DEVICE_LOST), "%.100s was lost in an earlier call", info_.name);
+}
+
+void Device::begin(int commands) {
+    require();
     current_ = commands;
     commands_ = buffers_[commands];
     check(vk_.vkResetCommandBuffer(commands_, 0), "vkResetCommandBuffer");
@@ -370,8 +379,7 @@ void Device::submit() {
 }
 
 gs_status Device::await(int commands, const volatile int32_t *cancel) {
-    if (lost_)
-        throw_failure(gs_status(GS_DEVICE_LOST), "%.100s was lost in an earlier call", info_.name);
+    require();
     bool cancelled = cancel && *cancel;
     if (runs_[commands])
         wait(commands, cancel, cancelled);
@@ -384,7 +392,7 @@ gs_status Device::await(int commands, const volatile int32_t *cancel) {
 void Device::await_all() noexcept {
     for (int i = 0; i < kCommandBuffers; ++i)
         try {
-            if (runs_[i] && !lost_)
+            if (runs_[i])
                 await(i, nullptr);
         } catch (const GpuFailure &) {
             // The next call fails too.

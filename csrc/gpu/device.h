@@ -28,6 +28,9 @@ constexpr uint32_t kStageTimestamps = 8, kMostTimestamps = kStageTimestamps + 25
 // Fills all buffers before their use under GSCORE_GPU_CHECK: a large negative float, an index far beyond any buffer.
 constexpr uint32_t kPoison = 0xCDCDCDCD;
 
+// Largest index in a shader, which takes it as signed.
+constexpr int64_t kMostIndex = INT32_MAX;
+
 // Bytes of push constants that every device has.
 constexpr uint32_t kPushBytes = 128;
 
@@ -43,9 +46,9 @@ class Device {
     // Where it must grow it takes half more than it had, so that slow growth does not allocate each time, if there is
     // room for that.
     void ensure(DeviceBuffer &, size_t bytes, Place = Place::kDevice);
+    // A lost device keeps its memory.
     void free(DeviceBuffer &);
     size_t bytes_in_use() const { return bytes_; }
-    bool is_lost() const { return lost_; }
 
     // Commands between `begin` and `finish`, which waits for them and polls `cancel`, which may be null; a cancelled
     // call still waits. Each command sees what earlier ones wrote.
@@ -86,6 +89,7 @@ class Device {
 
   private:
     void create_commands(uint32_t family);
+    void require() const; // throws if the device is lost
     void allocate(DeviceBuffer &, size_t bytes, Place);
     void wait(int commands, const volatile int32_t *cancel, bool &cancelled);
     void await_all() noexcept;

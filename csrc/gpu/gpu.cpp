@@ -15,7 +15,10 @@ constexpr size_t kFetchBytes = size_t(256) << 20;
 // Pixels, and entries, of a submission: a long one freezes the screen, and systems end it after two seconds.
 constexpr int64_t kPixelsAtOnce = int64_t(1) << 21, kEntriesAtOnce = int64_t(1) << 23;
 // Pixels of a picture, so that their RGB values have 32-bit indices in shaders.
-constexpr int64_t kMostPixels = INT32_MAX / 3;
+constexpr int64_t kMostPixels = kMostIndex / 3;
+// Entries whose records and sums, three of each, have 32-bit indices in shaders.
+constexpr size_t kMostEntries = size_t(kMostIndex) / 3;
+static_assert(GS_MOMENT_QUADS <= 3);
 
 class Timer {
   public:
@@ -50,8 +53,6 @@ void gs_gpu::each_buffer(const std::function<void(DeviceBuffer &)> &f) {
 }
 
 gs_gpu::~gs_gpu() {
-    if (device.is_lost())
-        return;
     each_buffer([&](DeviceBuffer &b) { device.free(b); });
     for (StepSlot &slot : slots_) {
         device.free(slot.upload);
@@ -65,8 +66,7 @@ gs_gpu::~gs_gpu() {
 void gs_gpu::release(gs_gpu_splats &splats) {
     if (drawn_ == &splats)
         drawn_ = nullptr;
-    if (!device.is_lost())
-        device.free(splats.model);
+    device.free(splats.model);
 }
 
 void gs_gpu::ensure_splats(size_t count) {
@@ -96,7 +96,12 @@ void gs_gpu::ensure_splats(size_t count) {
 }
 
 void gs_gpu::ensure_entries(size_t count) {
-    size_t capacity = size_t(INT32_MAX);
+    if (count > kMostEntries)
+        throw_failure(GS_TOO_MANY,
+                      "the splats cover too many tiles: more than %zu entries; use a smaller image or "
+                      "fewer screen-filling splats",
+                      kMostEntries);
+    size_t capacity = kMostEntries;
     for (DeviceBuffer *b : {&entry_rows_, &entry_keys_[0], &entry_keys_[1], &entry_slots_[0], &entry_slots_[1]}) {
         device.ensure(*b, count * kWord);
         capacity = std::min(capacity, b->bytes / kWord);
@@ -252,6 +257,7 @@ void gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const gs_hos
     if (int64_t(view.width) * view.height > kMostPixels)
         throw_failure(GS_BAD_ARGUMENT, "a graphics card draws at most %lld pixels, got %d x %d", (long long)kMostPixels,
                       view.width, view.height);
+    require_no_pause();
     drawn_ = nullptr;
     stats = {};
     cancel_ = host.cancel;

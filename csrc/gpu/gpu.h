@@ -111,6 +111,7 @@ struct gs_gpu {
     void read_fetched(const Transfers &);
     void each_buffer(const std::function<void(gs::DeviceBuffer &)> &);
 
+    void require_no_pause() const; // throws where a step waits for its term, whose draw another would replace
     void prepare_step(StepSlot &);
     void record_step(StepSlot &, int commands, bool with_term);
     void start_step(int slot);

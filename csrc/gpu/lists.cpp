@@ -83,9 +83,6 @@ void gs_gpu::lists() {
     uint32_t counters[GS_COUNTERS] = {};
     size_t entries = std::max<size_t>(size_t(frame_.count) * 4, 1 << 12);
     do {
-        if (entries > size_t(INT32_MAX))
-            throw_failure(GS_TOO_MANY, "the splats cover too many tiles: more than 2147483647 entries; use a smaller "
-                                       "image or fewer screen-filling splats");
         ensure_entries(entries);
         const Transfers wanted = {{&counters_, counters, sizeof counters}};
         begin();

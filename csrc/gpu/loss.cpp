@@ -12,7 +12,7 @@ namespace gs {
 namespace {
 
 // Pixels whose derivatives, nine floats each, have 32-bit indices in shaders.
-constexpr int64_t kMostPixels = UINT32_MAX / 9;
+constexpr int64_t kMostPixels = kMostIndex / 9;
 
 static_assert(sizeof(gs_loss_frame) == 152 && sizeof(gs_gpu_loss_result) == 48);
 
@@ -97,8 +97,6 @@ void gs_gpu::loss(const gs_loss_args &args, const gs_gpu_loss_terms &terms, gs_g
     GpuLoss work;
     DeviceBuffer rgb, alpha, photo, mask;
     const auto free_all = [&] {
-        if (device.is_lost())
-            return;
         work.free(device);
         for (DeviceBuffer *b : {&rgb, &alpha, &photo, &mask})
             device.free(*b);

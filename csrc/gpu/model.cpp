@@ -42,14 +42,13 @@ gs_gpu_model::~gs_gpu_model() { free_all(); }
 void gs_gpu_model::free_all() {
     gpu->release(splats);
     free_transit();
-    if (!gpu->device.is_lost())
-        for (DeviceBuffer *b : {&moment1, &moment2, &accumulated, &counters})
-            gpu->device.free(*b);
+    for (DeviceBuffer *b : {&moment1, &moment2, &accumulated, &counters})
+        gpu->device.free(*b);
 }
 
-// Shaders number the floats of a table by 32 bits.
+// Shaders number the floats of a table.
 void gs_gpu_model::check_size(int64_t count, int32_t sh_rest) {
-    const int64_t most = int64_t(UINT32_MAX / (4 * planes_of(sh_rest)));
+    const int64_t most = kMostIndex / int64_t(4 * planes_of(sh_rest));
     if (count > most)
         throw_failure(GS_TOO_MANY, "a device trains at most %lld splats with %d SH coefficients, got %lld",
                       (long long)most, 1 + sh_rest, (long long)count);
@@ -89,12 +88,12 @@ void gs_gpu_model::grow(const Table &t, size_t bytes) {
         device.copy(*t.buffer, larger, t.bytes(rows()));
         device.finish(nullptr);
     } catch (...) {
-        if (!device.is_lost())
-            device.free(larger);
+        device.free(larger);
         throw;
     }
     device.free(*t.buffer);
     *t.buffer = larger;
+    gpu->drawn_ = nullptr;
 }
 
 void gs_gpu_model::reserve(int64_t count) {
@@ -111,8 +110,6 @@ void gs_gpu_model::reserve(int64_t count) {
 }
 
 void gs_gpu_model::free_transit() {
-    if (gpu->device.is_lost())
-        return;
     gpu->device.free(list_);
     gpu->device.free(array_);
 }

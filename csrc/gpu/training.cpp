@@ -119,6 +119,12 @@ gs_step gs_gpu::step_block(const StepSlot &slot) const {
     return b;
 }
 
+void gs_gpu::require_no_pause() const {
+    for (const StepSlot &slot : slots_)
+        if (slot.model && slot.paused)
+            throw_failure(GS_BAD_ARGUMENT, "a step has paused: call gs_gpu_step_resume first");
+}
+
 // Makes room for a step, which waits for those in flight where a buffer grows, and sets the frame.
 void gs_gpu::prepare_step(StepSlot &slot) {
     const gs_gpu_step &s = slot.request;
@@ -224,6 +230,7 @@ void gs_gpu::request_step(gs_gpu_model &model, const gs_gpu_step &step, int numb
     StepSlot &slot = slots_[number];
     if (slot.model)
         throw_failure(GS_BAD_ARGUMENT, "gs_gpu_step_request: the result of slot %d was not read", number);
+    require_no_pause();
     device.inject_fault(true);
     slot.request = step;
     slot.term_is_sane = true;
@@ -270,6 +277,7 @@ void gs_gpu::resume_step(int number, double value, const float *v_inverse_depth,
     StepSlot &slot = slots_[number];
     if (!slot.model || !slot.paused)
         throw_failure(GS_BAD_ARGUMENT, "gs_gpu_step_resume: slot %d has no step that pauses", number);
+    device.await(1 + number, nullptr); // its commands are recorded anew
     const UploadLayout at(slot.request, slot.tiles.size());
     const size_t bytes = size_t(slot.request.view.width) * size_t(slot.request.view.height) * sizeof(float);
     char *const to = static_cast<char *>(slot.upload.mapped);
@@ -296,9 +304,6 @@ void gs_gpu::read_step(int number, gs_gpu_step_numbers &out) {
         const size_t entries = found.state[GS_STATE_OVERFLOW];
         if (!entries)
             break;
-        if (entries > size_t(INT32_MAX))
-            throw_failure(GS_TOO_MANY, "the splats cover too many tiles: more than 2147483647 entries; use smaller "
-                                       "photos or fewer screen-filling splats");
         ensure_entries(entries); // waits for the steps behind, which have changed nothing
         device.begin();
         device.fill(step_state_, step_state_.bytes, 0);
@@ -325,6 +330,7 @@ void gs_gpu::read_step(int number, gs_gpu_step_numbers &out) {
 }
 
 void gs_gpu::release_steps() {
+    drawn_ = nullptr; // its buffers are freed
     for (StepSlot &slot : slots_) {
         slot.model = nullptr;
         device.free(slot.upload);

@@ -262,7 +262,8 @@ typedef struct gs_gpu_step_numbers {
 /* Start a step without waiting for it. `slot`: 0 to GS_GPU_STEPS_MAX - 1, whose last result was read. While a step is in
  * flight the model is not touched by other calls than these. */
 GS_API gs_status gs_gpu_step_request(gs_gpu *gpu, gs_gpu_model *model, const gs_gpu_step *step, int32_t slot);
-/* Wait for the picture of a step that pauses: inverse depth and alpha [H, W]. */
+/* Wait for the picture of a step that pauses: inverse depth and alpha [H, W]. Until it goes on nothing else is drawn and no
+ * other step requested. */
 GS_API gs_status gs_gpu_step_picture(gs_gpu *gpu, int32_t slot, float *inverse_depth, float *alpha);
 /* Go on with a step that paused: value of a further term of the loss, and its gradients [H, W], which may be null. */
 GS_API gs_status gs_gpu_step_resume(gs_gpu *gpu, int32_t slot, double value, const float *v_inverse_depth,

@@ -179,6 +179,57 @@ void models_are_created(gs_gpu *gpu) {
     CHECK(gs_gpu_model_create(gpu, &splats, nullptr, 0, &model) == GS_BAD_ARGUMENT);
 }
 
+// Oracle: refusals in place of reads from memory that was freed.
+void freed_buffers_are_not_read(gs_gpu *gpu) {
+    const Scene scene(300);
+    const gs_splats splats = scene.splats();
+    const gs_host host = {};
+    gs_view v = view();
+    v.outputs |= GS_GPU_GRADIENTS;
+    Picture picture(300);
+    const gs_image to = picture.image();
+    std::vector<float> shares(3 * kPixels, 1.0f), sums(3 * 300);
+    gs_gpu_model *model = nullptr;
+    const gs_gpu_splats *drawn = nullptr;
+    CHECK(gs_gpu_model_create(gpu, &splats, nullptr, 0, &model) == GS_OK);
+    CHECK(gs_gpu_model_splats(model, &drawn) == GS_OK);
+    for (const bool grows : {false, true}) {
+        CHECK(gs_gpu_draw(gpu, drawn, &v, &host, &to) == GS_OK);
+        CHECK((grows ? gs_gpu_model_reserve(model, 100000) : gs_gpu_steps_release(gpu)) == GS_OK);
+        CHECK(gs_gpu_weights(gpu, drawn, shares.data(), sums.data()) == GS_BAD_ARGUMENT);
+    }
+    gs_gpu_model_destroy(model);
+}
+
+// Oracle: a refusal, also in a step that pauses, for 250,000 splats in most of 3969 tiles.
+void too_many_entries_are_refused(gs_gpu *gpu) {
+    Scene scene(250000);
+    std::fill(scene.scales.begin(), scene.scales.end(), 3.0f);
+    std::fill(scene.opacities.begin(), scene.opacities.end(), 3.0f);
+    const gs_splats splats = scene.splats();
+    gs_gpu_model *model = nullptr;
+    CHECK(gs_gpu_model_create(gpu, &splats, nullptr, 0, &model) == GS_OK);
+    gs_gpu_step step = {};
+    step.view = view();
+    step.view.width = step.view.height = 1000;
+    std::vector<float> floats(3000000);
+    std::vector<uint8_t> photo(3000000);
+    step.photo = photo.data();
+    step.counted = step.extent = 1;
+    step.gradient_counter = step.view_counter = -1;
+    step.pauses = 1;
+    CHECK(gs_gpu_step_request(gpu, model, &step, 0) == GS_OK);
+    CHECK(gs_gpu_step_request(gpu, model, &step, 1) == GS_BAD_ARGUMENT); // a paused step is lost else
+    CHECK(gs_gpu_step_picture(gpu, 0, floats.data(), floats.data()) == GS_TOO_MANY);
+    CHECK(gs_gpu_steps_release(gpu) == GS_OK);
+    const gs_gpu_splats *drawn = nullptr;
+    CHECK(gs_gpu_model_splats(model, &drawn) == GS_OK);
+    const gs_host host = {};
+    const gs_image to = {floats.data(), floats.data(), floats.data(), nullptr, nullptr, nullptr};
+    CHECK(gs_gpu_draw(gpu, drawn, &step.view, &host, &to) == GS_TOO_MANY);
+    gs_gpu_model_destroy(model);
+}
+
 void nulls_are_refused() {
     CHECK(gs_gpu_loss(nullptr, nullptr, nullptr, nullptr, nullptr, nullptr) == GS_BAD_ARGUMENT);
     CHECK(gs_gpu_model_create(nullptr, nullptr, nullptr, 0, nullptr) == GS_BAD_ARGUMENT);
@@ -225,6 +276,8 @@ int main() {
         lists_grow_with_the_pictures(gpu);
         what_cannot_be_drawn_is_refused(gpu);
         models_are_created(gpu);
+        freed_buffers_are_not_read(gpu);
+        too_many_entries_are_refused(gpu);
         gs_gpu_close(gpu);
     }
     return failures == 0 ? 0 : 1;

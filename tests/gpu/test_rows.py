@@ -58,6 +58,6 @@ def test_rows_that_do_not_fit_are_refused() -> None:
     found = result_of(ONE, f"{CODE}print_short_memory()")
     buffer, most, memory = found["messages"]
     assert "2288 MiB are needed" in buffer
-    assert most.startswith("A device trains at most 71582788 splats with 16 SH coefficients")
+    assert most.startswith("A device trains at most 35791394 splats with 16 SH coefficients")
     assert "MiB more" in memory and "MiB are in use here" in memory
     assert found["changed"] == found["after"] == []
