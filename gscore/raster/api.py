@@ -10,14 +10,19 @@ import numpy as np
 from ..errors import ShapeError
 from ..formats import read_decoded
 from ..scene import Cameras, moved_viewmats, offset_between
+from ..sh import rgb_to_sh0
 from ..shared_constants import EPS2D
 from ..splats import PARAMETERS, Splats
+from ..transforms import quat_to_rotmat
 from . import _native, arguments, header
 from .request import CancelFlag, Frustum, Settings
 
 if TYPE_CHECKING:
     from .gpu.choice import Chosen
     from .render_client import RenderClient
+
+_NO_NORMAL = 1e-5
+"""Length of a sum of normals that is only rounding: there is no splat, or normals cancel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +41,9 @@ class Rendered:
     """[H, W], z at which transmittance falls to 0.5; world units, 0 where it never does."""
     visible: int
     """Number of splats in the picture."""
+    normal: np.ndarray | None = None
+    """[H, W, 3], mean normal of the splats, unit length, camera axes (OpenCV), towards the camera;
+    0 where alpha is 0. See `splat_normals`."""
 
     def exposed(self, gain: np.ndarray, background: tuple[float, float, float]) -> "Rendered":
         """Return the picture with the splats multiplied by a gain, [3]; `background`, over which it
@@ -58,6 +66,7 @@ def render(
     eps2d: float = EPS2D,
     antialias: bool = False,
     depths: bool = True,
+    normals: bool = False,
     orthographic: bool = False,
     window: tuple[int, int, int, int] | None = None,
     far_depths: np.ndarray | None = None,
@@ -82,6 +91,7 @@ def render(
         eps2d: Added to the diagonal of the 2D covariance, px^2.
         antialias: Compensate opacities for `eps2d`, as Mip-Splatting models expect.
         depths: Compute the three depths too; if False they are None, and it is a fifth faster.
+        normals: Compute the normal too, by a second picture of the same splats.
         orthographic: Parallel rays: K's focal lengths are pixels per world unit, x = fx X + cx,
             and the view direction of colours is the camera's +z.
         window: Left, top, width and height, px: only this part of the picture is drawn and
@@ -149,8 +159,61 @@ def render(
         depth, alpha = pictures["depth"], pictures["alpha"]
         with np.errstate(all="ignore"):
             np.divide(depth, alpha, out=depth, where=alpha > 0)
+    if normals:
+        pictures["normal"] = _normals(device, arrays, view, settings)
     drawn = {name: picture[part] for name, picture in pictures.items()}
     return Rendered(**dict.fromkeys(header.DEPTH_OUTPUTS) | drawn, visible=visible)  # pyright: ignore
+
+
+def splat_normals(
+    means: np.ndarray,
+    quats: np.ndarray,
+    scales: np.ndarray,
+    viewmat: np.ndarray,
+    *,
+    orthographic: bool = False,
+) -> np.ndarray:
+    """Normals of splats: the shortest axis, turned to the camera (Guedon and Lepetit 2024).
+
+    Args:
+        means: [N, 3], world.
+        quats: [N, 4], wxyz, of any non-zero length.
+        scales: [N, 3], logarithms or standard deviations.
+        viewmat: [4, 4] world to camera, OpenCV axes.
+        orthographic: The camera looks along its +z everywhere, instead of from its centre.
+
+    Returns:
+        [N, 3] float64, unit length, camera axes. Of equal axes the first one counts.
+    """
+    shortest = np.argmin(scales, axis=1)
+    with np.errstate(invalid="ignore"):  # quaternions of length 0, whose splats are not drawn
+        axes = np.nan_to_num(quat_to_rotmat(quats.astype(np.float64)))
+    R, t = viewmat[:3, :3], viewmat[:3, 3]
+    normals = axes[np.arange(len(axes)), :, shortest] @ R.T
+    towards = normals[:, 2] if orthographic else ((means @ R.T + t) * normals).sum(axis=1)
+    return np.where(towards[:, None] > 0, -normals, normals)
+
+
+def _normals(
+    device: "str | Chosen | RenderClient",
+    arrays: Sequence[np.ndarray],
+    view: Frustum,
+    settings: Settings,
+) -> np.ndarray:
+    """[H, W, 3], the normal of `Rendered`: a picture of splats whose colours are their normals."""
+    means, quats, scales = arrays[:3]
+    found = splat_normals(means, quats, scales, view.viewmat, orthographic=view.orthographic)
+    # Colours are not below 0, so they are those of (normal + 1) / 2.
+    colors = rgb_to_sh0((found + 1) / 2).astype(np.float32)[:, None]
+    none = np.zeros((len(means), 0, 3), np.float32)
+    shape = (view.height, view.width)
+    pictures = {"rgb": np.zeros((*shape, 3), np.float32), "alpha": np.zeros(shape, np.float32)}
+    plain = replace(settings, background=(0.0, 0.0, 0.0), sh_degree=0, outputs=0)
+    _draw(device, [*arrays[:4], colors, none], view, plain, pictures, keep=False)
+    sums = 2 * pictures["rgb"] - pictures["alpha"][..., None]
+    lengths = np.linalg.norm(sums, axis=-1, keepdims=True)
+    sums[lengths[..., 0] < _NO_NORMAL] = 0
+    return np.divide(sums, lengths, out=sums, where=lengths >= _NO_NORMAL)
 
 
 def _draw(
