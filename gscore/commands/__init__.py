@@ -201,7 +201,8 @@ def _is_here(verb: str) -> bool:
 
 
 def _usage() -> str:
-    lines = ["usage: gscore COMMAND ...", "", "3D Gaussian Splatting on CPUs and graphics cards.", ""]
+    purpose = "3D Gaussian Splatting on CPUs and graphics cards."
+    lines = ["usage: gscore COMMAND ...", "", purpose, ""]
     lines += [f"  {verb:8} {text}" for verb, text in VERBS.items() if _is_here(verb)]
     return "\n".join([*lines, "", "`gscore help COMMAND` lists the options of a command."])
 
