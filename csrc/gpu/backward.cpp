@@ -8,6 +8,8 @@ using namespace gs;
 namespace {
 
 constexpr size_t kQuad = 4 * sizeof(float);
+// Bytes that take as long as the gradients of an entry at all pixels of its tile.
+constexpr size_t kEntryBytes = 512;
 
 // Copies `width` components of the rows, from component `first` on, out of planes.
 void read_rows(const float *planes, size_t count, size_t first, size_t width, float *out, bool adds) {
@@ -28,10 +30,13 @@ gs_step gs_gpu::blank_step() const {
     return s;
 }
 
-void gs_gpu::record_blend_backward(uint32_t first_row, uint32_t rows, uint32_t what) {
-    gs_push p = push(first_row, what);
+void gs_gpu::record_blend_backward(uint32_t what) {
+    gs_push p = push(0, what);
     p.values_in = entry_slots_[sorted_entries_].address;
-    device.dispatch(Shader::kBlendBackward, p, frame_.tiles_x, rows);
+    record_rows(blend_bytes(kEntryBytes), nullptr, [&](uint32_t row, uint32_t rows) {
+        p.word0 = row;
+        device.dispatch(Shader::kBlendBackward, p, frame_.tiles_x, rows);
+    });
 }
 
 void gs_gpu::backward(const gs_gpu_splats &splats, const gs_image_grads &in, const gs_splat_grads &out) {
@@ -65,26 +70,23 @@ void gs_gpu::backward(const gs_gpu_splats &splats, const gs_image_grads &in, con
     step.means2d = v_means2d_.address;
     step.camera_parts = camera_parts_.address;
     step.camera = camera_.address;
-    const uint32_t band = tile_rows_at_once();
-    for (const bool of_depth : {false, true}) {
-        if (of_depth && in.depth)
-            send({{&v_inverse_depth_, array(in.depth), pixels * sizeof(float)}});
-        const uint32_t what =
-            of_depth ? GS_V_DEPTH | GS_V_OF_DEPTH : (in.alpha ? GS_V_ALPHA : 0) | (in.inverse_depth ? GS_V_DEPTH : 0);
-        for (uint32_t row = 0; row < frame_.tiles_y && (!of_depth || in.depth); row += band) {
-            device.begin();
-            device.update(frame_buffer_, &frame_, sizeof frame_);
-            device.update(step_buffer_, &step, sizeof step);
-            record_blend_backward(row, std::min(band, frame_.tiles_y - row), what);
-            device.finish(nullptr);
-        }
+    cancel_ = nullptr;
+    begin();
+    device.update(frame_buffer_, &frame_, sizeof frame_);
+    device.update(step_buffer_, &step, sizeof step);
+    record_blend_backward((in.alpha ? GS_V_ALPHA : 0) | (in.inverse_depth ? GS_V_DEPTH : 0));
+    if (in.depth) {
+        submit();
+        send({{&v_inverse_depth_, array(in.depth), pixels * sizeof(float)}});
+        begin();
+        record_blend_backward(GS_V_DEPTH | GS_V_OF_DEPTH);
     }
     const Groups groups(groups_of(int64_t(count), GS_GROUP));
-    device.begin();
+    pace(count * planes * 2 * kQuad + most_entries() * GS_MOMENT_QUADS * kQuad);
     device.dispatch(Shader::kGradients, push(), groups.x, groups.y);
     if (out.viewmat)
         device.dispatch(Shader::kCameraSum, push(), 1);
-    device.finish(nullptr);
+    submit();
 
     std::vector<float> found(planes * count * 4);
     fetch({{&gradients_, found.data(), found.size() * sizeof(float)}});

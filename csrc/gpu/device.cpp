@@ -21,16 +21,18 @@ double seconds_allowed(const gs_gpu_info &info) {
     return found > 0 ? found : info.kind == GS_GPU_SOFTWARE ? 600 : 20;
 }
 
-// Bytes of memory that an open device may take.
-size_t bytes_allowed() {
-    const char *const text = std::getenv("GSCORE_GPU_MEMORY");
+// Bytes of an environment variable in MiB; `otherwise` where it is not set.
+size_t bytes_of(const char *variable, size_t otherwise) {
+    const char *const text = std::getenv(variable);
     const long long mebibytes = text ? std::atoll(text) : 0;
-    return mebibytes > 0 && mebibytes < (1LL << 40) ? size_t(mebibytes) << 20 : SIZE_MAX;
+    return mebibytes > 0 && mebibytes < (1LL << 40) ? size_t(mebibytes) << 20 : otherwise;
 }
 
 } // namespace
 
-Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(physical)), limit_(bytes_allowed()) {
+Device::Device(VkPhysicalDevice physical)
+    : physical_(physical), info_(describe(physical)), limit_(bytes_of("GSCORE_GPU_MEMORY", SIZE_MAX)),
+      bytes_at_once_(bytes_of("GSCORE_GPU_SUBMISSION", kBytesAtOnce)) {
     if (*info_.missing)
         throw_failure(GS_UNSUPPORTED, "%.80s lacks %.150s", info_.name, info_.missing);
     vkGetPhysicalDeviceMemoryProperties(physical, &memory_);
@@ -55,7 +57,6 @@ Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(
     volkLoadDeviceTable(&vk_, device_);
     try {
         vk_.vkGetDeviceQueue(device_, family, 0, &queue_);
-        create_commands(family);
         uint32_t count = 0;
         vkGetPhysicalDeviceQueueFamilyProperties(physical, &count, nullptr);
         std::vector<VkQueueFamilyProperties> families(count);
@@ -65,11 +66,8 @@ Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(
         if (const uint32_t bits = families[family].timestampValidBits) {
             ticks_mask_ = bits < 64 ? (uint64_t(1) << bits) - 1 : ~uint64_t(0);
             nanoseconds_ = double(properties.limits.timestampPeriod);
-            VkQueryPoolCreateInfo queries = {VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
-            queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
-            queries.queryCount = kMostTimestamps;
-            check(vk_.vkCreateQueryPool(device_, &queries, nullptr, &queries_), "vkCreateQueryPool");
         }
+        create_sets(family);
 
         const VkPushConstantRange range = {VK_SHADER_STAGE_COMPUTE_BIT, 0, kPushBytes};
         VkPipelineLayoutCreateInfo layout = {VK_STRUCTURE_TYPE_PIPELINE_LAYOUT_CREATE_INFO};
@@ -100,19 +98,39 @@ Device::Device(VkPhysicalDevice physical) : physical_(physical), info_(describe(
     }
 }
 
-void Device::create_commands(uint32_t family) {
+void Device::create_sets(uint32_t family) {
     VkCommandPoolCreateInfo pool = {VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
     pool.flags = VK_COMMAND_POOL_CREATE_RESET_COMMAND_BUFFER_BIT;
     pool.queueFamilyIndex = family;
     check(vk_.vkCreateCommandPool(device_, &pool, nullptr, &pool_), "vkCreateCommandPool");
-    VkCommandBufferAllocateInfo allocate = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
-    allocate.commandPool = pool_;
-    allocate.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
-    allocate.commandBufferCount = kCommandBuffers;
-    check(vk_.vkAllocateCommandBuffers(device_, &allocate, buffers_), "vkAllocateCommandBuffers");
-    const VkFenceCreateInfo fence = {VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
-    for (VkFence &f : fences_)
-        check(vk_.vkCreateFence(device_, &fence, nullptr, &f), "vkCreateFence");
+    VkQueryPoolCreateInfo queries = {VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
+    queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
+    queries.queryCount = kMostTimestamps;
+    if (nanoseconds_ > 0)
+        for (CommandSet &set : sets_)
+            check(vk_.vkCreateQueryPool(device_, &queries, nullptr, &set.queries), "vkCreateQueryPool");
+}
+
+// Of the set whose commands are being recorded.
+void Device::open_submission() {
+    std::vector<Submission> &all = set_->submissions;
+    if (set_->used == all.size()) {
+        Submission made = {};
+        VkCommandBufferAllocateInfo allocate = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
+        allocate.commandPool = pool_;
+        allocate.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
+        allocate.commandBufferCount = 1;
+        check(vk_.vkAllocateCommandBuffers(device_, &allocate, &made.commands), "vkAllocateCommandBuffers");
+        const VkFenceCreateInfo fence = {VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
+        check(vk_.vkCreateFence(device_, &fence, nullptr, &made.fence), "vkCreateFence");
+        all.push_back(made);
+    }
+    commands_ = all[set_->used++].commands;
+    check(vk_.vkResetCommandBuffer(commands_, 0), "vkResetCommandBuffer");
+    VkCommandBufferBeginInfo begin = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
+    begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
+    check(vk_.vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
+    barrier(); // behind what earlier submissions wrote
 }
 
 Device::~Device() { destroy(); }
@@ -124,9 +142,11 @@ void Device::destroy() {
     for (const VkPipeline p : pipelines_)
         vk_.vkDestroyPipeline(device_, p, nullptr);
     vk_.vkDestroyPipelineLayout(device_, layout_, nullptr);
-    vk_.vkDestroyQueryPool(device_, queries_, nullptr);
-    for (const VkFence f : fences_)
-        vk_.vkDestroyFence(device_, f, nullptr);
+    for (const CommandSet &set : sets_) {
+        vk_.vkDestroyQueryPool(device_, set.queries, nullptr);
+        for (const Submission &s : set.submissions)
+            vk_.vkDestroyFence(device_, s.fence, nullptr);
+    }
     vk_.vkDestroyCommandPool(device_, pool_, nullptr);
     vk_.vkDestroyDevice(device_, nullptr);
 }
@@ -232,22 +252,14 @@ void Device::require() const {
         throw_failure(gs_status(GS_DEVICE_LOST), "%.100s was lost in an earlier call", info_.name);
 }
 
-void Device::begin(int commands) {
-    require();
-    current_ = commands;
-    commands_ = buffers_[commands];
-    check(vk_.vkResetCommandBuffer(commands_, 0), "vkResetCommandBuffer");
-    VkCommandBufferBeginInfo begin = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
-    begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
-    check(vk_.vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
-    profiled_.clear();
-    if (current_) {
-        barrier(); // behind what earlier submissions wrote
-        return;
-    }
+void Device::begin(int set) {
+    await(set, nullptr);
+    set_ = &sets_[set];
+    set_->used = 0;
+    set_->profiled.clear();
+    open_submission();
     if (nanoseconds_ > 0)
-        vk_.vkCmdResetQueryPool(commands_, queries_, 0, kMostTimestamps);
-    barrier();
+        vk_.vkCmdResetQueryPool(commands_, set_->queries, 0, kMostTimestamps);
 }
 
 void Device::barrier() {
@@ -261,9 +273,10 @@ void Device::barrier() {
 }
 
 void Device::bind(Shader shader, const void *push, size_t bytes) {
-    if (profiles_ && !current_ && kStageTimestamps + 2 * (profiled_.size() + 1) <= kMostTimestamps) {
-        profiled_.push_back(shader);
-        timestamp(uint32_t(kStageTimestamps + 2 * profiled_.size() - 2));
+    std::vector<Shader> &profiled = set_->profiled;
+    if (profiles_ && kStageTimestamps + 2 * (profiled.size() + 1) <= kMostTimestamps) {
+        profiled.push_back(shader);
+        timestamp(uint32_t(kStageTimestamps + 2 * profiled.size() - 2));
     }
     vk_.vkCmdBindPipeline(commands_, VK_PIPELINE_BIND_POINT_COMPUTE, pipelines_[int(shader)]);
     vk_.vkCmdPushConstants(commands_, layout_, VK_SHADER_STAGE_COMPUTE_BIT, 0, uint32_t(bytes), push);
@@ -285,22 +298,14 @@ void Device::dispatch(Shader shader, const void *push, size_t bytes, const Devic
 
 void Device::ran(Shader shader) {
     barrier();
-    if (!profiled_.empty() && profiled_.back() == shader)
-        timestamp(uint32_t(kStageTimestamps + 2 * profiled_.size() - 1));
+    const std::vector<Shader> &profiled = set_->profiled;
+    if (!profiled.empty() && profiled.back() == shader)
+        timestamp(uint32_t(kStageTimestamps + 2 * profiled.size() - 1));
 }
 
 void Device::profile(bool on) {
     profiles_ = on && nanoseconds_ > 0;
     std::fill_n(times_, kShaders, KernelTime{});
-}
-
-void Device::add_kernel_times() {
-    for (size_t i = 0; i < profiled_.size(); ++i) {
-        const uint32_t first = uint32_t(kStageTimestamps + 2 * i);
-        KernelTime &time = times_[int(profiled_[i])];
-        time.milliseconds += milliseconds(first, first + 1);
-        ++time.calls;
-    }
 }
 
 void Device::fill(const DeviceBuffer &b, size_t bytes, uint32_t word, size_t from_byte) {
@@ -324,26 +329,25 @@ void Device::copy(const DeviceBuffer &from, const DeviceBuffer &to, size_t bytes
 }
 
 void Device::timestamp(uint32_t index) {
-    if (nanoseconds_ == 0 || current_)
-        return;
-    vk_.vkCmdWriteTimestamp(commands_, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, queries_, index);
+    if (nanoseconds_ > 0)
+        vk_.vkCmdWriteTimestamp(commands_, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, set_->queries, index);
 }
 
-double Device::milliseconds(uint32_t from, uint32_t to) {
+double Device::milliseconds(const CommandSet &set, uint32_t from, uint32_t to) {
     if (nanoseconds_ == 0)
         return 0;
     uint64_t ticks[kStageTimestamps] = {};
-    vk_.vkGetQueryPoolResults(device_, queries_, from, to - from + 1, sizeof ticks, ticks, sizeof *ticks,
+    vk_.vkGetQueryPoolResults(device_, set.queries, from, to - from + 1, sizeof ticks, ticks, sizeof *ticks,
                               VK_QUERY_RESULT_64_BIT);
     return double((ticks[to - from] - ticks[0]) & ticks_mask_) * nanoseconds_ * 1e-6;
 }
 
-void Device::wait(int commands, const volatile int32_t *cancel, bool &cancelled) {
+void Device::wait(const Submission &submission, const volatile int32_t *cancel, bool &cancelled) {
     // Short waits, so that a cancel flag is polled; a device that hangs ends the call.
     const auto begin = std::chrono::steady_clock::now();
     const double allowed = hangs_ ? kInjectedHang : seconds_allowed(info_);
     for (;;) {
-        VkResult result = vk_.vkWaitForFences(device_, 1, &fences_[commands], VK_TRUE, 5'000'000);
+        VkResult result = vk_.vkWaitForFences(device_, 1, &submission.fence, VK_TRUE, 5'000'000);
         if (hangs_ && result == VK_SUCCESS)
             result = VK_TIMEOUT;
         if (result == VK_ERROR_DEVICE_LOST)
@@ -368,32 +372,47 @@ void Device::submit() {
     vk_.vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_PIPELINE_STAGE_HOST_BIT, 0, 1, &to_host, 0,
                              nullptr, 0, nullptr);
     check(vk_.vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
-    check(vk_.vkResetFences(device_, 1, &fences_[current_]), "vkResetFences");
+    Submission &submission = set_->submissions[set_->used - 1];
+    check(vk_.vkResetFences(device_, 1, &submission.fence), "vkResetFences");
     VkSubmitInfo submit = {VK_STRUCTURE_TYPE_SUBMIT_INFO};
     submit.commandBufferCount = 1;
     submit.pCommandBuffers = &commands_;
-    const VkResult result = vk_.vkQueueSubmit(queue_, 1, &submit, fences_[current_]);
+    const VkResult result = vk_.vkQueueSubmit(queue_, 1, &submit, submission.fence);
     lost_ = lost_ || result == VK_ERROR_DEVICE_LOST;
     check(result, "vkQueueSubmit");
-    runs_[current_] = true;
+    submission.runs = true;
 }
 
-gs_status Device::await(int commands, const volatile int32_t *cancel) {
+void Device::split() {
+    submit();
+    open_submission();
+}
+
+gs_status Device::await(int number, const volatile int32_t *cancel) {
     require();
-    bool cancelled = cancel && *cancel;
-    if (runs_[commands])
-        wait(commands, cancel, cancelled);
-    runs_[commands] = false;
+    CommandSet &set = sets_[number];
+    bool cancelled = cancel && *cancel, ran = false;
+    for (Submission &s : set.submissions)
+        if (s.runs) {
+            wait(s, cancel, cancelled);
+            s.runs = false;
+            ran = true;
+        }
+    for (size_t i = 0; ran && i < set.profiled.size(); ++i) {
+        const uint32_t first = uint32_t(kStageTimestamps + 2 * i);
+        KernelTime &time = times_[int(set.profiled[i])];
+        time.milliseconds += milliseconds(set, first, first + 1);
+        ++time.calls;
+    }
     if (checks_enabled())
         throw_validation_errors();
     return cancelled ? GS_CANCELLED : GS_OK;
 }
 
 void Device::await_all() noexcept {
-    for (int i = 0; i < kCommandBuffers; ++i)
+    for (int i = 0; i < kCommandSets; ++i)
         try {
-            if (runs_[i])
-                await(i, nullptr);
+            await(i, nullptr);
         } catch (const GpuFailure &) {
             // The next call fails too.
         }
@@ -401,9 +420,7 @@ void Device::await_all() noexcept {
 
 gs_status Device::finish(const volatile int32_t *cancel) {
     submit();
-    const gs_status status = await(current_, cancel);
-    add_kernel_times();
-    return status;
+    return await(int(set_ - sets_), cancel);
 }
 
 bool Device::inject_fault(bool is_step) {

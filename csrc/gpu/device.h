@@ -16,13 +16,13 @@ struct DeviceBuffer {
     size_t bytes = 0;
 };
 
-// Command buffers: one for calls that wait, and one for each step in flight.
-constexpr int kCommandBuffers = 4;
+// Sets of commands: one for calls that wait, and one for each step in flight.
+constexpr int kCommandSets = 4;
 
 // Where a buffer is.
 enum class Place { kDevice, kUpload, kDownload };
 
-// Timestamps of a submission: those of stages, then two for each dispatch that is profiled.
+// Timestamps of a set of commands: those of stages, then two for each dispatch that is profiled.
 constexpr uint32_t kStageTimestamps = 8, kMostTimestamps = kStageTimestamps + 256;
 
 // Fills all buffers before their use under GSCORE_GPU_CHECK: a large negative float, an index far beyond any buffer.
@@ -30,6 +30,10 @@ constexpr uint32_t kPoison = 0xCDCDCDCD;
 
 // Largest index in a shader, which takes it as signed.
 constexpr int64_t kMostIndex = INT32_MAX;
+
+// Bytes that a submission moves at most, unless one kernel alone moves more: systems end a submission after two seconds,
+// and slow cards move 20 GB a second. A kernel reads and writes each byte of its arrays once, so that one alone is short.
+constexpr size_t kBytesAtOnce = size_t(4) << 30;
 
 // Bytes of push constants that every device has.
 constexpr uint32_t kPushBytes = 128;
@@ -49,11 +53,15 @@ class Device {
     // A lost device keeps its memory.
     void free(DeviceBuffer &);
     size_t bytes_in_use() const { return bytes_; }
+    size_t bytes_at_once() const { return bytes_at_once_; } // of a submission
 
     // Commands between `begin` and `finish`, which waits for them and polls `cancel`, which may be null; a cancelled
-    // call still waits. Each command sees what earlier ones wrote.
-    void begin(int commands = 0);
-    bool is_step() const { return current_ != 0; } // the commands are those of a step in flight
+    // call still waits. Each command sees what earlier ones wrote, also those of other sets. `begin` waits for commands
+    // of its set that are in flight.
+    void begin(int set = 0);
+    bool is_step() const { return set_ != sets_; } // the commands are those of a step in flight
+    // Submits the commands so far without waiting for them; further ones are another submission.
+    void split();
     // Push constants are a struct of the shader's, of at most kPushBytes.
     template <class Push> void dispatch(Shader shader, const Push &push, uint32_t x, uint32_t y = 1) {
         static_assert(sizeof push <= kPushBytes);
@@ -72,11 +80,11 @@ class Device {
     gs_status finish(const volatile int32_t *cancel);
     // Ends the commands without waiting for them; `await` waits, in any order.
     void submit();
-    gs_status await(int commands, const volatile int32_t *cancel);
-    // Milliseconds between two timestamps; 0 where the device has no timer.
-    double milliseconds(uint32_t from, uint32_t to);
+    gs_status await(int set, const volatile int32_t *cancel);
+    // Milliseconds between two timestamps of a call that waits; 0 where the device has no timer.
+    double milliseconds(uint32_t from, uint32_t to) { return milliseconds(sets_[0], from, to); }
 
-    // Sums of milliseconds and calls by shader, while `profile` is on.
+    // Sums of milliseconds and calls by shader, of commands that were waited for while `profile` is on.
     struct KernelTime {
         double milliseconds;
         int64_t calls;
@@ -88,17 +96,30 @@ class Device {
     bool inject_fault(bool is_step = false);
 
   private:
-    void create_commands(uint32_t family);
+    struct Submission {
+        VkCommandBuffer commands;
+        VkFence fence;
+        bool runs; // submitted and not waited for
+    };
+    struct CommandSet {
+        std::vector<Submission> submissions; // kept for later commands
+        size_t used = 0;
+        VkQueryPool queries = VK_NULL_HANDLE;
+        std::vector<Shader> profiled; // dispatches that have timestamps
+    };
+
+    void create_sets(uint32_t family);
+    void open_submission();
     void require() const; // throws if the device is lost
     void allocate(DeviceBuffer &, size_t bytes, Place);
-    void wait(int commands, const volatile int32_t *cancel, bool &cancelled);
+    void wait(const Submission &, const volatile int32_t *cancel, bool &cancelled);
     void await_all() noexcept;
     void barrier();
     void dispatch(Shader, const void *push, size_t bytes, uint32_t x, uint32_t y);
     void dispatch(Shader, const void *push, size_t bytes, const DeviceBuffer &arguments, size_t word);
     void bind(Shader, const void *push, size_t bytes);
     void ran(Shader);
-    void add_kernel_times();
+    double milliseconds(const CommandSet &, uint32_t from, uint32_t to);
     uint32_t memory_type(uint32_t allowed, Place) const;
     void destroy();
 
@@ -109,22 +130,19 @@ class Device {
     VolkDeviceTable vk_ = {};
     VkQueue queue_ = VK_NULL_HANDLE;
     VkCommandPool pool_ = VK_NULL_HANDLE;
-    VkCommandBuffer buffers_[kCommandBuffers] = {};
-    VkFence fences_[kCommandBuffers] = {};
-    bool runs_[kCommandBuffers] = {}; // submitted and not waited for
-    int current_ = 0;                 // whose commands are being recorded
-    VkCommandBuffer commands_ = VK_NULL_HANDLE;
-    VkQueryPool queries_ = VK_NULL_HANDLE;
-    double nanoseconds_ = 0;  // per tick; 0: no timer
-    uint64_t ticks_mask_ = 0; // of the bits that count
+    CommandSet sets_[kCommandSets];
+    CommandSet *set_ = sets_;                   // whose commands are being recorded
+    VkCommandBuffer commands_ = VK_NULL_HANDLE; // of the open submission
+    double nanoseconds_ = 0;                    // per tick; 0: no timer
+    uint64_t ticks_mask_ = 0;                   // of the bits that count
     VkPipelineLayout layout_ = VK_NULL_HANDLE;
     VkPipeline pipelines_[kShaders] = {};
     bool profiles_ = false;
-    std::vector<Shader> profiled_; // the dispatches of this submission that have timestamps
     KernelTime times_[kShaders] = {};
     size_t bytes_ = 0;
     bool lost_ = false;
     size_t limit_; // bytes
+    size_t bytes_at_once_;
     int draws_ = 0, steps_ = 0;
     bool fails_to_allocate_ = false, hangs_ = false; // injected faults
 };

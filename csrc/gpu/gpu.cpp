@@ -12,8 +12,8 @@ namespace {
 
 // Bytes that a draw fetches at once, with its last submission; more are fetched in chunks.
 constexpr size_t kFetchBytes = size_t(256) << 20;
-// Pixels, and entries, of a submission: a long one freezes the screen, and systems end it after two seconds.
-constexpr int64_t kPixelsAtOnce = int64_t(1) << 21, kEntriesAtOnce = int64_t(1) << 23;
+// Bytes that take as long as blending a pixel, and an entry at all pixels of its tile; most are done after a few of them.
+constexpr size_t kPixelBytes = 64, kEntryBytes = 256, kWeightBytes = 1024;
 // Pixels of a picture, so that their RGB values have 32-bit indices in shaders.
 constexpr int64_t kMostPixels = kMostIndex / 3;
 // Entries whose records and sums, three of each, have 32-bit indices in shaders.
@@ -205,33 +205,19 @@ void gs_gpu::submit() {
         throw_failure(status, "cancelled");
 }
 
-uint32_t gs_gpu::tile_rows_at_once() const {
-    if (checks_enabled())
-        return 1;
-    const int64_t bands = std::max<int64_t>(ceil_div(int64_t(frame_.view.width) * frame_.view.height, kPixelsAtOnce),
-                                            ceil_div(stats.entries, kEntriesAtOnce));
-    return uint32_t(std::max<int64_t>(frame_.tiles_y / bands, 1));
+size_t gs_gpu::most_entries() const { return device.is_step() ? frame_.entry_capacity : size_t(stats.entries); }
+
+size_t gs_gpu::blend_bytes(size_t of_entry) const {
+    return size_t(frame_.view.width) * size_t(frame_.view.height) * kPixelBytes + most_entries() * of_entry;
 }
 
-void gs_gpu::record_blend(uint32_t first_row, uint32_t rows) {
-    gs_push p = push(first_row);
+void gs_gpu::record_blend(double gs_gpu_stats::*time) {
+    gs_push p = push();
     p.values_in = entry_slots_[sorted_entries_].address;
-    device.dispatch(Shader::kBlend, p, frame_.tiles_x, rows);
-}
-
-void gs_gpu::blend(const Transfers &wanted) {
-    const uint32_t band = tile_rows_at_once();
-    for (uint32_t row = 0; row < frame_.tiles_y; row += band) {
-        const bool last = row + band >= frame_.tiles_y;
-        begin();
-        record_blend(row, std::min(band, frame_.tiles_y - row));
-        lap(&gs_gpu_stats::blend_ms);
-        if (last) {
-            record_fetch(wanted);
-            lap(&gs_gpu_stats::download_ms);
-        }
-        submit();
-    }
+    record_rows(blend_bytes(kEntryBytes), time, [&](uint32_t row, uint32_t rows) {
+        p.word0 = row;
+        device.dispatch(Shader::kBlend, p, frame_.tiles_x, rows);
+    });
 }
 
 void gs_gpu::record_poison() {
@@ -275,7 +261,12 @@ void gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const gs_hos
     for (const Transfer &t : wanted)
         total += t.bytes;
     const bool whole = total <= kFetchBytes;
-    blend(whole ? wanted : Transfers{});
+    begin();
+    record_blend(&gs_gpu_stats::blend_ms);
+    lap(&gs_gpu_stats::blend_ms);
+    record_fetch(whole ? wanted : Transfers{});
+    lap(&gs_gpu_stats::download_ms);
+    submit();
     const Timer copying;
     whole ? read_fetched(wanted) : fetch(wanted);
     stats.download_ms += copying.milliseconds();
@@ -301,19 +292,19 @@ void gs_gpu::weights(const gs_gpu_splats &splats, const float *shares, float *su
     frame_.entry_sums = entry_sums_.address;
     frame_.row_sums = row_sums_.address;
     send({{&shares_, const_cast<float *>(shares), floats * sizeof(float)}});
-    const uint32_t band = tile_rows_at_once();
-    for (uint32_t row = 0; row < frame_.tiles_y; row += band) {
-        device.begin();
-        device.update(frame_buffer_, &frame_, sizeof frame_);
-        gs_push p = push(row);
-        p.values_in = entry_slots_[sorted_entries_].address;
-        device.dispatch(Shader::kWeights, p, frame_.tiles_x, std::min(band, frame_.tiles_y - row));
-        device.finish(nullptr);
-    }
-    device.begin();
+    cancel_ = nullptr;
+    begin();
+    device.update(frame_buffer_, &frame_, sizeof frame_);
+    gs_push p = push();
+    p.values_in = entry_slots_[sorted_entries_].address;
+    record_rows(blend_bytes(kWeightBytes), nullptr, [&](uint32_t row, uint32_t count) {
+        p.word0 = row;
+        device.dispatch(Shader::kWeights, p, frame_.tiles_x, count);
+    });
+    pace(size_t(stats.entries) * 3 * sizeof(float) + rows * sizeof(float));
     device.fill(row_sums_, rows * sizeof(float), 0);
     device.dispatch(Shader::kRowSums, push(), counters_, GS_ARGS_VISIBLE_BLOCKS);
-    device.finish(nullptr);
+    submit();
     fetch({{&row_sums_, sums, rows * sizeof(float)}});
 }
 

@@ -6,6 +6,7 @@
 #include "screen_values.h"
 #include "step.h"
 
+#include <algorithm>
 #include <functional>
 #include <vector>
 
@@ -86,8 +87,16 @@ struct gs_gpu {
     void begin();
     void lap(double gs_gpu_stats::*time);
     void submit();
-    // Starts another submission before a kernel that moves `bytes` if this one would become too long.
-    void pace(size_t bytes, double gs_gpu_stats::*time);
+    // Starts another submission before a kernel that moves `bytes` if this one would become too long. A step waits for
+    // none of them; else `time`, which may be null, has what came before.
+    void pace(size_t bytes, double gs_gpu_stats::*time = nullptr);
+    // Calls record(first row, rows) for bands of rows of tiles that submissions have time for; a kernel over all of them
+    // takes as long as one that moves `bytes`.
+    template <class F> void record_rows(size_t bytes, double gs_gpu_stats::*time, F record);
+    // Entries of the last draw; while a step is recorded they are not known yet, and this is their upper bound.
+    size_t most_entries() const;
+    // Time of blending, forward or backward, as bytes that take as long.
+    size_t blend_bytes(size_t of_entry) const;
     // Sorts pairs of buffers, of at most `most` keys, by the lowest bits; returns which of the two has the result.
     int sort(gs::DeviceBuffer *keys, gs::DeviceBuffer *values, uint32_t counter, size_t arguments, uint32_t bits,
              size_t most, double gs_gpu_stats::*time);
@@ -99,10 +108,8 @@ struct gs_gpu {
     void record_lists();
     void record_poison();
     void lists();
-    uint32_t tile_rows_at_once() const;
-    void blend(const Transfers &);
-    void record_blend(uint32_t first_row, uint32_t rows);
-    void record_blend_backward(uint32_t first_row, uint32_t rows, uint32_t what); // bits GS_V_*
+    void record_blend(double gs_gpu_stats::*time = nullptr);
+    void record_blend_backward(uint32_t what); // bits GS_V_*
     Transfers pictures(const gs_image &);
     void send(const Transfers &);
     // Fetches; up to kFetchBytes in one piece, as commands of a submission that is open: record, finish, read.
@@ -127,8 +134,8 @@ struct gs_gpu {
     const gs_gpu_splats *drawn_ = nullptr;     // by the last draw, if it succeeded
     const volatile int32_t *cancel_ = nullptr; // of the draw
     std::vector<double gs_gpu_stats::*> laps_; // of this submission
-    size_t paced_bytes_ = 0;
-    int sorted_entries_ = 0; // which pair of buffers has them
+    size_t paced_bytes_ = 0;                   // of this submission
+    int sorted_entries_ = 0;                   // which pair of buffers has them
     gs::DeviceBuffer frame_buffer_, records_, keys_, tile_counts_, radii_, sums_, counters_;
     gs::DeviceBuffer visible_keys_[2], visible_rows_[2], offsets_;
     gs::DeviceBuffer entry_rows_, entry_keys_[2], entry_slots_[2], tile_ranges_;
@@ -139,3 +146,14 @@ struct gs_gpu {
     gs::DeviceBuffer gradients_, v_means2d_, camera_parts_, camera_;
     gs::DeviceBuffer upload_, download_;
 };
+
+template <class F> void gs_gpu::record_rows(size_t bytes, double gs_gpu_stats::*time, F record) {
+    const uint32_t rows = frame_.tiles_y;
+    const size_t bands = gs::checks_enabled() ? rows : std::min<size_t>(bytes / device.bytes_at_once() + 1, rows);
+    const uint32_t band = gs::groups_of(rows, int64_t(bands));
+    for (uint32_t row = 0; row < rows; row += band) {
+        const uint32_t count = std::min(band, rows - row);
+        pace(bytes / rows * count, time);
+        record(row, count);
+    }
+}

@@ -8,21 +8,22 @@ using namespace gs;
 
 namespace {
 
-// Bytes that a submission moves at most, unless one kernel alone moves more: systems end a submission after two seconds,
-// and slow cards move 20 GB a second. A kernel reads and writes each byte of its arrays once, so that one alone is short.
-constexpr size_t kBytesAtOnce = size_t(2) << 30;
 // Bytes that kernels move: of a splat in the projection, of a key in a pass of the sort, of an entry that is written.
 constexpr size_t kProjectBytes = 400, kSortBytes = 28, kEmitBytes = 128;
 
 } // namespace
 
 void gs_gpu::pace(size_t bytes, double gs_gpu_stats::*time) {
-    if (device.is_step())
-        return; // a step is one submission, which nobody waits for
-    if (paced_bytes_ && (paced_bytes_ + bytes > kBytesAtOnce || checks_enabled())) {
-        lap(time);
-        submit();
-        begin();
+    if (paced_bytes_ && (paced_bytes_ + bytes > device.bytes_at_once() || checks_enabled())) {
+        if (device.is_step()) {
+            device.split();
+            paced_bytes_ = 0;
+        } else {
+            if (time)
+                lap(time);
+            submit();
+            begin();
+        }
     }
     paced_bytes_ += bytes;
 }

@@ -11,8 +11,6 @@ namespace {
 // Limits of gscore/engine/cpu/sanitize.py, in camera extents; the others are in clamp_rows.comp.
 constexpr double kMostMean = 1e6, kMostScale = 1e3, kMostSpread = 5;
 constexpr size_t kFloat = sizeof(float);
-// Bytes that a submission moves at most: systems end one after two seconds, and slow cards move 20 GB a second.
-constexpr size_t kBytesAtOnce = size_t(2) << 30;
 
 } // namespace
 
@@ -140,7 +138,7 @@ void gs_gpu_model::rebuild(const Table &t, int32_t number, size_t count) {
     size_t moved = 0;
     begin();
     for (size_t i = 0; i < t.planes; ++i, moved += 5 * bytes) {
-        if (moved && (moved + 5 * bytes > kBytesAtOnce || checks_enabled())) {
+        if (moved && (moved + 5 * bytes > device.bytes_at_once() || checks_enabled())) {
             device.finish(nullptr);
             begin();
             moved = 0;

@@ -9,7 +9,10 @@ using namespace gs;
 
 namespace {
 
-constexpr size_t kCameraFloats = 12;
+constexpr size_t kCameraFloats = 12, kQuad = 4 * sizeof(float);
+// Bytes that take as long as comparing a pixel with the photo, or the gradient there; and bytes of a row of a plane in
+// an Adam step: values and moments, read and written.
+constexpr size_t kLossBytes = 128, kLearnBytes = 6 * kQuad;
 
 static_assert(GS_SH_OFF == GS_GPU_SH_OFF && GS_SH_ACCUMULATE == GS_GPU_SH_ACCUMULATE && GS_SH_STEP == GS_GPU_SH_STEP);
 static_assert(GS_OUT_GRADIENTS == GS_GPU_GRADIENTS);
@@ -172,6 +175,7 @@ void gs_gpu::record_step(StepSlot &slot, int commands, bool with_term) {
     const size_t pixels = size_t(s.view.width) * size_t(s.view.height);
     const UploadLayout at(s, slot.tiles.size());
     device.begin(commands);
+    paced_bytes_ = 0;
     if (!with_term && checks_enabled())
         record_poison();
     device.copy(slot.upload, photo_, 3 * pixels, at.photo);
@@ -183,12 +187,17 @@ void gs_gpu::record_step(StepSlot &slot, int commands, bool with_term) {
     device.update(step_buffer_, &block, sizeof block);
     if (!with_term) {
         record_lists();
-        record_blend(0, frame_.tiles_y);
+        record_blend();
         if (s.pauses)
             return;
     }
     const LossInput loss = loss_input(slot);
-    step_loss_.record(device, loss);
+    step_loss_.record_input(device, loss);
+    record_rows(pixels * kLossBytes, nullptr,
+                [&](uint32_t row, uint32_t rows) { step_loss_.record_comparison(device, row, rows); });
+    record_rows(pixels * kLossBytes, nullptr,
+                [&](uint32_t row, uint32_t rows) { step_loss_.record_gradient(device, row, rows); });
+    step_loss_.record_result(device);
     device.dispatch(Shader::kDecide, push(0), 1);
     if (s.updates)
         model.record_clamp(double(s.extent), step_state_.address, GS_STATE_CLAMP, GS_STATE_LOST_ROWS);
@@ -197,10 +206,10 @@ void gs_gpu::record_step(StepSlot &slot, int commands, bool with_term) {
         device.copy(slot.upload, v_inverse_depth_, pixels * sizeof(float), at.inverse_depth);
     if (slot.has_term_alpha)
         device.copy(slot.upload, v_alpha_more_, pixels * sizeof(float), at.alpha);
-    record_blend_backward(0, frame_.tiles_y,
-                          (loss.has_alpha_terms() ? GS_V_ALPHA : 0) | (slot.has_term_depth ? GS_V_DEPTH : 0) |
-                              (slot.has_term_alpha ? GS_V_ALPHA_MORE : 0));
+    record_blend_backward((loss.has_alpha_terms() ? GS_V_ALPHA : 0) | (slot.has_term_depth ? GS_V_DEPTH : 0) |
+                          (slot.has_term_alpha ? GS_V_ALPHA_MORE : 0));
     const Groups groups(groups_of(model.splats.count, GS_GROUP));
+    pace(model.rows() * model.planes() * kLearnBytes + most_entries() * GS_MOMENT_QUADS * kQuad);
     device.dispatch(Shader::kLearn, push(), groups.x, groups.y);
     if (s.learns_pose)
         device.dispatch(Shader::kCameraSum, push(), 1);
@@ -277,7 +286,6 @@ void gs_gpu::resume_step(int number, double value, const float *v_inverse_depth,
     StepSlot &slot = slots_[number];
     if (!slot.model || !slot.paused)
         throw_failure(GS_BAD_ARGUMENT, "gs_gpu_step_resume: slot %d has no step that pauses", number);
-    device.await(1 + number, nullptr); // its commands are recorded anew
     const UploadLayout at(slot.request, slot.tiles.size());
     const size_t bytes = size_t(slot.request.view.width) * size_t(slot.request.view.height) * sizeof(float);
     char *const to = static_cast<char *>(slot.upload.mapped);
@@ -308,10 +316,8 @@ void gs_gpu::read_step(int number, gs_gpu_step_numbers &out) {
         device.begin();
         device.fill(step_state_, step_state_.bytes, 0);
         device.finish(nullptr);
-        for (const int each : in_flight_) {
-            device.await(1 + each, nullptr);
+        for (const int each : in_flight_)
             start_step(each);
-        }
     }
     in_flight_.erase(in_flight_.begin());
     slot.model = nullptr;

@@ -14,14 +14,15 @@
  *
  * Errors. As in gscore/base.h, with gs_gpu_last_error() for the message. After GS_DEVICE_LOST or GS_TIMED_OUT all calls
  * of that gs_gpu fail with GS_DEVICE_LOST; close it and open it again. What a call submits may run for
- * GSCORE_GPU_SECONDS (20; 600 on a device in software). Work is submitted in parts that slow cards finish in a fraction
- * of the two seconds after which systems cancel it.
+ * GSCORE_GPU_SECONDS (20; 600 on a device in software). Draws and steps are submitted in parts that slow cards finish in
+ * a fraction of the two seconds after which systems cancel them; how they are split changes no bit.
  *
  * Threads. One thread at a time may use a gs_gpu; several may be open at once. A forked process must open its own.
  *
  * Environment. GSCORE_VULKAN_LOADER: path of a Vulkan loader or driver. GSCORE_GPU_MEMORY: MiB that a gs_gpu takes at
- * most. GSCORE_GPU_CHECK=1: validation layers, an error of which fails the call; buffers are filled with a pattern before
- * each draw, and each kernel is submitted alone. GSCORE_GPU_FAULT=lost|oom|wrong|hang, optionally :N: the N-th draw
+ * most. GSCORE_GPU_SUBMISSION: MiB that the kernels of a submission move at most (4096), unless one alone moves more.
+ * GSCORE_GPU_CHECK=1: validation layers, an error of which fails the call; buffers are filled with a pattern before each
+ * draw, and each kernel is submitted alone. GSCORE_GPU_FAULT=lost|oom|wrong|hang, optionally :N: the N-th draw
  * (first: 1) fails so, or :sN: the N-th step of a training, for tests; a hang lasts 0.1 s. GSCORE_GPU_CHECK_LOG: a file to which validation messages
  * are appended. */
 #pragma once

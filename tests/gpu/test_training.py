@@ -138,6 +138,18 @@ def test_validation_layers_find_nothing_in_a_training() -> None:
     assert trained(ONE, code, GSCORE_GPU_CHECK="1") == trained(ONE, code)
 
 
+def test_large_steps_are_split() -> None:
+    """Oracle: the bits of steps in one submission each; kernels that take long run in parts where a
+    submission moves at most a MiB."""
+    whole = trained(ONE, "print_submissions(4)")
+    split = trained(ONE, "print_submissions(4)", GSCORE_GPU_SUBMISSION="1")
+    assert whole["hash"] == split["hash"]
+    assert whole["calls"].keys() == split["calls"].keys() >= {"loss_compare", "learn"}
+    parts = {name for name, calls in split["calls"].items() if calls > whole["calls"][name]}
+    assert parts == {"blend", "blend_backward"}
+    assert whole["calls"]["blend"] == 4
+
+
 def _train(capture: Path, out: Path, *options: str, **variables: str) -> Any:
     command = [sys.executable, "-m", "gscore", "train", str(capture), "-o", str(out)]
     command += ["--preset", "preview", "--iterations", "12", "--quiet", *options]
