@@ -111,14 +111,24 @@ def timed(raster: GpuRaster, count: int, width: int) -> dict[str, Any]:
     }
 
 
-def floors(times: dict[str, Any], bandwidth: float) -> dict[str, float]:
-    """Milliseconds that the bytes of each kernel take: what it reads and writes, once each."""
+def bandwidth_of(name: str) -> float | None:
+    """Bytes a second of a device's memory, if its data sheet is known."""
+    return next((b for part, b in BANDWIDTH.items() if part in name), None)
+
+
+def floors(moved: dict[str, float], bandwidth: float | None) -> dict[str, float]:
+    """Milliseconds that the bytes of each kernel take; empty where the bandwidth is unknown."""
+    return {n: v / (USED * bandwidth) * 1e3 for n, v in moved.items()} if bandwidth else {}
+
+
+def moved_bytes(times: dict[str, Any]) -> dict[str, float]:
+    """Bytes that each kernel of a picture reads and writes, once each, by its counts."""
     n, v, e = times["splats"], times["visible"], times["entries"]
     width, height = times["size"]
     tiles = -(-width // 16) * -(-height // 16)
     passes = -(-(tiles - 1).bit_length() // 4)
     sorted_words = 8 * v + passes * e
-    moved = {
+    return {
         "project": n * (64 + 192 + 12) + v * 64,
         "compact": 4 * n + 8 * v,
         "sort_count": 4 * sorted_words,
@@ -129,7 +139,6 @@ def floors(times: dict[str, Any], bandwidth: float) -> dict[str, float]:
         "ranges": 4 * e,
         "blend": 56 * e + 16 * width * height,
     }
-    return {name: value / (USED * bandwidth) * 1e3 for name, value in moved.items()}
 
 
 def main() -> int:
@@ -154,10 +163,9 @@ def main() -> int:
     with GpuRaster(chosen.device.number) as raster:
         result["pictures"] = [compared(raster, n, w) for n in counts for w in widths]
         result["times"] = [timed(raster, n, widths[-1]) for n in counts]
-    name = chosen.device.name
-    bandwidth = next((b for part, b in BANDWIDTH.items() if part in name), None)
-    for times in result["times"] if bandwidth else []:
-        times["floors_ms"] = floors(times, bandwidth)
+    for times in result["times"]:
+        times["kernels_bytes"] = moved_bytes(times)
+        times["floors_ms"] = floors(times["kernels_bytes"], bandwidth_of(chosen.device.name))
     text = json.dumps(result, indent=2)
     if options.output:
         options.output.write_text(text + "\n", encoding="utf-8")

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gpu_forward import splats
+from gpu_forward import bandwidth_of, floors, moved_bytes, splats
 
 import gscore
 from gscore.engine.base import ShUpdate, StepPhoto, StepRequest, TermKind
@@ -34,8 +34,7 @@ from gscore.io.images.png import write_png
 from gscore.io.runs import checkpoints_in
 from gscore.raster.gpu.choice import choose, once_a_device
 from gscore.raster.gpu.gpu_raster import GpuRaster
-from gscore.raster.gpu.header import GRADIENTS
-from gscore.raster.request import Frustum, Settings
+from gscore.raster.request import Frustum
 from gscore.splats import PARAMETERS
 from gscore.stress.capture import toy_photos
 from gscore.transforms import rotmat_to_quat
@@ -49,7 +48,8 @@ RATES = (1e-5, 1e-3, 5e-3, 2.5e-2, 2.5e-3, 1.25e-4)
 """Learning rates of timed steps, in the order of `PARAMETERS`."""
 SIZES = ((300_000, 1000, 666), (1_000_000, 1920, 1080))
 """Splats, width and height of timed steps."""
-PROFILED = 5  # pictures whose kernels are measured
+PROFILED = 5
+"""Steps whose kernels are measured."""
 TOY_SIDE = 96
 
 
@@ -145,38 +145,40 @@ def requests(width: int, height: int) -> Iterator[StepRequest]:
         )
 
 
-def profiled(raster: GpuRaster, arrays: list[np.ndarray], view: Frustum) -> dict[str, float]:
-    """Milliseconds of the kernels that draw a picture and compute its gradients; those of steps in
-    flight, which also have loss and Adam, cannot be measured one by one."""
-    size, settings = (view.height, view.width), Settings(outputs=GRADIENTS)
-    pictures = {"rgb": np.empty((*size, 3), np.float32), "alpha": np.empty(size, np.float32)}
-    grads = {n: np.empty_like(a) for n, a in zip(PARAMETERS, arrays, strict=True)}
-    raster.keep(arrays, settings)
-    raster.profile(True)
-    for _ in range(PROFILED):
-        raster.forward(arrays, view, settings, pictures)
-        raster.backward(arrays, view, settings, {"rgb": pictures["rgb"]}, grads)
-    times = raster.kernel_times()
-    raster.profile(False)
-    raster.release(arrays, settings)
-    return {name: total / PROFILED for name, (total, calls) in times.items() if calls}
+def step_bytes(times: dict[str, Any]) -> dict[str, float]:
+    """Bytes that each kernel of a step of SH degree 3 reads and writes, once each."""
+    n, v, e = times["splats"], times["visible"], times["entries"]
+    pixels = times["size"][0] * times["size"][1]
+    drawn = moved_bytes(times)
+    return drawn | {
+        "blend": drawn["blend"] + 8 * pixels,  # what gradients need
+        "loss_compare": 51 * pixels,
+        "loss_gradient": 63 * pixels,
+        "blend_backward": 104 * e + 20 * pixels,
+        # Fifteen planes of values and two moments, twelve of accumulated gradients, in and out.
+        "learn": n * (15 * 96 + 12 * 32) + 48 * e + 92 * v,
+    }
 
 
 def timed(raster: GpuRaster, engine: GpuEngine, size: tuple[int, int, int], steps: int) -> Any:
-    """Steps a second with `IN_FLIGHT` steps in flight, and milliseconds of the kernels."""
+    """Steps a second with `IN_FLIGHT` steps in flight, milliseconds of the kernels beside those of
+    the bytes that they move, and of the host."""
     number, width, height = size
     y, x = np.mgrid[:height, :width]
     waves = [np.sin(x / (7 + 5 * c)) * np.cos(y / (9 + 4 * c)) for c in range(3)]
     photo = StepPhoto(image=(127.5 + 127 * np.stack(waves, -1)).astype(np.uint8))
     columns = dict[str, Any](zip(PARAMETERS, splats(number), strict=True))
     model = engine.model(columns, counters=("grad2d", "views"))
-    found, pending = requests(width, height), deque[Any]()
+    found, pending, host = requests(width, height), deque[Any](), list[float]()
 
     def run(steps: int) -> list[Any]:
         numbers = []
         for _ in range(steps):
+            request = next(found)
+            began = time.perf_counter()
             engine.put(0, photo)
-            pending.append(engine.step(model, next(found)))
+            pending.append(engine.step(model, request))
+            host.append(time.perf_counter() - began)
             if len(pending) > IN_FLIGHT:
                 numbers.append(pending.popleft().result())
         while pending:
@@ -187,21 +189,32 @@ def timed(raster: GpuRaster, engine: GpuEngine, size: tuple[int, int, int], step
     began = time.perf_counter()
     last = run(steps)[-1]
     seconds = time.perf_counter() - began
+    host_seconds = float(np.median(host[-steps:]))
+    raster.profile(True)
+    run(PROFILED)
+    kernels = {n: ms / PROFILED for n, (ms, calls) in raster.kernel_times().items() if calls}
+    raster.profile(False)
     # The library counts its memory when it draws.
     tiny = replace(next(found).view, width=16, height=16)
     engine.draw([model], tiny, background=(0.0, 0.0, 0.0), antialias=False)
     memory = raster.stats()["device_bytes"]
     model.close()
     engine.release()
-    return {
+    figures: dict[str, Any] = {
         "splats": number,
         "size": [width, height],
         "steps_a_second": steps / seconds,
+        "host_ms": host_seconds * 1e3,
         "visible": last.raster["visible"],
         "entries": last.raster["entries"],
         "losses": [first.loss, last.loss],
         "device_bytes": memory,
-        "kernels_ms": profiled(raster, list(columns.values()), next(found).view),
+        "kernels_ms": kernels,
+    }
+    moved = step_bytes(figures)
+    return figures | {
+        "kernels_bytes": moved,
+        "floors_ms": floors(moved, bandwidth_of(engine.info.name)),
     }
 
 
@@ -244,10 +257,13 @@ def print_table(result: dict[str, Any]) -> None:
     for one in result.get("times", ()):
         print(
             f"{one['splats']:>9} splats, {'x'.join(map(str, one['size']))}: "
-            f"{one['steps_a_second']:.2f} steps/s, {one['device_bytes'] / 2**20:.0f} MiB"
+            f"{one['steps_a_second']:.2f} steps/s, {one['device_bytes'] / 2**20:.0f} MiB, "
+            f"host {one['host_ms']:.3f} ms a step"
         )
         for name, value in one["kernels_ms"].items():
-            print(f"{'':>10}{name:<24}{value:9.3f} ms")
+            moved, floor = one["kernels_bytes"].get(name, 0), one["floors_ms"].get(name)
+            least = f", at least {floor:.3f}" if floor else ""
+            print(f"{'':>10}{name:<24}{value:9.3f} ms {moved / 1e6:9.1f} MB{least}")
     for name, passed in result["checks"].items():
         print(f"{'ok' if passed else 'FAILED':<7}{name}")
 
