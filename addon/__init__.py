@@ -41,6 +41,7 @@ MODULES: tuple[str, ...] = (
     "live.draw_handler",
     "live.edit_mode_state",
     "render.operators",
+    "render.world_light",
     "render.decimate",
     "render.panels",
     "paint.settings",

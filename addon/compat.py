@@ -97,6 +97,13 @@ def world_nodes(world: bpy.types.World) -> bpy.types.NodeTree | None:
     return tree if tree is not None and (bpy.app.version >= (5, 0) or world.use_nodes) else None
 
 
+def make_world_nodes(world: bpy.types.World) -> bpy.types.NodeTree:
+    """Shader nodes of a world, enabled."""
+    if world_nodes(world) is None:
+        world.use_nodes = True
+    return world.node_tree
+
+
 def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
     """A scene's compositor nodes, in use or not; since 5.0 they are a node group."""
     if hasattr(scene, "compositing_node_group"):

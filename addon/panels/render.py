@@ -52,6 +52,9 @@ class RenderPanel(TabPanel, bpy.types.Panel):
         if RUN in (active_splats(context) or ()):
             layout.operator("gscore.compare_worst_photo")
         draw_compositing(layout, context)
+        row = layout.row(align=True)
+        row.operator("gscore.world_from_splats", icon="WORLD")
+        row.operator("gscore.match_sun", icon="LIGHT_SUN")
 
 
 def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -63,6 +63,8 @@ CALLS: dict[str, dict[str, Any]] = {
     "make_size_even": {},
     "set_up_compositing": {},
     "remove_compositing": {},
+    "world_from_splats": {"width": 64},
+    "match_sun": {},
     "show_splats": {},
     "select_result": {},
     "compare_photo": {},
