@@ -42,6 +42,7 @@ MODULES: tuple[str, ...] = (
     "live.edit_mode_state",
     "render.operators",
     "render.world_light",
+    "render.proxy",
     "render.decimate",
     "render.panels",
     "paint.settings",

@@ -9,6 +9,7 @@ from ..render.compositing_scene import SPLAT_SCENE
 from ..render.engine import NAME
 from ..render.holdout_meshes import missing_holdouts
 from ..render.panels import draw_render
+from ..render.shadow_scene import missing as missing_casters
 from ..render.unsupported_settings import NOT_TAKEN_OVER
 from ..splats.objects import active_splats
 from ..stored_paths import RUN
@@ -55,6 +56,9 @@ class RenderPanel(TabPanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("gscore.world_from_splats", icon="WORLD")
         row.operator("gscore.match_sun", icon="LIGHT_SUN")
+        row = layout.row(align=True)
+        row.operator("gscore.use_as_proxy", icon="MOD_SUBSURF")
+        row.operator("gscore.remove_proxy", text="", icon="X")
 
 
 def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -69,6 +73,9 @@ def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
         sentence(layout, text, icon="INFO")
     elif names := missing_holdouts(scene, scene.get(SPLAT_SCENE)):
         sentence(layout, NOT_TAKEN_OVER.format(names), icon="INFO")
+    elif there and (names := missing_casters(scene)):
+        text = f"No shadows of {names} yet: press the button again, or use collections."
+        sentence(layout, text, icon="INFO")
     row = layout.row(align=True)
     row.operator("gscore.set_up_compositing", icon="NODE_COMPOSITING")
     if there:

@@ -1,13 +1,17 @@
 """Compositor nodes that combine splats and meshes by depth, over the world."""
 
+from typing import NamedTuple
+
 import bpy
 
 from .. import compat
-from ..nodes.graph import Graph, Socket, Value, inputs
+from ..nodes.graph import Graph, Socket, Value, ensure, inputs
 from .color import NOTHING
 from .pass_renderer import HOLDOUT_PASSES
+from .shadow_scene import PASS
 
 GROUP = "Combine by Depth"
+SHADE_GROUP = "Shade Splats"
 _FORM, _OF_NOW = "gs_form", 3
 """Custom property of the group: version of its formula; those before 2 have none."""
 _GROW = 2
@@ -125,7 +129,46 @@ def _fill(graph: Graph) -> None:
 
 
 LAYER_NODE, COMBINE_NODE, WORLD_NODE = "GS Splats", "GS Combine by Depth", "GS World"
+SHADOW_NODE, SHADE_NODE = "GS Shadows", "GS Shade Splats"
 """Names of the nodes in the scene's tree."""
+
+
+class Others(NamedTuple):
+    """Scenes besides that of the meshes."""
+
+    splats: bpy.types.Scene
+    world: bpy.types.Scene | None
+    """Renders the world; None: no world."""
+    shadows: bpy.types.Scene | None
+    """Renders the shadows of meshes on splats; None: no shadows."""
+
+
+def _shade_group() -> bpy.types.NodeTree:
+    """Node group that multiplies the colors of a premultiplied picture by those of another one."""
+
+    def make(name: str) -> bpy.types.NodeTree:
+        tree = bpy.data.node_groups.new(name, "CompositorNodeTree")
+        for socket in ("Image", "Shadows"):
+            tree.interface.new_socket(socket, in_out="INPUT", socket_type="NodeSocketColor")
+        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+        graph = Graph(tree)
+        image, light = (
+            list(graph.outputs("CompositorNodeSeparateColor", one).values())
+            for one in inputs(graph).values()
+        )
+        shaded = []
+        for color, share in zip(image[:3], light[:3], strict=True):
+            node = compat.new_math_node(tree)
+            node.operation = "MULTIPLY"
+            graph.feed(node.inputs[0], color)
+            graph.feed(node.inputs[1], share)
+            shaded.append(node.outputs[0])
+        whole = graph.call("CompositorNodeCombineColor", *shaded, image[3])
+        graph.feed(graph.node("NodeGroupOutput").inputs[0], whole)
+        graph.arrange()
+        return tree
+
+    return ensure(bpy.data.node_groups, SHADE_GROUP, make)
 
 
 def combine_node(scene: bpy.types.Scene) -> bpy.types.Node | None:
@@ -140,27 +183,22 @@ def is_older(scene: bpy.types.Scene) -> bool:
     return node is not None and not _is_renewed(node)
 
 
-def insert(
-    tree: bpy.types.NodeTree,
-    scene: bpy.types.Scene,
-    splats: bpy.types.Scene,
-    world: bpy.types.Scene | None,
-) -> None:
+def insert(tree: bpy.types.NodeTree, scene: bpy.types.Scene, others: Others) -> None:
     """Insert the nodes after the scene's render layers, or update them.
 
     Args:
         tree: The scene's.
         scene: Renders the meshes.
-        splats: Renders the splats.
-        world: Renders the world; None: no world.
+        others: Render the rest.
     """
     layers, combine = tree.nodes.get(LAYER_NODE), tree.nodes.get(COMBINE_NODE)
     if layers is not None and combine is not None:
-        layers.scene = splats
+        layers.scene = others.splats
         _renew(tree, combine, layers)
     else:
-        combine = _combine(tree, scene, splats)
-    _show_world(tree, combine, world)
+        combine = _combine(tree, scene, others.splats)
+    _show_world(tree, combine, others.world)
+    _shade(tree, combine, others.shadows)
 
 
 def _is_renewed(combine: bpy.types.Node) -> bool:
@@ -205,7 +243,7 @@ def remove(tree: bpy.types.NodeTree) -> None:
             for source in sources:
                 tree.links.new(source, target)
         tree.nodes.remove(node)
-    for name in (LAYER_NODE, WORLD_NODE):
+    for name in (LAYER_NODE, WORLD_NODE, SHADOW_NODE, SHADE_NODE):
         if (node := tree.nodes.get(name)) is not None:
             tree.nodes.remove(node)
 
@@ -222,6 +260,28 @@ def _show_world(
     node.name = node.label = WORLD_NODE
     node.scene, node.location = world, (combine.location.x - 300, combine.location.y - 840)
     tree.links.new(node.outputs["Image"], combine.inputs["World"])
+
+
+def _shade(
+    tree: bpy.types.NodeTree, combine: bpy.types.Node, shadows: bpy.types.Scene | None
+) -> None:
+    """Multiply the picture of the splats by the shadows on them; None: use it as it is."""
+    layers, node, shade = (tree.nodes.get(name) for name in (LAYER_NODE, SHADOW_NODE, SHADE_NODE))
+    if shadows is None:
+        for one in filter(None, (node, shade)):
+            tree.nodes.remove(one)
+        tree.links.new(layers.outputs["Image"], combine.inputs["Splats"])
+        return
+    node = node or tree.nodes.new("CompositorNodeRLayers")
+    node.name = node.label = SHADOW_NODE
+    node.scene, node.location = shadows, (layers.location.x, layers.location.y - 840)
+    shade = shade or tree.nodes.new("CompositorNodeGroup")
+    shade.name = shade.label = SHADE_NODE
+    shade.node_tree = _shade_group()
+    shade.location = (combine.location.x - 200, combine.location.y - 200)
+    tree.links.new(layers.outputs["Image"], shade.inputs["Image"])
+    tree.links.new(node.outputs[PASS], shade.inputs["Shadows"])
+    tree.links.new(shade.outputs["Image"], combine.inputs["Splats"])
 
 
 def _combine(

@@ -5,11 +5,14 @@ import bpy
 from .. import compat
 from ..interface import editable_check
 from ..splats.objects import is_splats
-from .composite_nodes import combine_node, insert, remove, show_passes
+from . import shadow_scene
+from .composite_nodes import Others, combine_node, insert, remove, show_passes
 from .compositing_scene import MAIN_SCENE, SPLAT_SCENE
 from .engine import ENGINE_BEFORE, NAME
 from .holdout_meshes import holdouts_of
 from .passes import MATTES
+from .proxy import proxies_of
+from .shadow_scene import SHADOW_SCENE
 
 _FILM = "gs_film_transparent"
 """Custom property of a scene: whether its film was transparent before."""
@@ -18,6 +21,8 @@ _MADE, _ENGINE = "gs_film_made_transparent", "gs_engine_taken"
 that compositing has set instead of Gaussian Splats."""
 WORLD_SCENE = "gs_world_scene"
 """Custom property of a scene: the scene that renders its world, if the film is transparent."""
+_OTHERS = SPLAT_SCENE, WORLD_SCENE, SHADOW_SCENE
+"""Custom properties of a scene: the scenes that compositing has made."""
 _WORLD_SAMPLES = 4
 """Samples of a world; few are enough, because it is nearly smooth from pixel to pixel."""
 _EEVEE = "BLENDER_EEVEE", "BLENDER_EEVEE_NEXT"
@@ -87,8 +92,9 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
     world = _world_scene(scene) if transparent and not scene[_FILM] and visible else None
     if world is None:
         _drop(scene, WORLD_SCENE)
+    shadows = _shadow_scene(scene)
     scene.render.use_compositing = True
-    insert(compat.make_compositor_tree(scene), scene, other, world)
+    insert(compat.make_compositor_tree(scene), scene, Others(other, world, shadows))
     rest(scene)
     return other
 
@@ -110,7 +116,7 @@ def _changed(scene: bpy.types.Scene) -> list[bpy.types.ID]:
 
 
 def _helper_scene(scene: bpy.types.Scene, key: str, name: str) -> bpy.types.Scene:
-    """The scene that renders splats or world of a main scene, made if it does not exist."""
+    """The scene that renders splats, world or shadows of a main scene; made if missing."""
     other = scene.get(key)
     if not isinstance(other, bpy.types.Scene):
         other = bpy.data.scenes.new(f"{scene.name} {name}")
@@ -118,6 +124,25 @@ def _helper_scene(scene: bpy.types.Scene, key: str, name: str) -> bpy.types.Scen
         other[MAIN_SCENE] = scene
     # Blender renders no frame outside this range, whatever the frame of the main scene.
     other.frame_start, other.frame_end = 0, other.bl_rna.properties["frame_end"].hard_max
+    return other
+
+
+def _shadow_scene(scene: bpy.types.Scene) -> bpy.types.Scene | None:
+    """The scene of the shadows on a scene's splats; None, and removed, without proxies.
+
+    Raises:
+        ValueError: Cycles is not enabled.
+    """
+    if not proxies_of(scene):
+        _drop(scene, SHADOW_SCENE)
+        return None
+    if not hasattr(scene, "cycles"):
+        raise ValueError(
+            "Enable the add-on Cycles Render Engine: it renders the shadows on splats."
+        )
+    other = _helper_scene(scene, SHADOW_SCENE, "Shadows")
+    _follow(scene, other)
+    shadow_scene.synchronise(scene, other)
     return other
 
 
@@ -237,6 +262,9 @@ def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None 
         rest(scene)
     if isinstance(world := scene.get(WORLD_SCENE), bpy.types.Scene):
         _follow_world(scene, world)
+    if isinstance(shadows := scene.get(SHADOW_SCENE), bpy.types.Scene):
+        _follow(scene, shadows)
+        shadow_scene.follow(scene, shadows)
 
 
 def rest(scene: bpy.types.Scene) -> None:
@@ -260,7 +288,7 @@ def take_down(scene: bpy.types.Scene) -> None:
     Raises:
         ValueError: nothing was set up, or the nodes are linked.
     """
-    others = [scene.get(key) for key in (SPLAT_SCENE, WORLD_SCENE)]
+    others = [scene.get(key) for key in _OTHERS]
     others = [other for other in others if isinstance(other, bpy.types.Scene)]
     if combine_node(scene) is None and not others:
         raise ValueError(f"Scene {scene.name} has no compositing of splats to remove.")
@@ -274,14 +302,16 @@ def take_down(scene: bpy.types.Scene) -> None:
     scene.render.film_transparent = bool(scene.get(_FILM, scene.render.film_transparent))
     if scene.get(_ENGINE) == scene.render.engine:  # else the user has chosen another
         scene.render.engine = NAME
-    for name in (SPLAT_SCENE, WORLD_SCENE):
+    for name in _OTHERS:
         _drop(scene, name)
     for name in (_FILM, _MADE, _ENGINE):
         scene.pop(name, None)
 
 
 def _drop(scene: bpy.types.Scene, key: str) -> None:
-    """Remove the scene that renders splats or world of a main scene, if it exists."""
+    """Remove the scene that renders splats, world or shadows of a main scene, if it exists."""
+    if key == SHADOW_SCENE:
+        shadow_scene.drop(scene)
     other = scene.get(key)
     scene.pop(key, None)
     if isinstance(other, bpy.types.Scene):

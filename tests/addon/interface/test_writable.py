@@ -65,6 +65,8 @@ CALLS: dict[str, dict[str, Any]] = {
     "remove_compositing": {},
     "world_from_splats": {"width": 64},
     "match_sun": {},
+    "use_as_proxy": {},
+    "remove_proxy": {},
     "show_splats": {},
     "select_result": {},
     "compare_photo": {},

@@ -1,0 +1,138 @@
+"""Proxies: meshes of the splats' surface that cast and catch shadows, and reflect, in their place.
+
+A proxy is a child of its splat object, invisible to cameras. In the scene of the meshes it casts
+shadows and is reflected; its twin in the scene of shadows catches the shadows of the meshes.
+"""
+
+from collections.abc import Iterable
+
+import bpy
+
+from ..interface.base_operator import Condition, Undoable
+from ..splats.objects import active_splats, is_splats
+
+PROXY = "gs_proxy"
+"""Custom property of an object: it is the proxy of its parent."""
+PROXIES = "gs_proxies"
+"""Custom property of the collection of the proxies of a scene."""
+_FOLLOWED = "hide_render", "hide_viewport"
+
+
+def is_proxy(ob: bpy.types.Object) -> bool:
+    """Whether an object is the proxy of a splat object."""
+    return PROXY in ob and ob.type == "MESH" and ob.parent is not None and is_splats(ob.parent)
+
+
+def proxy_of(splats: bpy.types.Object) -> bpy.types.Object | None:
+    """The proxy of a splat object; None: it has none."""
+    return next((ob for ob in splats.children if is_proxy(ob)), None)
+
+
+def proxies_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The proxies in a scene."""
+    return [ob for ob in scene.objects if is_proxy(ob)]
+
+
+def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:
+    """The collection of a scene's proxies, made if missing: the scene of shadows leaves it out."""
+    for child in scene.collection.children:
+        if PROXIES in child:
+            return child
+    made = bpy.data.collections.new("Splat Proxies")
+    made[PROXIES] = True
+    scene.collection.children.link(made)
+    return made
+
+
+def attach(scene: bpy.types.Scene, splats: bpy.types.Object, mesh: bpy.types.Object) -> None:
+    """Make a mesh object the proxy of splats, in place of one before, where it stands.
+
+    It follows their transform and visibility.
+    """
+    if (before := proxy_of(splats)) is not None and before != mesh:
+        detach(scene, before)
+    _move(mesh, _collection(scene))
+    place = mesh.matrix_world.copy()
+    mesh.parent = splats
+    mesh.matrix_parent_inverse.identity()
+    mesh.matrix_basis = splats.matrix_world.inverted() @ place
+    mesh[PROXY] = True
+    mesh.visible_camera, mesh.display_type, mesh.hide_select = False, "WIRE", True
+    for name in _FOLLOWED:
+        mesh.driver_remove(name)
+        driver = mesh.driver_add(name).driver
+        driver.type = "AVERAGE"  # needs no permission for scripts
+        variable = driver.variables.new()
+        variable.targets[0].id, variable.targets[0].data_path = splats, name
+    mesh.select_set(False)
+
+
+def _move(ob: bpy.types.Object, collection: bpy.types.Collection) -> None:
+    for other in ob.users_collection:
+        other.objects.unlink(ob)
+    collection.objects.link(ob)
+
+
+def detach(scene: bpy.types.Scene, proxy: bpy.types.Object) -> None:
+    """Make a proxy an object of its own again, where it stands."""
+    place = proxy.matrix_world.copy()
+    _move(proxy, scene.collection)
+    for name in _FOLLOWED:
+        proxy.driver_remove(name)
+    proxy.parent = None
+    proxy.matrix_world = place
+    del proxy[PROXY]
+    proxy.visible_camera, proxy.display_type, proxy.hide_select = True, "TEXTURED", False
+
+
+def _meshes_to_use(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """Selected meshes that are neither splats nor proxies."""
+    return [
+        ob
+        for ob in context.selected_objects
+        if ob.type == "MESH" and not is_splats(ob) and not is_proxy(ob)
+    ]
+
+
+class UseAsProxy(Undoable, bpy.types.Operator):
+    """Let the selected mesh cast and catch shadows, and be reflected, in place of the active
+    splats: it follows them, and cameras do not see it"""
+
+    bl_idname = "gscore.use_as_proxy"
+    bl_label = "Use Mesh as Proxy"
+    needs = Condition(
+        lambda context: active_splats(context) is not None and len(_meshes_to_use(context)) == 1,
+        "Select a mesh of the surface, then the splats (Shift-click)",
+    )
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The mesh, the splats' former proxy and the scene."""
+        splats = active_splats(context)
+        return [*_meshes_to_use(context), *filter(None, (proxy_of(splats),)), context.scene]
+
+    def run(self, context: bpy.types.Context) -> str:
+        """Attach the mesh."""
+        splats, mesh = active_splats(context), _meshes_to_use(context)[0]
+        attach(context.scene, splats, mesh)
+        return f"{mesh.name} is the proxy of {splats.name}."
+
+
+class RemoveProxy(Undoable, bpy.types.Operator):
+    """Make the proxy of the active splats a visible mesh of its own again"""
+
+    bl_idname = "gscore.remove_proxy"
+    bl_label = "Remove Proxy"
+    needs = Condition(
+        lambda context: (ob := active_splats(context)) is not None and proxy_of(ob) is not None,
+        "The active splats have no proxy",
+    )
+
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The proxy and the scene."""
+        return proxy_of(active_splats(context)), context.scene
+
+    def run(self, context: bpy.types.Context) -> str:
+        """Detach the proxy."""
+        proxy = proxy_of(active_splats(context))
+        detach(context.scene, proxy)
+        return f"{proxy.name} is a mesh of its own again."
