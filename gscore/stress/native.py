@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -172,11 +173,22 @@ def only_cpu(what: str) -> Measure:
 
 
 _chosen = CPU
+opened: list[Any] = []
+"""Engines of a case on a graphics card, which are closed behind it."""
 
 
 def draws_on_device() -> bool:
     """Whether `draw` uses a graphics card."""
     return _chosen.device is not None
+
+
+def open_engine() -> Any:
+    """An `Engine` of what draws; imported late because it loads torch."""
+    from ..engine.opening import engine_of
+
+    engine = engine_of(_chosen)
+    opened.append(engine)
+    return engine
 
 
 @contextmanager
@@ -191,13 +203,15 @@ def workspace() -> Iterator[_native.Raster | GpuRaster]:
 
 @contextmanager
 def with_device(chosen: Chosen) -> Iterator[None]:
-    """Context in which `draw` and `workspace` use a device."""
+    """Context in which `draw`, `workspace` and `open_engine` use a device."""
     global _chosen
     before, _chosen = _chosen, chosen
     try:
         yield
     finally:
         _chosen = before
+        while opened:
+            opened.pop().close()
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import numpy as np
 from ..config import Strategy, TrainConfig
 from ..errors import GsError
 from ..text_format import count_text
+from . import native
 from .capture import ToyPhotos, moved, toy_photos, toy_splats
 from .case import EmptyTestError, Measure, case
 
@@ -26,14 +27,15 @@ def trainer_of(config: TrainConfig, photos: ToyPhotos) -> "Trainer":
     from ..trainer.analysis.analysis import Analysis
     from ..trainer.trainer import Trainer
 
-    return Trainer(config, Analysis(photos=photos))
+    return Trainer(config, Analysis(photos=photos), engine=native.open_engine())
 
 
 def trained(config: TrainConfig, photos: ToyPhotos) -> "Trainer":
     """A trainer after all steps of its config."""
     trainer = trainer_of(config, photos)
     for _ in range(config.iterations):
-        trainer.step()
+        trainer.advance()
+    trainer.read_all()
     return trainer
 
 
@@ -47,7 +49,7 @@ def mean_psnr(trainer: "Trainer", photos: ToyPhotos) -> float:
     return float(np.mean(values))
 
 
-@case("S09", "coordinates far from the origin, worlds of any size")
+@case("S09", "coordinates far from the origin, worlds of any size", on_device=True)
 def coordinates(full: bool) -> Iterator[Measure]:
     """Oracle: the same photos and points around the origin; first pictures, PSNR after few steps.
 
@@ -71,7 +73,7 @@ def coordinates(full: bool) -> Iterator[Measure]:
         yield Measure(f"{name}, dB after 15 steps", error, 0.01)
 
 
-@case("S30", "a long training", per_isa=False, slow=True)
+@case("S30", "a long training", per_isa=False, on_device=True, slow=True)
 def long_training(full: bool) -> Iterator[Measure]:
     """Oracle: after 100,000 steps splats are finite, without runaway shapes or loss of PSNR.
 
@@ -90,7 +92,7 @@ def long_training(full: bool) -> Iterator[Measure]:
         best = fall = 0.0
         converged = int(0.6 * config.iterations)
         for step in range(1, config.iterations + 1):
-            trainer.step()
+            trainer.advance()
             if step % (LONG // 20) == 0:
                 psnr = mean_psnr(trainer, photos)
                 # Opacity resets and refinement have ended by then; before, PSNR fluctuates.
@@ -122,7 +124,7 @@ def _below(least: float, psnr: float) -> float:
     return float(np.maximum(0.0, least - psnr))
 
 
-@case("S32", "overfitting one photo, recovering a known scene")
+@case("S32", "overfitting one photo, recovering a known scene", on_device=True)
 def recovery(full: bool) -> Iterator[Measure]:
     """Oracle: the photo; 50 known splats, trained from their pictures."""
     one = toy_photos(held_out=tuple(range(1, 8)))
@@ -139,7 +141,7 @@ def recovery(full: bool) -> Iterator[Measure]:
     yield Measure("known scene, dB below 35", _below(35, psnr), 0, f"{psnr:.2f} dB")
 
 
-@case("S17b", "trainings with nothing to see", per_isa=False)
+@case("S17b", "trainings with nothing to see", per_isa=False, on_device=True)
 def empty_trainings(full: bool) -> Iterator[Measure]:
     """Oracle: steps without an error, finite splats; a clear error for no photos."""
     from ..engine.base import RowEdit
@@ -168,7 +170,8 @@ def empty_trainings(full: bool) -> Iterator[Measure]:
         gone = np.full(len(dead.model), -20, np.float32)
         dead.model.edit(RowEdit(values={"opacities": gone}))
         for _ in range(12):
-            dead.step()
+            dead.advance()
+        dead.read_all()
         bad = int((~np.isfinite(dead.splats().means)).sum())
         yield Measure(f"{strategy}, all splats dead: numbers not finite", float(bad), 0)
     try:
