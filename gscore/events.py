@@ -113,6 +113,11 @@ class Estimated(Event, kind="estimate"):
     """The number of splats of this estimate."""
     reading_seconds: float = 0.0
     """Time before the first step: reading points and photos, neighbours of points, s."""
+    device_bytes: int = 0
+    """Largest memory of the device that trains, without photos that may stay there; 0: it has none
+    of its own."""
+    device_free_bytes: int = 0
+    """Memory that the training may take there."""
 
 
 @dataclass(frozen=True, kw_only=True)

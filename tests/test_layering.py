@@ -100,7 +100,7 @@ TRAINER = {
     | {"analysis", "region", "views"},
     "analysis": {"depth", "estimate", "guide", "model", "photos", "region", "schedule", "views"},
     "trainer": {"depth", "guide", "host", "photos", "distributed", "region", "model", "schedule"}
-    | {"analysis", "step", "strategy", "views"},
+    | {"analysis", "estimate", "step", "strategy", "views"},
     "distributed_trainer": {"analysis", "distributed", "model", "schedule", "step", "trainer"},
     "evaluation": {"photos", "trainer"},
     "preflight": {"trainer"},

@@ -101,6 +101,13 @@ gs_status gs_gpu_draw_stats(const gs_gpu *gpu, gs_gpu_stats *out) {
     return GS_OK;
 }
 
+gs_status gs_gpu_memory_use(const gs_gpu *gpu, gs_gpu_memory *out) {
+    if (!gpu || !out)
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_memory_use: an argument is null");
+    *out = gpu->device.memory();
+    return GS_OK;
+}
+
 gs_status gs_gpu_profile(gs_gpu *gpu, int32_t on) {
     if (!gpu)
         return fail(GS_BAD_ARGUMENT, "gs_gpu_profile: gpu is null");

@@ -3,6 +3,7 @@
 #include "model.h"
 
 #include <cmath>
+#include <memory>
 
 using namespace gs;
 
@@ -17,7 +18,12 @@ gs_status check_step(const gs_gpu_model &model, const gs_gpu_step &s) {
         return status;
     if (s.view.orthographic || s.view.sh_degree > 3)
         return fail(GS_BAD_ARGUMENT, "a step needs a perspective view and SH of degree 0 to 3");
-    if (!s.photo || (s.mask_mode != GS_MASK_NONE && !s.mask) || s.mask_mode < 0 || s.mask_mode > GS_MASK_IGNORE)
+    if (s.kept && (s.kept->gpu != model.gpu || s.kept->width != s.view.width || s.kept->height != s.view.height ||
+                   (s.photo ? s.kept->has_mask != (s.mask != nullptr) : s.mask || !s.kept->written)))
+        return fail(GS_BAD_ARGUMENT, "a step's kept photo is of another device or size, or was not written yet");
+    const bool has_mask = s.mask || (s.kept && s.kept->has_mask);
+    if (!(s.photo || s.kept) || (s.mask_mode != GS_MASK_NONE && !has_mask) || s.mask_mode < 0 ||
+        s.mask_mode > GS_MASK_IGNORE)
         return fail(GS_BAD_ARGUMENT, "a step has no photo or no mask, or an unknown mask mode");
     if (s.pauses && !(s.view.outputs & GS_OUT_INVERSE_DEPTH))
         return fail(GS_BAD_ARGUMENT, "a step that pauses needs GS_OUT_INVERSE_DEPTH");
@@ -73,6 +79,35 @@ gs_status gs_gpu_step_result(gs_gpu *gpu, int32_t slot, gs_gpu_step_numbers *out
         gpu->read_step(slot, *out);
         return GS_OK;
     });
+}
+
+gs_status gs_gpu_photo_create(gs_gpu *gpu, int32_t width, int32_t height, int32_t has_mask, gs_gpu_photo **out) {
+    if (!gpu || !out)
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_photo_create: an argument is null");
+    if (const gs_status s = check_image_size(width, height))
+        return s;
+    return run("gs_gpu_photo_create", [&] {
+        auto made = std::make_unique<gs_gpu_photo>(gs_gpu_photo{gpu, {}, {}, width, height, has_mask != 0, false});
+        const size_t pixels = size_t(width) * size_t(height);
+        try {
+            gpu->device.ensure(made->image, (3 * pixels + 15) / 16 * 16);
+            gpu->device.ensure(made->mask, has_mask ? (pixels + 15) / 16 * 16 : 0);
+        } catch (...) {
+            gpu->device.free(made->image);
+            gpu->device.free(made->mask);
+            throw;
+        }
+        *out = made.release();
+        return GS_OK;
+    });
+}
+
+void gs_gpu_photo_free(gs_gpu_photo *photo) {
+    if (!photo)
+        return;
+    photo->gpu->device.free(photo->image);
+    photo->gpu->device.free(photo->mask);
+    delete photo;
 }
 
 gs_status gs_gpu_steps_release(gs_gpu *gpu) {

@@ -232,6 +232,12 @@ void Device::allocate(DeviceBuffer &b, size_t bytes, Place place) {
     }
     b.bytes = bytes;
     bytes_ += bytes;
+    peak_ = std::max(peak_, bytes_);
+}
+
+gs_gpu_memory Device::memory() const {
+    const uint64_t own = info_.memory_free ? info_.memory_free : info_.memory;
+    return {bytes_, peak_, std::min<uint64_t>(own, limit_)};
 }
 
 void Device::free(DeviceBuffer &b) {

@@ -53,6 +53,7 @@ class Device {
     // A lost device keeps its memory.
     void free(DeviceBuffer &);
     size_t bytes_in_use() const { return bytes_; }
+    gs_gpu_memory memory() const;
     size_t bytes_at_once() const { return bytes_at_once_; } // of a submission
 
     // Commands between `begin` and `finish`, which waits for them and polls `cancel`, which may be null; a cancelled
@@ -139,7 +140,7 @@ class Device {
     VkPipeline pipelines_[kShaders] = {};
     bool profiles_ = false;
     KernelTime times_[kShaders] = {};
-    size_t bytes_ = 0;
+    size_t bytes_ = 0, peak_ = 0;
     bool lost_ = false;
     size_t limit_; // bytes
     size_t bytes_at_once_;

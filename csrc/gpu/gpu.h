@@ -35,6 +35,14 @@ struct gs_gpu_splats {
     int32_t sh_rest, raw;
 };
 
+// A photo that stays on the device; a step that has its arrays too writes it.
+struct gs_gpu_photo {
+    gs_gpu *gpu;
+    gs::DeviceBuffer image, mask;
+    int32_t width, height;
+    bool has_mask, written;
+};
+
 struct gs_gpu {
     explicit gs_gpu(VkPhysicalDevice physical) : device(physical) {}
     ~gs_gpu();
@@ -122,6 +130,9 @@ struct gs_gpu {
     void prepare_step(StepSlot &);
     void record_step(StepSlot &, int commands, bool with_term);
     void start_step(int slot);
+    static bool has_mask(const gs_gpu_step &s) { return s.mask || (s.kept && s.kept->has_mask); }
+    const gs::DeviceBuffer &image_of(const gs_gpu_step &s) const { return s.kept ? s.kept->image : photo_; }
+    const gs::DeviceBuffer &mask_of(const gs_gpu_step &s) const { return s.kept ? s.kept->mask : mask_; }
     gs::LossInput loss_input(const StepSlot &) const;
     gs_step step_block(const StepSlot &) const;
 

@@ -25,7 +25,7 @@ struct UploadLayout {
     explicit UploadLayout(const gs_gpu_step &s, size_t tile_words) {
         const size_t pixels = size_t(s.view.width) * size_t(s.view.height);
         photo = 0;
-        mask = whole(3 * pixels);
+        mask = s.photo ? whole(3 * pixels) : 0;
         tiles = mask + (s.mask ? whole(pixels) : 0);
         inverse_depth = tiles + whole(tile_words * kWord);
         alpha = inverse_depth + (s.pauses ? whole(pixels * sizeof(float)) : 0);
@@ -62,9 +62,9 @@ LossInput gs_gpu::loss_input(const StepSlot &slot) const {
     in.height = s.view.height;
     in.rgb = rgb_.address;
     in.alpha = alpha_.address;
-    in.photo = photo_.address;
-    in.mask = s.mask ? mask_.address : 0;
-    in.mask_mode = s.mask ? s.mask_mode : GS_MASK_NONE;
+    in.photo = image_of(s).address;
+    in.mask = has_mask(s) ? mask_of(s).address : 0;
+    in.mask_mode = has_mask(s) ? s.mask_mode : GS_MASK_NONE;
     std::copy_n(s.shown_background, 3, in.background);
     in.ssim_weight = s.ssim_weight;
     in.has_gain = s.has_gain;
@@ -149,8 +149,8 @@ void gs_gpu::prepare_step(StepSlot &slot) {
     slot.tiles = choose_tiles(slot.tile_bytes.empty() ? nullptr : slot.tile_bytes.data());
     ensure_entries(std::max<size_t>(count * 4, 1 << 12));
     step_loss_.ensure(device, s.view.width, s.view.height);
-    device.ensure(photo_, whole(3 * pixels));
-    device.ensure(mask_, s.mask ? whole(pixels) : 0);
+    device.ensure(photo_, s.kept ? 0 : whole(3 * pixels));
+    device.ensure(mask_, s.mask && !s.kept ? whole(pixels) : 0);
     device.ensure(v_inverse_depth_, (s.pauses ? pixels : 0) * sizeof(float));
     device.ensure(v_alpha_more_, (s.pauses ? pixels : 0) * sizeof(float));
     device.ensure(camera_parts_, kCameraFloats * size_t(groups_of(int64_t(count), GS_GROUP)) * sizeof(float));
@@ -178,9 +178,10 @@ void gs_gpu::record_step(StepSlot &slot, int commands, bool with_term) {
     paced_bytes_ = 0;
     if (!with_term && checks_enabled())
         record_poison();
-    device.copy(slot.upload, photo_, 3 * pixels, at.photo);
+    if (s.photo)
+        device.copy(slot.upload, image_of(s), 3 * pixels, at.photo);
     if (s.mask)
-        device.copy(slot.upload, mask_, pixels, at.mask);
+        device.copy(slot.upload, mask_of(s), pixels, at.mask);
     device.copy(slot.upload, tiles_, slot.tiles.size() * kWord, at.tiles);
     const gs_step block = step_block(slot);
     device.update(frame_buffer_, &frame_, sizeof frame_);
@@ -251,7 +252,8 @@ void gs_gpu::request_step(gs_gpu_model &model, const gs_gpu_step &step, int numb
     const UploadLayout at(step, tile_words);
     device.ensure(slot.upload, at.end, Place::kUpload);
     char *const to = static_cast<char *>(slot.upload.mapped);
-    std::memcpy(to + at.photo, step.photo, 3 * pixels);
+    if (step.photo)
+        std::memcpy(to + at.photo, step.photo, 3 * pixels);
     if (step.mask)
         std::memcpy(to + at.mask, step.mask, pixels);
     slot.tile_bytes.assign(step.tiles, step.tiles + tile_words);
@@ -263,6 +265,8 @@ void gs_gpu::request_step(gs_gpu_model &model, const gs_gpu_step &step, int numb
         throw;
     }
     in_flight_.push_back(number);
+    if (step.kept)
+        step.kept->written = true;
 }
 
 void gs_gpu::read_step_picture(int number, float *inverse_depth, float *alpha) {

@@ -32,7 +32,7 @@
 #include "gscore/raster.h"
 
 /* Changes whenever a struct or a signature of this header changes. */
-#define GS_GPU_ABI_VERSION 2
+#define GS_GPU_ABI_VERSION 3
 
 /* Further values of gs_status. */
 enum {
@@ -75,9 +75,17 @@ typedef struct gs_gpu_stats {
     double total_ms;                              /* wall time of the call */
 } gs_gpu_stats;
 
+/* Memory of a gs_gpu, bytes, buffers for transfers included. */
+typedef struct gs_gpu_memory {
+    uint64_t in_use;
+    uint64_t peak;  /* most in use so far */
+    uint64_t limit; /* GSCORE_GPU_MEMORY, at most what was free on the device when it was opened */
+} gs_gpu_memory;
+
 typedef struct gs_gpu gs_gpu;
 typedef struct gs_gpu_splats gs_gpu_splats;
 typedef struct gs_gpu_model gs_gpu_model;
+typedef struct gs_gpu_photo gs_gpu_photo;
 
 /* GS_GPU_ABI_VERSION of the header with which the library was built. */
 GS_API int32_t gs_gpu_abi_version(void);
@@ -109,6 +117,7 @@ GS_API gs_status gs_gpu_weights(gs_gpu *gpu, const gs_gpu_splats *splats, const 
 GS_API gs_status gs_gpu_backward(gs_gpu *gpu, const gs_gpu_splats *splats, const gs_image_grads *image_grads,
                                  const gs_splat_grads *grads);
 GS_API gs_status gs_gpu_draw_stats(const gs_gpu *gpu, gs_gpu_stats *out);
+GS_API gs_status gs_gpu_memory_use(const gs_gpu *gpu, gs_gpu_memory *out);
 /* Start or stop measuring each kernel, from zero. */
 GS_API gs_status gs_gpu_profile(gs_gpu *gpu, int32_t on);
 /* Name of a kernel, milliseconds and calls since then, by a number from 0 on; GS_BAD_ARGUMENT: there are no more. */
@@ -224,8 +233,9 @@ enum {
 /* Arrays are copied by the call. */
 typedef struct gs_gpu_step {
     gs_view view;              /* perspective; sh_degree 0 to 3; GS_OUT_INVERSE_DEPTH if there is a gradient in it */
-    const uint8_t *photo;      /* [H, W, 3] */
-    const uint8_t *mask;       /* [H, W]; may be null */
+    const uint8_t *photo;      /* [H, W, 3]; null: that of `kept` */
+    const uint8_t *mask;       /* [H, W]; null: none, or that of `kept` */
+    gs_gpu_photo *kept;        /* where photo and mask are on the device, or stay from this step on; may be null */
     const uint8_t *tiles;      /* as gs_host.tiles */
     int32_t mask_mode;         /* GS_MASK_* */
     float shown_background[3]; /* behind a GS_MASK_COMPOSITE photo, after the gain */
@@ -260,6 +270,10 @@ typedef struct gs_gpu_step_numbers {
     int32_t unused;
 } gs_gpu_step_numbers;
 
+/* Memory for a photo, and a mask if `has_mask`, on the device, which a step with both writes. */
+GS_API gs_status gs_gpu_photo_create(gs_gpu *gpu, int32_t width, int32_t height, int32_t has_mask, gs_gpu_photo **out);
+/* Free it after the results of all steps with it were read, before its device is closed. */
+GS_API void gs_gpu_photo_free(gs_gpu_photo *photo);
 /* Start a step without waiting for it. `slot`: 0 to GS_GPU_STEPS_MAX - 1, whose last result was read. While a step is in
  * flight the model is not touched by other calls than these. */
 GS_API gs_status gs_gpu_step_request(gs_gpu *gpu, gs_gpu_model *model, const gs_gpu_step *step, int32_t slot);

@@ -349,6 +349,8 @@ class EngineInfo:
     """Features that it has; options that need others are refused."""
     skips: frozenset[Skip] = frozenset()
     """Those of `ENGINE_SKIPS` that it can disable."""
+    memory: int = 0
+    """Bytes of its own memory that a training may take; 0: it uses that of the process."""
     cost: CostModel
 
 
@@ -416,7 +418,7 @@ class Engine(Protocol[Model]):
         ...
 
     def put(self, key: int, photo: StepPhoto) -> None:
-        """Provide a photo for the next step that names it."""
+        """Provide a photo for the next step that names it; one key and size have one content."""
         ...
 
     def step(self, model: Model, request: StepRequest) -> Pending:
@@ -456,6 +458,13 @@ class Engine(Protocol[Model]):
     ) -> np.ndarray:
         """Return the gradient of a view's photometric loss in its pose, [4, 4] float32."""
         ...
+
+    def keep_photos(self, room: int) -> None:
+        """Let photos stay in the engine's own memory, up to `room` bytes of them."""
+
+    def peak_memory(self) -> int:
+        """Most bytes of its own memory in use so far; 0: it uses that of the process."""
+        return 0
 
     def release(self) -> None:
         """Free the memory of steps, which the next one allocates again."""

@@ -16,7 +16,7 @@ from .machine import machine, peak_memory_bytes
 _LISTS = frozenset(
     {"views", "train_views", "test_views", "history", "evals", "decided", "decisions", "trust"}
 )
-_PARTS = ("models", "depth", "exposure", "poses", "ranks", "asked")
+_PARTS = ("device_peak_bytes", "models", "depth", "exposure", "poses", "ranks", "asked")
 """Fields of a `Course` that are omitted when empty."""
 
 
@@ -38,6 +38,8 @@ class Course:
     """{"step", "elapsed_s", "psnr"}, measured on the same split during the training."""
     peak_memory_bytes: int | None = None
     """Peak memory of the training, bytes; None: use that of this process."""
+    device_peak_bytes: int | None = None
+    """Peak memory of the device that trained, bytes; None: it has none of its own."""
     models: int | None = None
     """Number of models merged into one; None: a single model."""
     depth: dict[str, Any] | None = None

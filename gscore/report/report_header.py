@@ -147,6 +147,8 @@ def _work_tiles(metrics: dict[str, Any]) -> Iterator[_Tile]:
     yield "Storage", size_text(metrics["storage_bytes"]), "", "PLY file"
     if metrics["peak_memory_bytes"] is not None:
         yield "Peak memory", size_text(metrics["peak_memory_bytes"]), "", "resident"
+    if metrics.get("device_peak_bytes"):
+        yield "Device memory", size_text(metrics["device_peak_bytes"]), "", "at most"
 
 
 def _steps(metrics: dict[str, Any]) -> str:

@@ -189,6 +189,7 @@ def prepare(
         announce=resumed is None,
         emit=emit,
         control=control,
+        engine=engine,
     )
     warnings = [*photos.warnings, *check_masks(photos, facts)]
     photos.content_hash()  # computed now, because the files may change during the training

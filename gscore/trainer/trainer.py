@@ -14,6 +14,7 @@ from ..splats import Splats
 from .analysis.analysis import Analysis
 from .analysis.photo_rules import photo_rules
 from .distributed.process_group import ProcessGroup
+from .estimate.device_memory import device_bytes
 from .model.checkpoint_schema import as_int
 from .model.ensemble_member import EnsembleMember, count_members
 from .model.training_frame import TrainingFrame
@@ -98,6 +99,7 @@ class Trainer:
         self.engine = engine or open_engine(config.device, threads=config.threads)[0]
         """Computes the steps."""
         drops, frozen = self.rules.drop_rate > 0, start.frozen is not None
+        self._keep_photos(config)
         check_engine(self.engine.info, config, analysis, self._terms, drops=drops, frozen=frozen)
         self.models = ModelSet(
             self.engine,
@@ -154,6 +156,17 @@ class Trainer:
         """SH degree of the start splats before it was cut to that of the config."""
         if Skip.SH_BANDS in config.without:
             self.models.widen_sh(config.sh_degree)
+
+    def _keep_photos(self, config: TrainConfig) -> None:
+        """Let photos stay where a device has more memory than the training needs."""
+        cameras = self.photos.scene.cameras
+        needed = device_bytes(
+            splats=config.max_splats,
+            sh_degree=config.sh_degree,
+            pixels=int((cameras.widths * cameras.heights).max()),
+            models=self.rules.models,
+        )
+        self.engine.keep_photos(max(self.engine.info.memory - needed, 0))
 
     @property
     def model(self) -> EngineModel:

@@ -124,6 +124,47 @@ def test_steps_are_requested_before_earlier_ones_are_done(monkeypatch: pytest.Mo
     assert [unread for _, unread in waits[7:]] == [3, 2, 1]
 
 
+def test_photos_stay_on_the_device_where_there_is_room() -> None:
+    """Oracle: the bits of a training whose photos are sent for each step, and the room: none, three
+    or all photos stay, also where they have grown."""
+    found = trained(ONE, "print_photos()")
+    assert [count for _, count in found] == [0, 3, 8]
+    assert len({digest for digest, _ in found}) == 1
+
+
+def test_photos_make_room_for_splats() -> None:
+    """Oracle: 64 MiB, filled with photos of 120 kB: none stays after the model has grown to rows of
+    25 MB, and both steps are taken."""
+    counts, taken, rows = trained(ONE, "print_short_room(16000)", GSCORE_GPU_MEMORY="64")
+    assert 100 < counts[0] < 2000 and counts[1] == 0 and taken == 2 and rows == 16_000
+
+
+def test_the_forecast_of_device_memory_covers_a_training() -> None:
+    """Oracle: the peak that the library counts, at least half of the forecast."""
+    peak, forecast = trained(ONE, "print_memory(20000, 96)")
+    assert forecast / 2 < peak <= forecast
+
+
+def test_a_training_beyond_the_device_s_memory_is_refused(capture: Path, tmp_path: Path) -> None:
+    """Oracle: 200 MiB: a sentence with numbers and remedies before the first step for millions of
+    splats, none for fewer; the forecast in the events."""
+    result_of(ONE, "keep_passed()", XDG_CACHE_HOME=str(tmp_path / "cache"))
+    options = ("--device", "0", "--max-splats", "4000000", "--events", "jsonl")
+    large = _train(capture, tmp_path / "large", *options, GSCORE_GPU_MEMORY="200")
+    assert large.returncode == 2 and "Traceback" not in large.stderr
+    assert "Training 4,000,000 splats needs about " in large.stdout
+    assert "which has 0.2 GB free; use `--max-splats " in large.stdout
+    assert not (tmp_path / "large" / "config.json").exists()
+    options = ("--device", "0", "--events", "jsonl")
+    small = _train(capture, tmp_path / "small", *options, GSCORE_GPU_MEMORY="200")
+    assert small.returncode == 0, small.stderr
+    events = [json.loads(line) for line in small.stdout.splitlines()]
+    told = next(event for event in events if event["event"] == "estimate")
+    assert 0 < told["device_bytes"] <= told["device_free_bytes"] == 200 << 20
+    metrics = json.loads((tmp_path / "small" / "metrics.json").read_text(encoding="utf-8"))
+    assert 0 < metrics["device_peak_bytes"] <= told["device_bytes"]
+
+
 def test_steps_that_need_more_room_are_repeated() -> None:
     """Oracle: a training whose steps are read at once; the CPU's, within 0.1 %."""
     found = trained(ONE, "print_crowded()")

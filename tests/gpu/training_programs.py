@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from gscore.config import TrainConfig
-from gscore.engine.base import Engine, RowEdit
+from gscore.engine.base import Engine, RowEdit, StepPhoto
 from gscore.engine.cpu.engine import CpuEngine
-from gscore.stress.capture import toy_photos
+from gscore.stress.capture import toy_photos, toy_splats
 from gscore.trainer.analysis.analysis import Analysis
+from gscore.trainer.estimate.device_memory import device_bytes
 from gscore.trainer.trainer import Trainer
+from tests.engine.test_contract import COUNTERS, columns_of, request_of
 from tests.gpu.engines import software_engine
 from tests.trainer.short_run import CONFIG
 
@@ -36,14 +38,16 @@ CASES: dict[str, dict[str, Any]] = {
 """Options of a training by its name."""
 
 
-def trainer_of(case: str, engine: Engine[Any], size: int, mask: str = "none") -> Trainer:
+def trainer_of(
+    case: str, engine: Engine[Any], size: int, mask: str = "none", **options: Any
+) -> Trainer:
     """A training of the toy capture with photos of `size` px."""
     photos = toy_photos(size=size)
     if mask != "none":
         y, x = np.mgrid[:size, :size] - size / 2
         disc = (255 * (np.hypot(x, y) < 0.45 * size)).astype(np.uint8)
         photos = replace(photos, masks=[disc for _ in photos.images], mask_mode=mask)
-    config: TrainConfig = replace(SHORT, **CASES[case])
+    config: TrainConfig = replace(SHORT, **(CASES[case] | options))
     return Trainer(config, Analysis(photos=photos), engine=engine)
 
 
@@ -127,6 +131,67 @@ def _continue(before: Trainer, after: Trainer) -> None:
     before.read_all()
     state = json.loads(json.dumps(before.state()))
     after.restore(state, {name: one.clone() for name, one in before.tensors().items()})
+
+
+def print_photos() -> None:
+    """By the photos that may stay on the device, none, three or all: the hash of a training with
+    masks, whose photos grow, and the number of those that stayed; the last without enough memory
+    for them and the growing model."""
+    found = []
+    for count in (0, 3, 99):
+        trainer = trainer_of("default", software_engine(), 32, "ignore", coarse_factor=2.0)
+        engine: Any = trainer.engine
+        engine.keep_photos(count * 32 * 32 * 4)
+        for _ in range(60):
+            trainer.advance()
+        found.append([hash_of(trainer), len(engine._kept)])
+        engine.close()
+    sys.stdout.write(f"\n{json.dumps(found)}\n")
+
+
+def print_short_room(rows: int) -> None:
+    """A device whose memory is filled with photos: how many stay there, and how many after a model
+    has grown to `rows`; the steps that were taken before and after that."""
+    engine = software_engine()
+    engine.keep_photos(1 << 40)
+    photos = toy_photos(size=200)
+    model = engine.model(columns_of(toy_splats(count=500)), counters=COUNTERS)
+    photo, kept, counts, taken = StepPhoto(image=photos.image(0)), engine._kept, [], 0
+    for step in (1, 2):
+        engine.put(0, photo)
+        taken += not engine.step(model, request_of(photos, 0, step)).result().skipped
+        key = 1
+        while kept.handle_of(key, photo)[0] is not None and key < 2000:
+            key += 1
+        counts.append(len(kept))
+        if step == 1:
+            more = rows - len(model)
+            model.edit(RowEdit(parents=np.resize(np.arange(len(model)), more)))
+    sys.stdout.write(f"\n{json.dumps([counts, taken, len(model)])}\n")
+
+
+def print_memory(rows: int, size: int) -> None:
+    """Most bytes that a training took which grew to `rows` splats of SH degree 3, with pictures,
+    contributions and masks; and their forecast."""
+    engine = software_engine()
+    photos = toy_photos(size=size)
+    columns = columns_of(toy_splats(count=rows // 2))
+    columns["shN"] = np.zeros((rows // 2, 15, 3), np.float32)
+    model = engine.model(columns, counters=COUNTERS)
+    mask = np.full((size, size), 255, np.uint8)
+    photo = StepPhoto(image=photos.image(0), mask=mask, mask_mode="ignore")
+    for step in range(1, 7):
+        engine.put(0, photo)
+        request = request_of(photos, 0, step, sh_degree=3, learn_pose=True, gain=(1.0, 1.1, 0.9))
+        engine.step(model, request)
+        if step == 3:
+            model.edit(RowEdit(parents=np.arange(len(model)), morton=True))
+    black = {"background": (0.0, 0.0, 0.0), "antialias": False}
+    engine.draw([model], request_of(photos, 0, 1).view, inverse_depth=True, **black)
+    assert list(engine.contributions(model, [(request.view, photo)], antialias=False))
+    assert len(model) == rows and len(model.save()["param/shN"]) == rows
+    forecast = device_bytes(splats=rows, sh_degree=3, pixels=size * size)
+    sys.stdout.write(f"\n{json.dumps([engine.peak_memory(), forecast])}\n")
 
 
 def print_crowded() -> None:

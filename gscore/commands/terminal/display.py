@@ -258,7 +258,10 @@ def estimate_text(event: Estimated) -> str:
     text = f"About {time_text(max(round(event.seconds), 1))} of training"
     if event.reading_seconds > max(1.0, 0.1 * event.seconds):
         text += f" after {time_text(round(event.reading_seconds))} of reading"
-    text += f" and {event.peak_bytes / 1e9:.1f} GB of memory, where nothing else runs"
+    text += f" and {event.peak_bytes / 1e9:.1f} GB of memory"
+    if event.device_bytes:
+        text += f", {event.device_bytes / 1e9:.1f} GB on the device"
+    text += ", where nothing else runs"
     if event.photos_kept:
         return text
     return f"{text}; {size_text(event.photo_bytes)} of photos are cached, the others read again"

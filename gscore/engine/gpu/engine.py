@@ -14,6 +14,7 @@ from ...raster import arguments
 from ...raster.buffers import UINT8, address, optional
 from ...raster.gpu import header
 from ...raster.gpu.gpu_raster import GpuRaster
+from ...raster.gpu.library import DeviceMemoryError
 from ...raster.header import MASK_MODES, OUT_INVERSE_DEPTH, TILE
 from ...raster.request import Frustum, Settings
 from ...splats import PARAMETERS
@@ -21,6 +22,7 @@ from .. import base
 from ..base import Color, Columns, Feature, ShUpdate, StepNumbers, StepPhoto, StepRequest, TermKind
 from ..ensemble import merge_models
 from .model import GpuModel
+from .photos import KeptPhotos
 
 IN_FLIGHT = 2
 """Steps in flight; a constant, so that results do not depend on time."""
@@ -85,14 +87,18 @@ class GpuEngine(base.Engine[GpuModel]):
             name=name,
             numerics=numerics,
             features=frozenset(base.Feature) - {Feature.ANOMALIES},
+            memory=raster.memory()[1],
             cost=COST,
         )
         """Identity and capabilities."""
         self._raster = raster
+        self._peak = 0
         self._photos: dict[int, StepPhoto] = {}
         self._unread: deque[tuple[int, PendingStep]] = deque()
         """Slots and steps in flight, in their order."""
+        self._kept = KeptPhotos(raster)
         raster.wait_for_steps = self.read_all
+        raster.make_room = self._kept.make_room
 
     def model(
         self, columns: Columns, *, counters: Sequence[str] = (), frozen: Columns | None = None
@@ -115,25 +121,40 @@ class GpuEngine(base.Engine[GpuModel]):
             # An earlier step that is repeated changes the picture, and the term with it.
             self.read_all()
         pending = PendingStep(self, model, request)
-        self._request(pending, photo)
+        self._start(pending, photo, key=request.photo)
         return pending
 
-    def _request(self, pending: PendingStep, photo: StepPhoto) -> None:
-        """Start a step in a free slot."""
+    def _start(self, pending: PendingStep, photo: StepPhoto, *, key: int | None = None) -> None:
+        """Start a step in a free slot; `key`: of a photo that may stay on the device."""
+        kept, written = (None, False) if key is None else self._kept.handle_of(key, photo)
         while len(self._unread) > IN_FLIGHT:
             self.read_next()
         used = {slot for slot, _ in self._unread}
         slot = next(one for one in range(header.STEPS_MAX) if one not in used)
         self._unread.append((slot, pending))
-        found = step_struct(pending, photo)
-        asked = pending.model.rows.handle, ct.byref(found), slot
         try:
-            self._raster.call(self._raster.library.gs_gpu_step_request, *asked, waits=False)
+            try:
+                self._submit(slot, step_struct(pending, photo, kept=kept, written=written))
+            except DeviceMemoryError:
+                self._unread.pop()  # it is not in flight
+                has_room = self._kept.make_room()
+                self._unread.append((slot, pending))
+                if not has_room:
+                    raise
+                self._submit(slot, step_struct(pending, photo))
             if pending.request.picture_term is not None:
                 self._add_term(pending, slot)
         except BaseException as error:
+            if key is not None and not written:
+                self._kept.forget(key)
             self._drop(error)
             raise
+
+    def _submit(self, slot: int, step: ct.Structure) -> None:
+        """Start the last of the steps in flight."""
+        rows = self._unread[-1][1].model.rows
+        request = self._raster.library.gs_gpu_step_request
+        self._raster.call(request, rows.handle, ct.byref(step), slot, waits=False)
 
     def _drop(self, error: BaseException) -> None:
         """Give up all steps in flight after an error, which is theirs too."""
@@ -225,6 +246,7 @@ class GpuEngine(base.Engine[GpuModel]):
         self, model: GpuModel, views: Iterable[tuple[Frustum, StepPhoto]], *, antialias: bool
     ) -> Iterator[base.Contribution]:
         """Yield the contributions of the splats to each view."""
+        self.release()  # they need other memory than steps
         settings = Settings(antialias=antialias)
         for view, photo in views:
             shares = np.ones((view.height, view.width, 3), np.float32)
@@ -265,8 +287,18 @@ class GpuEngine(base.Engine[GpuModel]):
             extent=1.0,
         )
         pending = PendingStep(self, model, request, updates=False)
-        self._request(pending, photo)
+        self._start(pending, photo)
         return pending.result().slopes[0, 3:].reshape(4, 4).astype(np.float32)
+
+    def keep_photos(self, room: int) -> None:
+        """Let photos stay on the device, up to `room` bytes of them."""
+        self._kept.room = room
+
+    def peak_memory(self) -> int:
+        """Most bytes of device memory in use so far."""
+        if self._raster.usable:
+            self._peak = self._raster.memory()[0]
+        return self._peak
 
     def release(self) -> None:
         """Free the memory of steps, after those in flight."""
@@ -276,6 +308,7 @@ class GpuEngine(base.Engine[GpuModel]):
         """Free the device."""
         self._unread.clear()
         self._photos.clear()
+        self.peak_memory()
         self._raster.close()
 
 
@@ -291,8 +324,17 @@ def _merged(models: Sequence[GpuModel]) -> Columns:
     return merge_models([model.part(0, len(model)) for model in models])
 
 
-def step_struct(pending: PendingStep, photo: StepPhoto) -> ct.Structure:
-    """gs_gpu_step of a request; its arrays must live until it was started."""
+def step_struct(
+    pending: PendingStep,
+    photo: StepPhoto,
+    *,
+    kept: ct.c_void_p | None = None,
+    written: bool = False,
+) -> ct.Structure:
+    """gs_gpu_step of a request; its arrays must live until it was started.
+
+    `kept`: handle of the photo, if it stays on the device; `written`: it is there already.
+    """
     model, request = pending.model, pending.request
     view, weights = request.view, dict(request.terms)
     outputs = OUT_INVERSE_DEPTH if request.picture_term is not None else 0
@@ -304,8 +346,9 @@ def step_struct(pending: PendingStep, photo: StepPhoto) -> ct.Structure:
     tile_shape = (-(-view.height // TILE), -(-view.width // TILE))
     found = header.GpuStepStruct(
         view=arguments.view(view, settings, request.sh_degree),
-        photo=address("photo", photo.image, (*size, 3), UINT8),
-        mask=optional("mask", photo.mask, size, UINT8),
+        photo=None if written else address("photo", photo.image, (*size, 3), UINT8),
+        mask=None if written else optional("mask", photo.mask, size, UINT8),
+        kept=kept,
         tiles=optional("tiles", photo.tiles, tile_shape, UINT8),
         mask_mode=MASK_MODES[photo.mask_mode] if masked else MASK_MODES["none"],
         counted=photo.counted,

@@ -55,10 +55,12 @@ class GpuRaster:
         self._last: _Uploaded | None = None
         self._drawn: tuple[Any, ...] = ()
         """Splats, settings and view of the last `forward`; empty: none, or something else since."""
-        self.rows: WeakSet[Any] = WeakSet()
-        """Rows on the device, `GpuRows`, which are closed with it."""
+        self.content: WeakSet[Any] = WeakSet()
+        """Rows and photos on the device, which are closed with it."""
         self.wait_for_steps: Callable[[], None] = lambda: None
         """Waits for steps in flight."""
+        self.make_room: Callable[[], bool] = lambda: False
+        """Frees memory that calls can do without; returns whether there was any."""
         self.uploads = 0
         """Number of copies of splats to the device so far."""
         self._lib = self.library = library()
@@ -76,8 +78,8 @@ class GpuRaster:
 
     def close(self) -> None:
         """Free all memory and the device; twice does no harm."""
-        for rows in list(self.rows):
-            rows.close()
+        for one in list(self.content):
+            one.close()
         handle, self.handle = self.handle, _pointer()
         if not handle or self._process != os.getpid():  # those of a parent process are not ours
             return
@@ -282,6 +284,14 @@ class GpuRaster:
             self._check(self._lib.gs_gpu_test(self._open(), kernel, *found, len(a)))
         return out
 
+    def memory(self) -> tuple[int, int]:
+        """Most bytes of memory in use so far, and those that it may take: GSCORE_GPU_MEMORY, or
+        what was free when it was opened."""
+        found = header.GpuMemoryStruct()
+        with self._lock:
+            self._check(self._lib.gs_gpu_memory_use(self._open(), ct.byref(found)))
+        return found.peak, found.limit
+
     @property
     def usable(self) -> bool:
         """Whether the device is open and of this process."""
@@ -296,7 +306,7 @@ class GpuRaster:
     ) -> None:
         """Call a function of the library, whose first argument is the device or `handle`.
 
-        `waits`: wait for steps in flight first.
+        `waits`: wait for steps in flight first, and make room if memory is short.
 
         Raises:
             As `forward`.
@@ -306,7 +316,13 @@ class GpuRaster:
             self._drawn = ()
             if waits:
                 self.wait_for_steps()
-            self._check(function(device if handle is None else handle, *values))
+            first = device if handle is None else handle
+            try:
+                self._check(function(first, *values))
+            except DeviceMemoryError:
+                if not waits or not self.make_room():
+                    raise
+                self._check(function(first, *values))
 
     def _open(self) -> ct.c_void_p:
         """The handle; BackendError after `close` and in a forked process."""

@@ -49,7 +49,7 @@ class GpuRows:
         content = arguments.splats(splats, settings)
         made = ct.byref(self.handle)
         raster.call(self._lib.gs_gpu_model_create, ct.byref(content), before, counters, made)
-        raster.rows.add(self)
+        raster.content.add(self)
         self._count = len(splats[0])
         self._frozen = 0 if frozen is None else len(frozen[0])
         self._splats = _pointer()

@@ -3,7 +3,7 @@
 from .. import header as base
 from ..header import struct
 
-ABI_VERSION = 2
+ABI_VERSION = 3
 STEPS_MAX = 3
 """Most steps in flight."""
 SH_OFF, SH_ACCUMULATE, SH_STEP = range(3)
@@ -32,6 +32,7 @@ GpuStatsStruct = struct(
     "int64 visible entries device_bytes",
     "double project_ms sort_ms bin_ms blend_ms download_ms total_ms",
 )
+GpuMemoryStruct = struct("gs_gpu_memory", "uint64 in_use peak limit")
 GpuLossTermsStruct = struct(
     "gs_gpu_loss_terms",
     "pointer alpha",
@@ -51,7 +52,7 @@ GpuColumnsStruct = struct(
 GpuStepStruct = struct(
     "gs_gpu_step",
     ("view", base.ViewStruct),
-    "pointer photo mask tiles",
+    "pointer photo mask kept tiles",
     "int32 mask_mode",
     "float[3] shown_background",
     "float counted ssim_weight mask_alpha see_through",
@@ -81,6 +82,7 @@ SIGNATURES = base.signatures(
         GpuInfoStruct,
         GpuLossResultStruct,
         GpuLossTermsStruct,
+        GpuMemoryStruct,
         GpuStatsStruct,
         GpuStepNumbersStruct,
         GpuStepStruct,
@@ -95,6 +97,7 @@ SIGNATURES = base.signatures(
         "gs_gpu_weights": "pointer pointer pointer pointer",
         "gs_gpu_backward": "pointer pointer gs_image_grads gs_splat_grads",
         "gs_gpu_draw_stats": "pointer gs_gpu_stats",
+        "gs_gpu_memory_use": "pointer gs_gpu_memory",
         "gs_gpu_profile": "pointer int32",
         "gs_gpu_kernel_time": "pointer int32 pointer pointer int64*",
         "gs_gpu_projected": "pointer pointer pointer pointer pointer pointer",
@@ -115,6 +118,8 @@ SIGNATURES = base.signatures(
         "gs_gpu_step_picture": "pointer int32 pointer pointer",
         "gs_gpu_step_resume": "pointer int32 double pointer pointer",
         "gs_gpu_step_result": "pointer int32 gs_gpu_step_numbers",
+        "gs_gpu_photo_create": "pointer int32 int32 int32 pointer",
+        "gs_gpu_photo_free": "pointer",
         "gs_gpu_steps_release": "pointer",
         "gs_gpu_test": "pointer int32 pointer pointer pointer int64",
     },

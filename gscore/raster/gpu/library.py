@@ -15,7 +15,8 @@ from . import header
 def _declare(lib: ct.CDLL) -> None:
     """Declare argument and result types of the functions for ctypes."""
     lib.gs_gpu_last_error.restype = ct.c_char_p
-    for name in ("gs_gpu_close", "gs_gpu_release", "gs_gpu_model_destroy"):
+    freeing = ("gs_gpu_close", "gs_gpu_release", "gs_gpu_model_destroy", "gs_gpu_photo_free")
+    for name in freeing:
         getattr(lib, name).restype = None
     for name, types in header.SIGNATURES.items():
         getattr(lib, name).argtypes = types

@@ -3,10 +3,12 @@
 import math
 import time
 from collections.abc import Callable
+from typing import Any
 
 from ...config import TrainConfig
 from ...control import Control
 from ...datasets import Dataset
+from ...engine.base import Engine
 from ...errors import Cancelled, DatasetError
 from ...events import Estimated, Event, Progress
 from ...text_format import count_text
@@ -28,6 +30,7 @@ def load_photos(
     announce: bool,
     emit: Callable[[Event], None],
     control: Control,
+    engine: Engine[Any] | None = None,
 ) -> tuple[int | None, PhotoFacts]:
     """Estimate time and memory, decode the photos if they fit, and visit them.
 
@@ -42,14 +45,16 @@ def load_photos(
         announce: Whether to emit the estimate, which is for a whole run.
         emit: Receives the estimate and progress events.
         control: Stops the loading.
+        engine: Computes the training; None: the CPU.
 
     Raises:
+        DeviceMemoryError: the training does not fit into the memory of the engine's device.
         GsError: the training does not fit into memory; the message has advice.
         DatasetError, FormatError: a photo cannot be read.
         Cancelled: stopped.
     """
-    found = _estimate(photos, config, points, depths)
-    check_fits(found, config)
+    found = _estimate(photos, config, points, depths, engine)
+    check_fits(found, config, "" if engine is None else engine.info.name)
     if announce:
         emit(
             Estimated(
@@ -60,6 +65,8 @@ def load_photos(
                 photos_kept=found.photos_kept,
                 photo_bytes=found.photo_bytes,
                 max_splats=config.max_splats,
+                device_bytes=0 if found.device is None else found.device.peak_bytes,
+                device_free_bytes=0 if found.device is None else found.device.free_bytes,
             )
         )
     if found.photos_kept:
@@ -77,7 +84,13 @@ def load_photos(
     return None if all_there else found.photo_bytes, facts
 
 
-def _estimate(photos: Dataset, config: TrainConfig, points: int, depths: bool) -> Estimate:
+def _estimate(
+    photos: Dataset, config: TrainConfig, points: int, depths: bool, engine: Engine[Any] | None
+) -> Estimate:
+    device = {}
+    if engine is not None and engine.info.memory:
+        info = engine.info
+        device = {"device_memory": info.memory, "cost": info.cost, "pace": engine.pace()}
     cameras = photos.scene.cameras
     sizes = list(zip(cameras.widths.tolist(), cameras.heights.tolist(), strict=True))
     pixels = int((cameras.widths * cameras.heights).sum())
@@ -91,6 +104,7 @@ def _estimate(photos: Dataset, config: TrainConfig, points: int, depths: bool) -
         cloud=len(photos.scene.points),
         decoding=photos.decoding_bytes(config.threads),
         stored=photos.decoding_pixels,
+        **device,
     )
 
 

@@ -6,16 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...config import Skip, TrainConfig
-from ...engine.cpu.pace import machine_pace
+from ...engine.base import CostModel
+from ...engine.cpu.pace import COST, machine_pace
 from ...errors import GsError
 from ...io.system_memory import available_memory_bytes, total_memory_bytes
 from ...metrics.lpips import lpips_file, named_net
+from ...raster.gpu.library import DeviceMemoryError
 from ...splats import SH_REST_BY_DEGREE
 from ...text_format import count_text
 from ..model.nearest_points import few_queries
 from ..schedule.caps import config_where_photos_agree, expected_model_count
 from ..schedule.plan import Plan
 from .cost import Cost, reading_seconds
+from .device_memory import device_bytes
 
 RUNTIME = 230_000_000
 """Bytes of Python with torch before a training starts."""
@@ -180,16 +183,35 @@ class Estimate:
     """Most splats that fit with these photos, in steps of 1000; 0: too few to be useful."""
     fitting_width: int
     """Width of the widest photo at which `max_splats` fit, px; 0: too small to be useful."""
+    device: "DeviceEstimate | None" = None
+    """Memory of the device that trains; None: it has none of its own."""
 
     @property
     def advice(self) -> str:
         """Advice if the memory is insufficient, else empty."""
         if self.fits:
             return ""
-        ways = [f"use `--max-splats {self.fitting_splats}`"] if self.fitting_splats else []
-        if self.fitting_width:
-            ways.append(f"use smaller photos (`--resolution {self.fitting_width}`)")
-        return " or ".join([*ways, "close programs"])
+        return " or ".join([*_ways(self.fitting_splats, self.fitting_width), "close programs"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeviceEstimate:
+    """Predicted memory of a device."""
+
+    peak_bytes: int
+    """Most bytes in use, without photos that stay there where there is room."""
+    free_bytes: int
+    """Bytes that a training may take."""
+    fitting_splats: int
+    """Most splats that fit, see `Estimate`; 0 also where all fit."""
+    fitting_width: int
+    """Largest width of photos that fit, px, likewise."""
+
+
+def _ways(splats: int, width: int) -> list[str]:
+    """Ways to need less memory."""
+    ways = [f"use `--max-splats {splats}`"] if splats else []
+    return ways + ([f"use smaller photos (`--resolution {width}`)"] if width else [])
 
 
 def estimate(
@@ -205,6 +227,8 @@ def estimate(
     stored: int | None = None,
     free: int | None = None,
     pace: float | None = None,
+    cost: CostModel = COST,
+    device_memory: int = 0,
 ) -> Estimate:
     """Predict time and memory of a training without reading files.
 
@@ -220,8 +244,10 @@ def estimate(
         stored: Number of pixels of all photos as stored, in the time of JPEG
             (`Dataset.decoding_pixels`); None: as many as in `sizes`.
         free: Bytes of memory that may be used; None: those available now.
-        pace: Time on this machine relative to the reference machine; None: measured once by
+        pace: Time of a step relative to `cost`; None: that of this machine's CPU, measured once by
             rendering a few images, within a tenth of a second.
+        cost: Seconds of a step.
+        device_memory: Bytes that the training may take on a device; 0: it has none of its own.
 
     Raises:
         BackendError: The native library is missing.
@@ -277,10 +303,7 @@ def estimate(
             view = largest * (width / widest) ** 2
             return max(needed(splats, int(view)), at_start) <= room
 
-        fitting_splats = 1000 * _most(lambda k: fit(1000 * k, widest), config.max_splats // 1000)
-        fitting_splats = fitting_splats if fitting_splats >= _FEWEST_SPLATS else 0
-        fitting_width = _most(lambda width: fit(config.max_splats, width), widest)
-        fitting_width = fitting_width if fitting_width >= _SMALLEST_WIDTH else 0
+        fitting_splats, fitting_width = _fitting(fit, config.max_splats, widest)
 
     def paced(config: TrainConfig, models: int, *, drops: bool) -> float:
         plan = Plan.of(
@@ -293,9 +316,10 @@ def estimate(
             drops=drops,
             models=models,
         )
-        return Cost(plan).seconds_after(0, models * min(points, plan.max_splats))
+        return Cost(plan, cost).seconds_after(0, models * min(points, plan.max_splats))
 
-    pace = machine_pace(config.threads) if pace is None else pace
+    reading_pace = machine_pace(config.threads) if pace is None or device_memory else pace
+    pace = reading_pace if pace is None else pace
     reading = reading_seconds(
         points if cloud is None else cloud, total if stored is None else stored, config.threads
     )
@@ -304,7 +328,7 @@ def estimate(
         seconds = pace * max(paced(*case, drops=n > 0) for n, case in enumerate(expected))
     return Estimate(
         seconds=seconds,
-        reading_seconds=pace * reading,
+        reading_seconds=reading_pace * reading,
         peak_bytes=RUNTIME + rest + cached,
         free_bytes=free,
         photo_bytes=cached,
@@ -313,7 +337,43 @@ def estimate(
         fits=fits,
         fitting_splats=fitting_splats,
         fitting_width=fitting_width,
+        device=_device_estimate(
+            config,
+            largest,
+            widest=int(widths.max(initial=1)),
+            models=models,
+            free=device_memory,
+        ),
     )
+
+
+def _device_estimate(
+    config: TrainConfig, pixels: int, *, widest: int, models: int, free: int
+) -> DeviceEstimate | None:
+    """Predict the memory of a device of which `free` bytes may be taken; 0: it has none."""
+    if not free:
+        return None
+
+    def needed(splats: int, width: int) -> int:
+        view = int(pixels * (width / widest) ** 2)
+        degree = config.sh_degree
+        return device_bytes(splats=splats, sh_degree=degree, pixels=view, models=models)
+
+    peak = needed(config.max_splats, widest)
+    splats = width = 0
+    if peak > free:
+        splats, width = _fitting(lambda n, w: needed(n, w) <= free, config.max_splats, widest)
+    return DeviceEstimate(
+        peak_bytes=peak, free_bytes=free, fitting_splats=splats, fitting_width=width
+    )
+
+
+def _fitting(fits: Callable[[int, int], bool], splats: int, width: int) -> tuple[int, int]:
+    """Most splats, in steps of 1000, that fit with photos of this width, and the largest width with
+    which `splats` fit; 0 where that is too little to be useful."""
+    found = 1000 * _most(lambda k: fits(1000 * k, width), splats // 1000)
+    side = _most(lambda w: fits(splats, w), width)
+    return found if found >= _FEWEST_SPLATS else 0, side if side >= _SMALLEST_WIDTH else 0
 
 
 def _most(fits: Callable[[int], bool], high: int) -> int:
@@ -325,8 +385,19 @@ def _most(fits: Callable[[int], bool], high: int) -> int:
     return low
 
 
-def check_fits(found: Estimate, config: TrainConfig) -> None:
-    """Raise GsError with advice if a training will not fit into memory."""
+def check_fits(found: Estimate, config: TrainConfig, device: str = "") -> None:
+    """Raise GsError with advice if a training will not fit into memory.
+
+    `device`: name of the device that trains; DeviceMemoryError if it does not fit into its memory.
+    """
+    if (there := found.device) and there.peak_bytes > there.free_bytes:
+        ways = _ways(there.fitting_splats, there.fitting_width)
+        ways += ["close programs that use the graphics card", "use `--device cpu`"]
+        raise DeviceMemoryError(
+            f"Training {count_text(config.max_splats, 'splat')} needs about "
+            f"{there.peak_bytes / 1e9:.1f} GB of the memory of {device}, which has "
+            f"{there.free_bytes / 1e9:.1f} GB free; {' or '.join(ways)}."
+        )
     if found.fits or found.free_bytes is None:
         return
     raise GsError(

@@ -131,6 +131,7 @@ class RunOutputs:
             steps=trainer.steps,
             train_seconds=meter.train_seconds,
             reason=reason,
+            device_peak_bytes=trainer.engine.peak_memory() or None,
             trained_at=datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
             history=meter.history,
             evals=evals,
