@@ -299,6 +299,49 @@ class RefitDone(Event, kind="refit"):
 
 
 @dataclass(frozen=True, kw_only=True)
+class MeshPlanned(Event, kind="mesh_plan"):
+    """The volume of a mesh, before it is allocated."""
+
+    voxel: float
+    """Distance between voxels, world units."""
+    far: float
+    """Farthest depth that is fused, world units."""
+    views: int
+    """Number of views that are drawn."""
+    blocks: int
+    """Number of blocks of voxels near surfaces."""
+    volume_bytes: int
+    """Memory of the volume."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshProgress(Event, kind="mesh_progress"):
+    """Progress of a mesh."""
+
+    phase: str
+    """reading, measuring, looking for surfaces, fusing, contouring, cleaning, reducing or
+    writing."""
+    done: int
+    """Completed views or parts."""
+    total: int
+    """All views or parts of the phase; 0: it has none."""
+    eta_s: float = math.nan
+    """Seconds left in the phase; NaN: not known."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshDone(Event, kind="mesh"):
+    """A mesh was made and written."""
+
+    path: str
+    """The mesh file."""
+    vertices: int
+    triangles: int
+    voxel: float
+    """Distance between voxels, world units."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SfmEstimated(Event, kind="sfm_estimate"):
     """Expected time of structure from motion, after the photos are read and before each further
     attempt."""

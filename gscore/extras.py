@@ -63,6 +63,8 @@ _EXTRAS = {
     "pillow_heif": "heic",
     "rawpy": "raw",
     "zstandard": "formats",
+    "skimage": "mesh",
+    "fast_simplification": "mesh",
     "pxr": "usd",
     "huggingface_hub": "hub",
     "lpips": "lpips-torch",
@@ -70,7 +72,13 @@ _EXTRAS = {
     "bpy": "blender",
 }
 """Module to extra in pyproject.toml."""
-_PACKAGES = {"PIL": "pillow", "pxr": "usd-core", "pillow_heif": "pillow-heif"}
+_PACKAGES = {
+    "PIL": "pillow",
+    "pxr": "usd-core",
+    "pillow_heif": "pillow-heif",
+    "skimage": "scikit-image",
+    "fast_simplification": "fast-simplification",
+}
 """Module to package, where the names differ."""
 _CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 """torch without CUDA, for Linux, where the default package includes gigabytes of it."""

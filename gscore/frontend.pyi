@@ -46,6 +46,9 @@ from .events import Failed as Failed
 from .events import FramesDone as FramesDone
 from .events import FramesProgress as FramesProgress
 from .events import FrameStarted as FrameStarted
+from .events import MeshDone as MeshDone
+from .events import MeshPlanned as MeshPlanned
+from .events import MeshProgress as MeshProgress
 from .events import Preview as Preview
 from .events import Progress as Progress
 from .events import RefitDone as RefitDone

@@ -65,6 +65,7 @@ ALLOWED = {
     "report": BOTTOM | {"io", "metrics", "report"},
     "page": BOTTOM | {"io", "page"},
     "viewers": BOTTOM | {"raster", "metrics", "viewers"},
+    "mesh": BOTTOM | {"io", "formats", "raster", "mesh"},
     "live": BOTTOM | {"live"},
     "trainer": BOTTOM
     | {"io", "formats", "datasets", "depth", "raster", "engine", "stereo", "metrics", "report"}

@@ -24,7 +24,9 @@ from .parts import check_part
 GLB_MAGIC = b"glTF"
 CHECK = "crc32"
 """Key in the extras of a buffer: CRC-32 of its file, written with a .gltf."""
-FLOAT, UNSIGNED_BYTE = 5126, 5121
+FLOAT, UNSIGNED_BYTE, UNSIGNED_INT = 5126, 5121, 5125
+_STORED = {"u1": UNSIGNED_BYTE, "u4": UNSIGNED_INT}
+"""Component types by dtype; others are written as FLOAT."""
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _HEADER = struct.Struct("<4sII")
@@ -208,11 +210,11 @@ class GltfBuffer:
         """Add rows, which are copied when the file is written; returns the index of their accessor.
 
         Args:
-            array: [N, width] or [N], float32 or uint8.
+            array: [N, width] or [N], float32, uint8 or uint32.
             kind: Its type in glTF.
             more: Further properties of the accessor.
         """
-        stored = UNSIGNED_BYTE if array.dtype == np.uint8 else FLOAT
+        stored = _STORED.get(array.dtype.str[1:], FLOAT)
         self.accessors.append(
             {
                 "bufferView": self._add(array, array.nbytes),

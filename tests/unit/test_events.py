@@ -118,5 +118,6 @@ def test_kinds_are_those_of_the_protocol() -> None:
     words = "estimate started progress preview snapshot eval warning saved done error"
     words += " sequence frame depth depth_progress evaluated eval_progress"
     words += " sfm sfm_estimate sfm_progress frames frames_progress refit refit_progress"
+    words += " mesh mesh_plan mesh_progress"
     assert set(KINDS) == set(words.split())
     assert KINDS["started"] is Started

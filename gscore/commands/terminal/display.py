@@ -20,6 +20,9 @@ from ...events import (
     FramesDone,
     FramesProgress,
     FrameStarted,
+    MeshDone,
+    MeshPlanned,
+    MeshProgress,
     Progress,
     RefitDone,
     RefitProgress,
@@ -87,6 +90,8 @@ class Lines:
                 self._evaluation(event)
             case RefitProgress():
                 self._refit(event)
+            case MeshProgress():
+                self._mesh(event)
             case SfmProgress():
                 self._sfm(event)
             case Eval():
@@ -95,7 +100,7 @@ class Lines:
                 self._frames(event)
             case (
                 Done() | DepthDone() | EvalDone() | SequenceDone() | SfmDone() | FramesDone()
-                | RefitDone() | Failed()
+                | RefitDone() | MeshDone() | Failed()
             ):  # fmt: skip
                 self._end()
             case Saved():
@@ -138,6 +143,14 @@ class Lines:
         parts = [f"{event.phase}, {what} {number(event.done)} of {number(event.total)}"]
         left = [f"{clock(event.eta_s)} left"] if math.isfinite(event.eta_s) else []
         self._status.show([*left, *parts], share=event.done / event.total)
+
+    def _mesh(self, event: MeshProgress) -> None:
+        if not event.done:
+            self._status.show([_capital(event.phase)])
+            return
+        left = [f"{clock(event.eta_s)} left"] if math.isfinite(event.eta_s) else []
+        parts = [*left, f"{event.phase}, view {event.done} of {event.total}"]
+        self._status.show(parts, share=event.done / event.total)
 
     def _sfm(self, event: SfmProgress) -> None:
         what = "pair" if event.phase == "comparing photos" else "photo"
@@ -186,6 +199,11 @@ def _texts(event: Event) -> Iterator[str]:
             yield (
                 f"Finding the cameras of {count_text(event.photos, 'photo')}, which takes about "
                 f"{time_text(float(f'{event.seconds:.1g}'))} on an otherwise idle machine"
+            )
+        case MeshPlanned():
+            yield (
+                f"{count_text(event.views, 'view')}; voxels of {event.voxel:.3g} world units near "
+                f"surfaces up to a depth of {event.far:.3g}: {size_text(event.volume_bytes)}"
             )
         case Started() if event.step:
             # What was found of the photos was said when it began.

@@ -163,7 +163,7 @@ def _is_marked(path: Path, head: bytes) -> bool:
         return _FILM.search(_begin(path, _MOST_FILM)) is not None
     if head.lstrip().startswith(b"{"):
         return _names_us(parse_json(_begin(path, _MOST_JSON)))
-    starts = (f"{KIND}\n".encode(), MARKDOWN_MARK.encode())
+    starts = (f"{KIND}\n".encode(), MARKDOWN_MARK.encode(), b"# made by gscore\n")
     return any((_PAGE.match(head), _FIGURE.match(head), head.startswith(starts)))
 
 

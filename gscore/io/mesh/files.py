@@ -202,27 +202,44 @@ def read_mesh_ply(path: Path) -> TriangleMesh:
     return checked_mesh(path, vertices, fans(corners))
 
 
-def write_mesh(path: str | Path, vertices: np.ndarray, triangles: np.ndarray) -> None:
+def write_mesh(
+    path: str | Path,
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    *,
+    normals: np.ndarray | None = None,
+    colors: np.ndarray | None = None,
+) -> None:
     """Write triangles as a binary PLY, completely or not at all.
 
     Args:
         path: The file.
         vertices: [V, 3] float; stored in double precision.
         triangles: [T, 3] int, rows of `vertices`.
+        normals: [V, 3] float; None: none are stored.
+        colors: [V, 3] uint8 RGB; None: none are stored.
 
     Raises:
         GsError: the file cannot be written.
     """
+    table = np.empty(len(vertices), _table_type(normals is not None, colors is not None))
+    for names, columns in (("xyz", vertices), (_NORMAL, normals), (_COLOR, colors)):
+        if columns is not None:
+            for axis, name in enumerate(names):
+                table[name] = columns[:, axis]
+    properties = "".join(
+        f"property {_PLY_TYPES[table.dtype[name].kind + str(table.dtype[name].itemsize)]} {name}\n"
+        for name in table.dtype.names or ()
+    )
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment made by gscore\n"
-        f"element vertex {len(vertices)}\n"
-        "property double x\nproperty double y\nproperty double z\n"
+        f"element vertex {len(vertices)}\n{properties}"
         f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
 
     def write(file: BinaryIO) -> None:
         file.write(header.encode("ascii"))
-        file.write(np.ascontiguousarray(vertices, "<f8").tobytes())
+        file.write(table.tobytes())
         for at in range(0, len(triangles), _ROWS):
             part = triangles[at : at + _ROWS]
             rows = np.empty(len(part), [("count", "u1"), ("corners", "<i4", 3)])
@@ -230,3 +247,14 @@ def write_mesh(path: str | Path, vertices: np.ndarray, triangles: np.ndarray) ->
             file.write(rows.tobytes())
 
     atomic_write(path, write)
+
+
+_NORMAL, _COLOR = ("nx", "ny", "nz"), ("red", "green", "blue")
+_PLY_TYPES = {"f8": "double", "f4": "float", "u1": "uchar"}
+"""Names of types in a PLY header, by dtype."""
+
+
+def _table_type(normals: bool, colors: bool) -> np.dtype:
+    columns = [(name, "<f8") for name in "xyz"]
+    columns += [(name, "<f4") for name in _NORMAL if normals]
+    return np.dtype(columns + [(name, "u1") for name in _COLOR if colors])

@@ -1,0 +1,142 @@
+"""Mesh of a surface with colours, and its files: PLY, OBJ and GLB."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from .._version import __version__
+from ..errors import ConfigError
+from ..formats.gltf import GltfBuffer, write_glb
+from ..io.files import atomic_write
+from ..io.mesh.files import write_mesh
+from ..quoting import brief
+from .clean import vertex_normals
+
+ENDINGS = (".ply", ".obj", ".glb")
+"""Endings of mesh files that are written."""
+_LINES = 1 << 16
+"""Lines of an OBJ written at a time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceMesh:
+    """Triangles with colours."""
+
+    vertices: np.ndarray
+    """[V, 3] float64, world of the splats, from `origin`."""
+    triangles: np.ndarray
+    """[T, 3] int64, rows of `vertices`, counter-clockwise from outside."""
+    colors: np.ndarray
+    """[V, 3] float32 in [0, 1], in the encoding of the photos (sRGB)."""
+    origin: np.ndarray | None = None
+    """[3] float64, local origin in the coordinates of the capture; None: zero."""
+    facts: dict[str, Any] = field(default_factory=dict)
+    """Figures of its making, as JSON values."""
+
+    @property
+    def in_capture(self) -> np.ndarray:
+        """[V, 3] float64, vertices in the coordinates of the capture."""
+        return self.vertices if self.origin is None else self.vertices + self.origin
+
+
+def check_ending(path: Path) -> None:
+    """Raise ConfigError unless a mesh can be written with the ending of `path`."""
+    if path.suffix.lower() not in _WRITERS:
+        raise ConfigError(
+            f"{brief(path)}: a mesh is written as {', '.join(ENDINGS)}; give one of these endings."
+        )
+
+
+def write_surface(path: str | Path, mesh: SurfaceMesh) -> None:
+    """Write a mesh by the ending of its name, completely or not at all.
+
+    PLY and OBJ have the coordinates of the capture and colours of 8 bits or as fractions. GLB has
+    axes with y up, as glTF needs, linear colours and the local origin as the place of its node.
+
+    Args:
+        path: A .ply, .obj or .glb file.
+        mesh: The mesh.
+
+    Raises:
+        ConfigError: the name has another ending, or the mesh is too large for a .glb.
+        GsError: the file cannot be written.
+    """
+    path = Path(path)
+    check_ending(path)
+    _WRITERS[path.suffix.lower()](path, mesh)
+
+
+def _write_ply(path: Path, mesh: SurfaceMesh) -> None:
+    normals = vertex_normals(mesh.vertices, mesh.triangles)
+    write_mesh(path, mesh.in_capture, mesh.triangles, normals=normals, colors=_bytes(mesh))
+
+
+def _write_obj(path: Path, mesh: SurfaceMesh) -> None:
+    normals = vertex_normals(mesh.vertices, mesh.triangles)
+    vertices = np.concatenate([mesh.in_capture, _bytes(mesh) / 255], axis=1)
+    corners = np.repeat(mesh.triangles + 1, 2, axis=1)
+
+    def write(file: BinaryIO) -> None:
+        file.write(b"# made by gscore\n")
+        for pattern, rows in (
+            ("v %.9g %.9g %.9g %.4f %.4f %.4f\n", vertices),
+            ("vn %.4f %.4f %.4f\n", normals),
+            ("f %d//%d %d//%d %d//%d\n", corners),
+        ):
+            for at in range(0, len(rows), _LINES):
+                part = rows[at : at + _LINES]
+                file.write((pattern * len(part) % tuple(part.ravel().tolist())).encode("ascii"))
+
+    atomic_write(path, write)
+
+
+def _write_glb(path: Path, mesh: SurfaceMesh) -> None:
+    buffer = GltfBuffer()
+    places = mesh.vertices.astype(np.float32)
+    bounds = {}
+    if len(places):
+        bounds = {"min": places.min(axis=0).tolist(), "max": places.max(axis=0).tolist()}
+    attributes = {
+        "POSITION": buffer.add(places, "VEC3", **bounds),
+        "NORMAL": buffer.add(vertex_normals(mesh.vertices, mesh.triangles), "VEC3"),
+        "COLOR_0": buffer.add(_linear(mesh.colors), "VEC3"),
+    }
+    faces = np.ascontiguousarray(mesh.triangles, np.uint32).reshape(-1)
+    indices = buffer.add(faces, "SCALAR")
+    # A half turn about z, from right-down-front to glTF's left-up-front.
+    node: dict[str, Any] = {"mesh": 0, "name": path.stem, "rotation": [0, 0, 1, 0]}
+    if mesh.origin is not None:
+        node["translation"] = (mesh.origin * [-1, -1, 1]).tolist()
+    surface = {"metallicFactor": 0, "roughnessFactor": 1}
+    content = {
+        "asset": {"version": "2.0", "generator": f"gscore {__version__}"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [node],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}],
+        "materials": [{"name": "Surface", "pbrMetallicRoughness": surface}],
+        "accessors": buffer.accessors,
+        "bufferViews": buffer.views,
+        "buffers": [{"byteLength": buffer.size}],
+    }
+    atomic_write(path, lambda file: write_glb(file, content, buffer))
+
+
+def _bytes(mesh: SurfaceMesh) -> np.ndarray:
+    return np.rint(np.clip(mesh.colors, 0, 1) * 255).astype(np.uint8)
+
+
+def _linear(colors: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB values (IEC 61966-2-1)."""
+    high = ((np.clip(colors, 0, 1) + 0.055) / 1.055) ** 2.4
+    return np.where(colors <= 0.04045, colors / 12.92, high).astype(np.float32)
+
+
+_WRITERS: dict[str, Callable[[Path, SurfaceMesh], None]] = {
+    ".ply": _write_ply,
+    ".obj": _write_obj,
+    ".glb": _write_glb,
+}

@@ -1,0 +1,117 @@
+"""gscore mesh: a mesh of a run. Oracles: the shape of the splats, the JSON, the files."""
+
+import json
+
+import numpy as np
+import pytest
+
+from gscore.config import DataConfig
+from gscore.config_file import config_json, load_config
+from gscore.formats import write_splat_file
+from gscore.io.cameras_json import write_cameras
+from gscore.io.mesh.files import read_mesh
+from gscore.io.region_file import write_region
+from tests.mesh.shapes import RADIUS, around, sphere
+
+SMALL = ("--voxel", 0.08, "--threads", 1)
+
+
+@pytest.fixture
+def ball(tmp_path):
+    """A folder with splats of a sphere and cameras around it."""
+    folder = tmp_path / "ball"
+    folder.mkdir()
+    write_splat_file(folder / "point_cloud.ply", sphere(3000))
+    write_cameras(folder / "cameras.json", around(16, size=90))
+    return folder
+
+
+def test_a_mesh_of_a_run(gscore, ball):
+    """Oracle: the radius; the JSON's figures are those of the file; no progress on stdout."""
+    code, out, err = gscore("mesh", ball, *SMALL, "--json")
+    assert code == 0, err
+    facts = json.loads(out)
+    found = read_mesh(facts["path"])
+    assert facts["path"] == str(ball / "mesh.ply")
+    assert (len(found.vertices), len(found.triangles)) == (facts["vertices"], facts["triangles"])
+    assert np.abs(np.linalg.norm(found.vertices, axis=1) - RADIUS).max() < 0.08
+    assert (facts["views"], facts["voxel"], facts["mask_mode"]) == (16, 0.08, "none")
+    assert "16 views; voxels of 0.08 world units" in err and " kB" in err
+    np.testing.assert_allclose(facts["high"], found.vertices.max(axis=0))
+
+
+def test_reduction_region_and_box(gscore, ball, tmp_path):
+    """Oracle: the requested number of triangles; a box given in two ways."""
+    box = ("--box", -2, -2, 0, 2, 2, 2)
+    output = tmp_path / "half.obj"
+    code, out, _ = gscore("mesh", ball, *SMALL, *box, "-o", output, "--quiet", "--holes", "open")
+    assert (code, out) == (0, "")
+    matrix = np.diag([2.0, 2.0, 1.0, 1.0])
+    matrix[2, 3] = 1
+    write_region(tmp_path / "region.json", matrix)
+    options = ("--region", tmp_path / "region.json", "--holes", "open")
+    code, _, _ = gscore("mesh", ball, *SMALL, *options, "-o", tmp_path / "same.obj")
+    assert code == 0
+    assert output.read_bytes() == (tmp_path / "same.obj").read_bytes()
+    assert read_mesh(output).vertices[:, 2].min() > -0.08
+    code, out, _ = gscore("mesh", ball, *SMALL, "--triangles", 300, "-o", tmp_path / "a.glb")
+    assert code == 0 and "triangles from 16 views" in " ".join(out.split())
+
+
+def test_events_of_a_mesh(gscore, ball):
+    """Oracle: the protocol: the plan comes before the fusion, the result at the end."""
+    code, out, _ = gscore("mesh", ball, *SMALL, "--events", "jsonl", "--between")
+    assert code == 0
+    events = [json.loads(line) for line in out.splitlines()]
+    kinds = [event["event"] for event in events]
+    phases = list(dict.fromkeys(event.get("phase") for event in events))
+    assert kinds[-1] == "mesh" and events[-1]["path"] == str(ball / "mesh.ply")
+    assert [p for p in phases if p] == [
+        *("reading", "measuring", "looking for surfaces", "fusing", "contouring", "cleaning"),
+        "writing",
+    ]
+    plan = events[kinds.index("mesh_plan")]
+    assert plan["views"] > 16 and plan["volume_bytes"] > 0
+
+
+def test_masks_of_the_capture_are_used(gscore, run_folder, capture):
+    """Oracle: the mode in the result; a run whose capture is gone has a warning instead."""
+    run = run_folder()
+    code, out, err = gscore("mesh", run, "--threads", 1, "--json", "--min-part", 0)
+    assert code == 0, err
+    assert json.loads(out)["mask_mode"] == "none" and json.loads(out)["views"] == 9
+    data, train = load_config(run / "config.json")
+    gone = DataConfig(source=capture / "gone", masks="masks")
+    (run / "config.json").write_text(config_json(gone, train))
+    code, out, err = gscore("mesh", run, "--threads", 1, "--json", "--min-part", 0)
+    assert code == 0, err
+    assert "no longer exists, so masks are not used" in " ".join(err.split())
+    assert data.source != gone.source
+
+
+def test_bad_input_of_a_mesh(gscore, ball, tmp_path):
+    """Oracle: exit code 2 and a sentence, before any work, and no file."""
+    other = tmp_path / "other.obj"
+    other.write_text("v 0 0 0\n")
+    for options, words in (
+        (("-o", tmp_path / "a.stl"), ".ply, .obj, .glb"),
+        (("-o", ball / "point_cloud.ply"), "the model itself"),
+        (("-o", other), "--overwrite"),
+        (("--voxel", 0), "--voxel must be above 0"),
+        (("--box", 1, 1, 1, 0, 0, 0), "lower corner first"),
+        (("--region", tmp_path / "none.json"), "none.json"),
+        (("--triangles", 1), "--triangles must be at least 4"),
+        (("--memory", 1e-6, "--voxel", 0.01), "--voxel 0.01 is too small"),
+    ):
+        code, _, err = gscore("mesh", ball, "--threads", 1, *options)
+        assert code == 2, options
+        assert words in " ".join(err.split())
+    assert not (ball / "mesh.ply").exists()
+
+
+def test_a_missing_package_is_named(gscore, ball, monkeypatch):
+    """Oracle: the sentence of other verbs."""
+    monkeypatch.setitem(__import__("sys").modules, "skimage.measure", None)
+    code, _, err = gscore("mesh", ball, *SMALL)
+    assert code == 2
+    assert 'pip install "gscore[mesh]"' in " ".join(err.split())
