@@ -53,7 +53,8 @@ class Graph:
         """Add a node and set its properties, on which its sockets depend."""
         node = self.tree.nodes.new(kind)
         for name, value in settings.items():
-            setattr(node, name, value)
+            if getattr(node, name) != value:  # each assignment updates the whole tree
+                setattr(node, name, value)
         return node
 
     def feed(self, socket: Socket, value: Value) -> None:
@@ -148,10 +149,12 @@ class Graph:
             if depth == before:
                 break
         rows: dict[int, int] = {}
+        places: list[float] = []
         for node in self.tree.nodes:
             column = depth.get(node.name, 0)
-            node.location = (200 * column, -170 * rows.get(column, 0))
+            places += (200 * column, -170 * rows.get(column, 0))
             rows[column] = rows.get(column, 0) + 1
+        self.tree.nodes.foreach_set("location", places)  # without an update for each node
 
 
 def new_group(name: str) -> tuple[Graph, bpy.types.NodeTree]:
