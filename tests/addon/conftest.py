@@ -78,6 +78,44 @@ def enabled() -> Iterator[None]:
         shutil.rmtree(profile, ignore_errors=True)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def display_built_once(
+    enabled: None, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[dict[str, Callable]]:
+    """The display of splats is built by the first test that needs it; other scenes read it from a
+    file, which takes a tenth of the time. Returns the functions that build it."""
+    from addon.nodes import display
+
+    path = tmp_path_factory.mktemp("nodes") / "nodes.blend"
+    building: dict[str, Callable] = {"group": display.group, "builders": display.builders}
+
+    def group() -> "bpy.types.NodeTree":
+        if any(tree.name.startswith("Splat ") for tree in bpy.data.node_groups):
+            return building["group"]()
+        if not path.is_file():
+            made = building["group"]()
+            bpy.data.libraries.write(str(path), {made})
+            return made
+        with bpy.data.libraries.load(str(path)) as (_, wanted):
+            wanted.node_groups = [display.NAME]
+        bpy.data.libraries.remove(bpy.data.libraries[path.name])
+        return wanted.node_groups[0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(display, "group", group)
+        patch.setattr(display, "builders", lambda: [display.group])
+        yield building
+
+
+@pytest.fixture
+def built_anew(display_built_once: dict[str, Callable], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The display of splats is built in each scene of the test."""
+    from addon.nodes import display
+
+    for name, build in display_built_once.items():
+        monkeypatch.setattr(display, name, build)
+
+
 @pytest.fixture(scope="session")
 def writes() -> "Writes":
     """Files that the add-on has written since the test began; the audit hook cannot be removed."""

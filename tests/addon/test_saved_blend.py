@@ -48,7 +48,7 @@ def test_settings_objects_and_nodes_are_there(facts: dict) -> None:
     assert set(facts["collections"]) <= {c.name for c in bpy.data.collections}
 
 
-def test_no_stored_name_is_gone(make_splats: Callable[..., Splats]) -> None:
+def test_no_stored_name_is_gone(built_anew: None, make_splats: Callable[..., Splats]) -> None:
     """Oracle: the names when the list was written: operators, properties, items, node groups and
     their sockets, attributes. To add new ones, write `stored_names` to names.json again."""
     kept, found = json.loads((SAVED / "names.json").read_text()), stored_names(make_splats(2, 24))

@@ -18,6 +18,7 @@ from addon.splats.edit import stats
 from addon.splats.filters import visible_mask
 from tests.addon import points
 
+pytestmark = pytest.mark.usefixtures("built_anew")
 Make = Callable[..., Splats]
 COUNT = 800
 

@@ -183,7 +183,7 @@ def test_the_engine_renders_blenders_splats(scene: bpy.types.Scene, tmp_path: Pa
 
 @needs_resize
 def test_the_display_is_built_in_parts(
-    scene: bpy.types.Scene, make_splats: Make, monkeypatch: pytest.MonkeyPatch
+    built_anew: None, scene: bpy.types.Scene, make_splats: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: the number of node groups and materials after each step."""
     theirs(scene, make_splats(COUNT))

@@ -101,7 +101,7 @@ def test_points_make_room_for_splats(
 
 
 def test_the_display_is_built_bit_by_bit(
-    studio: bpy.types.Scene, play: Play, tmp_path: Path
+    built_anew: None, studio: bpy.types.Scene, play: Play, tmp_path: Path
 ) -> None:
     """Oracle: the datablocks of the file: at most one more per poll, all before they are used."""
     play({"say": STARTED}, {"await": "go"}, finish())
