@@ -87,7 +87,8 @@ class Preferences(bpy.types.AddonPreferences):
     )
     device: EnumProperty(
         name="Device",
-        description="What draws renders and Rendered shading of the engine Gaussian Splats",
+        description="What trains splats, and what draws renders and Rendered shading of the engine "
+        "Gaussian Splats",
         items=_devices,
     )
     found_devices: StringProperty(

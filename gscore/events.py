@@ -80,6 +80,8 @@ class Started(Event, kind="started"):
     height: int
     isa: str
     threads: int
+    device: str = "cpu"
+    """`cpu`, or the name of the graphics card that trains."""
     models: int = 1
     """Number of models of an ensemble, trained in parallel from the same splats."""
     left_s: float = math.nan

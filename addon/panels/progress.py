@@ -173,7 +173,7 @@ def numbers(state: run_state.RunState) -> list[tuple[str, str]]:
         pairs.append(("PSNR", f"{psnr:.2f} dB"))
     elif state.psnr is not None:
         pairs.append(("PSNR", f"{state.psnr:.2f} dB"))
-    pairs.append(("Splats", f"{state.splats:,}"))
+    pairs += [("Splats", f"{state.splats:,}"), ("Device", state.device)]
     if state.ended:
         return [*pairs, ("Time", clock(state.elapsed_s))]
     return [*pairs, ("Speed", f"{state.steps_per_s:.1f} steps/s"), ("Phase", state.phase)]

@@ -12,6 +12,7 @@ from ..cameras.lookup import panel_root, root_from
 from ..core import PRESETS, Estimate, FrameStarted, GsError, RunInfo, SequenceFrame, choose_frames
 from ..interface.option_labels import error_text
 from ..paths import output_folder
+from ..render.device import draw_device
 from ..sequence import train_sequence
 from ..training import facts, forecast, guides, lookups, results, start_training
 from ..training.existing_run import EarlierRun
@@ -84,6 +85,7 @@ class TrainOptionsPanel(TabPanel, bpy.types.Panel):
         column.prop(settings, "eval")
         if settings.eval:
             column.prop(settings, "test_every")
+        draw_device(layout, preferences.get())
         column = layout.column()
         limit(column, settings, "target_psnr")
         column.prop(settings, "early_stop")
@@ -149,7 +151,10 @@ def draw_forecast(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
         return
     text = forecast.warning(current)
     if not text:
-        sentence(layout, forecast.words(current), icon="TIME")
+        text = forecast.words(current)
+        if preferences.get().device not in ("", preferences.CPU):
+            text += " That is for the CPU; the time on a graphics card is not known."
+        sentence(layout, text, icon="TIME")
         return
     sentence(layout, text, icon="ERROR")
     row = layout.row(align=True)

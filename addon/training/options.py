@@ -23,6 +23,8 @@ class Machine:
 
     threads: int = 0
     """CPU threads; 0: all."""
+    device: str = "cpu"
+    """Device that trains: `cpu`, `auto`, or the UUID of a graphics card."""
     lpips: Path | None = None
     """Network that measures LPIPS."""
     preview_seconds: float = 0.0
@@ -193,7 +195,7 @@ def _masks(settings: Settings, default: str) -> list[str]:
 
 
 def _machine(machine: Machine) -> list[str]:
-    arguments = ["--threads", str(machine.threads)]
+    arguments = ["--threads", str(machine.threads), "--device", machine.device]
     if machine.lpips is not None:
         arguments += ["--lpips", str(machine.lpips)]
     return [*arguments, "--preview-seconds", f"{machine.preview_seconds:g}", "--events", "jsonl"]

@@ -26,6 +26,7 @@ from ..core import (
 from ..interface.option_labels import panel_text
 from .curve import Curve
 
+_CPU = "cpu"
 BUDGET = 0.005
 """Maximum duration of reading output in a poll, seconds."""
 _WARNINGS_KEPT = 50
@@ -91,6 +92,8 @@ class RunState:
     warnings: list[str] = field(default_factory=list)
     """Unique warnings, the latest last."""
     started: Started | None = None
+    replaces_card: bool = False
+    """Whether the CPU trains because a graphics card could not be used, or failed."""
     preview: Preview | None = None
     snapshot: Snapshot | None = None
     checkpoint: Path | None = None
@@ -142,6 +145,15 @@ class RunState:
             case Failed():
                 self.failure = event
 
+    @property
+    def device(self) -> str:
+        """Name of the device that trains; empty before the first step."""
+        if self.started is None:
+            return ""
+        if self.started.device != _CPU:
+            return self.started.device
+        return "CPU, without a graphics card" if self.replaces_card else "CPU"
+
     def warn(self, message: str) -> None:
         """Add a warning as the latest; removes an equal earlier one."""
         self.warnings = [w for w in self.warnings if w != message][-_WARNINGS_KEPT + 1 :]
@@ -165,11 +177,21 @@ class RunState:
             self.status, self.sentence = STOPPED, "Stopped before the first step."
         else:
             self.status = FAILED
-            self.sentence = failure_sentence(self.failure, code, stderr, python=python)
+            of_card = {}
+            if self.started is not None and self.started.device != _CPU:
+                of_card = {
+                    "cause": f"memory ran out or the driver of {self.started.device} crashed",
+                    "less": "use fewer splats, smaller photos or the CPU, then Resume",
+                }
+            self.sentence = failure_sentence(self.failure, code, stderr, python=python, **of_card)
             if self.checkpoint is not None:
                 self.sentence += f" Resume continues from step {self.checkpoint_step:,}."
 
     def _started(self, event: Started) -> None:
+        train = event.config.get("train")
+        wanted = train.get("device") if isinstance(train, dict) else _CPU
+        failed = self.started is not None and self.started.device != _CPU
+        self.replaces_card = event.device == _CPU and (failed or wanted == "auto")
         self.started = event
         self.step, self.iterations, self.splats = event.step, event.iterations, event.splats
         self.phase = "first steps"
@@ -208,6 +230,7 @@ def failure_sentence(
     stderr: Sequence[str],
     *,
     python: str,
+    cause: str = "memory ran out",
     less: str = "use fewer splats or smaller photos, then Resume",
 ) -> str:
     """Cause and remedy of a failed gscore process.
@@ -217,7 +240,8 @@ def failure_sentence(
         code: Exit code, negative for a signal.
         stderr: The last lines of the error output.
         python: The Python that ran it.
-        less: Advice if memory ran out.
+        cause: Likely cause of an end by a signal.
+        less: Advice against it.
     """
     if failure is not None:
         advice = (
@@ -226,8 +250,8 @@ def failure_sentence(
         return _sentence(failure.message) + (advice if failure.package else "")
     if code is not None and code < 0:
         return (
-            f"The process was ended from outside by signal {-code}; unless you ended it, memory "
-            f"ran out: {less}."
+            f"The process was ended from outside by signal {-code}; unless you ended it, {cause}: "
+            f"{less}."
         )
     last = next((line.strip() for line in reversed(stderr) if line.strip()), "")
     output = f' Its last output: "{last[:200]}".' if last else ""

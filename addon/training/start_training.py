@@ -209,7 +209,10 @@ def machine() -> options.Machine:
                 "or clear the field."
             )
     return options.Machine(
-        threads=prefs.threads, lpips=lpips, preview_seconds=prefs.preview_seconds
+        threads=prefs.threads,
+        device=(prefs.device or preferences.CPU).lower(),
+        lpips=lpips,
+        preview_seconds=prefs.preview_seconds,
     )
 
 

@@ -25,7 +25,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from ..errors import ConfigError, GsError
+from ..errors import GsError
 from . import _native
 from .render_messages import (
     LIST,
@@ -170,22 +170,12 @@ def open_device(device: str, report: Callable[[str], None]) -> tuple[Lend, int]:
         return _native.pool.lend, KEPT_BYTES
     from .gpu.choice import choose
 
-    chosen = choose(device if device == "auto" else _number_of(device), report=report)
+    chosen = choose(device, report=report)
     if chosen.device is None:
         raise NoDeviceError(chosen.note)
     report(f"Starting {chosen.name}")
     with chosen.lend():  # compiles
         return chosen.lend, min(KEPT_BYTES, chosen.device.memory_bytes // _KEPT_SHARE)
-
-
-def _number_of(uuid: str) -> str:
-    """The number of a device, which may differ after a start of the system."""
-    from .gpu.devices import find_devices
-
-    for device in find_devices().devices:
-        if device.uuid == uuid:
-            return str(device.number)
-    raise ConfigError("It is not in this computer any more.")
 
 
 def _listed() -> Message:

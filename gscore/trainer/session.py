@@ -229,6 +229,7 @@ class Session:
                 height=int(cameras.heights.max()),
                 isa=self._trainer.engine.info.numerics,
                 threads=self._trainer.engine.info.threads,
+                device=self._trainer.engine.info.name,
                 models=len(self._trainer.models.members),
                 left_s=self._meter.progress().eta_s,
                 mask_mode=self._prepared.mask_mode,

@@ -53,7 +53,7 @@ def test_a_card_that_failed_is_passed_over(machine) -> None:
     for device in ("gpu", "auto"):
         found = choose(device)
         assert found.device is not None and found.device.number == 0
-        assert found.note.startswith("Small draws. Device 1 (Card): Its self-test failed: wrong")
+        assert found.note.startswith("Small is used. Device 1 (Card): Its self-test failed: wrong")
     with pytest.raises(BackendError, match=r"Device 1 \(Card\) is not used. Its self-test failed"):
         choose("1")
 
@@ -84,8 +84,8 @@ def test_without_devices_there_is_a_reason(fake) -> None:
     """Oracle: the library's message in a note for `auto`, in errors otherwise."""
     fake(message="there is no Vulkan loader on this system")
     auto = choose("auto")
-    assert auto.device is None and auto.note.startswith("The CPU draws. There is")
-    with pytest.raises(BackendError, match="No graphics card can draw"):
+    assert auto.device is None and auto.note.startswith("The CPU is used. There is")
+    with pytest.raises(BackendError, match="No graphics card can be used"):
         choose("gpu")
     with pytest.raises(ConfigError, match="There is no device 0"):
         choose("0")
@@ -98,7 +98,16 @@ def test_numbers_that_are_not_listed_are_named(machine) -> None:
         choose("2")
 
 
-@pytest.mark.parametrize("text", ["", "GPU", "-1", "cuda:0", "1.0", "\u0662"])
+def test_uuids_name_devices(machine) -> None:
+    """Oracle: their numbers, also for a UUID of digits alone; a sentence for one that is gone."""
+    machine(card(**SOFTWARE), card(**INTEGRATED))
+    assert _number(bytes(range(16)).hex()) == 0 and _number("0" * 32) == 1
+    gone = "The chosen graphics card is not in this computer any more; `gscore doctor` lists dev"
+    with pytest.raises(ConfigError, match=gone):
+        choose("f" * 32)
+
+
+@pytest.mark.parametrize("text", ["", "f" * 31, "F" * 32, "GPU", "-1", "cuda:0", "1.0", "\u0662"])
 def test_other_words_are_refused(text: str) -> None:
     """Oracle: the choices in the sentence."""
     with pytest.raises(ConfigError, match="must be cpu, gpu, auto or a number"):
@@ -218,7 +227,7 @@ def test_a_self_test_is_logged(fake, monkeypatch: pytest.MonkeyPatch, caplog) ->
     _render(_splats(), device="gpu")
     texts = [record.getMessage() for record in caplog.records]
     assert texts[:2] == [f"Testing {name} once, at most 60 s." for name in ("Card", "Other")]
-    assert len(texts) == 3 and texts[2].startswith("Other draws.")
+    assert len(texts) == 3 and texts[2].startswith("Other is used.")
 
 
 def test_a_choice_by_name_is_made_once(machine, monkeypatch: pytest.MonkeyPatch) -> None:

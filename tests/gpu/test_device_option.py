@@ -94,7 +94,7 @@ def test_auto_without_a_card_says_so(gscore, model: Path, fake, tmp_path: Path) 
     options = ("--device", "auto", "--view", "0", "--json", "-o", tmp_path / "out")
     code, text, err = gscore("render", model, *options)
     assert code == 0 and json.loads(text)["device"] == "cpu"
-    assert err.count("The CPU draws.") == 1 and "llvmpipe, is a software device" in err
+    assert err.count("The CPU is used.") == 1 and "llvmpipe, is a software device" in err
 
 
 @pytest.mark.parametrize("quiet", [False, True])
@@ -120,7 +120,7 @@ def test_a_self_test_is_named_where_lines_stay(
 @pytest.mark.parametrize(
     ("device", "words"),
     [
-        ("gpu", "No graphics card can draw. There is"),
+        ("gpu", "No graphics card can be used. There is"),
         ("4", "There is no device 4. There is"),
         ("fast", "'fast' is not cpu, gpu, auto or a number listed by gscore doctor"),
     ],

@@ -16,6 +16,7 @@ from gscore.engine import opening
 from gscore.engine.base import StepPhoto, TermGradients
 from gscore.engine.cpu.engine import CpuEngine
 from gscore.engine.gpu.engine import GpuEngine
+from gscore.events import Started
 from gscore.splats import PARAMETERS
 from gscore.stress.capture import toy_photos, toy_splats
 from gscore.trainer import run
@@ -234,6 +235,8 @@ def test_the_cpu_takes_over_from_a_device_chosen_automatically(
     config = TrainConfig(iterations=12, device="auto", checkpoint_iterations=(2, 8))
     done = run.train(config, DataConfig(source=capture), tmp_path / "run", events.append)
     assert done.steps == 12
+    first, second = (one.device for one in events if isinstance(one, Started))
+    assert first not in ("", "cpu") and second == "cpu"
     messages = [one.message for one in events if getattr(one, "code", "") == run.DEVICE]
     assert len(messages) == 1 and "because the device failed: " in messages[0]
 

@@ -162,7 +162,7 @@ def test_the_server_ends_with_its_killed_parent(tmp_path: Path, state: str) -> N
 def test_a_device_that_is_not_there() -> None:
     """Oracle: the sentence of the server."""
     with pytest.raises(RenderServerError, match="not in this computer"):
-        drawn(splats_of(), device=RenderClient("99"))
+        drawn(splats_of(), device=RenderClient("f" * 32))
 
 
 def test_a_full_disk_is_an_error(client: RenderClient, monkeypatch: pytest.MonkeyPatch) -> None:

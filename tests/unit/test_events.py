@@ -89,6 +89,7 @@ STARTED = Started(
     height=3,
     isa="avx2",
     threads=2,
+    device="Card",
     left_s=5.0,
     decisions=DECISIONS,
 )

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 
 from ...quoting import quoted
-from ...raster.gpu.choice import CPU, Chosen, choose, once_a_device
+from ...raster.gpu.choice import CPU, Chosen, choose, is_device, once_a_device
 from ...raster.gpu.verification import Report
 from ..parser import add_option
 from ..terminal.output import print_warnings
@@ -25,7 +25,7 @@ def add_device_option(parser: argparse.ArgumentParser) -> None:
 
 
 def _device(text: str) -> str:
-    if text not in ("cpu", "gpu", "auto") and not (text.isascii() and text.isdigit()):
+    if not is_device(text):
         raise argparse.ArgumentTypeError(
             f"{quoted(text)} is not cpu, gpu, auto or a number listed by gscore doctor"
         )

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -22,9 +23,16 @@ _ORDER = ("discrete", "integrated", "virtual", "other")
 _AUTO_ON = ("linux",)
 """Platforms (sys.platform) whose cards `auto` uses: on others no card has passed the tests yet."""
 _AUTO_OFF = (
-    "The CPU draws. On this operating system no graphics card is chosen automatically, because "
+    "The CPU is used. On this operating system no graphics card is chosen automatically, because "
     "none was tested yet; choose the card itself to use it."
 )
+_UUID = re.compile("[0-9a-f]{32}")
+
+
+def is_device(text: str) -> bool:
+    """Whether a text has the form of a value of `--device`, see `choose`."""
+    number = text.isascii() and text.isdigit()
+    return text in ("cpu", "gpu", "auto") or number or _UUID.fullmatch(text) is not None
 
 
 @dataclass(kw_only=True, eq=False)
@@ -152,7 +160,8 @@ def choose(
 
     Args:
         device: `cpu`; `gpu`: a graphics card, or a software device if there is nothing else;
-            `auto`: a graphics card, or the CPU; or the number of a device in `gscore doctor`.
+            `auto`: a graphics card, or the CPU; the number of a device in `gscore doctor`; or its
+            UUID, which stays the same after a start of the system.
         report: Receives a sentence on a self-test while it runs.
         cancel: Returns whether a self-test is to stop.
         find: Lists the devices.
@@ -164,7 +173,7 @@ def choose(
     """
     if device == "cpu":
         return CPU
-    if device not in ("gpu", "auto") and not (device.isascii() and device.isdigit()):
+    if not is_device(device):
         raise ConfigError(
             f"The device must be cpu, gpu, auto or a number that `gscore doctor` lists, got "
             f"{device[:40]!r}."
@@ -172,42 +181,53 @@ def choose(
     if device == "auto" and sys.platform not in _AUTO_ON:
         return Chosen(device=None, note=_AUTO_OFF)
     found = find()
-    if device.isdigit():
-        return _numbered(int(device), found, report, cancel)
+    if device not in ("gpu", "auto"):
+        return _named(device, found, report, cancel)
     real = [one for one in found.devices if not one.is_software]
     real.sort(key=lambda one: _ORDER.index(one.kind))
     failures = list(found.problems)
     for one in real:
         failure = _failure(one, report, cancel)
         if not failure:
-            note = f"{one.name} draws. {_why(failures, [])}" if failures else ""
+            note = f"{one.name} is used. {_why(failures, [])}" if failures else ""
             return Chosen(device=one, note=note, fallback=device == "auto")
         failures.append(f"Device {one.number} ({one.name}): {failure}")
     software = [one for one in found.devices if one.is_software]
     if device == "auto":
-        return Chosen(device=None, note=f"The CPU draws. {_why(failures, software)}")
+        return Chosen(device=None, note=f"The CPU is used. {_why(failures, software)}")
     for one in software:
         if not (failure := _failure(one, report, cancel)):
             return Chosen(device=one, note=f"{_software_note(one)} {_why(failures, [])}".rstrip())
         failures.append(f"Device {one.number} ({one.name}): {failure}")
-    raise BackendError(f"No graphics card can draw. {_why(failures, [])}".rstrip())
+    raise BackendError(f"No graphics card can be used. {_why(failures, [])}".rstrip())
 
 
-def _numbered(
-    number: int, found: FoundDevices, report: Report | None, cancel: Callable[[], bool] | None
+def _named(
+    name: str, found: FoundDevices, report: Report | None, cancel: Callable[[], bool] | None
 ) -> Chosen:
-    device = next((one for one in found.devices if one.number == number), None)
-    if device is None:
-        if not found.devices:
-            raise ConfigError(
-                f"There is no device {number}. {_why(list(found.problems), [])}".rstrip()
-            )
-        last = len(found.devices) - 1
-        there = "only device 0" if not last else f"devices 0 to {last}"
-        raise ConfigError(f"There is no device {number}; `gscore doctor` lists {there}.")
+    """The device with a number or UUID."""
+    if _UUID.fullmatch(name):
+        chosen = [one for one in found.devices if one.uuid == name]
+    else:
+        chosen = [one for one in found.devices if one.number == int(name)]
+    if not chosen:
+        raise ConfigError(_absent(name, found))
+    device = chosen[0]
     if failure := _failure(device, report, cancel):
-        raise BackendError(f"Device {number} ({device.name}) is not used. {failure}")
+        raise BackendError(f"Device {device.number} ({device.name}) is not used. {failure}")
     return Chosen(device=device, note=_software_note(device) if device.is_software else "")
+
+
+def _absent(name: str, found: FoundDevices) -> str:
+    """Why there is no device with a number or UUID, as sentences."""
+    what = f"There is no device {name}"
+    if _UUID.fullmatch(name):
+        what = "The chosen graphics card is not in this computer any more"
+    if not found.devices:
+        return f"{what}. {_why(list(found.problems), [])}".rstrip()
+    last = len(found.devices) - 1
+    there = "only device 0" if not last else f"devices 0 to {last}"
+    return f"{what}; `gscore doctor` lists {there}."
 
 
 def _software_note(device: Device) -> str:

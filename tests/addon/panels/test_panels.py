@@ -140,6 +140,7 @@ def test_numbers_of_a_run() -> None:
         ("Loss", "0.1235"),
         ("PSNR", "21.23 dB"),
         ("Splats", "12,345"),
+        ("Device", "CPU"),
         ("Speed", "9.9 steps/s"),
         ("Phase", "growing"),
     ]

@@ -2,7 +2,6 @@
 pictures with the preference Device at CPU, bit by bit."""
 
 import json
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -25,7 +24,7 @@ from gscore.raster import render_process
 from gscore.raster.render_client import RenderServerError
 from tests.addon import splat_scenes as lab
 from tests.addon.render.test_viewport import request_for, wait
-from tests.gpu.drivers import ROOT, absent
+from tests.addon.vulkan_device import passed_device
 from tests.raster.render_clients import WAITING
 
 CARD = "cpu"
@@ -126,18 +125,7 @@ def test_all_passes(scene, prefs, rendered):
 def test_a_device_of_this_machine(scene, prefs, rendered, monkeypatch, tmp_path):
     """Oracle: the CPU's passes; one value in a thousand may differ where rounding decides whether a
     splat is visible."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    code = (
-        "from gscore.raster.gpu.devices import find_devices\n"
-        "from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict\n"
-        "for device in find_devices().devices[:1]:\n"
-        "    keep_verdict(device.key, DeviceVerdict(passed=True))\n"
-        "    print(device.uuid)"
-    )
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    if not (uuid := done.stdout.strip()):
-        absent("There is no Vulkan device.")
+    uuid, _ = passed_device(sys.executable, tmp_path, monkeypatch)
     lab.prepare(scene)
     lab.add(scene, lab.blob())
     scene.view_layers[0].use_pass_z = True
