@@ -1,8 +1,7 @@
-// A device in use: creation, buffers, commands, waiting, injected faults.
+// A device in use: creation, buffers, injected faults.
 #include "device.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cstdlib>
 #include <cstring>
 #include <vector>
@@ -10,16 +9,6 @@
 namespace gs {
 
 namespace {
-
-// Seconds of a hang that GSCORE_GPU_FAULT injects.
-constexpr double kInjectedHang = 0.1;
-
-// Seconds that a submission may take; a device in software is slow, but does not hang.
-double seconds_allowed(const gs_gpu_info &info) {
-    const char *const text = std::getenv("GSCORE_GPU_SECONDS");
-    const double found = text ? std::atof(text) : 0;
-    return found > 0 ? found : info.kind == GS_GPU_SOFTWARE ? 600 : 20;
-}
 
 // Bytes of an environment variable in MiB; `otherwise` where it is not set.
 size_t bytes_of(const char *variable, size_t otherwise) {
@@ -98,41 +87,6 @@ Device::Device(VkPhysicalDevice physical)
     }
 }
 
-void Device::create_sets(uint32_t family) {
-    VkCommandPoolCreateInfo pool = {VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
-    pool.flags = VK_COMMAND_POOL_CREATE_RESET_COMMAND_BUFFER_BIT;
-    pool.queueFamilyIndex = family;
-    check(vk_.vkCreateCommandPool(device_, &pool, nullptr, &pool_), "vkCreateCommandPool");
-    VkQueryPoolCreateInfo queries = {VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
-    queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
-    queries.queryCount = kMostTimestamps;
-    if (nanoseconds_ > 0)
-        for (CommandSet &set : sets_)
-            check(vk_.vkCreateQueryPool(device_, &queries, nullptr, &set.queries), "vkCreateQueryPool");
-}
-
-// Of the set whose commands are being recorded.
-void Device::open_submission() {
-    std::vector<Submission> &all = set_->submissions;
-    if (set_->used == all.size()) {
-        Submission made = {};
-        VkCommandBufferAllocateInfo allocate = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
-        allocate.commandPool = pool_;
-        allocate.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
-        allocate.commandBufferCount = 1;
-        check(vk_.vkAllocateCommandBuffers(device_, &allocate, &made.commands), "vkAllocateCommandBuffers");
-        const VkFenceCreateInfo fence = {VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
-        check(vk_.vkCreateFence(device_, &fence, nullptr, &made.fence), "vkCreateFence");
-        all.push_back(made);
-    }
-    commands_ = all[set_->used++].commands;
-    check(vk_.vkResetCommandBuffer(commands_, 0), "vkResetCommandBuffer");
-    VkCommandBufferBeginInfo begin = {VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
-    begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
-    check(vk_.vkBeginCommandBuffer(commands_, &begin), "vkBeginCommandBuffer");
-    barrier(); // behind what earlier submissions wrote
-}
-
 Device::~Device() { destroy(); }
 
 void Device::destroy() {
@@ -142,7 +96,8 @@ void Device::destroy() {
     for (const VkPipeline p : pipelines_)
         vk_.vkDestroyPipeline(device_, p, nullptr);
     vk_.vkDestroyPipelineLayout(device_, layout_, nullptr);
-    for (const CommandSet &set : sets_) {
+    for (CommandSet &set : sets_) {
+        free(set.staging);
         vk_.vkDestroyQueryPool(device_, set.queries, nullptr);
         for (const Submission &s : set.submissions)
             vk_.vkDestroyFence(device_, s.fence, nullptr);
@@ -245,8 +200,12 @@ void Device::free(DeviceBuffer &b) {
         b = {};
         return;
     }
-    if (b.bytes)
+    if (b.bytes) {
         await_all(); // commands in flight may use it
+        for (CommandSet &set : sets_)
+            for (Submission &s : set.submissions)
+                s.recorded.clear();
+    }
     vk_.vkDestroyBuffer(device_, b.buffer, nullptr);
     vk_.vkFreeMemory(device_, b.memory, nullptr);
     bytes_ -= b.bytes;
@@ -256,177 +215,6 @@ void Device::free(DeviceBuffer &b) {
 void Device::require() const {
     if (lost_)
         throw_failure(gs_status(GS_DEVICE_LOST), "%.100s was lost in an earlier call", info_.name);
-}
-
-void Device::begin(int set) {
-    await(set, nullptr);
-    set_ = &sets_[set];
-    set_->used = 0;
-    set_->profiled.clear();
-    open_submission();
-    if (nanoseconds_ > 0)
-        vk_.vkCmdResetQueryPool(commands_, set_->queries, 0, kMostTimestamps);
-}
-
-void Device::barrier() {
-    VkMemoryBarrier all = {VK_STRUCTURE_TYPE_MEMORY_BARRIER};
-    all.srcAccessMask = VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_TRANSFER_WRITE_BIT;
-    all.dstAccessMask = VK_ACCESS_SHADER_READ_BIT | VK_ACCESS_SHADER_WRITE_BIT | VK_ACCESS_INDIRECT_COMMAND_READ_BIT |
-                        VK_ACCESS_TRANSFER_READ_BIT | VK_ACCESS_TRANSFER_WRITE_BIT;
-    const VkPipelineStageFlags from = VK_PIPELINE_STAGE_COMPUTE_SHADER_BIT | VK_PIPELINE_STAGE_TRANSFER_BIT;
-    vk_.vkCmdPipelineBarrier(commands_, from, from | VK_PIPELINE_STAGE_DRAW_INDIRECT_BIT, 0, 1, &all, 0, nullptr, 0,
-                             nullptr);
-}
-
-void Device::bind(Shader shader, const void *push, size_t bytes) {
-    std::vector<Shader> &profiled = set_->profiled;
-    if (profiles_ && kStageTimestamps + 2 * (profiled.size() + 1) <= kMostTimestamps) {
-        profiled.push_back(shader);
-        timestamp(uint32_t(kStageTimestamps + 2 * profiled.size() - 2));
-    }
-    vk_.vkCmdBindPipeline(commands_, VK_PIPELINE_BIND_POINT_COMPUTE, pipelines_[int(shader)]);
-    vk_.vkCmdPushConstants(commands_, layout_, VK_SHADER_STAGE_COMPUTE_BIT, 0, uint32_t(bytes), push);
-}
-
-void Device::dispatch(Shader shader, const void *push, size_t bytes, uint32_t x, uint32_t y) {
-    if (x == 0 || y == 0)
-        return;
-    bind(shader, push, bytes);
-    vk_.vkCmdDispatch(commands_, x, y, 1);
-    ran(shader);
-}
-
-void Device::dispatch(Shader shader, const void *push, size_t bytes, const DeviceBuffer &arguments, size_t word) {
-    bind(shader, push, bytes);
-    vk_.vkCmdDispatchIndirect(commands_, arguments.buffer, word * sizeof(uint32_t));
-    ran(shader);
-}
-
-void Device::ran(Shader shader) {
-    barrier();
-    const std::vector<Shader> &profiled = set_->profiled;
-    if (!profiled.empty() && profiled.back() == shader)
-        timestamp(uint32_t(kStageTimestamps + 2 * profiled.size() - 1));
-}
-
-void Device::profile(bool on) {
-    profiles_ = on && nanoseconds_ > 0;
-    std::fill_n(times_, kShaders, KernelTime{});
-}
-
-void Device::fill(const DeviceBuffer &b, size_t bytes, uint32_t word, size_t from_byte) {
-    if (bytes == 0)
-        return;
-    vk_.vkCmdFillBuffer(commands_, b.buffer, from_byte, (bytes + 3) / 4 * 4, word);
-    barrier();
-}
-
-void Device::update(const DeviceBuffer &b, const void *data, size_t bytes) {
-    vk_.vkCmdUpdateBuffer(commands_, b.buffer, 0, bytes, data);
-    barrier();
-}
-
-void Device::copy(const DeviceBuffer &from, const DeviceBuffer &to, size_t bytes, size_t from_byte, size_t to_byte) {
-    if (bytes == 0)
-        return;
-    const VkBufferCopy region = {from_byte, to_byte, bytes};
-    vk_.vkCmdCopyBuffer(commands_, from.buffer, to.buffer, 1, &region);
-    barrier();
-}
-
-void Device::timestamp(uint32_t index) {
-    if (nanoseconds_ > 0)
-        vk_.vkCmdWriteTimestamp(commands_, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, set_->queries, index);
-}
-
-double Device::milliseconds(const CommandSet &set, uint32_t from, uint32_t to) {
-    if (nanoseconds_ == 0)
-        return 0;
-    uint64_t ticks[kStageTimestamps] = {};
-    vk_.vkGetQueryPoolResults(device_, set.queries, from, to - from + 1, sizeof ticks, ticks, sizeof *ticks,
-                              VK_QUERY_RESULT_64_BIT);
-    return double((ticks[to - from] - ticks[0]) & ticks_mask_) * nanoseconds_ * 1e-6;
-}
-
-void Device::wait(const Submission &submission, const volatile int32_t *cancel, bool &cancelled) {
-    // Short waits, so that a cancel flag is polled; a device that hangs ends the call.
-    const auto begin = std::chrono::steady_clock::now();
-    const double allowed = hangs_ ? kInjectedHang : seconds_allowed(info_);
-    for (;;) {
-        VkResult result = vk_.vkWaitForFences(device_, 1, &submission.fence, VK_TRUE, 5'000'000);
-        if (hangs_ && result == VK_SUCCESS)
-            result = VK_TIMEOUT;
-        if (result == VK_ERROR_DEVICE_LOST)
-            lost_ = true;
-        if (result != VK_TIMEOUT) {
-            check(result, "vkWaitForFences");
-            return;
-        }
-        cancelled = cancelled || (cancel && *cancel);
-        const std::chrono::duration<double> passed = std::chrono::steady_clock::now() - begin;
-        if (passed.count() > allowed) {
-            lost_ = true;
-            throw_failure(gs_status(GS_TIMED_OUT), "%.100s did not finish within %g s", info_.name, allowed);
-        }
-    }
-}
-
-void Device::submit() {
-    VkMemoryBarrier to_host = {VK_STRUCTURE_TYPE_MEMORY_BARRIER};
-    to_host.srcAccessMask = VK_ACCESS_TRANSFER_WRITE_BIT;
-    to_host.dstAccessMask = VK_ACCESS_HOST_READ_BIT;
-    vk_.vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_PIPELINE_STAGE_HOST_BIT, 0, 1, &to_host, 0,
-                             nullptr, 0, nullptr);
-    check(vk_.vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
-    Submission &submission = set_->submissions[set_->used - 1];
-    check(vk_.vkResetFences(device_, 1, &submission.fence), "vkResetFences");
-    VkSubmitInfo submit = {VK_STRUCTURE_TYPE_SUBMIT_INFO};
-    submit.commandBufferCount = 1;
-    submit.pCommandBuffers = &commands_;
-    const VkResult result = vk_.vkQueueSubmit(queue_, 1, &submit, submission.fence);
-    lost_ = lost_ || result == VK_ERROR_DEVICE_LOST;
-    check(result, "vkQueueSubmit");
-    submission.runs = true;
-}
-
-void Device::split() {
-    submit();
-    open_submission();
-}
-
-gs_status Device::await(int number, const volatile int32_t *cancel) {
-    require();
-    CommandSet &set = sets_[number];
-    bool cancelled = cancel && *cancel, ran = false;
-    for (Submission &s : set.submissions)
-        if (s.runs) {
-            wait(s, cancel, cancelled);
-            s.runs = false;
-            ran = true;
-        }
-    for (size_t i = 0; ran && i < set.profiled.size(); ++i) {
-        const uint32_t first = uint32_t(kStageTimestamps + 2 * i);
-        KernelTime &time = times_[int(set.profiled[i])];
-        time.milliseconds += milliseconds(set, first, first + 1);
-        ++time.calls;
-    }
-    if (checks_enabled())
-        throw_validation_errors();
-    return cancelled ? GS_CANCELLED : GS_OK;
-}
-
-void Device::await_all() noexcept {
-    for (int i = 0; i < kCommandSets; ++i)
-        try {
-            await(i, nullptr);
-        } catch (const GpuFailure &) {
-            // The next call fails too.
-        }
-}
-
-gs_status Device::finish(const volatile int32_t *cancel) {
-    submit();
-    return await(int(set_ - sets_), cancel);
 }
 
 bool Device::inject_fault(bool is_step) {

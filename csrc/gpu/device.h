@@ -61,8 +61,6 @@ class Device {
     // of its set that are in flight.
     void begin(int set = 0);
     bool is_step() const { return set_ != sets_; } // the commands are those of a step in flight
-    // Submits the commands so far without waiting for them; further ones are another submission.
-    void split();
     // Push constants are a struct of the shader's, of at most kPushBytes.
     template <class Push> void dispatch(Shader shader, const Push &push, uint32_t x, uint32_t y = 1) {
         static_assert(sizeof push <= kPushBytes);
@@ -74,12 +72,13 @@ class Device {
         dispatch(shader, &push, sizeof push, arguments, word);
     }
     void fill(const DeviceBuffer &, size_t bytes, uint32_t word, size_t from_byte = 0);
-    // Writes a few bytes, at most 64 KiB and a multiple of 4, that the command itself contains.
+    // Writes bytes that may change afterwards; at most 16 KiB in all between `begin` and `finish`.
     void update(const DeviceBuffer &, const void *data, size_t bytes);
     void copy(const DeviceBuffer &from, const DeviceBuffer &to, size_t bytes, size_t from_byte = 0, size_t to_byte = 0);
     void timestamp(uint32_t index);
     gs_status finish(const volatile int32_t *cancel);
-    // Ends the commands without waiting for them; `await` waits, in any order.
+    // Submits the commands so far without waiting for them; further ones are another submission. Where they are those
+    // of the last time, what was recorded then is submitted again. `await` waits for all, in any order.
     void submit();
     gs_status await(int set, const volatile int32_t *cancel);
     // Milliseconds between two timestamps of a call that waits; 0 where the device has no timer.
@@ -97,29 +96,44 @@ class Device {
     bool inject_fault(bool is_step = false);
 
   private:
+    // A command to be recorded, without padding.
+    struct Command {
+        enum Kind : uint32_t { kDispatch, kDispatchIndirect, kFill, kCopy, kTimestamp, kResetQueries } kind;
+        uint32_t shader;
+        uint64_t push_bytes;
+        VkBuffer buffer, other;
+        uint64_t from, to, bytes; // of a dispatch: its sizes; of a fill: `to` is the word; of a timestamp: its number
+        uint8_t push[kPushBytes];
+    };
+    static_assert(sizeof(Command) == 56 + kPushBytes);
     struct Submission {
         VkCommandBuffer commands;
         VkFence fence;
-        bool runs; // submitted and not waited for
+        bool runs;                     // submitted and not waited for
+        std::vector<Command> recorded; // what is in the command buffer; empty: nothing that can be submitted again
     };
     struct CommandSet {
         std::vector<Submission> submissions; // kept for later commands
         size_t used = 0;
+        DeviceBuffer staging; // of `update`
+        size_t staged = 0;
         VkQueryPool queries = VK_NULL_HANDLE;
         std::vector<Shader> profiled; // dispatches that have timestamps
     };
 
     void create_sets(uint32_t family);
-    void open_submission();
+    Submission &next_submission();
+    void record(Submission &);
+    void record(VkCommandBuffer, const Command &);
+    Command &add(Command::Kind);
+    void add_dispatch(const Command &, Shader, const void *push, size_t bytes);
     void require() const; // throws if the device is lost
     void allocate(DeviceBuffer &, size_t bytes, Place);
     void wait(const Submission &, const volatile int32_t *cancel, bool &cancelled);
     void await_all() noexcept;
-    void barrier();
+    void barrier(VkCommandBuffer);
     void dispatch(Shader, const void *push, size_t bytes, uint32_t x, uint32_t y);
     void dispatch(Shader, const void *push, size_t bytes, const DeviceBuffer &arguments, size_t word);
-    void bind(Shader, const void *push, size_t bytes);
-    void ran(Shader);
     double milliseconds(const CommandSet &, uint32_t from, uint32_t to);
     uint32_t memory_type(uint32_t allowed, Place) const;
     void destroy();
@@ -132,10 +146,10 @@ class Device {
     VkQueue queue_ = VK_NULL_HANDLE;
     VkCommandPool pool_ = VK_NULL_HANDLE;
     CommandSet sets_[kCommandSets];
-    CommandSet *set_ = sets_;                   // whose commands are being recorded
-    VkCommandBuffer commands_ = VK_NULL_HANDLE; // of the open submission
-    double nanoseconds_ = 0;                    // per tick; 0: no timer
-    uint64_t ticks_mask_ = 0;                   // of the bits that count
+    CommandSet *set_ = sets_;   // whose commands are being recorded
+    std::vector<Command> list_; // of the open submission
+    double nanoseconds_ = 0;    // per tick; 0: no timer
+    uint64_t ticks_mask_ = 0;   // of the bits that count
     VkPipelineLayout layout_ = VK_NULL_HANDLE;
     VkPipeline pipelines_[kShaders] = {};
     bool profiles_ = false;

@@ -16,7 +16,7 @@ constexpr size_t kProjectBytes = 400, kSortBytes = 28, kEmitBytes = 128;
 void gs_gpu::pace(size_t bytes, double gs_gpu_stats::*time) {
     if (paced_bytes_ && (paced_bytes_ + bytes > device.bytes_at_once() || checks_enabled())) {
         if (device.is_step()) {
-            device.split();
+            device.submit();
             paced_bytes_ = 0;
         } else {
             if (time)
