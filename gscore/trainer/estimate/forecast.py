@@ -11,7 +11,6 @@ from ...engine.cpu.pace import COST, machine_pace
 from ...errors import GsError
 from ...io.system_memory import available_memory_bytes, total_memory_bytes
 from ...metrics.lpips import lpips_file, named_net
-from ...raster.gpu.library import DeviceMemoryError
 from ...splats import SH_REST_BY_DEGREE
 from ...text_format import count_text
 from ..model.nearest_points import few_queries
@@ -391,6 +390,8 @@ def check_fits(found: Estimate, config: TrainConfig, device: str = "") -> None:
     `device`: name of the device that trains; DeviceMemoryError if it does not fit into its memory.
     """
     if (there := found.device) and there.peak_bytes > there.free_bytes:
+        from ...raster.gpu.library import DeviceMemoryError  # not where the CPU trains
+
         ways = _ways(there.fitting_splats, there.fitting_width)
         ways += ["close programs that use the graphics card", "use `--device cpu`"]
         raise DeviceMemoryError(
