@@ -2,11 +2,13 @@
 
 import argparse
 import importlib
+import json
 import platform
 import sys
 import time
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,17 +16,19 @@ import numpy as np
 from .._version import __version__
 from ..errors import GsError
 from ..extras import install_hint
+from ..io.files import atomic_write
 from ..io.system_memory import available_memory_bytes, total_memory_bytes
 from ..metrics.machine import cores, cpu_name, version_of
-from ..raster.gpu.devices import NOT_TESTED, find_devices
+from ..raster.gpu.devices import NOT_TESTED, FoundDevices, find_devices
 from ..raster.gpu.verification import verified
 from ..sh import rgb_to_sh0
 from ..shared_constants import ALPHA_MIN, EPS2D
 from ..splats import Splats
 from ..text_format import count_text, size_text
 from .args.device_option import test_report
+from .gpu_report import device_report
 from .parser import add_option
-from .terminal.output import print_result
+from .terminal.output import check_folder, print_result
 from .terminal.status import Status, show_while
 
 _LITTLE_MEMORY = 2_000_000_000
@@ -72,13 +76,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option = partial(add_option, parser)
     option("--json", "one JSON object on stdout")
     option("--verify", "test the graphics cards again, up to a minute each")
+    text = "write limits, self-tests and kernel times of the graphics cards, without private data"
+    option("--gpu-report FILE.json", text, Path)
 
 
 def run(args: argparse.Namespace) -> int:
     """Check and print; exit code 0 if this machine can train, 2 if a required part is missing."""
     with show_while(sys.stderr, "Checking the packages"):
         facts = _facts()
-    facts |= _graphics_facts(verify=args.verify)
+    if args.gpu_report:
+        check_folder(args.gpu_report.parent)
+    found = find_devices()
+    facts |= _graphics_facts(found, verify=args.verify)
+    if args.gpu_report:
+        _write_report(args.gpu_report, found)
+        facts["gpu_report"] = str(args.gpu_report)
     print_result(facts, [_text(facts)], json=args.json)
     return 0 if facts["can_train"] else 2
 
@@ -147,9 +159,19 @@ def _native_facts() -> dict[str, Any]:
     return facts
 
 
-def _graphics_facts(*, verify: bool) -> dict[str, Any]:
+def _write_report(path: Path, found: FoundDevices) -> None:
+    """Test the devices that are new, measure them, and write the report."""
+    with Status(sys.stderr) as status:
+        for device in found.devices:
+            if not device.unusable:
+                verified(device, report=test_report(status))
+        content = device_report(found, progress=lambda sentence: status.show([sentence]))
+    text = json.dumps(content, indent=2, allow_nan=False)
+    atomic_write(path, f"{text}\n".encode())
+
+
+def _graphics_facts(found: FoundDevices, *, verify: bool) -> dict[str, Any]:
     """The devices for drawing, tested again if `verify`, and why others are missing."""
-    found = find_devices()
     if verify:
         with Status(sys.stderr) as status:
             report = test_report(status)
@@ -250,6 +272,8 @@ def _text(facts: dict[str, Any]) -> str:
     lines = [f"{label:12} {value}" for label, value in rows]
     if facts["install"]:
         lines.append(f"To install missing packages: {facts['install']}")
+    if "gpu_report" in facts:
+        lines.append(f"Report on the graphics cards: {facts['gpu_report']}")
     if facts["can_train"]:
         lines.append("This machine can train.")
     else:

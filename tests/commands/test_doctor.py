@@ -1,6 +1,9 @@
 """gscore doctor: a healthy machine, and each kind of problem."""
 
+import getpass
 import json
+import platform
+import re
 import sys
 
 import numpy as np
@@ -103,3 +106,35 @@ def test_missing_library(gscore, monkeypatch, tmp_path):
     monkeypatch.setattr(native_library, "available_isas", missing)
     code, out, _ = gscore("doctor")
     assert code == 2 and "native library is missing" in out and "numpy" in out
+
+
+def test_report_on_the_graphics_cards(gscore, tmp_path, monkeypatch):
+    """Oracle: the devices that doctor lists, and the kernels of pictures and gradients; no paths,
+    names or values of variables."""
+    monkeypatch.setenv("VK_LAYER_PATH", "/home/somebody/secret")
+    path = tmp_path / "new" / "report.json"
+    code, out, _ = gscore("doctor", "--gpu-report", str(path), "--json")
+    assert code == 0 and json.loads(out)["gpu_report"] == str(path)
+    text = path.read_text()
+    found, listed = json.loads(text), json.loads(out)["devices"]
+    assert [one["name"] for one in found["devices"]] == [one["name"] for one in listed]
+    assert "VK_LAYER_PATH" in found["variables"]
+    private = ("secret", "home", str(tmp_path), sys.executable, platform.node(), getpass.getuser())
+    words = text.replace(found["platform"], "")
+    assert not [one for one in private if re.search(rf"\b{re.escape(one)}\b", words)]
+    for device in found["devices"]:
+        assert "uuid" not in device and device["workgroup"] >= 128
+        if device["reason"]:
+            assert device["times"] == [] and device["times_problem"] == device["reason"]
+            continue
+        assert device["verdict"]["passed"] and device["times_problem"] == ""
+        assert {"project", "blend", "blend_backward"} <= device["times"][0]["kernels_ms"].keys()
+    if not found["devices"]:
+        assert found["problems"]
+
+
+def test_report_that_cannot_be_written(gscore, tmp_path):
+    """Oracle: exit code 2 and the path, before any test."""
+    (tmp_path / "file").write_text("")
+    code, _, err = gscore("doctor", "--gpu-report", str(tmp_path / "file" / "report.json"))
+    assert code == 2 and "file" in err

@@ -19,51 +19,17 @@ import numpy as np
 from gscore.raster import _native
 from gscore.raster.gpu.choice import choose, once_a_device
 from gscore.raster.gpu.gpu_raster import GpuRaster
-from gscore.raster.request import Frustum, Settings
+from gscore.raster.gpu.timing import picture_of, timed_pictures, timing_splats, timing_view
 
 BANDWIDTH = {"H100": 3.35e12, "H200": 4.8e12, "RTX 4090": 1.008e12, "RTX 3090": 0.936e12}
 """Bytes a second of device memory by the makers' data sheets, by parts of names."""
 USED = 0.8
 """Share of it that kernels reach at best."""
-WARM, TIMED = 3, 20
-"""Pictures that are not counted, and those that are."""
-
-
-def splats(count: int) -> list[np.ndarray]:
-    """Random splats of SH degree 3, half a pixel to ten in size at full HD, in front of a camera
-    at the origin."""
-    random = np.random.default_rng(1)
-    means = random.uniform(-1, 1, (count, 3)).astype(np.float32) * (1.6, 0.9, 1) + (0, 0, 3)
-    scales = np.log(random.uniform(0.1, 1, (count, 3)) * 0.02 * (3e5 / count) ** (1 / 3))
-    return [
-        means.astype(np.float32),
-        random.normal(size=(count, 4)).astype(np.float32),
-        scales.astype(np.float32),
-        random.normal(size=count).astype(np.float32) * 2,
-        random.normal(size=(count, 1, 3)).astype(np.float32),
-        random.normal(size=(count, 15, 3)).astype(np.float32) * np.float32(0.2),
-    ]
-
-
-def view_of(width: int) -> Frustum:
-    """A camera with pictures of 16 : 9."""
-    height = round(width * 9 / 16)
-    focal = 0.9 * width
-    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-    return Frustum(np.eye(4), K, width, height)
-
-
-def picture_of(raster: Any, arrays: list[np.ndarray], view: Frustum) -> np.ndarray:
-    """[H, W, 3]."""
-    size = (view.height, view.width)
-    pictures = {"rgb": np.empty((*size, 3), np.float32), "alpha": np.empty(size, np.float32)}
-    raster.forward(arrays, view, Settings(), pictures)
-    return pictures["rgb"]
 
 
 def compared(raster: GpuRaster, count: int, width: int) -> dict[str, Any]:
     """Differences to the CPU's picture; rounding may flip a comparison in a few pixels."""
-    arrays, view = splats(count), view_of(width)
+    arrays, view = timing_splats(count), timing_view(width)
     cpu = picture_of(_native.Raster(), arrays, view)
     first, second = (picture_of(raster, arrays, view) for _ in range(2))
     difference = np.abs(first.astype(np.float64) - cpu).max(-1)
@@ -75,39 +41,6 @@ def compared(raster: GpuRaster, count: int, width: int) -> dict[str, Any]:
         "largest": float(difference.max()),
         "share_above_1e-5": float((difference > 1e-5).mean()),
         "mean_alpha_check": float(cpu.mean()),
-    }
-
-
-def timed(raster: GpuRaster, count: int, width: int) -> dict[str, Any]:
-    """Milliseconds a picture: medians over `TIMED` of the stages, and means of the kernels."""
-    arrays, view, settings = splats(count), view_of(width), Settings()
-    raster.keep(arrays, settings)
-    for _ in range(WARM):
-        picture_of(raster, arrays, view)
-    rows = []
-    for _ in range(TIMED):
-        picture_of(raster, arrays, view)
-        rows.append(raster.stats())
-    median = {name: float(np.median([row[name] for row in rows])) for name in rows[0]}
-    raster.profile(True)
-    for _ in range(TIMED):
-        picture_of(raster, arrays, view)
-    kernels = {n: total / TIMED for n, (total, calls) in raster.kernel_times().items() if calls}
-    raster.profile(False)
-    raster.release(arrays, settings)
-    device = sum(median[name] for name in ("project_ms", "sort_ms", "bin_ms", "blend_ms"))
-    return {
-        "splats": count,
-        "size": [view.width, view.height],
-        "visible": median["visible"],
-        "entries": median["entries"],
-        "device_ms": device,
-        "pictures_a_second_on_the_device": 1e3 / device if device else None,
-        "download_ms": median["download_ms"],
-        "whole_call_ms": median["total_ms"],
-        "stages_ms": {n: v for n, v in median.items() if n.endswith("_ms")},
-        "kernels_ms": kernels,
-        "device_bytes": median["device_bytes"],
     }
 
 
@@ -162,7 +95,7 @@ def main() -> int:
     result: dict[str, Any] = {"platform": platform.platform(), "device": chosen.device.to_dict()}
     with GpuRaster(chosen.device.number) as raster:
         result["pictures"] = [compared(raster, n, w) for n in counts for w in widths]
-        result["times"] = [timed(raster, n, widths[-1]) for n in counts]
+        result["times"] = [timed_pictures(raster, n, widths[-1]) for n in counts]
     for times in result["times"]:
         times["kernels_bytes"] = moved_bytes(times)
         times["floors_ms"] = floors(times["kernels_bytes"], bandwidth_of(chosen.device.name))

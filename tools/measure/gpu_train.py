@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gpu_forward import bandwidth_of, floors, moved_bytes, splats
+from gpu_forward import bandwidth_of, floors, moved_bytes
 
 import gscore
 from gscore.engine.base import ShUpdate, StepPhoto, StepRequest, TermKind
@@ -34,6 +34,7 @@ from gscore.io.images.png import write_png
 from gscore.io.runs import checkpoints_in
 from gscore.raster.gpu.choice import choose, once_a_device
 from gscore.raster.gpu.gpu_raster import GpuRaster
+from gscore.raster.gpu.timing import timing_splats
 from gscore.raster.request import Frustum
 from gscore.splats import PARAMETERS
 from gscore.stress.capture import toy_photos
@@ -167,7 +168,7 @@ def timed(raster: GpuRaster, engine: GpuEngine, size: tuple[int, int, int], step
     y, x = np.mgrid[:height, :width]
     waves = [np.sin(x / (7 + 5 * c)) * np.cos(y / (9 + 4 * c)) for c in range(3)]
     photo = StepPhoto(image=(127.5 + 127 * np.stack(waves, -1)).astype(np.uint8))
-    columns = dict[str, Any](zip(PARAMETERS, splats(number), strict=True))
+    columns = dict[str, Any](zip(PARAMETERS, timing_splats(number), strict=True))
     model = engine.model(columns, counters=("grad2d", "views"))
     found, pending, host = requests(width, height), deque[Any](), list[float]()
 

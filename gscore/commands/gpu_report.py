@@ -1,0 +1,85 @@
+"""Report of `gscore doctor` on the graphics cards, for help with them: nothing private."""
+
+import os
+import platform
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from .._version import __version__
+from ..errors import GsError
+from ..io.system_memory import total_memory_bytes
+from ..metrics.machine import cores, cpu_name
+from ..raster.gpu.devices import Device, FoundDevices
+from ..raster.gpu.gpu_raster import GpuRaster
+from ..raster.gpu.library import library_hash
+from ..raster.gpu.timing import timed_pictures
+
+_PRIVATE = ("uuid",)
+"""Fields of a device that identify a single card."""
+_VARIABLES = ("VK_", "LP_", "MESA_", "DRI_", "GSCORE_", "MVK_")
+"""Beginnings of environment variables that change drivers; their names are listed, and not the
+values, which contain paths."""
+_SIZES = {True: ((5_000, 320),), False: ((100_000, 1000), (300_000, 1920))}
+"""Splats and widths of the timed pictures: on software devices, and on others."""
+_REPEATS = {True: 2, False: 10}
+
+
+def device_report(
+    found: FoundDevices, *, progress: Callable[[str], None] = lambda sentence: None
+) -> dict[str, Any]:
+    """Machine, devices with their limits and verdicts, and times of their kernels, as JSON values.
+
+    Args:
+        found: The devices, tested before.
+        progress: Called with a sentence before each device.
+
+    Returns:
+        No paths, names of users or of the machine, serial numbers and values of variables.
+    """
+    devices = []
+    for device in found.devices:
+        progress(f"Measuring {device.name}")
+        facts = {n: v for n, v in device.to_dict().items() if n not in _PRIVATE}
+        devices.append(facts | _times(device))
+    return _without_paths(
+        {
+            "gscore": __version__,
+            "library": library_hash(),
+            "platform": platform.platform(),
+            "python": platform.python_version(),
+            "cpu": cpu_name(),
+            "cores": cores(),
+            "memory_bytes": total_memory_bytes(),
+            "variables": sorted(name for name in os.environ if name.startswith(_VARIABLES)),
+            "problems": list(found.problems),
+            "devices": devices,
+        }
+    )
+
+
+def _without_paths(value: Any) -> Any:
+    """JSON values without the folders of gscore and of the user in their texts."""
+    if isinstance(value, dict):
+        return {name: _without_paths(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_paths(one) for one in value]
+    if isinstance(value, str):
+        for folder, name in ((Path(__file__).parents[2], "..."), (Path.home(), "~")):
+            value = value.replace(str(folder), name)
+    return value
+
+
+def _times(device: Device) -> dict[str, Any]:
+    """Times of pictures and gradients on a device, or why there are none."""
+    if device.reason:
+        return {"times": [], "times_problem": device.reason}
+    times, soft = [], device.is_software
+    try:
+        with GpuRaster(device.number) as raster:
+            for count, width in _SIZES[soft]:
+                made = timed_pictures(raster, count, width, repeats=_REPEATS[soft], gradients=True)
+                times.append(made)
+    except (GsError, MemoryError) as error:
+        return {"times": times, "times_problem": str(error)}
+    return {"times": times, "times_problem": ""}
