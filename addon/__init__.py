@@ -48,6 +48,7 @@ MODULES: tuple[str, ...] = (
     "paint.settings",
     "paint.modal",
     "error_maps.measure_errors",
+    "surface.make_mesh",
     "region_training.train_region",
     "region_training.masks",
     "region_training.mask_operators",

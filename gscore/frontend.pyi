@@ -108,6 +108,8 @@ from .lod.build import LodFacts as LodFacts
 from .lod.build import build_lod as build_lod
 from .lod.lod_renderer import LodModel as LodModel
 from .lod.read import read_lod as read_lod
+from .mesh.surface_mesh import SurfaceMesh as SurfaceMesh
+from .mesh.surface_mesh import read_surface as read_surface
 from .option_marks import show_options as show_options
 from .options import Option as Option
 from .options import options_of as options_of

@@ -22,6 +22,7 @@ _SECTIONS = {
     "splats.select_operators": "blender/editing.md#edit",
     "paint": "blender/editing.md#paint",
     "error_maps": "blender/splats.md#error-maps",
+    "surface": "blender/splats.md#surface",
     "region_training": "blender/steering.md#steer-training",
     "render": "blender/rendering.md#render",
     "live": "blender/splats.md#displays",

@@ -19,6 +19,7 @@ from ..live import draw_handler
 from ..splats import edit, lag, live_display, operators
 from ..splats.mend_operators import outdated
 from ..splats.objects import active_splats, has_trained, in_question, is_native
+from ..surface import make_mesh
 from ..timeline import frame_sync
 from ..timeline.frame_at import moment_of, series_of
 from ..timeline.library import LIBRARY
@@ -218,6 +219,28 @@ _COLORS = (
     "Cameras: dark violet for the best photo, pale yellow for the worst. Splats: black for no "
     "error, pale yellow for errors of {:.0%} or more, grey for splats that no photo shows."
 )
+
+
+class SurfacePanel(TabPanel, bpy.types.Panel):
+    """The surface of the splats as a mesh"""
+
+    bl_idname = "GSCORE_PT_surface"
+    bl_label = "Surface"
+    bl_parent_id = "GSCORE_PT_result"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+    needs = Condition(has_trained)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        job = make_mesh.job_of(active_splats(context))
+        if job is not None:
+            phase = "starting" if job.progress is None else job.progress.phase
+            draw_verb(layout, job, phase.capitalize(), "gscore.stop_mesh")
+            if job.busy:
+                return
+        if has_python(layout):
+            layout.operator("gscore.make_mesh", icon="MESH_ICOSPHERE")
 
 
 class ErrorsPanel(TabPanel, bpy.types.Panel):

@@ -1,4 +1,4 @@
 """Surfaces of splats: depths of many views fused into a triangle mesh with colours."""
 
 from .make_mesh import MeshRequest, make_mesh
-from .surface_mesh import SurfaceMesh, write_surface
+from .surface_mesh import SurfaceMesh, read_surface, write_surface

@@ -339,7 +339,8 @@ def _surface(volume: Volume, request: MeshRequest, steps: _Steps) -> SurfaceMesh
     if request.region is not None and len(vertices):
         inverse = np.linalg.inv(request.region)
         local = vertices @ inverse[:3, :3].T + inverse[:3, 3]
-        triangles = triangles[(np.abs(local) <= 1).all(axis=1)[triangles].all(axis=1)]
+        inside = np.asarray((np.abs(local) <= 1).all(axis=1))
+        triangles = triangles[inside[triangles].all(axis=1)]
     steps.begin("cleaning")
     triangles = without_small_parts(vertices, triangles, request.min_part)
     if not len(triangles):

@@ -8,10 +8,10 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from .._version import __version__
-from ..errors import ConfigError
+from ..errors import ConfigError, FormatError
 from ..formats.gltf import GltfBuffer, write_glb
 from ..io.files import atomic_write
-from ..io.mesh.files import write_mesh
+from ..io.mesh.files import read_written_mesh, write_mesh
 from ..quoting import brief
 from .clean import vertex_normals
 
@@ -67,6 +67,25 @@ def write_surface(path: str | Path, mesh: SurfaceMesh) -> None:
     path = Path(path)
     check_ending(path)
     _WRITERS[path.suffix.lower()](path, mesh)
+
+
+def read_surface(path: str | Path) -> SurfaceMesh:
+    """Read a PLY that `write_surface` wrote; the mesh has the coordinates of the capture.
+
+    Raises:
+        DatasetError: the file is missing or cannot be opened.
+        FormatError: another program wrote it, or it is damaged.
+    """
+    vertex, triangles = read_written_mesh(Path(path))
+    names = vertex.dtype.names or ()
+    if "red" not in names:
+        raise FormatError(f"{brief(path)} has no colours. Make it again with gscore mesh.")
+    colors = np.stack([vertex[name] for name in ("red", "green", "blue")], axis=1)
+    return SurfaceMesh(
+        vertices=np.stack([vertex[axis] for axis in "xyz"], axis=1),
+        triangles=triangles.astype(np.int64),
+        colors=colors.astype(np.float32) / 255,
+    )
 
 
 def _write_ply(path: Path, mesh: SurfaceMesh) -> None:

@@ -8,10 +8,10 @@ import plyfile
 import pytest
 
 from gscore.commands.terminal.output import is_ours
-from gscore.errors import ConfigError
+from gscore.errors import ConfigError, FormatError
 from gscore.formats.gltf import Gltf
-from gscore.io.mesh.files import read_mesh
-from gscore.mesh import SurfaceMesh, write_surface
+from gscore.io.mesh.files import read_mesh, write_mesh
+from gscore.mesh import SurfaceMesh, read_surface, write_surface
 from gscore.mesh.surface_mesh import ENDINGS
 
 ORIGIN = np.array([600000.25, -5000000.5, 100.0])
@@ -44,6 +44,26 @@ def test_a_ply_has_normals_and_colours(tmp_path: Path) -> None:
     normals = np.stack([vertex[name] for name in ("nx", "ny", "nz")], axis=1)
     np.testing.assert_allclose(normals[0], -np.ones(3) / 3**0.5, atol=1e-6)
     assert (vertex["x"] == MESH.in_capture[:, 0]).all()
+
+
+def test_a_written_ply_is_read_back_whole(tmp_path: Path) -> None:
+    """Oracle: the mesh; files of other programs and damaged ones are refused."""
+    path = tmp_path / "a.ply"
+    write_surface(path, MESH)
+    found = read_surface(path)
+    np.testing.assert_array_equal(found.vertices, MESH.in_capture)
+    np.testing.assert_array_equal(found.triangles, MESH.triangles)
+    np.testing.assert_allclose(found.colors, MESH.colors, atol=0.5 / 255 + 1e-6)
+    whole = path.read_bytes()
+    damaged = bytearray(whole)
+    damaged[-1] = 0x7F  # a corner beyond the vertices
+    for content in (whole[:-1], bytes(damaged), whole.replace(b"gscore", b"others"), b"ply\n", b""):
+        path.write_bytes(content)
+        with pytest.raises(FormatError, match="Make it again"):
+            read_surface(path)
+    write_mesh(path, MESH.vertices, MESH.triangles)
+    with pytest.raises(FormatError, match="no colours"):
+        read_surface(path)
 
 
 def test_an_obj_has_normals_and_colours(tmp_path: Path) -> None:

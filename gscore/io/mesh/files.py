@@ -1,5 +1,6 @@
 """Triangle meshes, and their reader from PLY and OBJ."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -227,22 +228,14 @@ def write_mesh(
         if columns is not None:
             for axis, name in enumerate(names):
                 table[name] = columns[:, axis]
-    properties = "".join(
-        f"property {_PLY_TYPES[table.dtype[name].kind + str(table.dtype[name].itemsize)]} {name}\n"
-        for name in table.dtype.names or ()
-    )
-    header = (
-        "ply\nformat binary_little_endian 1.0\ncomment made by gscore\n"
-        f"element vertex {len(vertices)}\n{properties}"
-        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
+    header = _header(len(vertices), len(triangles), table.dtype)
 
     def write(file: BinaryIO) -> None:
-        file.write(header.encode("ascii"))
+        file.write(header)
         file.write(table.tobytes())
         for at in range(0, len(triangles), _ROWS):
             part = triangles[at : at + _ROWS]
-            rows = np.empty(len(part), [("count", "u1"), ("corners", "<i4", 3)])
+            rows = np.empty(len(part), _TRIANGLE)
             rows["count"], rows["corners"] = 3, part
             file.write(rows.tobytes())
 
@@ -252,6 +245,54 @@ def write_mesh(
 _NORMAL, _COLOR = ("nx", "ny", "nz"), ("red", "green", "blue")
 _PLY_TYPES = {"f8": "double", "f4": "float", "u1": "uchar"}
 """Names of types in a PLY header, by dtype."""
+
+
+_TRIANGLE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+"""A face of a written PLY."""
+_COUNTS = re.compile(rb"element vertex (\d{1,9})\n.*element face (\d{1,9})\n", re.DOTALL)
+_LONGEST_HEADER = 1000
+
+
+def read_written_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Read a PLY of `write_mesh`, in a fraction of the time of `read_mesh`.
+
+    Returns:
+        Vertices [V] with the fields x, y, z, and nx, ny, nz and red, green, blue if it has them;
+        triangles [T, 3] int32.
+
+    Raises:
+        DatasetError: the file is missing or cannot be opened.
+        FormatError: another program wrote it, or it is damaged.
+    """
+    raw = memoryview(read_bytes(path))
+    counts = _COUNTS.search(bytes(raw[:_LONGEST_HEADER]))
+    vertices, faces = (int(counts[1]), int(counts[2])) if counts else (0, 0)
+    for normals, colors in ((False, False), (True, True), (True, False), (False, True)):
+        kind = _table_type(normals, colors)
+        header = _header(vertices, faces, kind)
+        if raw[: len(header)] != header:
+            continue
+        end = len(header) + vertices * kind.itemsize
+        if len(raw) != end + faces * _TRIANGLE.itemsize:
+            break
+        triangles = np.frombuffer(raw, _TRIANGLE, faces, end)["corners"]
+        if faces and (triangles.min() < 0 or triangles.max() >= vertices):
+            break
+        return np.frombuffer(raw, kind, vertices, len(header)), np.ascontiguousarray(triangles)
+    raise FormatError(f"{path} is no mesh that gscore wrote, or it is damaged. Make it again.")
+
+
+def _header(vertices: int, faces: int, kind: np.dtype) -> bytes:
+    """Header of a written PLY with vertices of a dtype."""
+    properties = "".join(
+        f"property {_PLY_TYPES[kind[name].kind + str(kind[name].itemsize)]} {name}\n"
+        for name in kind.names or ()
+    )
+    return (
+        "ply\nformat binary_little_endian 1.0\ncomment made by gscore\n"
+        f"element vertex {vertices}\n{properties}"
+        f"element face {faces}\nproperty list uchar int vertex_indices\nend_header\n"
+    ).encode("ascii")
 
 
 def _table_type(normals: bool, colors: bool) -> np.dtype:
