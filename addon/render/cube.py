@@ -90,9 +90,9 @@ def unfold(
         draw: Returns the passes of a part of a picture, the bottom row first.
 
     Returns:
-        "Combined" [h, w, 4] and further passes [h, w, 1], each the mean of four bilinear samples
-        per pixel; "Depth" [h, w], if it was drawn, the distance along the middle of the pixel. The
-        bottom row first; empty outside of the panorama's field of view.
+        "Combined" [h, w, 4], "Normal" [h, w, 3] and further passes [h, w, 1], each the mean of
+        four bilinear samples per pixel; "Depth" [h, w], if it was drawn, the distance along the
+        middle of the pixel. The bottom row first; empty outside of the panorama's field of view.
     """
     window = window or (0, 0, panorama.width, panorama.height)
     half = min(int(np.ceil(panorama.density * _DETAIL * _REACH)), _LARGEST // 2 - _EDGE)
@@ -225,7 +225,8 @@ def _parts(panorama: Panorama, window: Window, focal: float, side: int) -> dict[
 def _resampled(
     panorama: Panorama, window: Window, focal: float, side: int, pictures: _Pictures, name: str
 ) -> np.ndarray:
-    out = np.zeros((window[3], window[2], 4 if name == "Combined" else 1), np.float32)
+    channels = {"Combined": 4, "Normal": 3}.get(name, 1)
+    out = np.zeros((window[3], window[2], channels), np.float32)
     for rows, inside in _every_look(window):
         band = out[rows]
         for patch, where, share, x, y, _ in _looks(panorama, window, rows, inside, focal, side):

@@ -18,6 +18,7 @@ from ..timeline.settings import plays
 from . import device, holdout_meshes, picture, unsupported_settings, viewport_copies
 from .color import background_of, light_of
 from .compositing_scene import main_scene
+from .geometry_passes import position_pass
 from .model import SplatCache
 from .pass_renderer import PassRenderer, Shot
 from .passes import RequestedPasses, requested_passes
@@ -236,7 +237,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         pass_renderer = PassRenderer(
             options=picture.Options(
                 background=background_of(light),
-                depths=requested.depth,
+                depths=requested.depth or requested.position,
+                normals=requested.normal,
                 antialias=scene.gscore_render.antialias,
                 window=window,
                 device=self._device,
@@ -254,11 +256,17 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             shot = self._mean(
                 pass_renderer.without_depths(), shutter_lens, scene.gscore_render.blur_samples
             )
-            if requested.depth:  # at the frame, through the lens's middle: mean depths are useless
+            if (
+                pass_renderer.options.depths
+            ):  # at the frame, through the lens's middle: mean depths are useless
                 shot.passes["Depth"] = pass_renderer.render(still, self._stops)["Depth"]
         else:
             shot = pass_renderer.expose(still, self._stops)
         passes = pass_renderer.completed(shot, still, self._stops)
+        if requested.position:
+            passes["Position"] = position_pass(passes["Depth"], still.camera, window)
+            if not requested.depth:
+                del passes["Depth"]
         mattes, stamps = requested.mattes_of(shot.covered, passes["Combined"].shape[:2], layer.name)
         self.update_progress(0.9)
         result = self.begin_result(0, 0, *size, layer=layer.name, view=view)

@@ -86,6 +86,8 @@ class VIEWLAYER_PT_gscore_passes(_EnginePanel, bpy.types.Panel):  # noqa: N801 B
         layout.use_property_split, layout.use_property_decorate = True, False
         column = layout.column(heading="Data")
         column.prop(layer, "use_pass_z", text="Depth")
+        column.prop(layer, "use_pass_position", text="Position")
+        column.prop(layer, "use_pass_normal", text="Normal")
         column.prop(layer, "use_pass_object_index", text="Object Index")
         if layer.use_pass_object_index:
             column.prop(layer, "pass_alpha_threshold", text="Alpha Threshold")

@@ -18,6 +18,7 @@ from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Rendered
 from . import color, picture
 from .cube import beyond, unfold
+from .geometry_passes import normal_pass
 from .holdout_meshes import Hidden, cut
 from .model import HALF, Model
 from .picture import Window
@@ -74,11 +75,15 @@ class PassRenderer:
         """The same without the pass Depth."""
         return replace(self, options=replace(self.options, depths=False))
 
+    def _plain(self) -> "PassRenderer":
+        """The same without the passes Depth and Normal."""
+        return replace(self, options=replace(self.options, depths=False, normals=False))
+
     def render(
         self, view: View, stop: Stop, cancel: CancelFlag | None = None
     ) -> dict[str, np.ndarray]:
         """The passes by name, float32, the bottom row first: "Combined" [H, W, 4], "Depth" [H, W],
-        `MESHES` and `SHARE` [H, W, 1].
+        "Normal" [H, W, 3], `MESHES` and `SHARE` [H, W, 1].
 
         Raises:
             As `picture.draw`.
@@ -95,7 +100,7 @@ class PassRenderer:
         if view.model.shares is not None:
             # The background is not cut out either; a transparent film has none.
             background = _BLACK if self.transparent else _WHITE
-            options = replace(self.options, background=background, depths=False)
+            options = replace(self.options, background=background, depths=False, normals=False)
             model = replace(view.model, splats=view.model.shares)
             share = expose(model, options)[0].rgb[..., 0]
         elif self.transparent:
@@ -112,6 +117,8 @@ class PassRenderer:
             passes[SHARE] = at.inside(self.options.window).share[::-1, :, None].copy()
         if self.options.depths:
             passes["Depth"] = color.z_pass(rendered)
+        if self.options.normals:
+            passes["Normal"] = normal_pass(rendered, view.camera)
         return passes
 
     def expose(self, view: View, stop: Stop) -> Shot:
@@ -122,7 +129,7 @@ class PassRenderer:
         if self.holdouts and view.model.shares is not None:
             whole = replace(view, model=replace(view.model, shares=None))
             shown = {HOLDOUT: _only(view, holdout=True), HOLDOUT_BEHIND: whole}
-            plain = self.without_depths()
+            plain = self._plain()
             blocked = {
                 n: plain.render(v, stop)["Combined"][..., 3].copy() for n, v in shown.items()
             }
@@ -171,7 +178,9 @@ class PassRenderer:
 
             distant = beyond(model, view.camera)
             return unfold(view.camera, window, side)["Combined"]
-        options = replace(self.options, background=_BLACK, depths=False, window=window)
+        options = replace(
+            self.options, background=_BLACK, depths=False, normals=False, window=window
+        )
         rgb = _exposed(model, view.camera, options, view.hidden, stop, None)[0].rgb
         return np.pad(np.clip(rgb, 0, 1)[::-1], ((0, 0), (0, 0), (0, 1)))
 

@@ -109,6 +109,7 @@ def metadata(layer: str, kind: str, names: list[str]) -> dict[str, str]:
 
 SWITCHES = {
     *("use_pass_combined", "use_pass_z", "use_pass_object_index"),
+    *("use_pass_normal", "use_pass_position"),
     *("use_pass_cryptomatte_object", "use_pass_cryptomatte_asset"),
 }
 """Switches of the passes that this engine makes."""
@@ -124,6 +125,8 @@ class RequestedPasses:
     """The passes of a view layer in addition to the picture."""
 
     depth: bool
+    normal: bool
+    position: bool
     holdout_depth: bool
     """Passes with which the compositor cuts meshes at holdout splats."""
     index: bool
@@ -144,6 +147,9 @@ class RequestedPasses:
         found = [("Combined", 4, "RGBA", "COLOR")]
         if self.depth:
             found.append(("Depth", 1, "Z", "VALUE"))
+        for name, on in (("Normal", self.normal), ("Position", self.position)):
+            if on:
+                found.append((name, 3, "XYZ", "VECTOR"))
         if self.holdout_depth:
             found += [(name, 1, "Z", "VALUE") for name in HOLDOUT_PASSES]
         if self.index:
@@ -196,6 +202,8 @@ def requested_passes(layer: bpy.types.ViewLayer, main: bpy.types.Scene | None) -
     }
     return RequestedPasses(
         depth=layer.use_pass_z,
+        normal=layer.use_pass_normal,
+        position=layer.use_pass_position,
         holdout_depth=layer.use_pass_z and main is not None,
         index=layer.use_pass_object_index,
         kinds=tuple(kind for kind, on in kinds.items() if on),

@@ -26,6 +26,8 @@ class Options:
     """sRGB values, as the splats' own."""
     depths: bool = False
     """Whether to render depths too."""
+    normals: bool = False
+    """Whether to render normals too."""
     antialias: str = AUTO
     """ON, OFF, or AUTO: as the objects were trained."""
     window: Window | None = None
@@ -100,6 +102,7 @@ def draw(
                     near=camera.near,
                     antialias=antialias,
                     depths=options.depths,
+                    normals=options.normals,
                     orthographic=camera.orthographic,
                     window=options.window,
                     far_depths=far_depths,

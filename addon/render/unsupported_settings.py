@@ -221,8 +221,8 @@ CHECKS = (
         lambda s: getattr(s.layer.material_override, "name", ""),
     ),
     Check(
-        "This engine has no pass {}. Its passes are Combined, Depth, Object Index, and Cryptomatte "
-        "of objects and assets.",
+        "This engine has no pass {}. Its passes are Combined, Depth, Position, Normal, Object "
+        "Index, and Cryptomatte of objects and assets.",
         _passes,
     ),
     Check("Freestyle has no effect.", lambda s: _if(s.scene.render.use_freestyle)),

@@ -179,7 +179,7 @@ def splat_normals(
         means: [N, 3], world.
         quats: [N, 4], wxyz, of any non-zero length.
         scales: [N, 3], logarithms or standard deviations.
-        viewmat: [4, 4] world to camera, OpenCV axes.
+        viewmat: [4, 4] world to camera, OpenCV axes; may scale.
         orthographic: The camera looks along its +z everywhere, instead of from its centre.
 
     Returns:
@@ -189,7 +189,7 @@ def splat_normals(
     with np.errstate(invalid="ignore"):  # quaternions of length 0, whose splats are not drawn
         axes = np.nan_to_num(quat_to_rotmat(quats.astype(np.float64)))
     R, t = viewmat[:3, :3], viewmat[:3, 3]
-    normals = axes[np.arange(len(axes)), :, shortest] @ R.T
+    normals = axes[np.arange(len(axes)), :, shortest] @ (R.T / np.cbrt(np.linalg.det(R)))
     towards = normals[:, 2] if orthographic else ((means @ R.T + t) * normals).sum(axis=1)
     return np.where(towards[:, None] > 0, -normals, normals)
 

@@ -53,16 +53,18 @@ def beads(rest: int) -> Splats:
     )
 
 
-def wall(z: float, color: tuple[float, float, float], *, half: float = 1.0) -> Splats:
-    """A dense opaque square of one sRGB colour across the z axis."""
-    side = np.linspace(-half, half, 41)
+def wall(
+    z: float, color: tuple[float, float, float], *, half: float = 1.0, along: int = 41
+) -> Splats:
+    """A dense opaque square of one sRGB colour across the z axis, of `along` splats a side."""
+    side = np.linspace(-half, half, along)
     x, y = np.meshgrid(side, side)
-    n = x.size
+    n, size = x.size, 2 / (along - 1)
     sh0 = np.tile((np.array(color) - 0.5) / SH_C0, (n, 1))[:, None]
     return Splats(
         means=np.stack([x.ravel(), y.ravel(), np.full(n, z)], 1).astype(np.float32),
         quats=np.tile([1, 0, 0, 0], (n, 1)).astype(np.float32),
-        scales=np.tile(np.log([0.05, 0.05, 0.001]), (n, 1)).astype(np.float32),
+        scales=np.tile(np.log([size, size, 0.001]), (n, 1)).astype(np.float32),
         opacities=np.full(n, 6, np.float32),
         sh0=sh0.astype(np.float32),
         shN=np.zeros((n, 0, 3), np.float32),

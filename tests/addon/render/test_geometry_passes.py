@@ -1,0 +1,80 @@
+"""Normal and Position passes. Oracle, unless stated otherwise: Cycles' passes of a plane at the
+splats' place."""
+
+import bpy
+import numpy as np
+import pytest
+
+from addon import compat
+from tests.addon import splat_scenes as lab
+
+SIZE = (200, 160)
+"""Splats are a pixel wide at least, which moves their surface towards a tilted camera."""
+
+
+def three(scene, folder, name: str) -> np.ndarray:
+    """A pass of three channels via the compositor, [H, W, 3]."""
+    tree = compat.make_compositor_tree(scene)
+    layers = next(n for n in tree.nodes if n.type == "R_LAYERS")
+    tree.links.new(layers.outputs[name], compat.compositor_result(tree))
+    scene.render.use_compositing = True
+    return lab.render_exr(folder, name)[..., :3]
+
+
+@pytest.fixture
+def tilted(scene):
+    """A wall of splats, turned and twice as large, and a plane like it that no camera sees yet."""
+    camera = lab.prepare(scene, SIZE)
+    camera.location, camera.rotation_euler = (0.3, -0.2, 4.0), (0.1, 0.05, 0.3)
+    ob = lab.add(scene, lab.wall(0.0, (0.5, 0.5, 0.5), along=121))
+    bpy.ops.mesh.primitive_plane_add(size=2)
+    plane = bpy.context.object
+    for one in (ob, plane):
+        one.location, one.rotation_euler, one.scale = (0.2, 0.1, 0.3), (0.5, -0.4, 0.2), (2,) * 3
+    plane.hide_render = True
+    layer = scene.view_layers[0]
+    layer.use_pass_normal = layer.use_pass_position = True
+    bpy.context.view_layer.update()
+    return scene, ob, plane, camera
+
+
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO", "PANO", "region"])
+def test_passes_are_those_of_a_plane(tilted, tmp_path, kind):
+    """But for the sizes of splats, by every type of camera."""
+    scene, ob, plane, camera = tilted
+    if kind != "region":
+        camera.data.type = kind
+    if kind == "PANO":
+        compat.panorama_settings(camera.data).panorama_type = "FISHEYE_EQUIDISTANT"
+        compat.panorama_settings(camera.data).fisheye_fov = 0.9
+    scene.render.use_border = kind == "region"
+    scene.render.border_min_x, scene.render.border_max_x = 0.4, 0.7
+    scene.render.border_min_y, scene.render.border_max_y = 0.5, 0.8
+    ours = {name: three(scene, tmp_path, name) for name in ("Normal", "Position")}
+    ob.hide_render, plane.hide_render = True, False
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 1, False
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+    row, column = SIZE[1] // 2 - 14, SIZE[0] // 2 + 2
+    part = slice(row, row + 3), slice(column, column + 4)
+    for name, found in ours.items():
+        wanted = three(scene, tmp_path, name)
+        assert np.linalg.norm(wanted[part], axis=-1).min() > 0.2
+        np.testing.assert_allclose(found[part], wanted[part], atol=0.05)
+        assert np.median(np.abs(found[part] - wanted[part])) < 0.02
+
+
+def test_empty_pixels_and_blur(tilted, tmp_path):
+    """Nothing where there are no splats; with depth of field the position is that of the frame."""
+    scene, ob, _, camera = tilted
+    sharp = three(scene, tmp_path, "Position")
+    ob.scale = (0.3,) * 3
+    for name in ("Normal", "Position"):
+        assert not three(scene, tmp_path, name)[0, 0].any()
+    ob.scale = (2,) * 3
+    camera.data.dof.use_dof, camera.data.dof.aperture_fstop = True, 2.0
+    camera.data.dof.focus_distance = 4.0
+    scene.gscore_render.blur_samples = 4
+    np.testing.assert_array_equal(three(scene, tmp_path, "Position"), sharp)
+    lengths = np.linalg.norm(three(scene, tmp_path, "Normal")[80, 100])
+    assert 0.9 < lengths < 1.001
