@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Callable, Collection
 from enum import StrEnum
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -89,10 +90,16 @@ def preset_values(one: Option) -> str:
     """The values of an option in the presets; empty if all are equal."""
     if one.name not in options_of(TrainConfig):
         return ""
-    found = {name: getattr(make(Path())[1], one.name) for name, make in PRESETS.items()}
+    found = {name: getattr(train, one.name) for name, train in _preset_options().items()}
     if len(set(found.values())) == 1:
         return ""
     return ", ".join(f"{name} {_shown(value)}" for name, value in found.items())
+
+
+@cache
+def _preset_options() -> dict[str, TrainConfig]:
+    """Training options of the presets, made once for the help of all options."""
+    return {name: make(Path())[1] for name, make in PRESETS.items()}
 
 
 def _shown(value: Any) -> str:
