@@ -48,7 +48,7 @@ def requirements() -> list[str]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     names = [*project["dependencies"], "pip"]
-    for extra in ("train", "lpips", "video", "hub"):
+    for extra in ("train", "lpips", "video", "hub", "mesh"):
         names += extras[extra]
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     return [*names, *(line for line in lines if line and not line.startswith("#"))]

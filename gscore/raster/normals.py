@@ -1,0 +1,73 @@
+"""Normals of splats as a differentiable picture: a picture whose colours are the normals."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..shared_constants import SH_C0
+from .autograd import rasterize
+from .reference.geometry import quat_to_rotmat
+
+
+def rasterize_normals(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    **how: Any,
+) -> tuple[Tensor, Tensor]:
+    """Render the normals of splats from one pinhole camera; see `splat_normals` of `api`.
+
+    Normals are colours of `rasterize`, so every device draws them, and its gradients reach quats
+    through the normals, and means, quats, scales and opacities through the weights. Which axis is
+    the shortest and which side is seen have no gradient.
+
+    Args:
+        means: As for `rasterize`.
+        quats: As for `rasterize`.
+        scales: As for `rasterize`.
+        opacities: As for `rasterize`.
+        viewmat: As for `rasterize`.
+        K: As for `rasterize`.
+        width: As for `rasterize`.
+        height: As for `rasterize`.
+        **how: Other arguments of `rasterize`: raw, near, antialias, threads, device and more; no
+            background.
+
+    Returns:
+        [H, W, 3], sum of weight times unit normal, camera axes; and alpha [H, W].
+
+    Raises:
+        As `rasterize`.
+    """
+    normals = oriented_normals(means, quats, scales, viewmat)
+    sh0 = normals[:, None] / (2 * SH_C0)  # colours of (normal + 1) / 2, which are not below 0
+    drawn = rasterize(
+        *(means, quats, scales, opacities, sh0, sh0.new_zeros(len(sh0), 0, 3)),
+        *(viewmat, K, width, height),
+        **how,
+    )
+    return 2 * drawn.rgb - drawn.alpha[..., None], drawn.alpha
+
+
+def oriented_normals(means: Tensor, quats: Tensor, scales: Tensor, viewmat: Tensor) -> Tensor:
+    """[N, 3], the shortest axis of each splat, turned to the camera; unit length, camera axes.
+
+    Args:
+        means: [N, 3], world.
+        quats: [N, 4], wxyz, of any non-zero length.
+        scales: [N, 3], logarithms or standard deviations.
+        viewmat: [4, 4], world to camera, OpenCV axes.
+    """
+    axes = quat_to_rotmat(quats)
+    shortest = scales.argmin(dim=1)
+    normals = axes[torch.arange(len(axes)), :, shortest] @ viewmat[:3, :3].T
+    with torch.no_grad():
+        places = means @ viewmat[:3, :3].T + viewmat[:3, 3]
+        away = (places * normals).sum(dim=1, keepdim=True) > 0
+    return torch.where(away, -normals, normals)
