@@ -180,6 +180,23 @@ def test_validation_layers_find_nothing_in_a_training() -> None:
     assert trained(ONE, code, GSCORE_GPU_CHECK="1") == trained(ONE, code)
 
 
+def test_steps_of_any_size_are_those_of_the_cpu() -> None:
+    """Oracle: the CPU engine's steps; the bits of other widths of subgroups, of many submissions,
+    and under GSCORE_GPU_CHECK, which fills buffers with a pattern and runs validation layers."""
+    code = "from tests.gpu.step_programs import *\n"
+    found = result_of(ONE, f"{code}print_random_steps(30)")
+    assert found["problems"] == []
+    others = [
+        result_of(one, f"{code}print_random_steps(30, compares=False)") for one in DRIVERS[:3:2]
+    ]
+    for variable in ("GSCORE_GPU_SUBMISSION", "GSCORE_GPU_CHECK"):
+        others.append(
+            result_of(ONE, f"{code}print_random_steps(30, compares=False)", **{variable: "1"})
+        )
+    assert {one["hash"] for one in others} == {found["hash"]}
+    assert result_of(DRIVERS[-1], f"{code}print_random_steps(12)")["problems"] == []
+
+
 def test_large_steps_are_split() -> None:
     """Oracle: the bits of steps in one submission each; kernels that take long run in parts where a
     submission moves at most a MiB."""
