@@ -330,6 +330,9 @@ class CostModel:
     """Per splat of a model."""
     number: float
     """Per number of a splat."""
+    trust: float = 0.5
+    """Weight of this model against measured steps, planned seconds: small, because steps soon
+    replace it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -396,7 +399,7 @@ class Engine(Protocol[Model]):
 
     def pace(self) -> float:
         """Measure the time of a step relative to `EngineInfo.cost` under the current load, within a
-        tenth of a second."""
+        tenth of a second; 1: the first steps will show it."""
         return 1.0
 
     def model(

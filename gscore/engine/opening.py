@@ -7,7 +7,7 @@ from ..raster.gpu.choice import Chosen, choose
 from ..raster.gpu.gpu_raster import GpuRaster
 from .base import Engine
 from .cpu.engine import CpuEngine
-from .gpu.engine import GpuEngine
+from .gpu.engine import CARD_COST, SOFTWARE_COST, GpuEngine
 
 
 def open_engine(
@@ -41,5 +41,6 @@ def engine_of(chosen: Chosen, *, threads: int = 0) -> Engine[Any]:
     """The engine of a chosen device, opened for it alone."""
     if chosen.device is None:
         return CpuEngine(threads=threads)
+    cost = SOFTWARE_COST if chosen.device.is_software else CARD_COST
     raster = GpuRaster(chosen.device.number)
-    return GpuEngine(raster, name=chosen.device.name, numerics=chosen.identity)
+    return GpuEngine(raster, name=chosen.device.name, numerics=chosen.identity, cost=cost)

@@ -19,8 +19,6 @@ _ROWS_A_FIT = 8
 _WINDOW = 50
 _WARMUP = 5
 """Number of first steps that are excluded from the pace, because they are slower."""
-_EXPECTED = 0.5
-"""Weight of the initially expected pace, planned seconds: small, because steps soon replace it."""
 _MEMORY = (2.0, 0.1)
 """Averaging window of the pace: least planned seconds, and share of the remaining ones. With other
 programs running, the last dozens of steps alone vary too much."""
@@ -131,8 +129,8 @@ class ProgressMeter:
 
     def _expect(self, pace: float) -> None:
         """Restart the measurement with an expected pace."""
-        self._planned = _EXPECTED
-        self._spent = _EXPECTED * pace
+        self._planned = self._cost.model.trust
+        self._spent = self._planned * pace
         self._fit_memory()
 
     def progress(self, *, phase: str = "") -> Progress:

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from gscore.config import TrainConfig
+from gscore.engine.gpu.engine import CARD_COST
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.schedule.plan import Plan
 from gscore.trainer.stopping.progress_meter import ProgressMeter
@@ -41,6 +42,23 @@ def test_measured_pace_replaces_the_forecast() -> None:
             assert messages == pytest.approx(left, rel=0.1, abs=1e-9)
         if sum(planned[:step]) > 0.25 * sum(planned):
             assert messages == pytest.approx(left, rel=0.02, abs=1e-9)
+
+
+def test_ten_steps_replace_the_guess_of_a_card() -> None:
+    """Oracle: a card whose steps take twenty times as long as guessed; the time left is known to a
+    tenth after 150 steps, also where photos and splats grow."""
+    config = TrainConfig(iterations=2000, max_splats=100)
+    plan = Plan.of(config, extent=1.0, points=100, side=600, pixels=360_000)
+    cost = Cost(plan, CARD_COST)
+    seconds = [20 * cost.seconds_at(step, 100) for step in range(1, 2001)]
+    meter = ProgressMeter(plan, splats=100, cost=CARD_COST)
+    for step, spent in enumerate(seconds, start=1):
+        meter.update(step=step, loss=0.1, mse=0.01, splats=100, seconds=spent)
+        if step == 15:
+            assert meter.pace > 10
+        if step >= 150:
+            left = sum(seconds[step:])
+            assert meter.progress().eta_s == pytest.approx(left, rel=0.1, abs=1e-9)
 
 
 def test_remaining_time_is_steady_under_changing_load() -> None:
