@@ -18,7 +18,7 @@ from ..io.runs import AGENT, checkpoints_in
 from ..live.viewer_clients import ViewerClients
 from ..metrics import find_lpips, lpips_warnings
 from ..raster.gpu.choice import once_a_device
-from ..raster.gpu.library import DeviceLostError, DeviceMemoryError, DeviceTimeoutError
+from ..raster.gpu.library import DEVICE_ERRORS
 from .distributed.consistency import all_ready, check_equal
 from .distributed.process_group import BEGIN, ProcessGroup, RankLostError
 from .files.run_folder import RunFolder, open_folder
@@ -31,8 +31,6 @@ from .session import Session
 
 DEVICE = "device"
 """Code of warnings about the device."""
-DEVICE_ERRORS = (DeviceLostError, DeviceMemoryError, DeviceTimeoutError)
-"""Failures of a device, after which the CPU may continue."""
 
 
 def train(
@@ -96,7 +94,7 @@ def train(
             raise
         # Not the checkpoints of a run that is overwritten.
         continues = resume or bool(set(_checkpoints(output)) - before)
-        how = "continues from the last checkpoint" if continues else "starts again"
+        how = "continues from the last checkpoint" if continues else "trains from the start"
         emit(Warn(message=f"The CPU {how}, because the device failed: {error}", code=DEVICE))
         if continues:
             start = {"resume": True, "overwrite": False, "start_checkpoint": None}

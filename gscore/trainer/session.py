@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,16 @@ import numpy as np
 from ..config import DataConfig
 from ..config_file import to_dict
 from ..control import Control
-from ..errors import DatasetError, FormatError
+from ..errors import DatasetError, FormatError, GsError
 from ..events import Decision, Eval, Event, Preview, Saved, Snapshot, Started, Warn, headline_psnr
+from ..io.runs import checkpoints_in
 from ..live.viewer_clients import ViewerClients
 from ..live.viewer_protocol import FrameRequest
 from ..metrics import Evaluation, Lpips, LpipsNet
 from ..quoting import quoted
+from ..raster.gpu.library import DEVICE_ERRORS
 from ..report import PictureCollector
-from ..text_format import count_text
+from ..text_format import count_text, number
 from .depth.report import DepthReport, measure_depth
 from .distributed.straggler_monitor import StragglerMonitor
 from .evaluation import Evaluator
@@ -185,15 +187,33 @@ class Session:
 
     @contextmanager
     def _checkpoint_on_error(self) -> Iterator[None]:
-        """Write a checkpoint if a photo can no longer be read, and name it in the error."""
+        """Write a checkpoint if a photo can no longer be read or the device has failed, and name it
+        in the error."""
         try:
             yield
+        except DEVICE_ERRORS as error:
+            kept = self._keep_taken_steps()
+            if self._config.device == "auto":  # the CPU continues
+                raise
+            raise type(error)(f"{error} {kept}") from error
         except (DatasetError, FormatError) as error:
             self._checkpoint(keep=_CHECKPOINTS_KEPT)
             raise type(error)(
                 f"{error} Step {self._trainer.steps} is kept in {self._folder.path}; restore the "
                 f"original photos and continue with `--resume`."
             ) from error
+
+    def _keep_taken_steps(self) -> str:
+        """Write a checkpoint of the steps that were taken before the device failed, if it can still
+        be read; returns a sentence on the last checkpoint."""
+        with suppress(GsError):
+            self._observe(self._trainer.abandon)
+            self._checkpoint(keep=_CHECKPOINTS_KEPT)
+        steps = checkpoints_in(self._folder.path)
+        if not steps:
+            return "There is no checkpoint yet."
+        last = number(max(steps))
+        return f"Step {last} is kept in {self._folder.path}; continue with `--resume`."
 
     def _steer(self) -> None:
         psnr = self._steering.steer()

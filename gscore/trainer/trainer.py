@@ -1,5 +1,6 @@
 """Trainer: the training step and all state it depends on; no files, events or clock."""
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,7 @@ from ..engine.base import Engine, EngineModel
 from ..engine.opening import open_engine
 from ..engine.random import generator_of
 from ..engine.stage_timer import StageTimer
+from ..errors import BackendError
 from ..splats import Splats
 from .analysis.analysis import Analysis
 from .analysis.photo_rules import photo_rules
@@ -152,6 +154,8 @@ class Trainer:
             first_degree=start.first.sh_degree,
         )
         self._queue = StepQueue(self.engine)
+        self._taken = 0
+        """Number of the last step whose result was read."""
         self.cut_degree = start.cut_degree
         """SH degree of the start splats before it was cut to that of the config."""
         if Skip.SH_BANDS in config.without:
@@ -222,6 +226,16 @@ class Trainer:
         """Wait for all steps and return the results that were not read."""
         return self._read(0)
 
+    def abandon(self) -> list[StepResult]:
+        """Forget the steps from the first that failed on, which changed nothing; returns the
+        results of those before it that were not read."""
+        results: list[StepResult] = []
+        with suppress(BackendError):
+            results = self._read(0)
+        self._queue.clear()
+        self.counts.steps = self._taken
+        return results
+
     def _advance(self, count: int) -> list[StepResult]:
         """Take a step of `count` views, one of them on this rank."""
         step, timer = self.steps + count, StageTimer()
@@ -272,6 +286,7 @@ class Trainer:
                     self.view_batcher.note_costs(one.indices, found.costs)
             self._used = [not found.skipped for _, found in answers]
             result = combine_results([result_of(found, len(one.indices)) for one, found in answers])
+            self._taken = result.step
             self.counts.note(result)
             results.append(result)
         self._learn_of_photos(self.steps - self._queue.depth)
@@ -346,6 +361,7 @@ class Trainer:
         self.generator.set_state(tensors["generator"])
         self.view_batcher.restore(state)
         self.counts.restore(state)
+        self._taken = self.counts.steps
         self.pruner.restore(state)
 
     def _send_restored(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:

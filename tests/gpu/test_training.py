@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,14 @@ import pytest
 
 from gscore.config import DataConfig, TrainConfig
 from gscore.engine import opening
-from gscore.engine.base import StepPhoto, TermGradients
+from gscore.engine.base import RowEdit, StepPhoto, TermGradients
 from gscore.engine.cpu.engine import CpuEngine
 from gscore.engine.gpu.engine import GpuEngine
-from gscore.events import Started
+from gscore.errors import BackendError
+from gscore.events import Saved, Started
+from gscore.raster.gpu.devices import Device
+from gscore.raster.gpu.library import DeviceMemoryError
+from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
 from gscore.splats import PARAMETERS
 from gscore.stress.capture import toy_photos, toy_splats
 from gscore.trainer import run
@@ -153,9 +158,11 @@ def test_a_training_beyond_the_device_s_memory_is_refused(capture: Path, tmp_pat
     options = ("--device", "0", "--max-splats", "4000000", "--events", "jsonl")
     large = _train(capture, tmp_path / "large", *options, GSCORE_GPU_MEMORY="200")
     assert large.returncode == 2 and "Traceback" not in large.stderr
-    assert "Training 4,000,000 splats needs about " in large.stdout
-    assert "which has 0.2 GB free; use `--max-splats " in large.stdout
+    assert "Training 4,000,000 splats with photos of up to " in large.stdout
+    assert "which has 210 MB free; use `--max-splats " in large.stdout
     assert not (tmp_path / "large" / "config.json").exists()
+    photo = _train(capture, tmp_path / "large", *options[:2], GSCORE_GPU_MEMORY="8")
+    assert photo.returncode == 2 and "which has 8.39 MB free; close programs" in photo.stderr
     options = ("--device", "0", "--events", "jsonl")
     small = _train(capture, tmp_path / "small", *options, GSCORE_GPU_MEMORY="200")
     assert small.returncode == 0, small.stderr
@@ -237,16 +244,18 @@ def test_the_command_trains_on_a_device(capture: Path, tmp_path: Path) -> None:
     assert (tmp_path / "lost" / "point_cloud.ply").read_bytes() == splats
 
 
-@pytest.mark.parametrize("step", [1, 5])
+@pytest.mark.parametrize("fault", ["lost:s1", "lost:s5", "oom:s5"])
 def test_the_cpu_takes_over_from_a_device_chosen_automatically(
-    step: int, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fault: str, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: a finished run and one sentence, on a device that is lost at a step."""
+    """Oracle: a finished run and one sentence, on a device that is lost at a step, or that lacks
+    memory for one: then no step before it is taken again."""
 
     def opened(device: str, **options: Any) -> Any:
         return (software_engine(), "") if device == "auto" else opening.open_engine(device)
 
-    monkeypatch.setenv("GSCORE_GPU_FAULT", f"lost:s{step}")
+    monkeypatch.setenv("GSCORE_GPU_FAULT", fault)
+    monkeypatch.setattr(GpuEngine, "keep_photos", lambda *_: None)  # they would make room
     monkeypatch.setattr(run, "open_engine", opened)
     events: list[Any] = []
     config = TrainConfig(iterations=12, device="auto", checkpoint_iterations=(2, 8))
@@ -256,6 +265,87 @@ def test_the_cpu_takes_over_from_a_device_chosen_automatically(
     assert first not in ("", "cpu") and second == "cpu"
     messages = [one.message for one in events if getattr(one, "code", "") == run.DEVICE]
     assert len(messages) == 1 and "because the device failed: " in messages[0]
+    saved = [one.step for one in events if isinstance(one, Saved)]
+    assert (4 in saved) == (fault == "oom:s5")
+
+
+def test_a_device_that_hangs_ends_the_command(capture: Path, tmp_path: Path) -> None:
+    """Oracle: exit code 2, one sentence, and the last checkpoint, from which a resumed run ends."""
+    result_of(ONE, "keep_passed()", XDG_CACHE_HOME=str(tmp_path / "cache"))
+    options = ("--device", "0", "--set", "checkpoint_iterations=2", "--set", "watchdog=off")
+    found = _train(capture, tmp_path / "run", *options, GSCORE_GPU_FAULT="hang:s7")
+    text = " ".join(found.stderr.split())
+    assert found.returncode == 2 and "Traceback" not in text, text
+    assert (
+        "did not finish within 0.1 s" in text and "Step 2 is kept in" in text and "--resume" in text
+    )
+    assert _train(capture, tmp_path / "run", *options, "--resume").returncode == 0
+
+
+def test_steps_before_a_lack_of_memory_are_kept(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the step in the sentence, and its checkpoint, from which a resumed run ends; where
+    photos on the device make room, the bits of a run without the fault."""
+    monkeypatch.setattr(run, "open_engine", lambda *_, **__: (software_engine(), ""))
+    config, data = TrainConfig(iterations=12, device="0"), DataConfig(source=capture)
+    whole = run.train(config, data, tmp_path / "whole").splats
+    monkeypatch.setenv("GSCORE_GPU_FAULT", "oom:s7")
+    retried = run.train(config, data, tmp_path / "retried").splats
+    assert retried.means.tobytes() == whole.means.tobytes()
+    monkeypatch.setattr(GpuEngine, "keep_photos", lambda *_: None)
+    with pytest.raises(DeviceMemoryError, match="Step 6 is kept in "):
+        run.train(config, data, tmp_path / "run")
+    monkeypatch.delenv("GSCORE_GPU_FAULT")
+    assert run.train(config, data, tmp_path / "run", resume=True).steps == 12
+
+
+def test_a_device_that_fails_its_test_between_two_runs(
+    device: Device, capture: Path, tmp_path: Path
+) -> None:
+    """Oracle: a sentence in place of a run on the device, whose checkpoint the CPU continues."""
+    config, data = TrainConfig(iterations=6, device="cpu"), DataConfig(source=capture)
+    run.train(config, data, tmp_path)
+    keep_verdict(device.key, DeviceVerdict(passed=False, problems=("rgb differs",)))
+    config = replace(config, iterations=8, device=str(device.number))
+    with pytest.raises(BackendError, match="Its self-test failed: rgb differs"):
+        run.train(config, data, tmp_path, resume=True)
+    assert run.train(replace(config, device="auto"), data, tmp_path, resume=True).steps == 8
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (17, 5), (23, 41), (33, 16)])
+@pytest.mark.parametrize("mask_mode", ["none", "composite", "ignore"])
+def test_photos_of_any_size_with_masks(height: int, width: int, mask_mode: str) -> None:
+    """Oracle: the CPU engine's losses and means, also where the photo stays on the device, and
+    where no splat is left."""
+    rng = np.random.default_rng(height)
+    photos, splats = toy_photos(splats=toy_splats(count=40), size=20), toy_splats(count=40)
+    image = rng.integers(0, 256, (height, width, 3), np.uint8)
+    mask = rng.integers(0, 256, (height, width), np.uint8) if mask_mode != "none" else None
+    counted = float(mask.mean()) / 255 if mask is not None and mask_mode == "ignore" else 1.0
+    photo = StepPhoto(image=image, mask=mask, mask_mode=mask_mode, counted=counted)
+    usual = request_of(photos, 0, 1).view
+    K = np.array([[20.0, 0, width / 2], [0, 20, height / 2], [0, 0, 1]])
+    view = replace(usual, K=K, width=width, height=height)
+    gpu = software_engine()
+    gpu.keep_photos(1 << 20)
+    found: list[Any] = []
+    engines: list[Any] = [CpuEngine(), gpu]
+    for engine in engines:
+        model = engine.model(columns_of(splats), counters=COUNTERS)
+        losses = []
+        for step in range(1, 5):
+            if step == 4:
+                model.edit(RowEdit(keep=np.zeros(0, np.int64)))
+            engine.put(0, photo)
+            numbers = engine.step(model, request_of(photos, 0, step, view=view)).result()
+            losses.append(numbers.loss)
+            if step == 3:
+                found.append(model.column("means"))
+        found.append(losses)
+    assert len(gpu._kept) == 1
+    np.testing.assert_allclose(found[2], found[0], atol=2e-5)
+    assert found[3] == pytest.approx(found[1], rel=1e-4)
 
 
 def test_a_term_computed_by_the_trainer_counts() -> None:

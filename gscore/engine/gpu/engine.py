@@ -146,7 +146,8 @@ class GpuEngine(base.Engine[GpuModel]):
             try:
                 self._submit(slot, step_struct(pending, photo, kept=kept, written=written))
             except DeviceMemoryError:
-                self._unread.pop()  # it is not in flight
+                self._unread.pop()  # it is not in flight, and those that are have no error
+                self.read_all()
                 has_room = self._kept.make_room()
                 self._unread.append((slot, pending))
                 if not has_room:

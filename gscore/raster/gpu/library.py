@@ -44,6 +44,8 @@ class DeviceMemoryError(BackendError):
     """The device has too little memory."""
 
 
+DEVICE_ERRORS = (DeviceLostError, DeviceMemoryError, DeviceTimeoutError)
+"""Failures of a device, after which the CPU may continue."""
 _ERRORS: dict[int, tuple[type[BackendError], str]] = {
     header.DEVICE_LOST: (
         DeviceLostError,

@@ -12,7 +12,7 @@ from ...errors import GsError
 from ...io.system_memory import available_memory_bytes, total_memory_bytes
 from ...metrics.lpips import lpips_file, named_net
 from ...splats import SH_REST_BY_DEGREE
-from ...text_format import count_text
+from ...text_format import count_text, number, size_text
 from ..model.nearest_points import few_queries
 from ..schedule.caps import config_where_photos_agree, expected_model_count
 from ..schedule.plan import Plan
@@ -201,6 +201,8 @@ class DeviceEstimate:
     """Most bytes in use, without photos that stay there where there is room."""
     free_bytes: int
     """Bytes that a training may take."""
+    width: int
+    """Width of the widest photo, px."""
     fitting_splats: int
     """Most splats that fit, see `Estimate`; 0 also where all fit."""
     fitting_width: int
@@ -363,7 +365,7 @@ def _device_estimate(
     if peak > free:
         splats, width = _fitting(lambda n, w: needed(n, w) <= free, config.max_splats, widest)
     return DeviceEstimate(
-        peak_bytes=peak, free_bytes=free, fitting_splats=splats, fitting_width=width
+        peak_bytes=peak, free_bytes=free, width=widest, fitting_splats=splats, fitting_width=width
     )
 
 
@@ -395,9 +397,9 @@ def check_fits(found: Estimate, config: TrainConfig, device: str = "") -> None:
         ways = _ways(there.fitting_splats, there.fitting_width)
         ways += ["close programs that use the graphics card", "use `--device cpu`"]
         raise DeviceMemoryError(
-            f"Training {count_text(config.max_splats, 'splat')} needs about "
-            f"{there.peak_bytes / 1e9:.1f} GB of the memory of {device}, which has "
-            f"{there.free_bytes / 1e9:.1f} GB free; {' or '.join(ways)}."
+            f"Training {count_text(config.max_splats, 'splat')} with photos of up to "
+            f"{number(there.width)} px needs about {size_text(there.peak_bytes)} of the memory of "
+            f"{device}, which has {size_text(there.free_bytes)} free; {' or '.join(ways)}."
         )
     if found.fits or found.free_bytes is None:
         return

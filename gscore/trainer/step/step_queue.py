@@ -104,6 +104,10 @@ class StepQueue:
             pass
         self._slopes.clear()
 
+    def clear(self) -> None:
+        """Forget all steps that are unread, without waiting for them."""
+        self._unread.clear()
+
     def tensors(self) -> dict[str, torch.Tensor]:
         """Slopes that were not used yet, by name, if any; all steps must be read."""
         assert not self._unread
