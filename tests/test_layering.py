@@ -191,7 +191,7 @@ ROOMS = {
     "depth": _OBJECTS | {"trainer_python", "training"},
     "region_training": _OBJECTS | {"training", "render"},
     "error_maps": _OBJECTS | {"training"},
-    "surface": _OBJECTS | {"training"},
+    "surface": _OBJECTS | {"training", "render"},
     "timeline": _OBJECTS | {"training"},
     "sequence": _OBJECTS | {"training", "timeline"},
     "render": _OBJECTS | {"timeline"},

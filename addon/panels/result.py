@@ -241,6 +241,8 @@ class SurfacePanel(TabPanel, bpy.types.Panel):
                 return
         if has_python(layout):
             layout.operator("gscore.make_mesh", icon="MESH_ICOSPHERE")
+            proxy = layout.operator("gscore.make_mesh", text="Make Proxy", icon="MOD_SUBSURF")
+            proxy.proxy, proxy.triangles = True, 50_000
 
 
 class ErrorsPanel(TabPanel, bpy.types.Panel):

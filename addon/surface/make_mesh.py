@@ -1,6 +1,7 @@
 """Make the mesh of a result's surface from scripts and operators: start, and import the mesh."""
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -13,6 +14,7 @@ from ..interface.base_operator import Condition
 from ..interface.editable_check import link_like
 from ..interface.windows import push_undo
 from ..process.incremental_tasks import Steps, run_in_thread
+from ..render.proxy import attach
 from ..splats.error_maps import is_map, run_of
 from ..splats.objects import active_splats, has_trained, is_splats
 from ..training.verb_job import Verb, VerbJob
@@ -46,6 +48,7 @@ def make_mesh(
     *,
     triangles: int = TRIANGLES,
     closed: bool = False,
+    proxy: bool = False,
     wait: bool = False,
 ) -> VerbJob:
     """Make a mesh of the surface of a splat object's training.
@@ -54,6 +57,7 @@ def make_mesh(
         ob: A splat object that comes from a training.
         triangles: Number of triangles; 0: all.
         closed: Close all holes, not only small ones.
+        proxy: Make it the proxy of the splats, see `render.proxy`.
         wait: Return when the job has ended and the mesh is in the scene.
 
     Raises:
@@ -71,7 +75,7 @@ def make_mesh(
         line += ["-s", source]
     if threads := preferences.get().threads:
         line += ["--threads", str(threads)]
-    return JOBS.start(VERB, line, source=run, arrive=_arriving, wait=wait)
+    return JOBS.start(VERB, line, source=run, arrive=partial(_arriving, proxy=proxy), wait=wait)
 
 
 def job_of(ob: bpy.types.Object) -> VerbJob | None:
@@ -82,7 +86,7 @@ def job_of(ob: bpy.types.Object) -> VerbJob | None:
         return None
 
 
-def _arriving(job: VerbJob) -> Steps[Iterable[str]]:
+def _arriving(job: VerbJob, *, proxy: bool) -> Steps[Iterable[str]]:
     """Import the mesh beside the splats of the run."""
     surface = yield from run_in_thread(lambda check: read_surface(job.done.path), "Reading")
     found = (ob for ob in bpy.context.scene.objects if is_splats(ob) and not is_map(ob))
@@ -96,6 +100,8 @@ def _arriving(job: VerbJob) -> Steps[Iterable[str]]:
     made.parent = splats.parent
     link_like(made, splats)
     made.matrix_world = splats.matrix_world
+    if proxy:
+        attach(bpy.context.scene, splats, made)
     push_undo("Make Mesh")
     return ()
 
@@ -120,10 +126,15 @@ class MakeMesh(Starting, bpy.types.Operator):
         description="Close all holes, where no photo shows a surface; off: only small ones",
         default=False,
     )
+    proxy: BoolProperty(
+        name="As Proxy",
+        description="Let the mesh cast and catch shadows in place of the splats, seen by no camera",
+        default=False,
+    )
 
     def start(self, context: bpy.types.Context) -> VerbJob:
         """Start."""
-        how = {"triangles": self.triangles, "closed": self.closed, "wait": self.wait}
+        how = {name: getattr(self, name) for name in ("triangles", "closed", "proxy", "wait")}
         return make_mesh(active_splats(context), **how)
 
 

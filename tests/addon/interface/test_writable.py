@@ -111,7 +111,7 @@ NOT_IN_THE_SCENE = {
     *("update_splats", "cancel_search", "cancel_depth", "show_depth_sheet"),
     *("show_report", "show_test_view", "check_trainer", "make_environment", "cancel_setup"),
     *("train_sequence", "stop_sequence", "train_region", "stop_region"),
-    *("measure_errors", "stop_errors", "find_devices"),
+    *("measure_errors", "stop_errors", "find_devices", "make_mesh", "stop_mesh"),
     *("save_mask", "discard_mask", "mask_brush"),
     *("straighten_photos", "stop_straightening", "remove_straight_photos", "open_manual"),
 }

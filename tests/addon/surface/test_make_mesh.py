@@ -10,6 +10,7 @@ import pytest
 from addon import preferences, stored_paths
 from addon.core import write_splats
 from addon.panels.result import SurfacePanel
+from addon.render.proxy import proxy_of
 from addon.surface import make_mesh
 from addon.training.verb_jobs import follow
 from gscore.mesh import SurfaceMesh, write_surface
@@ -79,6 +80,18 @@ def test_a_mesh_is_made_and_imported(result: bpy.types.Object, tmp_path: Path) -
     shader = made.data.materials[0].node_tree.nodes
     assert any(node.type == "VERTEX_COLOR" and node.layer_name == colors.name for node in shader)
     assert "4 triangles" in drawn(SurfacePanel)
+
+
+def test_a_proxy_is_made(result: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: the place of the splats and their visibility; a second one takes its place."""
+    play(tmp_path)
+    for _ in range(2):
+        assert bpy.ops.gscore.make_mesh(wait=True, proxy=True) == {"FINISHED"}
+        proxy = proxy_of(result)
+        bpy.context.view_layer.update()
+        assert np.allclose(proxy.matrix_world, result.matrix_world, atol=1e-6)
+        assert not proxy.visible_camera and len(proxy.data.polygons) == 4
+    assert "Make Proxy" in drawn(SurfacePanel)
 
 
 def test_what_is_missing_is_named(result: bpy.types.Object, tmp_path: Path) -> None:
