@@ -1,6 +1,7 @@
 """gscore mesh: a mesh of a run. Oracles: the shape of the splats, the JSON, the files."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -115,3 +116,18 @@ def test_a_missing_package_is_named(gscore, ball, monkeypatch):
     code, _, err = gscore("mesh", ball, *SMALL)
     assert code == 2
     assert 'pip install "gscore[mesh]"' in " ".join(err.split())
+
+
+def test_a_mesh_has_the_coordinates_of_a_far_capture(gscore, tmp_path):
+    """Oracle: the sphere around its origin, to a millimetre, in a region given there too."""
+    origin = np.array([412345.5, -5678901.25, 87.0])
+    write_splat_file(tmp_path / "point_cloud.ply", sphere(3000), origin=origin)
+    cameras = replace(around(16, size=90), origin=origin)
+    write_cameras(tmp_path / "cameras.json", cameras)
+    box = [*(origin - np.array([2, 2, 0])), *(origin + 2)]
+    options = ("--holes", "open", "--box", *map(repr, map(float, box)))
+    code, out, err = gscore("mesh", tmp_path, *SMALL, "--json", *options)
+    assert code == 0, err
+    vertices = read_mesh(json.loads(out)["path"]).vertices - origin
+    assert np.abs(np.linalg.norm(vertices, axis=1) - RADIUS).max() < 0.08
+    assert -0.08 < vertices[:, 2].min() < 0.08 and vertices[:, 2].max() > 0.9

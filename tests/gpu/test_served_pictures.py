@@ -52,6 +52,19 @@ def test_pictures_are_those_of_the_cpu(client: RenderClient) -> None:
     assert client.sent == 6 and client.started == 1
 
 
+def test_normals_are_those_of_the_cpu(client: RenderClient) -> None:
+    """Oracle: the CPU's normals, where normals of a pixel do not cancel; the picture beside them
+    has the bits that it has alone."""
+    splats = splats_of()
+    for how in ({}, {"orthographic": True}):
+        found = drawn(splats, device=client, normals=True, **how)
+        wanted = drawn(splats, normals=True, **how)
+        solid = wanted.alpha > 0.1
+        error = np.abs(found.normal - wanted.normal)[solid]
+        assert solid.mean() > 0.1 and np.quantile(error, 0.99) < 10 * TOLERANCE
+        np.testing.assert_array_equal(found.rgb, drawn(splats, device=client, **how).rgb)
+
+
 @pytest.mark.parametrize("fault", ["lost", "oom", "hang"])
 def test_a_failed_device_is_an_error(
     client: RenderClient, monkeypatch: pytest.MonkeyPatch, fault: str
