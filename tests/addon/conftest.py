@@ -90,7 +90,8 @@ def display_built_once(
     building: dict[str, Callable] = {"group": display.group, "builders": display.builders}
 
     def group() -> "bpy.types.NodeTree":
-        if any(tree.name.startswith("Splat ") for tree in bpy.data.node_groups):
+        own = (tree.name for tree in bpy.data.node_groups if tree.library is None)
+        if any(name.startswith("Splat ") for name in own):
             return building["group"]()
         if not path.is_file():
             made = building["group"]()
