@@ -321,8 +321,8 @@ class MeshProgress(Event, kind="mesh_progress"):
     """Progress of a mesh."""
 
     phase: str
-    """reading, measuring, looking for surfaces, fusing, contouring, cleaning, reducing or
-    writing."""
+    """reading, measuring, looking for surfaces, fusing, contouring, cleaning, reducing, unwrapping,
+    baking or writing."""
     done: int
     """Completed views or parts."""
     total: int

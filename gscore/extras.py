@@ -65,6 +65,7 @@ _EXTRAS = {
     "zstandard": "formats",
     "skimage": "mesh",
     "fast_simplification": "mesh",
+    "xatlas": "texture",
     "pxr": "usd",
     "huggingface_hub": "hub",
     "lpips": "lpips-torch",

@@ -14,7 +14,14 @@ from ..errors import Cancelled, ConfigError
 from ..events import MeshDone, MeshPlanned, MeshProgress, Show, Warn
 from ..io.region_file import read_region
 from ..mesh.make_mesh import HOLES, SMALL_HOLE, MeshRequest, make_mesh
-from ..mesh.surface_mesh import ENDINGS, SurfaceMesh, check_ending, write_surface
+from ..mesh.surface_mesh import (
+    ENDINGS,
+    SurfaceMesh,
+    check_ending,
+    files_written,
+    write_surface,
+)
+from ..mesh.texture import Photo
 from ..quoting import brief
 from ..scene import Cameras
 from ..text_format import count_text
@@ -78,6 +85,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     option("--smooth STEPS", f"steps of smoothing ({plain.smooth})", default=plain.smooth)
     option("--triangles N", "reduce the mesh to about N triangles (all)", int)
+    option(
+        "--texture SIZE", "bake a texture of SIZE x SIZE px from the photos, for .glb and .obj", int
+    )
     add_data_options(parser)
 
 
@@ -104,15 +114,17 @@ def _mesh(args: argparse.Namespace, show: Show, control: Control) -> dict[str, A
         min_part=args.min_part,
         smooth=args.smooth,
         triangles=args.triangles,
+        texture=args.texture,
         memory=None if args.memory is None else args.memory * 1e9,
     )
     model = open_model(model_path(args))
     output = args.output or (model.run or model.path.parent) / "mesh.ply"
-    check_ending(output)
+    has_texture = args.texture is not None
+    check_ending(output, texture=has_texture)
     check_folder(output.parent)
     if output.exists() and output.samefile(model.path):
         raise ConfigError(f"{brief(output)} is the model itself; choose another output.")
-    check_replaced([output], overwrite=args.overwrite)
+    check_replaced(files_written(output, texture=has_texture), overwrite=args.overwrite)
     cameras, dataset = _cameras(args, model, show)
     device = device_of(args, cancel=lambda: control.stopping, warn=False)
     for sentence in (*model.warnings, *filter(None, (device.note,))):
@@ -128,6 +140,7 @@ def _mesh(args: argparse.Namespace, show: Show, control: Control) -> dict[str, A
         request,
         masks=masks,
         mask_mode=mode,
+        photos=None if dataset is None else partial(_photo, dataset, model),
         origin=model.origin,
         report=_report(show),
         on_plan=lambda facts: show(MeshPlanned(**facts)),
@@ -200,6 +213,13 @@ def _masks(dataset: Dataset | None) -> tuple[str, Callable[[int], np.ndarray | N
     if dataset is None or dataset.mask_mode == "none":
         return "none", lambda index: None
     return dataset.mask_mode, dataset.mask
+
+
+def _photo(dataset: Dataset, model: ModelArgument, index: int) -> Photo:
+    """A photo in the mean exposure of the training, and its mask."""
+    gain = model.gains.get(dataset.names[index], np.ones(3))
+    rgb = dataset.image(index).astype(np.float32) / (255 * gain.astype(np.float32))
+    return rgb, dataset.mask(index)
 
 
 def _report(show: Show) -> Callable[[str, int, int, float], None]:

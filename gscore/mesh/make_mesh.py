@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from .clean import close_holes, reduced, smoothed, used, without_small_parts
 from .contour import PURPOSE, contour
 from .surface_mesh import SurfaceMesh
 from .surface_view import pixel_rays, sure_depth, surface_view
+from .texture import Photo, textured
 from .volume import (
     BLOCK_BYTES,
     REACH,
@@ -38,6 +40,10 @@ HOLES = ("open", "small", "closed")
 """Treatments of holes; `small` closes those of up to `SMALL_HOLE` edges."""
 SMALL_HOLE = 80
 """Edges around a hole that no photo can be expected to have left."""
+TEXTURED = 50_000
+"""Triangles of a textured mesh where no number is requested."""
+LARGEST_TEXTURE = 8192
+"""Largest side of a texture, px."""
 _PIXELS = 2.0
 """Voxel size in pixels' widths on the nearer surfaces: less only shows the noise of depths."""
 _NEARER = 0.25
@@ -84,6 +90,9 @@ class MeshRequest:
     """Steps of smoothing."""
     triangles: int | None = None
     """Number of triangles; None: all."""
+    texture: int | None = None
+    """Side of a texture baked from the photos, px; None: colours at vertices. Where `triangles` is
+    None, the mesh is reduced to `TEXTURED` ones, as an atlas of more takes minutes."""
     memory: float | None = None
     """Most bytes of the volume; None: a quarter of the free memory."""
 
@@ -100,6 +109,15 @@ class MeshRequest:
             raise ConfigError(f"`--smooth` must be from 0 to 1000, got {self.smooth}.")
         if self.triangles is not None and self.triangles < 4:
             raise ConfigError(f"`--triangles` must be at least 4, got {self.triangles}.")
+        if self.texture is not None and not 16 <= self.texture <= LARGEST_TEXTURE:
+            raise ConfigError(
+                f"`--texture` must be from 16 to {LARGEST_TEXTURE} px, got {self.texture}."
+            )
+
+    @property
+    def most(self) -> int | None:
+        """Triangles to keep; None: all."""
+        return TEXTURED if self.texture and self.triangles is None else self.triangles
 
 
 Report = Callable[[str, int, int, float], None]
@@ -113,6 +131,7 @@ def make_mesh(
     *,
     masks: Callable[[int], np.ndarray | None] = lambda index: None,
     mask_mode: str = "none",
+    photos: Callable[[int], Photo] | None = None,
     origin: np.ndarray | None = None,
     report: Report = lambda phase, done, total, eta: None,
     on_plan: Callable[[dict[str, Any]], None] = lambda facts: None,
@@ -132,6 +151,7 @@ def make_mesh(
         masks: Returns the mask of a camera, [H, W] uint8, 255 = keep, or None.
         mask_mode: `composite`: nothing is where masks hide; `ignore`: they hide what is not to be
             used; `none`.
+        photos: Returns the photo of a camera, for a texture.
         origin: [3], local origin of the splats in the coordinates of the capture, for the result.
         report: Receives the progress.
         on_plan: Receives the figures of the volume before it is allocated, those of
@@ -148,12 +168,16 @@ def make_mesh(
     """
     request = request or MeshRequest()
     need("skimage.measure", PURPOSE)
-    if request.triangles is not None:
+    if request.most is not None:
         need("fast_simplification", "A reduced mesh")
+    if request.texture is not None:
+        need("xatlas", "A texture")
+        if photos is None:
+            raise ConfigError("`--texture` needs the photos of the capture; give it with -s.")
     if not len(cameras):
         raise DatasetError("There are no cameras, and a mesh is made of what they see.")
     steps = _Steps(report, cancelled)
-    photos = len(cameras)
+    count = len(cameras)
     if request.between and mask_mode == "none":
         cameras = _with_between(cameras)
     draw = _Draw(splats, cameras, {**how, "threads": threads})
@@ -170,9 +194,14 @@ def make_mesh(
     volume = Volume(keys, scale.voxel)
     with ThreadPoolExecutor(checked_threads(threads) or None) as pool:
         for index in steps.count("fusing", range(len(cameras))):
-            mask = masks(index) if index < photos and mask_mode != "none" else None
+            mask = masks(index) if index < count and mask_mode != "none" else None
             volume.fuse(_view(draw, index, scale, mask, hides=mask_mode == "composite"), pool)
     mesh = _surface(volume, request, steps)
+    if request.texture is not None and photos is not None:
+        steps.begin("unwrapping")
+        shown = cameras.subset(range(count))
+        baking = partial(steps.count, "baking")
+        mesh = textured(mesh, shown, photos, request.texture, scale.voxel, baking)
     return replace(mesh, origin=origin, facts=facts)
 
 
@@ -354,9 +383,9 @@ def _surface(volume: Volume, request: MeshRequest, steps: _Steps) -> SurfaceMesh
         triangles = np.concatenate([triangles, filling])
     source = vertices[: len(colors)]
     vertices = smoothed(vertices, triangles, request.smooth)
-    if request.triangles is not None:
+    if request.most is not None:
         steps.begin("reducing")
-        vertices, triangles = reduced(vertices, triangles, request.triangles)
+        vertices, triangles = reduced(vertices, triangles, request.most)
         rows, triangles = used(vertices, triangles)
         vertices = vertices[rows]
     if len(vertices) != len(colors):

@@ -11,12 +11,15 @@ from .._version import __version__
 from ..errors import ConfigError, FormatError
 from ..formats.gltf import GltfBuffer, write_glb
 from ..io.files import atomic_write
+from ..io.images.png import SIGNED, png_bytes, write_png
 from ..io.mesh.files import read_written_mesh, write_mesh
 from ..quoting import brief
 from .clean import vertex_normals
 
 ENDINGS = (".ply", ".obj", ".glb")
 """Endings of mesh files that are written."""
+_LINEAR, _MIPMAPS = 9729, 9987
+"""Filters of textures."""
 _LINES = 1 << 16
 """Lines of an OBJ written at a time."""
 
@@ -31,6 +34,10 @@ class SurfaceMesh:
     """[T, 3] int64, rows of `vertices`, counter-clockwise from outside."""
     colors: np.ndarray
     """[V, 3] float32 in [0, 1], in the encoding of the photos (sRGB)."""
+    uvs: np.ndarray | None = None
+    """[V, 2] float32 in [0, 1], places in `texture` from its top left corner."""
+    texture: np.ndarray | None = None
+    """[S, S, 3] uint8, sRGB; None: the colours are those of the vertices."""
     origin: np.ndarray | None = None
     """[3] float64, local origin in the coordinates of the capture; None: zero."""
     facts: dict[str, Any] = field(default_factory=dict)
@@ -42,8 +49,16 @@ class SurfaceMesh:
         return self.vertices if self.origin is None else self.vertices + self.origin
 
 
-def check_ending(path: Path) -> None:
+def files_written(path: Path, *, texture: bool) -> list[Path]:
+    """The files of a mesh: `path`, and those beside it of a textured .obj."""
+    beside = texture and path.suffix.lower() == ".obj"
+    return [path, *((path.with_suffix(".mtl"), path.with_suffix(".png")) if beside else ())]
+
+
+def check_ending(path: Path, *, texture: bool = False) -> None:
     """Raise ConfigError unless a mesh can be written with the ending of `path`."""
+    if texture and path.suffix.lower() == ".ply":
+        raise ConfigError(f"{brief(path)}: a PLY has no texture; give a .glb or an .obj.")
     if path.suffix.lower() not in _WRITERS:
         raise ConfigError(
             f"{brief(path)}: a mesh is written as {', '.join(ENDINGS)}; give one of these endings."
@@ -54,7 +69,8 @@ def write_surface(path: str | Path, mesh: SurfaceMesh) -> None:
     """Write a mesh by the ending of its name, completely or not at all.
 
     PLY and OBJ have the coordinates of the capture and colours of 8 bits or as fractions. GLB has
-    axes with y up, as glTF needs, linear colours and the local origin as the place of its node.
+    axes with y up, as glTF needs, linear colours and the local origin as the place of its node. A
+    texture is a part of the GLB; an OBJ has it in a .png with a .mtl beside it.
 
     Args:
         path: A .ply, .obj or .glb file.
@@ -65,7 +81,7 @@ def write_surface(path: str | Path, mesh: SurfaceMesh) -> None:
         GsError: the file cannot be written.
     """
     path = Path(path)
-    check_ending(path)
+    check_ending(path, texture=mesh.texture is not None)
     _WRITERS[path.suffix.lower()](path, mesh)
 
 
@@ -95,16 +111,27 @@ def _write_ply(path: Path, mesh: SurfaceMesh) -> None:
 
 def _write_obj(path: Path, mesh: SurfaceMesh) -> None:
     normals = vertex_normals(mesh.vertices, mesh.triangles)
-    vertices = np.concatenate([mesh.in_capture, _bytes(mesh) / 255], axis=1)
-    corners = np.repeat(mesh.triangles + 1, 2, axis=1)
+    head, parts = "# made by gscore\n", []
+    if mesh.texture is None or mesh.uvs is None:
+        vertices = np.concatenate([mesh.in_capture, _bytes(mesh) / 255], axis=1)
+        parts.append(("v %.9g %.9g %.9g %.4f %.4f %.4f\n", vertices))
+        corner = "%d//%d"
+    else:
+        _, material, picture = files_written(path, texture=True)
+        write_png(picture, mesh.texture, SIGNED)
+        atomic_write(material, f"{head}newmtl Surface\nKd 1 1 1\nmap_Kd {picture.name}\n".encode())
+        head += f"mtllib {material.name}\n"
+        up = mesh.uvs * [1, -1] + [0, 1]  # from the bottom left corner
+        parts += [("v %.9g %.9g %.9g\n", mesh.in_capture), ("vt %.6f %.6f\n", up)]
+        corner = "%d/%d/%d"
+    corners = np.repeat(mesh.triangles + 1, corner.count("%"), axis=1)
+    parts += [("vn %.4f %.4f %.4f\n", normals), (f"f {corner} {corner} {corner}\n", corners)]
 
     def write(file: BinaryIO) -> None:
-        file.write(b"# made by gscore\n")
-        for pattern, rows in (
-            ("v %.9g %.9g %.9g %.4f %.4f %.4f\n", vertices),
-            ("vn %.4f %.4f %.4f\n", normals),
-            ("f %d//%d %d//%d %d//%d\n", corners),
-        ):
+        file.write(head.encode())
+        for pattern, rows in parts:
+            if pattern.startswith("f") and mesh.texture is not None:
+                file.write(b"usemtl Surface\n")
             for at in range(0, len(rows), _LINES):
                 part = rows[at : at + _LINES]
                 file.write((pattern * len(part) % tuple(part.ravel().tolist())).encode("ascii"))
@@ -121,15 +148,26 @@ def _write_glb(path: Path, mesh: SurfaceMesh) -> None:
     attributes = {
         "POSITION": buffer.add(places, "VEC3", **bounds),
         "NORMAL": buffer.add(vertex_normals(mesh.vertices, mesh.triangles), "VEC3"),
-        "COLOR_0": buffer.add(_linear(mesh.colors), "VEC3"),
     }
+    surface: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
+    pictures: dict[str, Any] = {}
+    if mesh.texture is None or mesh.uvs is None:
+        attributes["COLOR_0"] = buffer.add(_linear(mesh.colors), "VEC3")
+    else:
+        attributes["TEXCOORD_0"] = buffer.add(mesh.uvs.astype(np.float32), "VEC2")
+        surface["baseColorTexture"] = {"index": 0}
+        view = buffer.add_bytes(png_bytes(mesh.texture))
+        pictures = {
+            "textures": [{"source": 0, "sampler": 0}],
+            "samplers": [{"magFilter": _LINEAR, "minFilter": _MIPMAPS}],
+            "images": [{"bufferView": view, "mimeType": "image/png"}],
+        }
     faces = np.ascontiguousarray(mesh.triangles, np.uint32).reshape(-1)
     indices = buffer.add(faces, "SCALAR")
     # A half turn about z, from right-down-front to glTF's left-up-front.
     node: dict[str, Any] = {"mesh": 0, "name": path.stem, "rotation": [0, 0, 1, 0]}
     if mesh.origin is not None:
         node["translation"] = (mesh.origin * [-1, -1, 1]).tolist()
-    surface = {"metallicFactor": 0, "roughnessFactor": 1}
     content = {
         "asset": {"version": "2.0", "generator": f"gscore {__version__}"},
         "scene": 0,
@@ -137,6 +175,7 @@ def _write_glb(path: Path, mesh: SurfaceMesh) -> None:
         "nodes": [node],
         "meshes": [{"primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}],
         "materials": [{"name": "Surface", "pbrMetallicRoughness": surface}],
+        **pictures,
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": buffer.size}],

@@ -90,6 +90,21 @@ def test_masks_of_the_capture_are_used(gscore, run_folder, capture):
     assert data.source != gone.source
 
 
+def test_a_texture_of_the_photos(gscore, run_folder, tmp_path):
+    """Oracle: the files beside the OBJ; cameras alone have no photos."""
+    pytest.importorskip("xatlas")
+    run = run_folder()
+    options = ("--threads", 1, "--min-part", 0, "--texture", 64, "--triangles", 500)
+    code, _, err = gscore("mesh", run, *options, "-o", tmp_path / "a.obj")
+    assert code == 0, err
+    assert sorted(path.name for path in tmp_path.glob("a.*")) == ["a.mtl", "a.obj", "a.png"]
+    cameras = ("-s", run / "cameras.json")
+    code, _, err = gscore("mesh", run, *options, *cameras, "-o", tmp_path / "b.glb")
+    assert code == 2 and "needs the photos" in " ".join(err.split())
+    code, _, err = gscore("mesh", run, *options, "-o", tmp_path / "a.ply")
+    assert code == 2 and "a PLY has no texture" in " ".join(err.split())
+
+
 def test_bad_input_of_a_mesh(gscore, ball, tmp_path):
     """Oracle: exit code 2 and a sentence, before any work, and no file."""
     other = tmp_path / "other.obj"
