@@ -194,29 +194,33 @@ def _region(args: argparse.Namespace) -> np.ndarray | None:
 def _cameras(
     args: argparse.Namespace, model: ModelArgument, show: Show
 ) -> tuple[Cameras, Dataset | None]:
-    """The cameras in the world of the splats, and the capture with its masks; None: without."""
+    """The training cameras in the world of the splats, and the capture with its masks; None:
+    without. Held-out photos are not used, so that a mesh can be measured with them."""
     file = args.source is not None and not args.source.is_dir()
     lost = args.source is None and not (model.data and model.data.source.exists())
     if file or lost:
         if lost and model.data and model.data.mask_mode != "none":
             message = f"The capture {model.data.source} no longer exists, so masks are not used."
             show(Warn(message=message))
-        return captured_cameras(args.source, model).cameras, None
+        found = captured_cameras(args.source, model)
+        train = [i for i in range(len(found.cameras)) if i not in set(found.test)]
+        return found.cameras.subset(train), None
     dataset = load_dataset(data_config_of(args, model))
     dataset.limit_cache()
     for sentence in dataset.warnings:
         show(Warn(message=sentence))
-    return model.world_of(dataset.scene.cameras), dataset
+    return model.world_of(dataset.scene.cameras.subset(dataset.train)), dataset
 
 
 def _masks(dataset: Dataset | None) -> tuple[str, Callable[[int], np.ndarray | None]]:
     if dataset is None or dataset.mask_mode == "none":
         return "none", lambda index: None
-    return dataset.mask_mode, dataset.mask
+    return dataset.mask_mode, lambda index: dataset.mask(dataset.train[index])
 
 
 def _photo(dataset: Dataset, model: ModelArgument, index: int) -> Photo:
-    """A photo in the mean exposure of the training, and its mask."""
+    """A training photo in the mean exposure of the training, and its mask."""
+    index = dataset.train[index]
     gain = model.gains.get(dataset.names[index], np.ones(3))
     rgb = dataset.image(index).astype(np.float32) / (255 * gain.astype(np.float32))
     return rgb, dataset.mask(index)

@@ -80,7 +80,7 @@ def test_masks_of_the_capture_are_used(gscore, run_folder, capture):
     run = run_folder()
     code, out, err = gscore("mesh", run, "--threads", 1, "--json", "--min-part", 0)
     assert code == 0, err
-    assert json.loads(out)["mask_mode"] == "none" and json.loads(out)["views"] == 9
+    assert json.loads(out)["mask_mode"] == "none" and json.loads(out)["views"] == 7
     data, train = load_config(run / "config.json")
     gone = DataConfig(source=capture / "gone", masks="masks")
     (run / "config.json").write_text(config_json(gone, train))
