@@ -230,7 +230,53 @@ void too_many_entries_are_refused(gs_gpu *gpu) {
     gs_gpu_model_destroy(model);
 }
 
+// Oracles: refusals of photos without content, of another size or with another mask; the loss of a step that sends its
+// photo; the bytes of the photo, counted.
+void photos_stay(gs_gpu *gpu) {
+    const Scene scene(300);
+    const gs_splats splats = scene.splats();
+    gs_gpu_model *model = nullptr;
+    CHECK(gs_gpu_model_create(gpu, &splats, nullptr, 0, &model) == GS_OK);
+    gs_gpu_step step = {};
+    step.view = view();
+    step.view.outputs = 0;
+    const std::vector<uint8_t> photo(3 * kPixels, 100);
+    step.photo = photo.data();
+    step.counted = step.extent = 1;
+    step.gradient_counter = step.view_counter = -1;
+    const auto loss = [&] {
+        gs_gpu_step_numbers found = {};
+        CHECK(gs_gpu_step_request(gpu, model, &step, 0) == GS_OK);
+        CHECK(gs_gpu_step_result(gpu, 0, &found) == GS_OK);
+        return found.loss;
+    };
+    const double sent = loss();
+    gs_gpu_memory before = {}, after = {};
+    CHECK(gs_gpu_memory_use(gpu, &before) == GS_OK);
+    gs_gpu_photo *kept = nullptr, *other = nullptr;
+    CHECK(gs_gpu_photo_create(gpu, step.view.width, step.view.height, 0, &kept) == GS_OK);
+    CHECK(gs_gpu_photo_create(gpu, step.view.width + 1, step.view.height, 0, &other) == GS_OK);
+    CHECK(gs_gpu_memory_use(gpu, &after) == GS_OK);
+    CHECK(after.in_use >= before.in_use + 6 * kPixels && after.peak >= after.in_use && after.limit > after.in_use);
+    step.kept = other;
+    CHECK(gs_gpu_step_request(gpu, model, &step, 0) == GS_BAD_ARGUMENT);
+    step.kept = kept;
+    step.photo = nullptr;
+    CHECK(gs_gpu_step_request(gpu, model, &step, 0) == GS_BAD_ARGUMENT);
+    step.photo = step.mask = photo.data();
+    CHECK(gs_gpu_step_request(gpu, model, &step, 0) == GS_BAD_ARGUMENT);
+    step.mask = nullptr;
+    CHECK(loss() == sent);
+    step.photo = nullptr;
+    CHECK(loss() == sent);
+    gs_gpu_photo_free(kept);
+    gs_gpu_photo_free(other);
+    gs_gpu_model_destroy(model);
+}
+
 void nulls_are_refused() {
+    CHECK(gs_gpu_photo_create(nullptr, 1, 1, 0, nullptr) == GS_BAD_ARGUMENT);
+    CHECK(gs_gpu_memory_use(nullptr, nullptr) == GS_BAD_ARGUMENT);
     CHECK(gs_gpu_loss(nullptr, nullptr, nullptr, nullptr, nullptr, nullptr) == GS_BAD_ARGUMENT);
     CHECK(gs_gpu_model_create(nullptr, nullptr, nullptr, 0, nullptr) == GS_BAD_ARGUMENT);
     CHECK(gs_gpu_model_splats(nullptr, nullptr) == GS_BAD_ARGUMENT);
@@ -278,6 +324,7 @@ int main() {
         models_are_created(gpu);
         freed_buffers_are_not_read(gpu);
         too_many_entries_are_refused(gpu);
+        photos_stay(gpu);
         gs_gpu_close(gpu);
     }
     return failures == 0 ? 0 : 1;

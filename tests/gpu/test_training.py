@@ -41,7 +41,7 @@ def trained(driver: Driver, code: str, **variables: str) -> Any:
 @cache
 def _short(driver: Driver) -> Any:
     cases = "default,mcmc" if driver.width else "default"  # SwiftShader is slow
-    return trained(driver, f"print_trainings({cases!r}, 24, size=24)")
+    return trained(driver, f"print_trainings({cases!r}, 60, size=64)")
 
 
 @each_driver
