@@ -9,7 +9,7 @@ import bpy
 import pytest
 
 from addon import preferences
-from addon.core import Failed, Started
+from addon.core import Started
 from addon.panels import progress
 from addon.panels.train import TrainOptionsPanel, TrainPanel
 from addon.training import options, run_state, start_training
@@ -98,6 +98,7 @@ def test_options_have_the_device(studio: bpy.types.Scene, prefs: preferences.Pre
     assert "That is for the CPU" in drawn(TrainPanel)
 
 
+@pytest.mark.slow  # a device in software compiles all kernels of a training
 @pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names no Python")
 def test_a_training_on_a_device_of_this_machine(
     studio: bpy.types.Scene,
@@ -105,12 +106,11 @@ def test_a_training_on_a_device_of_this_machine(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Oracle: the name of the device, and the splats in the trainer's file; a card that is gone
-    ends a run with a sentence."""
+    """Oracle: the name of the device, and the splats in the trainer's file."""
     from addon.core import read_splats
 
     uuid, name = passed_device(REAL, tmp_path / "cache", monkeypatch)
-    prefs.found_devices = json.dumps([[uuid, name], [CARD, "Card"]])
+    prefs.found_devices = json.dumps([[uuid, name]])
     prefs.python_path, prefs.device = REAL, uuid
     settings = studio.gscore
     settings.iterations, settings.resolution, settings.width, settings.eval = 3, "WIDTH", 40, False
@@ -119,8 +119,3 @@ def test_a_training_on_a_device_of_this_machine(
     assert job.state.device == name and not job.state.replaces_card
     trained = read_splats(tmp_path / "out" / "point_cloud.ply")
     assert (positions(settings.result) == trained.means).all()
-    prefs.device = CARD
-    gone = start_training.train(studio, overwrite=True)
-    assert start_training.wait_for(gone, timeout=120)
-    assert isinstance(gone.state.failure, Failed)
-    assert "is not in this computer any more" in gone.state.sentence
