@@ -202,6 +202,7 @@ void Device::free(DeviceBuffer &b) {
     }
     if (b.bytes) {
         await_all(); // commands in flight may use it
+        // What was recorded with it must not be submitted again, even if a new buffer gets its handle.
         for (CommandSet &set : sets_)
             for (Submission &s : set.submissions)
                 s.recorded.clear();

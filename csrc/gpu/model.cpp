@@ -40,7 +40,7 @@ gs_gpu_model::~gs_gpu_model() { free_all(); }
 void gs_gpu_model::free_all() {
     gpu->release(splats);
     free_transit();
-    for (DeviceBuffer *b : {&moment1, &moment2, &accumulated, &counters})
+    for (DeviceBuffer *b : {&moment1, &moment2, &accumulated, &counters, &noise_})
         gpu->device.free(*b);
 }
 
@@ -220,11 +220,10 @@ void gs_gpu_model::record_noise(float weight, const gs_random &random, uint64_t 
     p.skip = skip;
     p.rows = uint32_t(splats.count);
     p.frozen = uint32_t(frozen);
-    p.seed_low = uint32_t(random.seed);
-    p.seed_high = uint32_t(random.seed >> 32);
-    p.step = random.step;
-    p.stream = random.stream;
-    p.weight = weight;
+    const gs_noise noise = {uint32_t(random.seed), uint32_t(random.seed >> 32), random.step, random.stream, weight};
+    gpu->device.ensure(noise_, sizeof noise);
+    gpu->device.update(noise_, &noise, sizeof noise);
+    p.block = noise_.address;
     const Groups groups(groups_of(splats.count - frozen, GS_GROUP));
     gpu->device.dispatch(Shader::kNoise, p, groups.x, groups.y);
 }

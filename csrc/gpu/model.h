@@ -74,4 +74,5 @@ struct gs_gpu_model {
     void free_all();
 
     gs::DeviceBuffer list_, array_; // row numbers, and components of rows in transit
+    gs::DeviceBuffer noise_;        // gs_noise
 };

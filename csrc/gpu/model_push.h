@@ -49,13 +49,19 @@ struct gs_clamp_push {
     float extent, spread;        /* camera extent; scales up to this logarithm need no check against it */
 };
 
+/* What differs between steps is in memory, so that their commands are the same. */
+struct gs_noise {
+    gs_uint seed_low, seed_high, step, stream; /* see gscore/random.h */
+    float weight;
+};
+
 struct gs_noise_push {
     GS_POINTER(gs_quads_out) values;
     GS_POINTER(gs_words) state; /* nothing changes if word `skip` is not 0 */
+    GS_POINTER(gs_noise_block) block;
     gs_uint skip;
     gs_uint rows, frozen;
-    gs_uint seed_low, seed_high, step, stream; /* see gscore/random.h */
-    float weight;
+    gs_uint unused;
 };
 
 #endif

@@ -12,6 +12,7 @@ layout(buffer_reference, std430, buffer_reference_align = 16) buffer gs_records 
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_frame_block;
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_step_block;
 layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_loss_block;
+layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_noise_block;
 
 // MoltenVK mishandles 3-vectors behind pointers; tools/build/shaders.py refuses them.
 #define gs_vec3 float[3]

@@ -7,6 +7,10 @@
 #include "arithmetic.glsl"
 #include "philox.glsl"
 
+layout(buffer_reference, std430, buffer_reference_align = 16) readonly buffer gs_noise_block {
+    gs_noise of;
+};
+
 const float kGateSharpness = 100.0, kGateOpacity = 0.005;
 const float kMostLogit = -2.19722458; // of opacity 0.1
 
@@ -31,9 +35,10 @@ void main() {
         return;
     vec4 quat = push.values.at[GS_PLANE_QUAT * push.rows + row];
     vec3 scale = push.values.at[GS_PLANE_SCALE * push.rows + row].xyz;
-    uvec4 words = random_words(index, push.step, push.stream, uvec2(push.seed_low, push.seed_high));
+    gs_noise of = push.block.of;
+    uvec4 words = random_words(index, of.step, of.stream, uvec2(of.seed_low, of.seed_high));
     float gate = sigmoid(-kGateSharpness * (sigmoid(mean.w) - kGateOpacity));
-    vec3 noise = normal_numbers(words) * (gate * push.weight);
+    vec3 noise = normal_numbers(words) * (gate * of.weight);
     quat /= max(sqrt(quat.x * quat.x + quat.y * quat.y + quat.z * quat.z + quat.w * quat.w), 1e-12);
     vec3 variance = vec3(exp_polynomial(2.0 * scale.x), exp_polynomial(2.0 * scale.y), exp_polynomial(2.0 * scale.z));
     mean.xyz += rotated(quat.x, quat.yzw, variance * rotated(quat.x, -quat.yzw, noise));
