@@ -112,9 +112,11 @@ def _write_ply(path: Path, mesh: SurfaceMesh) -> None:
 def _write_obj(path: Path, mesh: SurfaceMesh) -> None:
     normals = vertex_normals(mesh.vertices, mesh.triangles)
     head, parts = "# made by gscore\n", []
+    # Digits of doubles where coordinates are large; 9 resolve a local world finer than its voxels.
+    place = "%.9g %.9g %.9g" if mesh.origin is None else "%.15g %.15g %.15g"
     if mesh.texture is None or mesh.uvs is None:
         vertices = np.concatenate([mesh.in_capture, _bytes(mesh) / 255], axis=1)
-        parts.append(("v %.9g %.9g %.9g %.4f %.4f %.4f\n", vertices))
+        parts.append((f"v {place} %.4f %.4f %.4f\n", vertices))
         corner = "%d//%d"
     else:
         _, material, picture = files_written(path, texture=True)
@@ -122,7 +124,7 @@ def _write_obj(path: Path, mesh: SurfaceMesh) -> None:
         atomic_write(material, f"{head}newmtl Surface\nKd 1 1 1\nmap_Kd {picture.name}\n".encode())
         head += f"mtllib {material.name}\n"
         up = mesh.uvs * [1, -1] + [0, 1]  # from the bottom left corner
-        parts += [("v %.9g %.9g %.9g\n", mesh.in_capture), ("vt %.6f %.6f\n", up)]
+        parts += [(f"v {place}\n", mesh.in_capture), ("vt %.6f %.6f\n", up)]
         corner = "%d/%d/%d"
     corners = np.repeat(mesh.triangles + 1, corner.count("%"), axis=1)
     parts += [("vn %.4f %.4f %.4f\n", normals), (f"f {corner} {corner} {corner}\n", corners)]

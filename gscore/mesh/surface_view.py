@@ -35,7 +35,7 @@ def surface_view(
     where the two depths differ much.
 
     Args:
-        drawn: The picture with depths and normals.
+        drawn: The picture over black, with depths and normals.
         K: [3, 3] px.
         viewmat: [4, 4] world to camera.
         spread: Largest difference of mean and median depth, world units.
@@ -65,7 +65,7 @@ def surface_view(
         planes=planes,
         depth=np.where(free, np.inf, depth).astype(np.float32),
         weight=weight,
-        rgb=np.clip(drawn.rgb, 0, 1),
+        rgb=np.clip(drawn.rgb / np.maximum(drawn.alpha, _SOLID)[..., None], 0, 1),
     )
 
 

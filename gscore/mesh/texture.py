@@ -61,7 +61,8 @@ def textured(
         seen, weight, rgb = _seen(mesh, cameras, index, photos(index), points, directions, voxel)
         sums[seen] += weight[:, None] * rgb
         weights[seen] += weight
-    colors = np.where(weights[:, None] > 0, sums / np.maximum(weights, 1e-30)[:, None], plain)
+    weights = weights[:, None]
+    colors = np.divide(sums, weights, out=plain.copy(), where=weights > 0)
     texture = np.zeros((size, size, 3), np.uint8)
     texture[covered] = np.rint(np.clip(colors, 0, 1) * 255)
     return replace(mesh, texture=_with_gutter(texture, covered))

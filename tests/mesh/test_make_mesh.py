@@ -53,6 +53,18 @@ def test_a_sphere_is_closed_and_in_its_place(ball: SurfaceMesh) -> None:
     assert ball.facts["volume_bytes"] == ball.facts["blocks"] * BLOCK_BYTES
 
 
+def test_colours_are_those_of_half_transparent_splats() -> None:
+    """Oracle: the colours of the splats, red and green, however much of a pixel they cover."""
+    splats = sphere()
+    splats = replace(splats, opacities=np.full_like(splats.opacities, -0.8))
+    cameras = around(12)
+    alpha = render_camera(splats, cameras, 0).alpha[60, 60]
+    assert 0.5 < alpha < 0.85
+    mesh = make_mesh(splats, cameras, MeshRequest(voxel=VOXEL), threads=1)
+    red = mesh.vertices[:, 0] > 0.3
+    np.testing.assert_allclose(np.median(mesh.colors[red], axis=0), [0.9, 0.1, 0.1], atol=0.02)
+
+
 def test_threads_change_no_bits(ball: SurfaceMesh) -> None:
     """Oracle: equality to the bit."""
     again = make_mesh(sphere(), around(), MeshRequest(voxel=VOXEL), threads=2)

@@ -14,7 +14,7 @@ from gscore.io.mesh.files import read_mesh, write_mesh
 from gscore.mesh import SurfaceMesh, read_surface, write_surface
 from gscore.mesh.surface_mesh import ENDINGS
 
-ORIGIN = np.array([600000.25, -5000000.5, 100.0])
+ORIGIN = np.array([600000.251, -5000000.513, 100.0])
 MESH = SurfaceMesh(
     vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]),
     triangles=np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]),
@@ -29,7 +29,7 @@ def test_places_and_triangles_are_read_back(tmp_path: Path, ending: str) -> None
     path = tmp_path / f"a{ending}"
     write_surface(path, MESH)
     found = read_mesh(path)
-    np.testing.assert_allclose(found.vertices, MESH.vertices + ORIGIN, atol=0.02)
+    np.testing.assert_allclose(found.vertices, MESH.vertices + ORIGIN, rtol=0, atol=1e-4)
     np.testing.assert_array_equal(found.triangles, MESH.triangles)
     assert is_ours(path)
 
