@@ -8,6 +8,7 @@ from bpy.props import FloatProperty, IntProperty
 from mathutils import Vector
 
 from .. import compat
+from ..interface import editable_check
 from ..interface.base_operator import Condition
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.background_task import Cancelled
@@ -109,7 +110,7 @@ class WorldFromSplats(_AtCursor, bpy.types.Operator):
         scene = context.scene
         seen = world_light(scene.world)[0]
         world = scene.world
-        if world is None or WORLD not in world:
+        if world is None or WORLD not in world or not editable_check.keeps(world):
             world = bpy.data.worlds.new("Splats")
             world[WORLD] = True
             scene.world = world
@@ -227,6 +228,7 @@ def _sun(context: bpy.types.Context, sky: np.ndarray, light: Light) -> bpy.types
         lamp[WORLD] = True
         scene.collection.objects.link(lamp)
         lamp.location = scene.cursor.location
+    editable_check.check(lamp, lamp.data)
     irradiance = light.irradiance
     if light.is_clipped:
         irradiance = irradiance / max(irradiance.max(), 1e-9) * (_SUN_TO_SKY * sky.max())

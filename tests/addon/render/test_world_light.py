@@ -185,3 +185,24 @@ def test_refusals(scene):
     ob = lab.add(scene, shell())
     ob.hide_viewport = True
     assert "no visible splats" in lab.error_of(bpy.ops.gscore.world_from_splats)
+
+
+def test_linked_lamps_and_worlds_stay(scene, tmp_path):
+    """A linked active sun is named, as its changes would be lost; a linked world of splats is
+    replaced by one of this file."""
+    lab.prepare(scene)
+    splats = lab.add(scene, lit((1, 0.5, 0.6), 2.0))
+    sun = bpy.data.objects.new("their sun", bpy.data.lights.new("their sun", "SUN"))
+    world = bpy.data.worlds.new("their world")
+    world["gs_splat_world"] = True
+    path = str(tmp_path / "library.blend")
+    bpy.data.libraries.write(path, {sun, world}, fake_user=True)
+    with bpy.data.libraries.load(path, link=True) as (_, wanted):
+        wanted.objects, wanted.worlds = [sun.name], [world.name]
+    (linked,), (scene.world,) = wanted.objects, wanted.worlds
+    scene.collection.objects.link(linked)
+    bpy.context.view_layer.objects.active = linked
+    assert "linked from" in lab.error_of(lambda: bpy.ops.gscore.match_sun(near=0.1))
+    bpy.context.view_layer.objects.active = splats
+    assert bpy.ops.gscore.world_from_splats(width=64) == {"FINISHED"}
+    assert scene.world.library is None
