@@ -9,6 +9,7 @@ from ..render.compositing_scene import SPLAT_SCENE
 from ..render.engine import NAME
 from ..render.holdout_meshes import missing_holdouts
 from ..render.panels import draw_render
+from ..render.proxy import left_over
 from ..render.shadow_scene import missing as missing_casters
 from ..render.unsupported_settings import NOT_TAKEN_OVER
 from ..splats.objects import active_splats
@@ -59,6 +60,9 @@ class RenderPanel(TabPanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("gscore.use_as_proxy", icon="MOD_SUBSURF")
         row.operator("gscore.remove_proxy", text="", icon="X")
+        if names := ", ".join(sorted(ob.name for ob in left_over(scene))):
+            text = f"The splats of {names} were removed, but it still casts shadows: press the X."
+            sentence(layout, text, icon="INFO")
 
 
 def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -67,7 +67,7 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
         The scene that renders the splats.
 
     Raises:
-        ValueError: nothing to composite, or no camera.
+        ValueError: nothing to composite, no camera, or no Cycles for shadows on proxies.
     """
     scene.view_layers[0].update()  # to include what a script has just added
     splats = [ob for ob in scene.objects if is_splats(ob)]
@@ -75,6 +75,10 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
         raise ValueError(f"Scene {scene.name} has no splat objects: import a splat PLY first.")
     if scene.camera is None:
         raise ValueError(f"Scene {scene.name} has no camera: add one first.")
+    if proxies_of(scene) and not hasattr(scene, "cycles"):
+        raise ValueError(
+            "Enable the add-on Cycles Render Engine: it renders the shadows on splats."
+        )
     editable_check.check(*_changed(scene))
     if SPLAT_SCENE not in scene:
         scene[_FILM] = scene.render.film_transparent
@@ -128,18 +132,10 @@ def _helper_scene(scene: bpy.types.Scene, key: str, name: str) -> bpy.types.Scen
 
 
 def _shadow_scene(scene: bpy.types.Scene) -> bpy.types.Scene | None:
-    """The scene of the shadows on a scene's splats; None, and removed, without proxies.
-
-    Raises:
-        ValueError: Cycles is not enabled.
-    """
+    """The scene of the shadows on a scene's splats; None, and removed, without proxies."""
     if not proxies_of(scene):
         _drop(scene, SHADOW_SCENE)
         return None
-    if not hasattr(scene, "cycles"):
-        raise ValueError(
-            "Enable the add-on Cycles Render Engine: it renders the shadows on splats."
-        )
     other = _helper_scene(scene, SHADOW_SCENE, "Shadows")
     _follow(scene, other)
     shadow_scene.synchronise(scene, other)

@@ -33,9 +33,15 @@ def proxies_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return [ob for ob in scene.objects if is_proxy(ob)]
 
 
+def left_over(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Objects in a scene that were proxies of splats that are no longer in it."""
+    there = set(scene.objects)
+    return [ob for ob in there if PROXY in ob and ob.parent not in there]
+
+
 def _collection(scene: bpy.types.Scene) -> bpy.types.Collection:
     """The collection of a scene's proxies, made if missing: the scene of shadows leaves it out."""
-    for child in scene.collection.children:
+    for child in scene.collection.children_recursive:
         if PROXIES in child:
             return child
     made = bpy.data.collections.new("Splat Proxies")
@@ -117,22 +123,32 @@ class UseAsProxy(Undoable, bpy.types.Operator):
         return f"{mesh.name} is the proxy of {splats.name}."
 
 
+def _removable(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The proxy of the active splats, and those of removed splats."""
+    splats = active_splats(context)
+    proxy = None if splats is None else proxy_of(splats)
+    return [*filter(None, (proxy,)), *left_over(context.scene)]
+
+
 class RemoveProxy(Undoable, bpy.types.Operator):
-    """Make the proxy of the active splats a visible mesh of its own again"""
+    """Make the proxy of the active splats, and those of removed splats, visible meshes of their own
+    again"""
 
     bl_idname = "gscore.remove_proxy"
     bl_label = "Remove Proxy"
     needs = Condition(
-        lambda context: (ob := active_splats(context)) is not None and proxy_of(ob) is not None,
+        lambda context: bool(_removable(context)),
         "The active splats have no proxy",
     )
 
     def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
-        """The proxy and the scene."""
-        return proxy_of(active_splats(context)), context.scene
+        """The proxies and the scene."""
+        return *_removable(context), context.scene
 
     def run(self, context: bpy.types.Context) -> str:
-        """Detach the proxy."""
-        proxy = proxy_of(active_splats(context))
-        detach(context.scene, proxy)
-        return f"{proxy.name} is a mesh of its own again."
+        """Detach the proxies."""
+        proxies = _removable(context)
+        for proxy in proxies:
+            detach(context.scene, proxy)
+        names = ", ".join(proxy.name for proxy in proxies)
+        return f"{names}: no proxy any more, but a mesh that cameras see."

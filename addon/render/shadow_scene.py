@@ -35,8 +35,9 @@ def synchronise(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
     layer.cycles.use_pass_shadow_catcher = True
     if not isinstance(other.get(_CASTERS), bpy.types.Collection):
         other[_CASTERS] = bpy.data.collections.new(f"{other.name} Casters")
-        other.collection.children.link(other[_CASTERS])
     casters = other[_CASTERS]
+    if casters not in other.collection.children.values():
+        other.collection.children.link(casters)
     _keep_only(casters.objects, own_casters(scene))
     inside = [child for child in scene.collection.children if PROXIES not in child]
     _keep_only(casters.children, inside)
@@ -49,11 +50,12 @@ def synchronise(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
 
 
 def _exclude(own: bpy.types.LayerCollection, main: bpy.types.LayerCollection) -> None:
-    """Exclude the collections that a main scene's layer excludes."""
+    """Exclude the collections that a main scene's layer excludes, and those of proxies."""
+    pairs = {child.collection: child for child in main.children}
     for child in own.children:
-        other = main.children.get(child.name)
+        other = pairs.get(child.collection)
         if other is not None:
-            child.exclude = other.exclude
+            child.exclude = other.exclude or PROXIES in child.collection
             _exclude(child, other)
 
 
@@ -71,11 +73,14 @@ def follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
 
 def missing(scene: bpy.types.Scene) -> str:
     """Names of objects that were added to no collection but the scene's own one, and of proxies,
-    that the shadow scene does not have; empty without a shadow scene."""
+    that the shadow scene does not have, or with another mesh; empty without a shadow scene."""
     other = scene.get(SHADOW_SCENE)
     if not isinstance(other, bpy.types.Scene):
         return ""
-    there = set(other[_CASTERS].objects) | {ob.get(_TWIN) for ob in other.collection.objects}
+    twins = [ob for ob in other.collection.objects if ob.get(_TWIN)]
+    there = {ob[_TWIN] for ob in twins if ob.data == ob[_TWIN].data}
+    if isinstance(casters := other.get(_CASTERS), bpy.types.Collection):
+        there.update(casters.objects)
     objects = [*own_casters(scene), *proxies_of(scene)]
     return ", ".join(ob.name for ob in objects if ob not in there)
 
@@ -124,8 +129,9 @@ def _twins(scene: bpy.types.Scene, other: bpy.types.Scene) -> list[bpy.types.Obj
 
 def _keep_only(links: Any, kept: list[Any]) -> None:
     """Link objects or collections to a collection, and unlink others."""
-    for one in [one for one in links if one not in kept]:
+    there = set(links)  # names of linked ones are not unique
+    for one in there - set(kept):
         links.unlink(one)
     for one in kept:
-        if links.get(one.name) != one:
+        if one not in there:
             links.link(one)

@@ -11,10 +11,10 @@ from .. import preferences, stored_paths
 from ..cameras.capture_transform import origin_of
 from ..core import MeshDone, MeshProgress, read_surface
 from ..interface.base_operator import Condition
-from ..interface.editable_check import link_like
+from ..interface.editable_check import keeps, link_like
 from ..interface.windows import push_undo
 from ..process.incremental_tasks import Steps, run_in_thread
-from ..render.proxy import attach
+from ..render.proxy import attach, proxy_of
 from ..splats.error_maps import is_map, run_of
 from ..splats.objects import active_splats, has_trained, is_splats
 from ..training.verb_job import Verb, VerbJob
@@ -25,6 +25,8 @@ FILE = "surface.ply"
 """Name of the mesh in the folder of the run."""
 TRIANGLES = 200_000
 """Default number of triangles."""
+_MADE = "gs_made_proxy"
+"""Custom property of an object: a job made it as a proxy, so the next one replaces its mesh."""
 
 
 def _message(job: VerbJob) -> str:
@@ -96,11 +98,16 @@ def _arriving(job: VerbJob, *, proxy: bool) -> Steps[Iterable[str]]:
     if splats is None:
         raise ValueError(f"The splats were removed from the scene; the mesh is {job.done.path}.")
     mesh = filled(surface, origin_of(splats), f"{splats.name} surface")
-    made = bpy.data.objects.new(mesh.name, mesh)
-    made.parent = splats.parent
-    link_like(made, splats)
+    made = proxy_of(splats) if proxy else None
+    if made is not None and _MADE in made and keeps(made):
+        made.data = mesh
+    else:
+        made = bpy.data.objects.new(mesh.name, mesh)
+        made.parent = splats.parent
+        link_like(made, splats)
     made.matrix_world = splats.matrix_world
     if proxy:
+        made[_MADE] = True
         attach(bpy.context.scene, splats, made)
     push_undo("Make Mesh")
     return ()

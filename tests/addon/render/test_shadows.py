@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from addon import compat
+from addon.panels.render import RenderPanel
 from addon.render import composite_nodes, compositor
-from addon.render.proxy import proxy_of
+from addon.render.proxy import PROXIES, left_over, proxy_of
 from addon.render.shadow_scene import SHADOW_SCENE, missing
 from tests.addon import splat_scenes as lab
+from tests.addon.drawn import drawn
 
 SIZE = (48, 48)
 COLOR = (0.8, 0.5, 0.2)
@@ -196,3 +198,86 @@ def test_take_down(shadowed):
     compositor.take_down(scene)
     assert (len(bpy.data.objects), len(bpy.data.scenes)) == (objects, scenes)
     assert len(bpy.data.collections) == collections
+
+
+def test_set_up_again_in_a_saved_file(shadowed, tmp_path):
+    """Oracle: the same datablocks; changes by hand are repaired: casters removed or unlinked, the
+    proxies' collection in another one, which the shadow scene leaves out there too."""
+    compositor.set_up(shadowed)
+    kinds = ("objects", "scenes", "collections", "meshes")
+    there = {kind: set(getattr(bpy.data, kind).keys()) for kind in kinds}
+    path = str(tmp_path / "saved.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    scene = bpy.context.scene
+    assert missing(scene) == ""
+    compositor.set_up(scene)
+    assert {kind: set(getattr(bpy.data, kind).keys()) for kind in kinds} == there
+    shadows = scene[SHADOW_SCENE]
+    (casters,) = shadows.collection.children
+    bpy.data.collections.remove(casters)
+    assert "Cube" in missing(scene)
+    compositor.set_up(scene)
+    (casters,) = shadows.collection.children
+    shadows.collection.children.unlink(casters)
+    compositor.set_up(scene)
+    assert list(shadows.collection.children) == [casters]
+    proxies = next(one for one in scene.collection.children if PROXIES in one)
+    group = bpy.data.collections.new("group")
+    scene.collection.children.link(group)
+    group.children.link(proxies)
+    scene.collection.children.unlink(proxies)
+    compositor.set_up(scene)
+    layer = shadows.view_layers[0]
+    layer.update()
+    assert {ob.name for ob in layer.objects} == {"Cube", "sun", "surface Catcher"}
+
+
+def test_collections_of_one_name(shadowed, tmp_path):
+    """A linked collection with the name of a local one: both cast shadows, after every set-up."""
+    scene = shadowed
+    props = bpy.data.collections.new("props")
+    path = str(tmp_path / "library.blend")
+    bpy.data.libraries.write(path, {props}, fake_user=True)
+    with bpy.data.libraries.load(path, link=True) as (_, wanted):
+        wanted.collections = ["props"]
+    (linked,) = wanted.collections
+    for one in (props, linked):
+        scene.collection.children.link(one)
+    for _ in range(2):
+        compositor.set_up(scene)
+        assert set(scene[SHADOW_SCENE]["gs_casters"].children) == {props, linked}
+
+
+@pytest.mark.parametrize("composited", [False, True])
+def test_splats_of_a_proxy_are_removed(shadowed, composited):
+    """The panel names the mesh, which still casts shadows; the cross makes it visible in place."""
+    scene = shadowed
+    if composited:
+        compositor.set_up(scene)
+    splats = next(ob for ob in scene.objects if ob.name.startswith("splats"))
+    mesh = bpy.data.objects["surface"]
+    splats.location.x = 1
+    bpy.context.view_layer.update()
+    place = mesh.matrix_world.copy()
+    assert left_over(scene) == []
+    assert "were removed" not in drawn(RenderPanel)
+    with bpy.context.temp_override(selected_objects=[splats]):
+        bpy.ops.object.delete()
+    assert left_over(scene) == [mesh]
+    assert "splats of surface were removed" in drawn(RenderPanel)
+    assert bpy.ops.gscore.remove_proxy() == {"FINISHED"}
+    assert left_over(scene) == [] and mesh.visible_camera and not mesh.hide_select
+    assert "were removed" not in drawn(RenderPanel)
+    if composited:
+        assert np.allclose(mesh.matrix_world, place)
+
+
+def test_without_cycles_nothing_changes(shadowed, monkeypatch):
+    """Oracle: the error, and the file as before."""
+    there = len(bpy.data.scenes)
+    without = lambda ob, name: name != "cycles" and hasattr(ob, name)  # noqa: E731
+    monkeypatch.setattr(compositor, "hasattr", without, raising=False)
+    with pytest.raises(ValueError, match="Cycles Render Engine"):
+        compositor.set_up(shadowed)
+    assert len(bpy.data.scenes) == there and not shadowed.render.film_transparent

@@ -10,7 +10,7 @@ import pytest
 from addon import preferences, stored_paths
 from addon.core import write_splats
 from addon.panels.result import SurfacePanel
-from addon.render.proxy import proxy_of
+from addon.render.proxy import attach, proxy_of
 from addon.surface import make_mesh
 from addon.training.verb_jobs import follow
 from gscore.mesh import SurfaceMesh, write_surface
@@ -83,14 +83,22 @@ def test_a_mesh_is_made_and_imported(result: bpy.types.Object, tmp_path: Path) -
 
 
 def test_a_proxy_is_made(result: bpy.types.Object, tmp_path: Path) -> None:
-    """Oracle: the place of the splats and their visibility; a second one takes its place."""
+    """Oracle: the place of the splats and their visibility; a second one takes its place, and no
+    object is left; a mesh that the user chose before stays."""
     play(tmp_path)
+    own = bpy.data.objects.new("own", bpy.data.meshes.new("own"))
+    bpy.context.scene.collection.objects.link(own)
+    attach(bpy.context.scene, result, own)
+    there = len(bpy.data.objects)
     for _ in range(2):
         assert bpy.ops.gscore.make_mesh(wait=True, proxy=True) == {"FINISHED"}
         proxy = proxy_of(result)
         bpy.context.view_layer.update()
         assert np.allclose(proxy.matrix_world, result.matrix_world, atol=1e-6)
         assert not proxy.visible_camera and len(proxy.data.polygons) == 4
+        assert len(bpy.data.objects) == there + 1
+        assert own.visible_camera and own.parent is None
+        proxy.location.x += 1
     assert "Make Proxy" in drawn(SurfacePanel)
 
 
