@@ -78,7 +78,7 @@ def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     elif names := missing_holdouts(scene, scene.get(SPLAT_SCENE)):
         sentence(layout, NOT_TAKEN_OVER.format(names), icon="INFO")
     elif there and (names := missing_casters(scene)):
-        text = f"No shadows of {names} yet: press the button again, or use collections."
+        text = f"Shadows do not follow {names} yet: press the button again, or use collections."
         sentence(layout, text, icon="INFO")
     row = layout.row(align=True)
     row.operator("gscore.set_up_compositing", icon="NODE_COMPOSITING")

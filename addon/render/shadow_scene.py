@@ -72,17 +72,21 @@ def follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
 
 
 def missing(scene: bpy.types.Scene) -> str:
-    """Names of objects that were added to no collection but the scene's own one, and of proxies,
-    that the shadow scene does not have, or with another mesh; empty without a shadow scene."""
+    """Names of what the shadow scene does not follow until it is synchronised: objects that were
+    added to no collection but the scene's own one, proxies that are new or have another mesh, and
+    twins of former proxies."""
     other = scene.get(SHADOW_SCENE)
+    proxies = proxies_of(scene)
     if not isinstance(other, bpy.types.Scene):
-        return ""
-    twins = [ob for ob in other.collection.objects if ob.get(_TWIN)]
-    there = {ob[_TWIN] for ob in twins if ob.data == ob[_TWIN].data}
+        return ", ".join(ob.name for ob in proxies)
+    twins = [ob for ob in other.collection.objects if _TWIN in ob]
+    there = {twin[_TWIN] for twin in twins if twin[_TWIN] and twin.data == twin[_TWIN].data}
+    there.intersection_update(proxies)
     if isinstance(casters := other.get(_CASTERS), bpy.types.Collection):
         there.update(casters.objects)
-    objects = [*own_casters(scene), *proxies_of(scene)]
-    return ", ".join(ob.name for ob in objects if ob not in there)
+    found = [ob for ob in (*own_casters(scene), *proxies) if ob not in there]
+    found += [twin for twin in twins if twin[_TWIN] not in proxies]
+    return ", ".join(ob.name for ob in found)
 
 
 def drop(scene: bpy.types.Scene) -> None:
@@ -107,7 +111,8 @@ def own_casters(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def _twins(scene: bpy.types.Scene, other: bpy.types.Scene) -> list[bpy.types.Object]:
     """A visible shadow catcher with the mesh of each proxy."""
-    known = {ob[_TWIN]: ob for ob in other.collection.objects if ob.get(_TWIN)}
+    before = [ob for ob in other.collection.objects if _TWIN in ob]
+    known = {twin[_TWIN]: twin for twin in before}
     found = []
     for proxy in proxies_of(scene):
         twin = known.get(proxy)
@@ -121,7 +126,7 @@ def _twins(scene: bpy.types.Scene, other: bpy.types.Scene) -> list[bpy.types.Obj
             twin.data = proxy.data
         twin.matrix_basis = proxy.matrix_basis
         found.append(twin)
-    for twin in known.values():
+    for twin in before:
         if twin not in found:
             bpy.data.objects.remove(twin)
     return found

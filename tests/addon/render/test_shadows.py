@@ -281,3 +281,32 @@ def test_without_cycles_nothing_changes(shadowed, monkeypatch):
     with pytest.raises(ValueError, match="Cycles Render Engine"):
         compositor.set_up(shadowed)
     assert len(bpy.data.scenes) == there and not shadowed.render.film_transparent
+
+
+def test_new_and_removed_proxies_are_named(shadowed):
+    """By the panel, until the button is pressed: without a shadow scene, with one, and if a proxy
+    has another mesh, is freed or deleted, of which no twin is left."""
+    scene = shadowed
+    splats = next(ob for ob in scene.objects if ob.name.startswith("splats"))
+    mesh = bpy.data.objects["surface"]
+    bpy.context.view_layer.objects.active = splats
+    assert bpy.ops.gscore.remove_proxy() == {"FINISHED"}
+    compositor.set_up(scene)
+    assert missing(scene) == ""
+    use_proxy(splats, mesh)
+    assert missing(scene) == "surface"
+    assert "Shadows do not follow surface yet" in drawn(RenderPanel)
+    compositor.set_up(scene)
+    assert missing(scene) == ""
+    mesh.data = mesh.data.copy()
+    assert missing(scene) == "surface"
+    compositor.set_up(scene)
+    assert missing(scene) == ""
+    assert bpy.ops.gscore.remove_proxy() == {"FINISHED"}
+    assert missing(scene) == "surface, surface Catcher"
+    use_proxy(splats, mesh)
+    assert missing(scene) == ""
+    bpy.data.objects.remove(mesh)
+    assert missing(scene) == "surface Catcher"
+    compositor.set_up(scene)
+    assert missing(scene) == "" and "surface Catcher" not in bpy.data.objects
