@@ -15,7 +15,6 @@ PROXY = "gs_proxy"
 """Custom property of an object: it is the proxy of its parent."""
 PROXIES = "gs_proxies"
 """Custom property of the collection of the proxies of a scene."""
-_FOLLOWED = "hide_render", "hide_viewport"
 
 
 def is_proxy(ob: bpy.types.Object) -> bool:
@@ -64,12 +63,12 @@ def attach(scene: bpy.types.Scene, splats: bpy.types.Object, mesh: bpy.types.Obj
     mesh.matrix_basis = splats.matrix_world.inverted() @ place
     mesh[PROXY] = True
     mesh.visible_camera, mesh.display_type, mesh.hide_select = False, "WIRE", True
-    for name in _FOLLOWED:
-        mesh.driver_remove(name)
-        driver = mesh.driver_add(name).driver
-        driver.type = "AVERAGE"  # needs no permission for scripts
-        variable = driver.variables.new()
-        variable.targets[0].id, variable.targets[0].data_path = splats, name
+    mesh.hide_viewport = splats.hide_viewport
+    mesh.driver_remove("hide_render")
+    driver = mesh.driver_add("hide_render").driver
+    driver.type = "AVERAGE"  # needs no permission for scripts
+    variable = driver.variables.new()
+    variable.targets[0].id, variable.targets[0].data_path = splats, "hide_render"
     mesh.select_set(False)
 
 
@@ -83,8 +82,7 @@ def detach(scene: bpy.types.Scene, proxy: bpy.types.Object) -> None:
     """Make a proxy an object of its own again, where it stands."""
     place = proxy.matrix_world.copy()
     _move(proxy, scene.collection)
-    for name in _FOLLOWED:
-        proxy.driver_remove(name)
+    proxy.driver_remove("hide_render")
     proxy.parent = None
     proxy.matrix_world = place
     del proxy[PROXY]
@@ -152,3 +150,15 @@ class RemoveProxy(Undoable, bpy.types.Operator):
             detach(context.scene, proxy)
         names = ", ".join(proxy.name for proxy in proxies)
         return f"{names}: no proxy any more, but a mesh that cameras see."
+
+
+@bpy.app.handlers.persistent
+def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """Hide proxies in the viewport with their splats; a driver cannot, as Blender does not evaluate
+    hidden splats."""
+    for ob in (ob for one in scene.collection.children if PROXIES in one for ob in one.objects):
+        if is_proxy(ob) and ob.hide_viewport != ob.parent.hide_viewport:
+            ob.hide_viewport = ob.parent.hide_viewport
+
+
+HANDLERS = {"depsgraph_update_post": _after_update}

@@ -157,6 +157,10 @@ def test_proxy_follows_its_splats(shadowed):
     assert proxy.matrix_world.translation.x == pytest.approx(before.translation.x + 2)
     assert proxy.hide_render
     assert not proxy.visible_camera
+    for hidden in (True, False):
+        splats.hide_viewport = hidden
+        bpy.context.view_layer.update()
+        assert proxy.visible_get() == (not hidden)
     splats.hide_render = False
     other = mesh_plane(1.0, 0.0, "other")
     use_proxy(splats, other)
