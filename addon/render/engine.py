@@ -256,9 +256,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             shot = self._mean(
                 pass_renderer.without_depths(), shutter_lens, scene.gscore_render.blur_samples
             )
-            if (
-                pass_renderer.options.depths
-            ):  # at the frame, through the lens's middle: mean depths are useless
+            # At the frame, through the lens's middle: mean depths are useless.
+            if pass_renderer.options.depths:
                 shot.passes["Depth"] = pass_renderer.render(still, self._stops)["Depth"]
         else:
             shot = pass_renderer.expose(still, self._stops)

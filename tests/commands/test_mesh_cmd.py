@@ -1,6 +1,7 @@
 """gscore mesh: a mesh of a run. Oracles: the shape of the splats, the JSON, the files."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,8 @@ from gscore.config import DataConfig
 from gscore.config_file import config_json, load_config
 from gscore.formats import write_splat_file
 from gscore.io.cameras_json import write_cameras
+from gscore.io.images.png import write_png
+from gscore.io.images.read_image import read_image
 from gscore.io.mesh.files import read_mesh
 from gscore.io.region_file import write_region
 from tests.mesh.shapes import RADIUS, around, sphere
@@ -75,13 +78,32 @@ def test_events_of_a_mesh(gscore, ball):
     assert plan["views"] > 16 and plan["volume_bytes"] > 0
 
 
-def test_masks_of_the_capture_are_used(gscore, run_folder, capture):
-    """Oracle: the mode in the result; a run whose capture is gone has a warning instead."""
+def test_masks_of_the_capture_are_used(gscore, run_folder, capture, tmp_path):
+    """Oracle: masks that hide the left third leave less, and those that hide all leave nothing; a
+    run whose capture is gone has a warning instead."""
     run = run_folder()
     code, out, err = gscore("mesh", run, "--threads", 1, "--json", "--min-part", 0)
     assert code == 0, err
     assert json.loads(out)["mask_mode"] == "none" and json.loads(out)["views"] == 7
+    whole = json.loads(out)["vertices"]
     data, train = load_config(run / "config.json")
+    masked = tmp_path / "masked"
+    shutil.copytree(capture, masked)
+    photos = sorted((masked / "images").iterdir())
+    mask = np.full(read_image(photos[0]).shape[:2], 255, np.uint8)
+    for hidden in (mask.shape[1] // 3, mask.shape[1]):
+        mask[:, :hidden] = 0
+        for photo in photos:
+            write_png(masked / "masks" / photo.name, np.repeat(mask[..., None], 3, axis=2))
+        changed = replace(data, source=masked, masks="masks", mask_mode="composite")
+        (run / "config.json").write_text(config_json(changed, train))
+        options = ("--threads", 1, "--json", "--min-part", 0, "-o", tmp_path / f"{hidden}.ply")
+        code, out, err = gscore("mesh", run, *options)
+        if hidden < mask.shape[1]:
+            assert code == 0 and json.loads(out)["mask_mode"] == "composite"
+            assert 0 < json.loads(out)["vertices"] < 0.9 * whole
+        else:
+            assert code != 0 and "the masks" in " ".join(err.split())
     gone = DataConfig(source=capture / "gone", masks="masks")
     (run / "config.json").write_text(config_json(gone, train))
     code, out, err = gscore("mesh", run, "--threads", 1, "--json", "--min-part", 0)
