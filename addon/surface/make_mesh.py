@@ -11,9 +11,10 @@ from .. import preferences, stored_paths
 from ..cameras.capture_transform import origin_of
 from ..core import MeshDone, MeshProgress, read_surface
 from ..interface.base_operator import Condition
-from ..interface.editable_check import keeps, link_like
+from ..interface.editable_check import keeps, taking
 from ..interface.windows import push_undo
 from ..process.incremental_tasks import Steps, run_in_thread
+from ..render.compositing_scene import MAIN_SCENE
 from ..render.proxy import attach, proxy_of
 from ..splats.error_maps import is_map, run_of
 from ..splats.objects import active_splats, has_trained, is_splats
@@ -91,12 +92,14 @@ def job_of(ob: bpy.types.Object) -> VerbJob | None:
 def _arriving(job: VerbJob, *, proxy: bool) -> Steps[Iterable[str]]:
     """Import the mesh beside the splats of the run."""
     surface = yield from run_in_thread(lambda check: read_surface(job.done.path), "Reading")
-    found = (ob for ob in bpy.context.scene.objects if is_splats(ob) and not is_map(ob))
-    splats = next(
-        (ob for ob in found if stored_paths.read(ob, stored_paths.RUN) == str(job.source)), None
+    scenes = [s for s in (bpy.context.scene, *bpy.data.scenes) if MAIN_SCENE not in s]
+    found = ((s, ob) for s in scenes for ob in s.objects if is_splats(ob) and not is_map(ob))
+    run = str(job.source)
+    scene, splats = next(
+        (one for one in found if stored_paths.read(one[1], stored_paths.RUN) == run), (None, None)
     )
     if splats is None:
-        raise ValueError(f"The splats were removed from the scene; the mesh is {job.done.path}.")
+        raise ValueError(f"The splats were removed; the mesh is {job.done.path}.")
     mesh = filled(surface, origin_of(splats), f"{splats.name} surface")
     made = proxy_of(splats) if proxy else None
     if made is not None and _MADE in made and keeps(made):
@@ -104,11 +107,13 @@ def _arriving(job: VerbJob, *, proxy: bool) -> Steps[Iterable[str]]:
     else:
         made = bpy.data.objects.new(mesh.name, mesh)
         made.parent = splats.parent
-        link_like(made, splats)
+        own = {scene.collection, *scene.collection.children_recursive}
+        for collection in taking((c for c in splats.users_collection if c in own), scene):
+            collection.objects.link(made)
     made.matrix_world = splats.matrix_world
     if proxy:
         made[_MADE] = True
-        attach(bpy.context.scene, splats, made)
+        attach(scene, splats, made)
     push_undo("Make Mesh")
     return ()
 

@@ -10,6 +10,7 @@ import pytest
 from addon import preferences, stored_paths
 from addon.core import write_splats
 from addon.panels.result import SurfacePanel
+from addon.render import compositor
 from addon.render.proxy import attach, proxy_of
 from addon.surface import make_mesh
 from addon.training.verb_jobs import follow
@@ -148,3 +149,15 @@ def test_blender_reads_the_files(studio: bpy.types.Scene, tmp_path: Path, ending
     found = np.array([one.color_srgb[:3] for one in colors.data])
     for row, rgb in zip(rows, found, strict=True):
         np.testing.assert_allclose(rgb, SURFACE.colors[order[row]], atol=0.01)
+
+
+def test_a_mesh_arrives_beside_its_splats(result: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: the splats' scene, whichever is open, and not that which renders them alone."""
+    play(tmp_path)
+    scene = bpy.context.scene
+    scene.camera = next(ob for ob in scene.objects if ob.type == "CAMERA")
+    compositor.set_up(scene)
+    bpy.context.window.scene = bpy.data.scenes.new("other")
+    make_mesh.make_mesh(result, wait=True)
+    (made,) = [ob for ob in scene.objects if ob.name.endswith("surface")]
+    assert made.users_scene == (scene,)
