@@ -77,6 +77,8 @@ WRITES = {
     "addon/region_training/masks.py": "the capture's folder of masks",
     "addon/region_training/train_region.py": "a new folder beside the output",
     "addon/render/compositor.py": "no file, an object",
+    "addon/render/proxy.py": "no file, an object",
+    "addon/render/shadow_scene.py": "no file, an object",
     "addon/sequence/guide_meshes.py": "the output folder",
     "addon/splats/conversion.py": "Blender's temporary folder; the user's choice",
     "addon/splats/exporting.py": "the user's choice",

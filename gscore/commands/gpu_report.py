@@ -2,8 +2,8 @@
 
 import os
 import platform
+import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from .._version import __version__
@@ -20,6 +20,8 @@ _PRIVATE = ("uuid",)
 _VARIABLES = ("VK_", "LP_", "MESA_", "DRI_", "GSCORE_", "MVK_")
 """Beginnings of environment variables that change drivers; their names are listed, and not the
 values, which contain paths."""
+_FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[\\/](?:[^\\/\"'\n:;,]*[\\/])+")
+"""The folders of an absolute path, whose names may have spaces."""
 _SIZES = {True: ((5_000, 320),), False: ((100_000, 1000), (300_000, 1920))}
 """Splats and widths of the timed pictures: on software devices, and on others."""
 _REPEATS = {True: 2, False: 10}
@@ -59,15 +61,12 @@ def device_report(
 
 
 def _without_paths(value: Any) -> Any:
-    """JSON values without the folders of gscore and of the user in their texts."""
+    """JSON values with file names in place of the absolute paths in their texts."""
     if isinstance(value, dict):
         return {name: _without_paths(one) for name, one in value.items()}
     if isinstance(value, list | tuple):
         return [_without_paths(one) for one in value]
-    if isinstance(value, str):
-        for folder, name in ((Path(__file__).parents[2], "..."), (Path.home(), "~")):
-            value = value.replace(str(folder), name)
-    return value
+    return _FOLDERS.sub("", value) if isinstance(value, str) else value
 
 
 def _times(device: Device) -> dict[str, Any]:

@@ -66,7 +66,10 @@ def oriented_normals(means: Tensor, quats: Tensor, scales: Tensor, viewmat: Tens
     """
     axes = quat_to_rotmat(quats)
     shortest = scales.argmin(dim=1)
-    normals = axes[torch.arange(len(axes)), :, shortest] @ viewmat[:3, :3].T
+    normals = (
+        axes[torch.arange(len(axes), dtype=torch.int64, device=axes.device), :, shortest]
+        @ viewmat[:3, :3].T
+    )
     with torch.no_grad():
         places = means @ viewmat[:3, :3].T + viewmat[:3, 3]
         away = (places * normals).sum(dim=1, keepdim=True) > 0

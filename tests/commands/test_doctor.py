@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from gscore.commands import doctor
+from gscore.commands import doctor, gpu_report
 from gscore.errors import BackendError
 from gscore.raster import api, native_library
 
@@ -131,6 +131,23 @@ def test_report_on_the_graphics_cards(gscore, tmp_path, monkeypatch):
         assert {"project", "blend", "blend_backward"} <= device["times"][0]["kernels_ms"].keys()
     if not found["devices"]:
         assert found["problems"]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "The library /home/ann/my py/gscore/lib.so has version 2.",
+            "The library lib.so has version 2.",
+        ),
+        (r"cannot load C:\Users\ANN~1\gs\gscore_gpu.dll: 126", "cannot load gscore_gpu.dll: 126"),
+        ("/usr/share/vulkan/icd.d/a.json, /etc/b.json", "a.json, b.json"),
+        ("60 steps/s, 1/2, NVIDIA/AMD", "60 steps/s, 1/2, NVIDIA/AMD"),
+    ],
+)
+def test_reports_have_no_paths(text, expected):
+    """Oracle: the names of the files alone, and texts without paths."""
+    assert gpu_report._without_paths({"a": [text, 1, None]}) == {"a": [expected, 1, None]}
 
 
 def test_report_that_cannot_be_written(gscore, tmp_path):
