@@ -37,6 +37,7 @@ TOPICS = {
     "masks": "Masks",
     "enough": "Caps",
     "stereo": "Stereo",
+    "opacity": "Opacity",
     "drops": "Dropout",
     "ensemble": "Ensemble",
     "depth": "Depth",

@@ -69,6 +69,7 @@ class Trainer:
         self._terms = LossTerms(
             config,
             mask_mode=photos.mask_mode,
+            opaque_weight=self.rules.opaque_weight,
             depth=analysis.depth,
             surface=analysis.guide.surface,
             scale=self.frame.similarity.scale,

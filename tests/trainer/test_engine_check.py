@@ -22,7 +22,9 @@ from tests.trainer.short_run import CONFIG
 
 
 def terms_of(config: TrainConfig, *, depth: DepthTargets | None = None) -> LossTerms:
-    return LossTerms(config, mask_mode="composite", depth=depth, surface=None, scale=1.0)
+    return LossTerms(
+        config, mask_mode="composite", opaque_weight=0.0, depth=depth, surface=None, scale=1.0
+    )
 
 
 class _Targets:

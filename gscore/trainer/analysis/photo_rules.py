@@ -10,7 +10,7 @@ from ...events import Decision
 from ...text_format import count_text, number
 from ..model.checkpoint_schema import as_float
 from ..photos.view_sampler import Photos
-from ..schedule.caps import drop_rate_of, max_splats_per_model, model_count
+from ..schedule.caps import drop_rate_of, max_splats_per_model, model_count, opaque_weight_of
 from ..schedule.plan import Plan
 from .analysis import Analysis
 
@@ -34,8 +34,12 @@ class PhotoRules:
     """Number of splats of a model at the start."""
     known: float | None
     """Share of the unmasked pixels with stereo depth; None: stereo did not run."""
+    backdrop: float = 0.0
+    """Share of the counted pixels that have the colour of the training's background."""
     drop_rate: float = 0.0
     """Dropout rate at the last step."""
+    opaque_weight: float = 0.0
+    """Weight of transmittance in the loss."""
     models: int = 1
     """Number of models that are trained in parallel."""
     by_photos: tuple[Decision, ...] = ()
@@ -62,8 +66,9 @@ class PhotoRules:
         )
 
     def decided(self, config: TrainConfig, photos: Photos) -> "PhotoRules":
-        """Return the rules with dropout and models by the share of pixels with known depth."""
+        """Return the rules with dropout, models and transmittance by the photos."""
         rate, dropout = drop_rate_of(config, known=self.known, mask_mode=photos.mask_mode)
+        weight, opacity = opaque_weight_of(config, backdrop=self.backdrop)
         models, ensemble = 1, None
         if not self.given:
             models, ensemble = model_count(
@@ -73,8 +78,8 @@ class PhotoRules:
                 mask_mode=photos.mask_mode,
                 known=self.known,
             )
-        found = tuple(one for one in (dropout, ensemble) if one is not None)
-        return replace(self, drop_rate=rate, models=models, by_photos=found)
+        found = tuple(one for one in (opacity, dropout, ensemble) if one is not None)
+        return replace(self, drop_rate=rate, opaque_weight=weight, models=models, by_photos=found)
 
     def restored(
         self, config: TrainConfig, photos: Photos, state: Mapping[str, Any], models: int
@@ -123,6 +128,7 @@ def photo_rules(config: TrainConfig, analysis: Analysis) -> PhotoRules:
         region=analysis.region is not None,
         block=analysis.block is not None,
         known=analysis.known,
+        backdrop=analysis.facts.backdrop,
     ).decided(config, photos)
     cloud = photos.scene.points if analysis.points is None else analysis.points
     points = min(len(cloud), max_splats_per_model(config, rules.models))

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...choices import Background
 from ...config import Switch, TrainConfig
 from ...datasets import Dataset
 from ...datasets.dataset import map_threads
@@ -55,6 +56,10 @@ _SIDE = 200
 reprojection errors."""
 _DARK, _BRIGHT = 10, 245
 """Range of bytes in which a colour follows the exposure."""
+_LEVELS = {Background.AUTO: 0, Background.BLACK: 0, Background.WHITE: 255}
+"""Bytes of the background colours; `auto` is black without masks as opacity."""
+_EQUAL = 3
+"""Difference of bytes up to which a pixel has the colour of the background."""
 _SHOWN = 128
 """Smallest mask byte of a valid colour."""
 
@@ -86,10 +91,20 @@ def joined_colors(found: list[tuple[np.ndarray, np.ndarray]]) -> TrackColors:
     )
 
 
-def colors_in_view(dataset: Dataset, tracks: Tracks, index: int) -> tuple[np.ndarray, np.ndarray]:
+def backdrop_share(image: np.ndarray, mask: np.ndarray | None, level: int) -> float:
+    """Share of the counted pixels of a photo [H, W, 3] that have one of the background colours of a
+    training, `level`: 0 black, 255 white."""
+    flat = (np.abs(image.astype(np.int16) - level) <= _EQUAL).all(axis=2)
+    counted = flat if mask is None else flat[mask >= _SHOWN]
+    return float(counted.mean()) if counted.size else 0.0
+
+
+def colors_in_view(
+    dataset: Dataset, tracks: Tracks, index: int, image: np.ndarray, mask: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
     """Rows [M] of points and ln of their colours [M, 3] at their observations in one photo, except
     dark, clipped and masked ones."""
-    image, mask, cameras = dataset.image(index), dataset.mask(index), dataset.scene.cameras
+    cameras = dataset.scene.cameras
     height, width = image.shape[:2]
     small = max(1.0, max(height, width) / _SIDE)
     columns, lines = max(1, round(width / small)), max(1, round(height / small))
@@ -116,6 +131,9 @@ class PhotoFacts:
     """Maxima of the masks, 0 to 255; empty: masks are not used."""
     colors: TrackColors | None = None
     """Colours of the points of `tracks`; None: unknown, or not needed."""
+    backdrop: float = 0.0
+    """Mean share of the counted pixels that have the training's background colour; 0: not needed,
+    or the background is random."""
     stops: np.ndarray | None = None
     """[V] float64, exposures of all photos by EXIF, stops; NaN: unknown for a held-out photo; None:
     not needed, or unknown for some training photo."""
@@ -125,7 +143,7 @@ def visit_photos(config: TrainConfig, photos: Dataset) -> PhotoFacts:
     """Read the facts that the options need. Each photo is decoded once, if at all.
 
     Args:
-        config: Options `exposure`, `refine_poses` and `guide_*`.
+        config: Options `background`, `exposure`, `opaque_weight`, `refine_poses` and `guide_*`.
         photos: The capture.
 
     Raises:
@@ -138,16 +156,26 @@ def visit_photos(config: TrainConfig, photos: Dataset) -> PhotoFacts:
     colored = tracks if exposes else None
     masked = photos.mask_mode != "none"
 
-    def visit(index: int) -> tuple[int, tuple[np.ndarray, np.ndarray] | None]:
-        mask = photos.mask(index) if masked else None
-        colors = None if colored is None else colors_in_view(photos, colored, index)
-        return 255 if mask is None else int(mask.max()), colors
+    level = _LEVELS.get(config.background)
+    if not config.opaque_weight or photos.mask_mode == "composite":
+        level = None
 
-    seen = list(map_threads(visit, train, threads=config.threads)) if masked or colored else []
+    def visit(index: int) -> tuple[int, float, tuple[np.ndarray, np.ndarray] | None]:
+        mask = photos.mask(index) if masked else None
+        image = None if colored is None and level is None else photos.image(index)
+        share = 0.0 if level is None or image is None else backdrop_share(image, mask, level)
+        colors = None
+        if colored is not None and image is not None:
+            colors = colors_in_view(photos, colored, index, image, mask)
+        return 255 if mask is None else int(mask.max()), share, colors
+
+    needed = masked or colored or level is not None
+    seen = list(map_threads(visit, train, threads=config.threads)) if needed else []
     return PhotoFacts(
         tracks=tracks,
-        brightest=[brightest for brightest, _ in seen] if masked else [],
-        colors=joined_colors([one for _, one in seen if one is not None]) if colored else None,
+        brightest=[brightest for brightest, _, _ in seen] if masked else [],
+        colors=joined_colors([one for *_, one in seen if one is not None]) if colored else None,
+        backdrop=float(np.mean([share for _, share, _ in seen])) if seen else 0.0,
         stops=_stated_stops(photos, train, config.threads) if exposes else None,
     )
 

@@ -202,6 +202,10 @@ def cap_by_photos(
     return config, Decision("enough", " ".join(reasons)) if reasons else None
 
 
+_BACKDROP = 0.1
+"""Share of pixels from which on photos show a backdrop of the background's colour."""
+
+
 def drop_rate_of(
     config: TrainConfig, *, known: float | None, mask_mode: str
 ) -> tuple[float, Decision | None]:
@@ -230,6 +234,29 @@ def drop_rate_of(
         "drops",
         f"{why}, so steps drop up to {rate:.0%} of the splats, which improves unseen views "
         "(`--drop-rate 0` drops none).",
+    )
+
+
+def opaque_weight_of(config: TrainConfig, *, backdrop: float) -> tuple[float, Decision | None]:
+    """Return the weight of transmittance for these photos.
+
+    On a plain backdrop that has the background's colour, opaque splats of this colour may stand
+    anywhere, also between the subject and other cameras: trainings diverged.
+
+    Args:
+        config: `opaque_weight`.
+        backdrop: Share of the counted pixels that have the colour of the background.
+
+    Returns:
+        The weight, and the decision if the photos led to it.
+    """
+    weight = config.opaque_weight
+    if not weight or backdrop < _BACKDROP:
+        return weight, None
+    return 0.0, Decision(
+        "opacity",
+        f"{backdrop:.0%} of the pixels have the colour of the training's background, so the "
+        "backdrop stays empty, without splats (`--opaque-weight` has no effect).",
     )
 
 

@@ -41,6 +41,7 @@ class LossTerms:
         config: TrainConfig,
         *,
         mask_mode: str,
+        opaque_weight: float,
         depth: DepthTargets | None,
         surface: DepthTargets | None,
         scale: float,
@@ -50,6 +51,7 @@ class LossTerms:
         Args:
             config: The options.
             mask_mode: Use of the masks, as `Dataset.mask_mode`.
+            opaque_weight: Weight of transmittance, without masks as opacity.
             depth: Targets of depth maps; None: none.
             surface: Targets of a guide mesh; None: none.
             scale: Training units per world unit.
@@ -59,7 +61,7 @@ class LossTerms:
             TermKind.L1: 1 - ssim,
             TermKind.SSIM: ssim,
             TermKind.MASK_ALPHA: config.alpha_weight if composite else 0.0,
-            TermKind.SEE_THROUGH: 0.0 if composite else config.opaque_weight,
+            TermKind.SEE_THROUGH: 0.0 if composite else opaque_weight,
         }
         self.terms = tuple(weights.items())
         """Kinds and weights."""

@@ -2,17 +2,19 @@
 
 import shutil
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from gscore.choices import Background
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.datasets import tracks as tracks_module
 from gscore.io.images.png import write_png
-from gscore.trainer.analysis.photo_visit import visit_photos
+from gscore.trainer.analysis.photo_visit import backdrop_share, visit_photos
 from gscore.trainer.run import train
 
 
@@ -42,6 +44,39 @@ def test_photos_that_are_not_kept_are_decoded_once(
     assert decoded == Counter(dict.fromkeys(photos.train, 1))
     assert facts.brightest == [255 - i for i in photos.train]
     assert facts.colors is not None and facts.colors.views == len(photos.train)
+
+
+def test_backdrops_are_counted_inside_the_masks() -> None:
+    """Oracle: shares by construction, with noise of up to three levels."""
+    image = np.full((10, 10, 3), 120, np.uint8)
+    image[:4] = np.random.default_rng(0).integers(0, 4, (4, 10, 3))
+    image[9] = 253
+    image[8] = (0, 0, 9)
+    mask = np.zeros((10, 10), np.uint8)
+    mask[2:6] = 255
+    assert backdrop_share(image, None, 0) == pytest.approx(0.4)
+    assert backdrop_share(image, None, 255) == pytest.approx(0.1)
+    assert backdrop_share(image, mask, 0) == pytest.approx(0.5)
+    assert backdrop_share(image, mask * 0, 0) == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, True),
+        ({"background": Background.WHITE}, False),
+        ({"background": Background.RANDOM}, False),
+        ({"opaque_weight": 0.0}, False),
+        ({"exposure": Switch.OFF}, True),
+    ],
+)
+def test_the_backdrop_is_that_of_the_background(
+    capture: Path, changes: dict[str, Any], expected: bool
+) -> None:
+    """Oracle: the toy capture, whose photos are black around the splats."""
+    photos = load_dataset(DataConfig(source=capture))
+    config = replace(TrainConfig(opaque_weight=0.005, threads=1), **changes)
+    assert (visit_photos(config, photos).backdrop > 0.1) == expected
 
 
 def test_a_training_reads_its_tracks_once(

@@ -1,5 +1,6 @@
 """Rules on exposure, poses and masks without files; oracle: gains, poses and masks by design."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,13 +9,16 @@ import pytest
 
 from gscore.config import TrainConfig
 from gscore.datasets.tracks import Tracks
+from gscore.engine.base import TermKind
 from gscore.errors import DatasetError
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.analysis.exposure import decide_exposure
 from gscore.trainer.analysis.photo_loading import check_masks
 from gscore.trainer.analysis.photo_visit import PhotoFacts, TrackColors
 from gscore.trainer.analysis.pose_check import check_poses
+from gscore.trainer.trainer import Trainer
 from gscore.trainer.views.pose_math import moved_pose
+from tests.trainer.short_run import CONFIG
 
 POINTS = 40
 STOP = np.log(2) / 2.2
@@ -77,3 +81,16 @@ def test_masks_are_refused_only_if_all_are_black() -> None:
     assert warning == "The masks of 1 training view are black, for example c."
     with pytest.raises(DatasetError, match="no pixels to train on"):
         check_masks(photos, PhotoFacts(brightest=[0, 0, 0]))
+
+
+@pytest.mark.parametrize(
+    ("backdrop", "weight"), [(0.0, 0.02), (0.09, 0.02), (0.1, 0.0), (0.8, 0.0)]
+)
+def test_a_backdrop_stays_empty(photos: Any, backdrop: float, weight: float) -> None:
+    """Oracle: the weight in the loss of the trainer, and the sentence."""
+    analysis = Analysis(photos=photos, facts=PhotoFacts(backdrop=backdrop))
+    trainer = Trainer(replace(CONFIG, opaque_weight=0.02), analysis)
+    assert dict(trainer._terms.terms)[TermKind.SEE_THROUGH] == weight
+    found = [one for one in trainer.rules.by_photos if one.topic == "opacity"]
+    assert len(found) == (weight == 0)
+    assert all("colour of the training's background" in one.text for one in found)
