@@ -94,7 +94,7 @@ def joined_colors(found: list[tuple[np.ndarray, np.ndarray]]) -> TrackColors:
 def backdrop_share(image: np.ndarray, mask: np.ndarray | None, level: int) -> float:
     """Share of the counted pixels of a photo [H, W, 3] that have one of the background colours of a
     training, `level`: 0 black, 255 white."""
-    flat = (np.abs(image.astype(np.int16) - level) <= _EQUAL).all(axis=2)
+    flat: np.ndarray = np.all(np.abs(image.astype(np.int16) - level) <= _EQUAL, axis=2)
     counted = flat if mask is None else flat[mask >= _SHOWN]
     return float(counted.mean()) if counted.size else 0.0
 
