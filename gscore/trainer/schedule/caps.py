@@ -255,8 +255,7 @@ def opaque_weight_of(config: TrainConfig, *, backdrop: float) -> tuple[float, De
         return weight, None
     return 0.0, Decision(
         "opacity",
-        f"{backdrop:.0%} of the pixels have the colour of the training's background, so the "
-        "backdrop stays empty, without splats (`--opaque-weight` has no effect).",
+        f"{backdrop:.0%} of the pixels have the background's colour and get no splats.",
     )
 
 

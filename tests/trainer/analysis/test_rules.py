@@ -93,4 +93,4 @@ def test_a_backdrop_stays_empty(photos: Any, backdrop: float, weight: float) -> 
     assert dict(trainer._terms.terms)[TermKind.SEE_THROUGH] == weight
     found = [one for one in trainer.rules.by_photos if one.topic == "opacity"]
     assert len(found) == (weight == 0)
-    assert all("colour of the training's background" in one.text for one in found)
+    assert all("the background's colour" in one.text for one in found)
