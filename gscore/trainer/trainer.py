@@ -16,7 +16,7 @@ from ..splats import Splats
 from .analysis.analysis import Analysis
 from .analysis.photo_rules import photo_rules
 from .distributed.process_group import ProcessGroup
-from .estimate.device_memory import device_bytes
+from .estimate.device_memory import photo_room
 from .model.checkpoint_schema import as_int
 from .model.ensemble_member import EnsembleMember, count_members
 from .model.training_frame import TrainingFrame
@@ -66,14 +66,8 @@ class Trainer:
         self.rules = photo_rules(config, analysis)
         """Decisions on dropout, ensemble and region."""
         self.frame = analysis.frame or TrainingFrame.of(photos.scene, near=config.near)
-        self._terms = LossTerms(
-            config,
-            mask_mode=photos.mask_mode,
-            opaque_weight=self.rules.opaque_weight,
-            depth=analysis.depth,
-            surface=analysis.guide.surface,
-            scale=self.frame.similarity.scale,
-        )
+        scale, weight = self.frame.similarity.scale, self.rules.opaque_weight
+        self._terms = LossTerms(config, analysis, opaque_weight=weight, scale=scale)
         self.depth = self._terms.depth
         """The depth loss; None: no depth supervision."""
         self.guide_digest = analysis.guide.digest
@@ -102,7 +96,8 @@ class Trainer:
         self.engine = engine or open_engine(config.device, threads=config.threads)[0]
         """Computes the steps."""
         drops, frozen = self.rules.drop_rate > 0, start.frozen is not None
-        self._keep_photos(config)
+        room = photo_room(self.engine.info.memory, config, given, models=self.rules.models)
+        self.engine.keep_photos(room)
         check_engine(self.engine.info, config, analysis, self._terms, drops=drops, frozen=frozen)
         self.models = ModelSet(
             self.engine,
@@ -130,7 +125,6 @@ class Trainer:
             self.renderer,
             self.photo_parameters,
             self.generator,
-            mask_mode=photos.mask_mode,
             group=self.group,
         )
         self.pruner = start.pruner
@@ -155,23 +149,10 @@ class Trainer:
             first_degree=start.first.sh_degree,
         )
         self._queue = StepQueue(self.engine)
-        self._taken = 0
-        """Number of the last step whose result was read."""
         self.cut_degree = start.cut_degree
         """SH degree of the start splats before it was cut to that of the config."""
         if Skip.SH_BANDS in config.without:
             self.models.widen_sh(config.sh_degree)
-
-    def _keep_photos(self, config: TrainConfig) -> None:
-        """Let photos stay where a device has more memory than the training needs."""
-        cameras = self.photos.scene.cameras
-        needed = device_bytes(
-            splats=config.max_splats,
-            sh_degree=config.sh_degree,
-            pixels=int((cameras.widths * cameras.heights).max()),
-            models=self.rules.models,
-        )
-        self.engine.keep_photos(max(self.engine.info.memory - needed, 0))
 
     @property
     def model(self) -> EngineModel:
@@ -233,8 +214,7 @@ class Trainer:
         results: list[StepResult] = []
         with suppress(BackendError):
             results = self._read(0)
-        self._queue.clear()
-        self.counts.steps = self._taken
+        self.counts.steps -= self._queue.clear()
         return results
 
     def _advance(self, count: int) -> list[StepResult]:
@@ -287,7 +267,6 @@ class Trainer:
                     self.view_batcher.note_costs(one.indices, found.costs)
             self._used = [not found.skipped for _, found in answers]
             result = combine_results([result_of(found, len(one.indices)) for one, found in answers])
-            self._taken = result.step
             self.counts.note(result)
             results.append(result)
         self._learn_of_photos(self.steps - self._queue.depth)
@@ -304,13 +283,11 @@ class Trainer:
     def error(self, views: int = 8) -> float:
         """Root mean squared error of the unmasked pixels in about `views` training views, at the
         resolution of the next step."""
-        indices = self.sampler.indices
-        chosen = indices[:: -(-len(indices) // views)]
+        chosen = self.sampler.indices[:: -(-len(self.sampler.indices) // views)]
         return self.renderer.error(chosen, self.plan.factor_at(self.steps + 1))
 
     def splats(self) -> Splats:
-        """Return the current splats in COLMAP world units, with the SH degree in use; frozen ones
-        first."""
+        """Current splats in COLMAP world units, with the SH degree in use; frozen ones first."""
         return self.models.splats()
 
     def finish(self) -> Splats:
@@ -362,7 +339,6 @@ class Trainer:
         self.generator.set_state(tensors["generator"])
         self.view_batcher.restore(state)
         self.counts.restore(state)
-        self._taken = self.counts.steps
         self.pruner.restore(state)
 
     def _send_restored(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:

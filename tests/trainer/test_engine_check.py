@@ -21,10 +21,11 @@ from tests.engine.fake_engine import FakeEngine
 from tests.trainer.short_run import CONFIG
 
 
-def terms_of(config: TrainConfig, *, depth: DepthTargets | None = None) -> LossTerms:
-    return LossTerms(
-        config, mask_mode="composite", opaque_weight=0.0, depth=depth, surface=None, scale=1.0
-    )
+def terms_of(
+    config: TrainConfig, photos: ToyPhotos, *, depth: DepthTargets | None = None
+) -> LossTerms:
+    analysis = Analysis(photos=replace(photos, mask_mode="composite"), depth=depth)
+    return LossTerms(config, analysis, opaque_weight=0.0, scale=1.0)
 
 
 class _Targets:
@@ -62,7 +63,7 @@ def test_what_an_engine_lacks_is_refused_by_name(
     less: EngineInfo = replace(whole, **lack)
     config = replace(CONFIG, alpha_weight=0.1, **options)
     plain = replace(CONFIG, alpha_weight=0.0)
-    terms = terms_of(config, depth=parts.get("depth"))
+    terms = terms_of(config, photos, depth=parts.get("depth"))
     which = {name: parts.get(name, False) for name in ("drops", "frozen")}
     empty = Analysis(photos=photos)
     analysis = Analysis(
@@ -73,7 +74,7 @@ def test_what_an_engine_lacks_is_refused_by_name(
     with pytest.raises(ConfigError, match=f"The engine fake cannot compute .*{words}"):
         check_engine(less, config, analysis, terms, **which)
     check_engine(whole, config, analysis, terms, **which)
-    check_engine(less, plain, empty, terms_of(plain), drops=False, frozen=False)
+    check_engine(less, plain, empty, terms_of(plain, photos), drops=False, frozen=False)
 
 
 def test_a_trainer_asks_its_engine(photos: ToyPhotos) -> None:
@@ -89,6 +90,7 @@ def test_the_cpu_computes_everything(photos: ToyPhotos) -> None:
     """Oracle: its info, with every skip and term; the library's instruction set."""
     info = CpuEngine(threads=3).info
     config = replace(CONFIG, detect_anomaly=True, without=tuple(Skip))
-    check_engine(info, config, Analysis(photos=photos), terms_of(config), drops=True, frozen=True)
+    terms = terms_of(config, photos)
+    check_engine(info, config, Analysis(photos=photos), terms, drops=True, frozen=True)
     assert info.threads == 3 and info.terms == frozenset(TermKind)
     assert CpuEngine().pace() > 0

@@ -1,5 +1,7 @@
 """Device memory of a training: the sizes of its tables on a graphics card."""
 
+from ...config import TrainConfig
+from ...scene import Cameras
 from ...splats import SH_REST_BY_DEGREE
 
 _QUAD = 16
@@ -39,3 +41,15 @@ def device_bytes(*, splats: int, sh_degree: int, pixels: int, models: int = 1) -
     a_splat = models * (tables + _SCREEN + merged) + _ENTRY * _ENTRIES
     transfers = _TRANSFERS + min(_TRANSFER_SPLAT * splats, _TRANSFER_MOST)
     return splats * a_splat + pixels * _PIXEL + transfers
+
+
+def photo_room(memory: int, config: TrainConfig, cameras: Cameras, *, models: int) -> int:
+    """Bytes of a device's memory in which photos of these cameras may stay, next to a training of
+    this number of models."""
+    needed = device_bytes(
+        splats=config.max_splats,
+        sh_degree=config.sh_degree,
+        pixels=int((cameras.widths * cameras.heights).max()),
+        models=models,
+    )
+    return max(memory - needed, 0)

@@ -178,7 +178,7 @@ class StepEdits:
     def _contributions(self, model: EngineModel) -> Iterable[Contribution]:
         """Contributions of the splats to all training views, at the size of the last step."""
         views = (
-            (sized.view, sized.photo(self.view_batcher.mask_mode))
+            (sized.view, sized.photo(self.renderer.photos.mask_mode))
             for sized in self.view_batcher.training_views()
         )
         return self.engine.contributions(model, views, antialias=self.config.antialias)

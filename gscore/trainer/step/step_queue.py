@@ -75,9 +75,10 @@ class StepQueue:
             BackendError: the engine failed, or answered another step.
         """
         while len(self._unread) > most:
-            step, requested = self._unread.popleft()
+            step, requested = self._unread[0]
             with engine_errors(self._engine, f"in step {step}"):
                 numbers = [self._checked(one.pending.result(), step) for one in requested]
+            self._unread.popleft()  # a step that failed stays
             for one, found in zip(requested, numbers, strict=True):
                 if one.learns and not found.skipped:
                     rows = zip(one.indices, found.slopes, strict=True)
@@ -104,9 +105,12 @@ class StepQueue:
             pass
         self._slopes.clear()
 
-    def clear(self) -> None:
-        """Forget all steps that are unread, without waiting for them."""
+    def clear(self) -> int:
+        """Forget all steps that are unread, without waiting for them; returns the number of views
+        of a model in them."""
+        views = sum(len(requested[0].indices) for _, requested in self._unread)
         self._unread.clear()
+        return views
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Slopes that were not used yet, by name, if any; all steps must be read."""

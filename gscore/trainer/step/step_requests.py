@@ -22,7 +22,6 @@ from ...engine.base import (
 from ...errors import ConfigError
 from ..analysis.analysis import Analysis
 from ..depth.loss import DepthLoss, GuideLoss
-from ..depth.targets import DepthTargets
 from ..schedule.caps import drop_rate_at
 from ..schedule.plan import Plan
 from ..strategy import Policy
@@ -39,24 +38,21 @@ class LossTerms:
     def __init__(
         self,
         config: TrainConfig,
+        analysis: Analysis,
         *,
-        mask_mode: str,
         opaque_weight: float,
-        depth: DepthTargets | None,
-        surface: DepthTargets | None,
         scale: float,
     ) -> None:
         """Create the terms.
 
         Args:
             config: The options.
-            mask_mode: Use of the masks, as `Dataset.mask_mode`.
+            analysis: The capture: use of its masks, targets of depth maps and of a guide mesh.
             opaque_weight: Weight of transmittance, without masks as opacity.
-            depth: Targets of depth maps; None: none.
-            surface: Targets of a guide mesh; None: none.
             scale: Training units per world unit.
         """
-        ssim, composite = config.ssim_weight, mask_mode == "composite"
+        ssim, composite = config.ssim_weight, analysis.photos.mask_mode == "composite"
+        depth, surface = analysis.depth, analysis.guide.surface
         weights = {
             TermKind.L1: 1 - ssim,
             TermKind.SSIM: ssim,

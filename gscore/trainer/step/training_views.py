@@ -52,7 +52,6 @@ class ViewBatcher:
         photo_parameters: PhotoParameters,
         generator: torch.Generator,
         *,
-        mask_mode: str,
         group: ProcessGroup | None,
     ) -> None:
         """Views come from `renderer` in the order of `sampler`, which `generator` shuffles."""
@@ -61,11 +60,9 @@ class ViewBatcher:
         self._photo_parameters = photo_parameters
         self._generator = generator
         self._group = group
-        self.mask_mode = mask_mode
-        """Use of the masks, as `Dataset.mask_mode`."""
         self._background = config.background
         if self._background is Background.AUTO:
-            composite = mask_mode == "composite"
+            composite = renderer.photos.mask_mode == "composite"
             self._background = Background.RANDOM if composite else Background.BLACK
         self._costs: dict[int, float] = {}
         """Last rendering cost of each view in a process group; equal on all ranks."""
