@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 from bpy.props import BoolProperty
 
-from .. import preferences, stored_paths
+from .. import stored_paths
 from ..attributes import NO_SPLATS
 from ..cameras.camera_colors import ShowsColors, hide, marks, own_cameras, set_color, take
 from ..cameras.objects import root_of
@@ -19,13 +19,13 @@ from ..interface.base_operator import BaseOperator, Condition, Undoable
 from ..interface.windows import push_undo
 from ..process.incremental_tasks import Steps
 from ..splats import objects
-from ..splats.error_maps import MAP, drop_maps, is_map, run_of, show_map, siblings
+from ..splats.error_maps import MAP, drop_maps, finished_run_of, is_map, run_of, show_map, siblings
 from ..splats.objects import active_splats, has_trained, is_splats
 from ..splats.write_chunked import replace
 from ..srgb import decode
 from ..training import lookups
 from ..training.verb_job import Verb, VerbJob
-from ..training.verb_jobs import JOBS, Cancelling, Starting, mesh_of
+from ..training.verb_jobs import JOBS, Cancelling, Starting, mesh_of, own_arguments
 
 FILE = "errors.ply"
 """Name of the error map in the folder `MEASURED` of the run."""
@@ -64,18 +64,11 @@ def measure(ob: bpy.types.Object, *, wait: bool = False) -> VerbJob:
     Raises:
         ValueError: something is missing or in the way; the message says what to do.
     """
-    run = run_of(ob)
-    JOBS.check_free(VERB, run)
-    if not (run / "point_cloud.ply").is_file():
-        raise ValueError(f"{run} has no finished training; complete the training first.")
+    run = finished_run_of(ob)
     folder = run / MEASURED
     line = ["eval", str(run), "-o", str(folder), "--split", "all", "--overwrite"]
     line += ["--error-map", str(folder / FILE), "--events", "jsonl"]
-    source = stored_paths.read(ob, stored_paths.SOURCE)
-    if source and Path(source).is_dir():
-        line += ["-s", source]
-    if threads := preferences.get().threads:
-        line += ["--threads", str(threads)]
+    line += own_arguments(ob)
     return JOBS.start(VERB, line, source=run, arrive=_arriving, wait=wait)
 
 

@@ -16,7 +16,6 @@ from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
 from ..core import colorize, png_bytes, psnr, read_gains, read_header
 from ..interface.blocks import block_of
-from ..process.background_task import Cancelled
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats.read_chunked import ChunkedRead
 from ..stored_paths import RUN
@@ -129,15 +128,8 @@ class Comparing:
         """The result without images, and the PNGs by the names in `KINDS`."""
         model = final_cache.model(placed)
         check()
-
-        def unwanted() -> bool:
-            try:
-                check()
-            except Cancelled:
-                return True
-            return False
-
-        rendered = picture.draw(model, self._view, self._options, stop=unwanted)
+        stop = picture.stopped(check)
+        rendered = picture.draw(model, self._view, self._options, stop=stop)
         gains = [read_gains(Path(run)).get(self._photo) for run in sorted(self._runs)]
         gain = gains[0] if len(gains) == 1 else None
         if gain is not None:

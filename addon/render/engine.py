@@ -254,11 +254,14 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
         if shutter_lens.blurs:
             shot = self._mean(
-                pass_renderer.without_depths(), shutter_lens, scene.gscore_render.blur_samples
+                pass_renderer.without(depths=True),
+                shutter_lens,
+                scene.gscore_render.blur_samples,
             )
             # At the frame, through the lens's middle: mean depths are useless.
             if pass_renderer.options.depths:
-                shot.passes["Depth"] = pass_renderer.render(still, self._stops)["Depth"]
+                plain = pass_renderer.without(normals=True)
+                shot.passes["Depth"] = plain.render(still, self._stops)["Depth"]
         else:
             shot = pass_renderer.expose(still, self._stops)
         passes = pass_renderer.completed(shot, still, self._stops)

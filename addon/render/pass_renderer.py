@@ -71,13 +71,14 @@ class PassRenderer:
     holdouts: bool = False
     """Whether `HOLDOUT_PASSES` are requested; with depths and a transparent film."""
 
-    def without_depths(self) -> "PassRenderer":
-        """The same without the pass Depth."""
-        return replace(self, options=replace(self.options, depths=False))
-
-    def _plain(self) -> "PassRenderer":
-        """The same without the passes Depth and Normal."""
-        return replace(self, options=replace(self.options, depths=False, normals=False))
+    def without(self, *, depths: bool = False, normals: bool = False) -> "PassRenderer":
+        """The same without the passes Depth or Normal, or both."""
+        options = self.options
+        kept = {
+            "depths": options.depths and not depths,
+            "normals": options.normals and not normals,
+        }
+        return replace(self, options=replace(options, **kept))
 
     def render(
         self, view: View, stop: Stop, cancel: CancelFlag | None = None
@@ -129,7 +130,7 @@ class PassRenderer:
         if self.holdouts and view.model.shares is not None:
             whole = replace(view, model=replace(view.model, shares=None))
             shown = {HOLDOUT: _only(view, holdout=True), HOLDOUT_BEHIND: whole}
-            plain = self._plain()
+            plain = self.without(depths=True, normals=True)
             blocked = {
                 n: plain.render(v, stop)["Combined"][..., 3].copy() for n, v in shown.items()
             }
@@ -151,7 +152,8 @@ class PassRenderer:
                     "Depth": _only(view, holdout=False),
                     HOLDOUT_DEPTH: _only(view, holdout=True),
                 }
-                found |= {name: self.render(v, stop)["Depth"] for name, v in shown.items()}
+                plain = self.without(normals=True)
+                found |= {name: plain.render(v, stop)["Depth"] for name, v in shown.items()}
             passes |= _holdout_passes(found, passes)
         else:
             passes.pop(MESHES, None)

@@ -8,6 +8,8 @@ import numpy as np
 
 from ..cameras.render_camera import RenderCamera
 from ..core import CancelFlag, Rendered, render
+from ..process.background_task import Cancelled as TaskCancelled
+from ..process.incremental_tasks import Check
 from .device import RenderDevice
 from .model import Model
 
@@ -121,6 +123,19 @@ def draw(
     if isinstance(done[0], BaseException):
         raise done[0]
     return done[0]
+
+
+def stopped(check: Check) -> Callable[[], bool]:
+    """A function for `stop` from the cancellation point of a task."""
+
+    def stop() -> bool:
+        try:
+            check()
+        except TaskCancelled:
+            return True
+        return False
+
+    return stop
 
 
 def crop(array: np.ndarray, left: int, bottom: int, width: int, height: int) -> np.ndarray:

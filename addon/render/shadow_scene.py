@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 
 from ..splats.objects import is_native, is_splats
-from .proxy import PROXIES, is_proxy, proxies_of
+from .proxy import PROXIES, PROXY, is_proxy, proxies_of
 
 SHADOW_SCENE = "gs_shadow_scene"
 """Custom property of a scene: the scene that renders the shadows on its splats."""
@@ -120,7 +120,7 @@ def _twins(scene: bpy.types.Scene, other: bpy.types.Scene) -> list[bpy.types.Obj
             twin = proxy.copy()
             twin.name = f"{proxy.name} Catcher"
             twin[_TWIN] = proxy
-            del twin["gs_proxy"]
+            del twin[PROXY]
             twin.visible_camera, twin.is_shadow_catcher = True, True
         if twin.data != proxy.data:
             twin.data = proxy.data

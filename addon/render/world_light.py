@@ -11,7 +11,6 @@ from .. import compat
 from ..interface import editable_check
 from ..interface.base_operator import Condition
 from ..interface.incremental_operator import IncrementalOperator
-from ..process.background_task import Cancelled
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats.objects import is_splats
 from . import device, picture
@@ -77,15 +76,8 @@ def _probed(
     options: picture.Options,
     check: Check,
 ) -> LightProbe:
-    def stops() -> bool:
-        try:
-            check()
-        except Cancelled:
-            return True
-        return False
-
     model = final_cache.model([one for one in placed if not one.holdout])
-    return probe(model, place, width=width, near=near, options=options, stop=stops)
+    return probe(model, place, width=width, near=near, options=options, stop=picture.stopped(check))
 
 
 class WorldFromSplats(_AtCursor, bpy.types.Operator):

@@ -25,6 +25,18 @@ def run_of(ob: bpy.types.Object) -> Path:
     return Path(text)
 
 
+def finished_run_of(ob: bpy.types.Object) -> Path:
+    """`run_of`, if its training has a result.
+
+    Raises:
+        ValueError: as `run_of`, or the training is not complete.
+    """
+    run = run_of(ob)
+    if not (run / "point_cloud.ply").is_file():
+        raise ValueError(f"{run} has no finished training; complete the training first.")
+    return run
+
+
 def is_map(ob: bpy.types.Object) -> bool:
     """True if an object is an error map."""
     return bool(ob.get(MAP))

@@ -2,12 +2,11 @@
 
 from collections.abc import Iterable
 from functools import partial
-from pathlib import Path
 
 import bpy
 from bpy.props import BoolProperty, IntProperty
 
-from .. import preferences, stored_paths
+from .. import stored_paths
 from ..cameras.capture_transform import origin_of
 from ..core import MeshDone, MeshProgress, read_surface
 from ..interface.base_operator import Condition
@@ -16,10 +15,10 @@ from ..interface.windows import push_undo
 from ..process.incremental_tasks import Steps, run_in_thread
 from ..render.compositing_scene import MAIN_SCENE
 from ..render.proxy import attach, proxy_of
-from ..splats.error_maps import is_map, run_of
+from ..splats.error_maps import finished_run_of, is_map, run_of
 from ..splats.objects import active_splats, has_trained, is_splats
 from ..training.verb_job import Verb, VerbJob
-from ..training.verb_jobs import JOBS, Cancelling, Starting
+from ..training.verb_jobs import JOBS, Cancelling, Starting, own_arguments
 from .mesh_object import filled
 
 FILE = "surface.ply"
@@ -66,18 +65,12 @@ def make_mesh(
     Raises:
         ValueError: something is missing or in the way; the message says what to do.
     """
-    run = run_of(ob)
-    if not (run / "point_cloud.ply").is_file():
-        raise ValueError(f"{run} has no finished training; complete the training first.")
+    run = finished_run_of(ob)
     line = ["mesh", str(run), "-o", str(run / FILE), "--events", "jsonl"]
     line += ["--holes", "closed" if closed else "small"]
     if triangles:
         line += ["--triangles", str(triangles)]
-    source = stored_paths.read(ob, stored_paths.SOURCE)
-    if source and Path(source).is_dir():
-        line += ["-s", source]
-    if threads := preferences.get().threads:
-        line += ["--threads", str(threads)]
+    line += own_arguments(ob)
     return JOBS.start(VERB, line, source=run, arrive=partial(_arriving, proxy=proxy), wait=wait)
 
 

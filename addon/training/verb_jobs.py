@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import bpy
 
-from .. import preferences
+from .. import preferences, stored_paths
 from ..capture.folders import same_folder
 from ..interface.base_operator import BaseOperator, Waiting
 from ..interface.incremental_operator import with_readable_errors
@@ -72,6 +72,18 @@ def released_at_quit(
         release_all()
 
     return partial(atexit.register, release_all), end
+
+
+def own_arguments(ob: bpy.types.Object) -> list[str]:
+    """Arguments of a verb on the run of a splat object: the capture, if it is still there, and the
+    threads of the preferences."""
+    arguments = []
+    source = stored_paths.read(ob, stored_paths.SOURCE)
+    if source and Path(source).is_dir():
+        arguments += ["-s", source]
+    if threads := preferences.get().threads:
+        arguments += ["--threads", str(threads)]
+    return arguments
 
 
 class VerbJobs:
