@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     found = find_devices()
     facts |= _graphics_facts(found, verify=args.verify)
     if args.gpu_report:
-        _write_report(args.gpu_report, found)
+        _write_report(args.gpu_report, found, facts)
         facts["gpu_report"] = str(args.gpu_report)
     print_result(facts, [_text(facts)], json=args.json)
     return 0 if facts["can_train"] else 2
@@ -162,13 +162,13 @@ def _native_facts() -> dict[str, Any]:
     return facts
 
 
-def _write_report(path: Path, found: FoundDevices) -> None:
+def _write_report(path: Path, found: FoundDevices, machine: dict[str, Any]) -> None:
     """Test the devices that are new, measure them, and write the report."""
     with Status(sys.stderr) as status:
         for device in found.devices:
             if not device.unusable:
                 verified(device, report=test_report(status))
-        content = device_report(found, progress=lambda sentence: status.show([sentence]))
+        content = device_report(found, machine, progress=lambda sentence: status.show([sentence]))
     text = json.dumps(content, indent=2, allow_nan=False)
     atomic_write(path, f"{text}\n".encode())
 

@@ -1,20 +1,18 @@
 """Report of `gscore doctor` on the graphics cards, for help with them: nothing private."""
 
 import os
-import platform
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from .._version import __version__
 from ..errors import GsError
-from ..io.system_memory import total_memory_bytes
-from ..metrics.machine import cores, cpu_name
 from ..raster.gpu.devices import Device, FoundDevices
 from ..raster.gpu.gpu_raster import GpuRaster
 from ..raster.gpu.library import library_hash
 from ..raster.gpu.timing import timed_pictures
 
+_MACHINE = ("gscore", "platform", "python", "cpu", "cores", "memory_bytes")
+"""Facts on the machine that are reported."""
 _PRIVATE = ("uuid",)
 """Fields of a device that identify a single card."""
 _VARIABLES = ("VK_", "LP_", "MESA_", "DRI_", "GSCORE_", "MVK_")
@@ -28,12 +26,16 @@ _REPEATS = {True: 2, False: 10}
 
 
 def device_report(
-    found: FoundDevices, *, progress: Callable[[str], None] = lambda sentence: None
+    found: FoundDevices,
+    machine: Mapping[str, Any],
+    *,
+    progress: Callable[[str], None] = lambda sentence: None,
 ) -> dict[str, Any]:
     """Machine, devices with their limits and verdicts, and times of their kernels, as JSON values.
 
     Args:
         found: The devices, tested before.
+        machine: What `gscore doctor` found out about the machine.
         progress: Called with a sentence before each device.
 
     Returns:
@@ -46,13 +48,8 @@ def device_report(
         devices.append(facts | _times(device))
     return _without_paths(
         {
-            "gscore": __version__,
+            **{name: machine[name] for name in _MACHINE},
             "library": library_hash(),
-            "platform": platform.platform(),
-            "python": platform.python_version(),
-            "cpu": cpu_name(),
-            "cores": cores(),
-            "memory_bytes": total_memory_bytes(),
             "variables": sorted(name for name in os.environ if name.startswith(_VARIABLES)),
             "problems": list(found.problems),
             "devices": devices,

@@ -12,7 +12,7 @@ from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..errors import Cancelled, ConfigError
 from ..events import MeshDone, MeshPlanned, MeshProgress, Show, Warn
-from ..io.region_file import read_region
+from ..io.region_file import box_of_corners, read_region
 from ..mesh.make_mesh import HOLES, SMALL_HOLE, MeshRequest, make_mesh
 from ..mesh.surface_mesh import (
     ENDINGS,
@@ -186,9 +186,7 @@ def _region(args: argparse.Namespace) -> np.ndarray | None:
             "`--box` needs its lower corner first, then its upper one, such as -1 -1 -1 1 1 1, got "
             f"{' '.join(f'{value:g}' for value in args.box)}."
         )
-    matrix = np.diag([*(high - low) / 2, 1.0])
-    matrix[:3, 3] = (low + high) / 2
-    return matrix
+    return box_of_corners(low, high)
 
 
 def _cameras(

@@ -58,9 +58,14 @@ def _matrix(content: Any) -> np.ndarray:
         raise ValueError("a corner has three numbers")
     if not (low < high).all():
         raise ValueError("its low corner is not below its high one")
+    return _checked(box_of_corners(low, high))
+
+
+def box_of_corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """[4, 4] float64 that maps the cube [-1, 1]^3 to the box from `low` [3] to `high` [3]."""
     matrix = np.diag([*(high - low) / 2, 1.0])
     matrix[:3, 3] = (low + high) / 2
-    return _checked(matrix)
+    return matrix
 
 
 def _checked(matrix: np.ndarray) -> np.ndarray:

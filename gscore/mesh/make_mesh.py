@@ -302,10 +302,7 @@ def _allocated(
     for index in steps.count("looking for surfaces", range(len(draw.cameras))):
         points = _points(draw, index, masks, mask_mode, scale)
         if request.region is not None:
-            inverse = np.linalg.inv(request.region)
-            local = points @ inverse[:3, :3].T + inverse[:3, 3]
-            slack = 2 * scale.voxel * np.linalg.norm(inverse[:3, :3], axis=1)
-            points = points[(np.abs(local) <= 1 + slack).all(axis=1)]
+            points = points[_inside(points, request.region, slack=2 * scale.voxel)]
         while len(points) and np.abs(points).max() >= REACH * scale.voxel:
             keys, scale = _coarser(keys, scale, request, "the scene is too large for it")
         keys = np.union1d(keys, blocks_near(points, scale.voxel))
@@ -351,6 +348,14 @@ def _points(
     return (points - viewmat[:3, 3]) @ viewmat[:3, :3]
 
 
+def _inside(points: np.ndarray, region: np.ndarray, *, slack: float = 0.0) -> np.ndarray:
+    """[P] bool, the points within `slack` world units of a region's box."""
+    inverse = np.linalg.inv(region)
+    local = points @ inverse[:3, :3].T + inverse[:3, 3]
+    most = 1 + slack * np.linalg.norm(inverse[:3, :3], axis=1)
+    return np.asarray((np.abs(local) <= most).all(axis=1))
+
+
 def _view(
     draw: _Draw, index: int, scale: _Scale, mask: np.ndarray | None, *, hides: bool
 ) -> SurfaceView:
@@ -366,9 +371,7 @@ def _surface(volume: Volume, request: MeshRequest, steps: _Steps) -> SurfaceMesh
         volume, lambda done, total: steps.begin("contouring", total)
     )
     if request.region is not None and len(vertices):
-        inverse = np.linalg.inv(request.region)
-        local = vertices @ inverse[:3, :3].T + inverse[:3, 3]
-        inside = np.asarray((np.abs(local) <= 1).all(axis=1))
+        inside = _inside(vertices, request.region)
         triangles = triangles[inside[triangles].all(axis=1)]
     steps.begin("cleaning")
     triangles = without_small_parts(vertices, triangles, request.min_part)
