@@ -7,12 +7,13 @@ have removed them.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import bpy
 import numpy as np
 
-from .. import attributes
-from ..core import GsError, collected_warnings
+from .. import attributes, stored_paths
+from ..core import GsError, RunInfo, collected_warnings, read_run
 from ..interface.blocks import block_of, with_uid
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from . import objects, settings, splat_files
@@ -35,6 +36,8 @@ class _Read:
     antialiased: bool
     origin: np.ndarray | None
     comments: tuple[str, ...]
+    run: RunInfo | None
+    """The finished run whose result the file is; None: it is of none."""
     note: str
     warnings: tuple[str, ...]
 
@@ -87,12 +90,26 @@ def importing_splats(
         mesh.name = read.request.path.stem
         ob = objects.around(mesh, read.size, collection=collection)
         splat_files.set_up_object(ob, read.request, read)
+        _note_run(ob, read.run)
         if read.request.parent and ob.parent is None:
             warnings.append(
                 f"The parent of {ob.name} was removed during the import; it has no parent."
             )
         made.append(ob)
     return ImportedSplats(objects=made, notes=[read.note for read in reads], warnings=warnings)
+
+
+def _run_of(path: Path) -> RunInfo | None:
+    """The run whose result a file is; None: it is of none, or its options cannot be read."""
+    run = read_run(path.parent)
+    return run if run is not None and run.data is not None and run.splats == path else None
+
+
+def _note_run(ob: bpy.types.Object, run: RunInfo | None) -> None:
+    """Link imported splats to their run and capture, as a training from the panel does."""
+    if run is not None:
+        stored_paths.write(ob, stored_paths.RUN, run.path)
+        stored_paths.write(ob, stored_paths.SOURCE, run.data.source)
 
 
 def _read(
@@ -122,6 +139,7 @@ def _read(
             antialiased=file.antialiased,
             origin=file.origin,
             comments=tuple(file.comments),
+            run=_run_of(request.path.absolute()),
             note=note(columns),
             warnings=tuple(warnings),
         )
