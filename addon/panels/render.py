@@ -5,7 +5,7 @@ import bpy
 from ..cameras.objects import is_camera
 from ..render import operators
 from ..render.composite_nodes import combine_node, is_older
-from ..render.compositing_scene import SPLAT_SCENE
+from ..render.compositing_scene import SPLAT_SCENE, helper
 from ..render.engine import NAME
 from ..render.holdout_meshes import missing_holdouts
 from ..render.panels import draw_render
@@ -75,7 +75,7 @@ def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     elif is_older(scene):
         text = "Compositing was set up by an earlier version: press the button again to update it."
         sentence(layout, text, icon="INFO")
-    elif names := missing_holdouts(scene, scene.get(SPLAT_SCENE)):
+    elif names := missing_holdouts(scene, helper(scene, SPLAT_SCENE)):
         sentence(layout, NOT_TAKEN_OVER.format(names), icon="INFO")
     elif there and (names := missing_casters(scene)):
         text = f"Shadows do not follow {names} yet: press the button again, or use collections."

@@ -18,6 +18,13 @@ def main_scene(scene: bpy.types.Scene) -> bpy.types.Scene | None:
     return main if isinstance(main, bpy.types.Scene) else None
 
 
+def helper(scene: bpy.types.Scene, key: str) -> bpy.types.Scene | None:
+    """The helper scene of a main scene by the custom property `key`; None: it has none. A copy of a
+    main scene refers to those of the original, which are not its own."""
+    other = scene.get(key)
+    return other if isinstance(other, bpy.types.Scene) and other.get(MAIN_SCENE) == scene else None
+
+
 def is_camera_visible(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
     """Whether collections leave an original object visible to the camera."""
     main = main_scene(depsgraph.scene)

@@ -7,7 +7,7 @@ from ..interface import editable_check
 from ..splats.objects import is_splats
 from . import shadow_scene
 from .composite_nodes import Others, combine_node, insert, remove, show_passes
-from .compositing_scene import MAIN_SCENE, SPLAT_SCENE
+from .compositing_scene import MAIN_SCENE, SPLAT_SCENE, helper
 from .engine import ENGINE_BEFORE, NAME
 from .holdout_meshes import holdouts_of
 from .passes import MATTES
@@ -69,6 +69,7 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
     Raises:
         ValueError: nothing to composite, no camera, or no Cycles for shadows on proxies.
     """
+    _leave_original(scene)
     scene.view_layers[0].update()  # to include what a script has just added
     splats = [ob for ob in scene.objects if is_splats(ob)]
     if not splats:
@@ -80,7 +81,7 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
             "Enable the add-on Cycles Render Engine: it renders the shadows on splats."
         )
     editable_check.check(*_changed(scene))
-    if SPLAT_SCENE not in scene:
+    if _FILM not in scene:
         scene[_FILM] = scene.render.film_transparent
     if scene.render.engine == NAME:
         _take_other_engine(scene)
@@ -103,6 +104,22 @@ def set_up(scene: bpy.types.Scene, *, transparent: bool = True) -> bpy.types.Sce
     return other
 
 
+def _leave_original(scene: bpy.types.Scene) -> None:
+    """Separate a copied scene from the helper scenes and nodes of its original."""
+    shared = [key for key in _OTHERS if key in scene and helper(scene, key) is None]
+    mains = {scene[key].get(MAIN_SCENE) for key in shared if scene[key] is not None}
+    for key in shared:
+        del scene[key]
+    tree = compat.compositor_tree(scene)
+    if not shared or tree is None:
+        return
+    if any(other != scene and compat.compositor_tree(other) == tree for other in bpy.data.scenes):
+        tree = scene.compositing_node_group = tree.copy()
+    for node in tree.nodes:
+        if node.type == "R_LAYERS" and node.scene in mains:
+            node.scene = scene
+
+
 def _take_other_engine(scene: bpy.types.Scene) -> None:
     """Set the engine that a scene had before Gaussian Splats, else EEVEE."""
     for name in (scene.get(ENGINE_BEFORE, ""), *_EEVEE):
@@ -121,8 +138,8 @@ def _changed(scene: bpy.types.Scene) -> list[bpy.types.ID]:
 
 def _helper_scene(scene: bpy.types.Scene, key: str, name: str) -> bpy.types.Scene:
     """The scene that renders splats, world or shadows of a main scene; made if missing."""
-    other = scene.get(key)
-    if not isinstance(other, bpy.types.Scene):
+    other = helper(scene, key)
+    if other is None:
         other = bpy.data.scenes.new(f"{scene.name} {name}")
         scene[key] = other
         other[MAIN_SCENE] = scene
@@ -251,14 +268,13 @@ def _follow_curve(curve: bpy.types.CurveMapping, other: bpy.types.CurveMapping) 
 @bpy.app.handlers.persistent
 def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
     """Copy changes of the meshes' scene, such as camera or size, to its other scenes."""
-    other = scene.get(SPLAT_SCENE)
-    if isinstance(other, bpy.types.Scene):
+    if (other := helper(scene, SPLAT_SCENE)) is not None:
         _follow(scene, other)
         _follow_layer(scene, other)
         rest(scene)
-    if isinstance(world := scene.get(WORLD_SCENE), bpy.types.Scene):
+    if (world := helper(scene, WORLD_SCENE)) is not None:
         _follow_world(scene, world)
-    if isinstance(shadows := scene.get(SHADOW_SCENE), bpy.types.Scene):
+    if (shadows := helper(scene, SHADOW_SCENE)) is not None:
         _follow(scene, shadows)
         shadow_scene.follow(scene, shadows)
 
@@ -284,8 +300,8 @@ def take_down(scene: bpy.types.Scene) -> None:
     Raises:
         ValueError: nothing was set up, or the nodes are linked.
     """
-    others = [scene.get(key) for key in _OTHERS]
-    others = [other for other in others if isinstance(other, bpy.types.Scene)]
+    _leave_original(scene)
+    others = [other for key in _OTHERS if (other := helper(scene, key)) is not None]
     if combine_node(scene) is None and not others:
         raise ValueError(f"Scene {scene.name} has no compositing of splats to remove.")
     editable_check.check(*_changed(scene))
@@ -308,9 +324,9 @@ def _drop(scene: bpy.types.Scene, key: str) -> None:
     """Remove the scene that renders splats, world or shadows of a main scene, if it exists."""
     if key == SHADOW_SCENE:
         shadow_scene.drop(scene)
-    other = scene.get(key)
+    other = helper(scene, key)
     scene.pop(key, None)
-    if isinstance(other, bpy.types.Scene):
+    if other is not None:
         bpy.data.scenes.remove(other)
 
 

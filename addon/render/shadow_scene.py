@@ -11,7 +11,8 @@ from typing import Any
 import bpy
 
 from ..splats.objects import is_native, is_splats
-from .proxy import PROXIES, PROXY, is_proxy, proxies_of
+from .compositing_scene import helper
+from .proxy import PROXIES, PROXY, dress, is_proxy, proxies_of
 
 SHADOW_SCENE = "gs_shadow_scene"
 """Custom property of a scene: the scene that renders the shadows on its splats."""
@@ -63,6 +64,9 @@ def follow(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
     """Copy world and settings of the main scene; writes only differences."""
     if other.world != scene.world:
         other.world = scene.world
+    for twin in other.collection.objects:
+        if _TWIN in twin:
+            dress(scene, twin)
     settings = {name: getattr(scene.cycles, name) for name in _SHARED}
     if scene.render.engine != "CYCLES":
         settings["samples"] = _SAMPLES
@@ -75,9 +79,8 @@ def missing(scene: bpy.types.Scene) -> str:
     """Names of what the shadow scene does not follow until it is synchronised: objects that were
     added to no collection but the scene's own one, proxies that are new or have another mesh, and
     twins of former proxies."""
-    other = scene.get(SHADOW_SCENE)
-    proxies = proxies_of(scene)
-    if not isinstance(other, bpy.types.Scene):
+    other, proxies = helper(scene, SHADOW_SCENE), proxies_of(scene)
+    if other is None:
         return ", ".join(ob.name for ob in proxies)
     twins = [ob for ob in other.collection.objects if _TWIN in ob]
     there = {twin[_TWIN] for twin in twins if twin[_TWIN] and twin.data == twin[_TWIN].data}
@@ -91,8 +94,8 @@ def missing(scene: bpy.types.Scene) -> str:
 
 def drop(scene: bpy.types.Scene) -> None:
     """Remove what only a main scene's shadow scene uses, before the scene itself."""
-    other = scene.get(SHADOW_SCENE)
-    if not isinstance(other, bpy.types.Scene):
+    other = helper(scene, SHADOW_SCENE)
+    if other is None:
         return
     for ob in [ob for ob in other.collection.objects if _TWIN in ob]:
         bpy.data.objects.remove(ob)
@@ -125,6 +128,7 @@ def _twins(scene: bpy.types.Scene, other: bpy.types.Scene) -> list[bpy.types.Obj
         if twin.data != proxy.data:
             twin.data = proxy.data
         twin.matrix_basis = proxy.matrix_basis
+        dress(scene, twin)
         found.append(twin)
     for twin in before:
         if twin not in found:

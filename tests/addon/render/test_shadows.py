@@ -314,3 +314,23 @@ def test_new_and_removed_proxies_are_named(shadowed):
     assert missing(scene) == "surface Catcher"
     compositor.set_up(scene)
     assert missing(scene) == "" and "surface Catcher" not in bpy.data.objects
+
+
+def test_a_copied_scene_has_its_own(shadowed, tmp_path):
+    """The scenes of a copy, once set up, are not those of the original, which still renders and
+    keeps its nodes; removing one leaves the other."""
+    compositor.set_up(shadowed)
+    before = lab.render_exr(tmp_path, "before")
+    keys = [key for key in compositor._OTHERS if key in shadowed]
+    bpy.ops.scene.new(type="LINK_COPY")
+    copy = bpy.context.scene
+    assert copy != shadowed
+    compositor.set_up(copy)
+    assert all(copy[key] != shadowed[key] and copy[key]["gs_main_scene"] == copy for key in keys)
+    noise = np.abs(lab.render_exr(tmp_path, "copy") - before)  # samples of other casters
+    assert np.percentile(noise, 95) < 0.05
+    compositor.take_down(copy)
+    assert all(isinstance(shadowed[key], bpy.types.Scene) for key in keys)
+    bpy.context.window.scene = shadowed
+    assert composite_nodes.combine_node(shadowed) is not None
+    assert np.percentile(np.abs(lab.render_exr(tmp_path, "after") - before), 95) < 0.05
