@@ -49,6 +49,7 @@ MODULES: tuple[str, ...] = (
     "paint.modal",
     "error_maps.measure_errors",
     "surface.make_mesh",
+    "surface.fit_proxy",
     "region_training.train_region",
     "region_training.masks",
     "region_training.mask_operators",

@@ -19,7 +19,7 @@ from ..live import draw_handler
 from ..splats import edit, lag, live_display, operators
 from ..splats.mend_operators import outdated
 from ..splats.objects import active_splats, has_trained, in_question, is_native
-from ..surface import make_mesh
+from ..surface import fit_proxy, make_mesh
 from ..timeline import frame_sync
 from ..timeline.frame_at import moment_of, series_of
 from ..timeline.library import LIBRARY
@@ -243,6 +243,10 @@ class SurfacePanel(TabPanel, bpy.types.Panel):
             layout.operator("gscore.make_mesh", icon="MESH_ICOSPHERE")
             proxy = layout.operator("gscore.make_mesh", text="Make Proxy", icon="MOD_SUBSURF")
             proxy.proxy, proxy.triangles = True, 50_000
+        if fit_proxy.is_stale(active_splats(context)):
+            text = "The splats have changed since their proxy was made. After a training, make it "
+            sentence(layout, f"{text}again; after edits, update it.", icon="INFO")
+            layout.operator("gscore.update_proxy", icon="FILE_REFRESH")
 
 
 class ErrorsPanel(TabPanel, bpy.types.Panel):

@@ -18,6 +18,7 @@ from .color import world_light
 from .compare import snapshot
 from .engine import final_cache
 from .light_probe import Light, LightProbe, probe, sky_irradiance, strongest_light
+from .proxy import WALLS, dress, proxies_of
 from .scene import Placed
 
 WORLD = "gs_splat_world"
@@ -107,6 +108,9 @@ class WorldFromSplats(_AtCursor, bpy.types.Operator):
             world[WORLD] = True
             scene.world = world
         show(world, image_of(world, found, seen), seen)
+        _show_on_walls(world, scene.cursor.location)
+        for proxy in filter(editable_check.keeps, proxies_of(scene)):
+            dress(scene, proxy)
         covered = float((found.alpha * found.solid_angles).sum() / (4 * np.pi))
         return (
             f"World {world.name} has the light of the splats at the 3D cursor; they cover "
@@ -207,6 +211,44 @@ def show(world: bpy.types.World, image: bpy.types.Image, seen: np.ndarray) -> No
     ):
         tree.links.new(source, target)
     world.color = tuple(map(float, seen))
+
+
+def _show_on_walls(world: bpy.types.World, place: Vector) -> None:
+    """Make the material of proxies under a world: they shine as the panorama from `place` shows
+    them, and cameras (of shadows) see a white surface."""
+    material = world.get(WALLS)
+    if material is None:
+        material = world[WALLS] = bpy.data.materials.new(f"{world.name} Walls")
+        material[WALLS] = True
+    compat.use_nodes(material)
+    tree = material.node_tree
+    tree.nodes.clear()
+    node = tree.nodes.new
+    at, away, texture = (
+        node("ShaderNodeNewGeometry"),
+        node("ShaderNodeVectorMath"),
+        node("ShaderNodeTexEnvironment"),
+    )
+    away.operation, away.inputs[1].default_value = "SUBTRACT", place
+    texture.image = _image_in(world)
+    light, surface = node("ShaderNodeEmission"), node("ShaderNodeBsdfDiffuse")
+    path, mix, output = (
+        node("ShaderNodeLightPath"),
+        node("ShaderNodeMixShader"),
+        node("ShaderNodeOutputMaterial"),
+    )
+    for source, target in (
+        (at.outputs["Position"], away.inputs[0]),
+        (away.outputs[0], texture.inputs["Vector"]),
+        (texture.outputs["Color"], light.inputs["Color"]),
+        (path.outputs["Is Camera Ray"], mix.inputs[0]),
+        (light.outputs[0], mix.inputs[1]),
+        (surface.outputs[0], mix.inputs[2]),
+        (mix.outputs[0], output.inputs["Surface"]),
+    ):
+        tree.links.new(source, target)
+    for number, made in enumerate((at, away, texture, light, surface, path, mix, output)):
+        made.location = 200 * number, 0
 
 
 def _sun(context: bpy.types.Context, sky: np.ndarray, light: Light) -> bpy.types.Object:

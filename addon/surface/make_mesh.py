@@ -14,19 +14,18 @@ from ..interface.editable_check import keeps, taking
 from ..interface.windows import push_undo
 from ..process.incremental_tasks import Steps, run_in_thread
 from ..render.compositing_scene import MAIN_SCENE
-from ..render.proxy import attach, proxy_of
+from ..render.proxy import MADE, attach, proxy_of
 from ..splats.error_maps import finished_run_of, is_map, run_of
 from ..splats.objects import active_splats, has_trained, is_splats
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS, Cancelling, Starting, own_arguments
+from . import fit_proxy
 from .mesh_object import filled
 
 FILE = "surface.ply"
 """Name of the mesh in the folder of the run."""
 TRIANGLES = 200_000
 """Default number of triangles."""
-_MADE = "gs_made_proxy"
-"""Custom property of an object: a job made it as a proxy, so the next one replaces its mesh."""
 
 
 def _message(job: VerbJob) -> str:
@@ -71,7 +70,8 @@ def make_mesh(
     if triangles:
         line += ["--triangles", str(triangles)]
     line += own_arguments(ob)
-    return JOBS.start(VERB, line, source=run, arrive=partial(_arriving, proxy=proxy), wait=wait)
+    arrive = partial(_arriving, uid=ob.session_uid, proxy=proxy)
+    return JOBS.start(VERB, line, source=run, arrive=arrive, wait=wait)
 
 
 def job_of(ob: bpy.types.Object) -> VerbJob | None:
@@ -82,20 +82,20 @@ def job_of(ob: bpy.types.Object) -> VerbJob | None:
         return None
 
 
-def _arriving(job: VerbJob, *, proxy: bool) -> Steps[Iterable[str]]:
+def _arriving(job: VerbJob, *, uid: int, proxy: bool) -> Steps[Iterable[str]]:
     """Import the mesh beside the splats of the run."""
     surface = yield from run_in_thread(lambda check: read_surface(job.done.path), "Reading")
     scenes = [s for s in (bpy.context.scene, *bpy.data.scenes) if MAIN_SCENE not in s]
     found = ((s, ob) for s in scenes for ob in s.objects if is_splats(ob) and not is_map(ob))
     run = str(job.source)
-    scene, splats = next(
-        (one for one in found if stored_paths.read(one[1], stored_paths.RUN) == run), (None, None)
-    )
+    of_run = [one for one in found if stored_paths.read(one[1], stored_paths.RUN) == run]
+    of_run.sort(key=lambda one: one[1].session_uid != uid)  # the object itself, else another
+    scene, splats = of_run[0] if of_run else (None, None)
     if splats is None:
         raise ValueError(f"The splats were removed; the mesh is {job.done.path}.")
     mesh = filled(surface, origin_of(splats), f"{splats.name} surface")
     made = proxy_of(splats) if proxy else None
-    if made is not None and _MADE in made and keeps(made):
+    if made is not None and MADE in made and keeps(made):
         made.data = mesh
     else:
         made = bpy.data.objects.new(mesh.name, mesh)
@@ -105,8 +105,9 @@ def _arriving(job: VerbJob, *, proxy: bool) -> Steps[Iterable[str]]:
             collection.objects.link(made)
     made.matrix_world = splats.matrix_world
     if proxy:
-        made[_MADE] = True
+        made[MADE] = True
         attach(scene, splats, made)
+        yield from fit_proxy.note(splats, made)
     push_undo("Make Mesh")
     return ()
 

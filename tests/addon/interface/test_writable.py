@@ -67,6 +67,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "match_sun": {},
     "use_as_proxy": {},
     "remove_proxy": {},
+    "update_proxy": {},
     "show_splats": {},
     "select_result": {},
     "compare_photo": {},

@@ -206,3 +206,45 @@ def test_linked_lamps_and_worlds_stay(scene, tmp_path):
     bpy.context.view_layer.objects.active = splats
     assert bpy.ops.gscore.world_from_splats(width=64) == {"FINISHED"}
     assert scene.world.library is None
+
+
+def test_walls_of_a_proxy_shine(scene, tmp_path):
+    """A closed proxy around a white plane inside the shell: as bright as the shell's linear color,
+    in place of black; and its own material again under another world, and without a proxy."""
+    camera = lab.prepare(scene, (12, 12))
+    camera.location = (0, 0, 1)
+    ob = lab.add(scene, shell((0.5, 0.4, 0.3)))
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=3, radius=2.9)
+    walls = bpy.context.object
+    for one in (walls, ob):
+        one.select_set(True)
+    bpy.context.view_layer.objects.active = ob
+    assert bpy.ops.gscore.use_as_proxy() == {"FINISHED"}
+    scene.cursor.location = (0.3, 0.2, 0.1)
+    assert bpy.ops.gscore.world_from_splats(width=64, near=0.1) == {"FINISHED"}
+    bpy.ops.mesh.primitive_plane_add(size=1, location=(0, 0, 0))
+    white = bpy.data.materials.new("white")
+    compat.use_nodes(white)
+    white.node_tree.nodes.clear()
+    shader = white.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
+    shader.inputs["Color"].default_value = (1, 1, 1, 1)
+    out = white.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    white.node_tree.links.new(shader.outputs[0], out.inputs["Surface"])
+    bpy.context.object.data.materials.append(white)
+    camera.location.z = 0.5
+    for name in (m.name for m in ob.modifiers):
+        ob.modifiers[name].show_render = False
+    scene.render.engine, scene.cycles.samples = "CYCLES", 256
+    scene.cycles.use_denoising = False
+    got = lab.render_exr(tmp_path, "cycles")[4:8, 4:8, :3].mean((0, 1))
+    linear = ((np.array([0.5, 0.4, 0.3]) + 0.055) / 1.055) ** 2.4
+    np.testing.assert_allclose(got, linear, rtol=0.03)
+    world, scene.world = scene.world, bpy.data.worlds.new("other")
+    bpy.context.view_layer.update()
+    assert [slot.link for slot in walls.material_slots] == ["DATA"]
+    scene.world = world
+    bpy.context.view_layer.update()
+    assert [slot.link for slot in walls.material_slots] == ["OBJECT"]
+    bpy.context.view_layer.objects.active = ob
+    assert bpy.ops.gscore.remove_proxy() == {"FINISHED"}
+    assert [slot.link for slot in walls.material_slots] == ["DATA"]

@@ -1,6 +1,7 @@
 """Oracle: events of a scripted mesh, the mesh that it wrote, Blender's own importers."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -8,13 +9,18 @@ import numpy as np
 import pytest
 
 from addon import preferences, stored_paths
-from addon.core import write_splats
+from addon.core import rgb_to_sh0, write_splats
+from addon.interface.base_operator import make_active
 from addon.panels.result import SurfacePanel
+from addon.process import poll_timer
 from addon.render import compositor
 from addon.render.proxy import attach, proxy_of
-from addon.surface import make_mesh
+from addon.splats import objects
+from addon.surface import fit_proxy, make_mesh
 from addon.training.verb_jobs import follow
+from gscore.config_file import config_json
 from gscore.mesh import SurfaceMesh, write_surface
+from gscore.presets import PRESETS
 from tests.addon.calls import import_splats
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
@@ -161,3 +167,91 @@ def test_a_mesh_arrives_beside_its_splats(result: bpy.types.Object, tmp_path: Pa
     make_mesh.make_mesh(result, wait=True)
     (made,) = [ob for ob in scene.objects if ob.name.endswith("surface")]
     assert made.users_scene == (scene,)
+
+
+def test_splats_of_a_run_know_it(studio: bpy.types.Scene, tmp_path: Path) -> None:
+    """Oracle: the run folder and capture in config.json, by the button on a file of the command
+    line; a copy of the file elsewhere has none."""
+    run = tmp_path / "run"
+    run.mkdir()
+    write_splats(run / "point_cloud.ply", splats(50))
+    (run / "config.json").write_text(config_json(*PRESETS["preview"](STUDIO)))
+    (run / "copy.ply").write_bytes((run / "point_cloud.ply").read_bytes())
+    for name, known in (("point_cloud.ply", True), ("copy.ply", False)):
+        assert bpy.ops.gscore.import_splats(filepath=str(run / name)) == {"FINISHED"}
+        ob = bpy.context.object
+        assert stored_paths.read(ob, stored_paths.RUN) == (str(run) if known else "")
+        assert stored_paths.read(ob, stored_paths.SOURCE) == (str(STUDIO) if known else "")
+        assert make_mesh.MakeMesh.poll(bpy.context) == known
+
+
+def made_proxy(result: bpy.types.Object, tmp_path: Path) -> bpy.types.Object:
+    """The proxy of the result, by the button."""
+    play(tmp_path)
+    assert bpy.ops.gscore.make_mesh(wait=True, proxy=True) == {"FINISHED"}
+    return proxy_of(result)
+
+
+def test_copies_of_splats_have_a_proxy(result: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: an own object with the same mesh at the place of the copy; deleted splats take their
+    proxy with them, and undo brings both back."""
+    scene, proxy = bpy.context.scene, made_proxy(result, tmp_path)
+    make_active(bpy.context, result)
+    bpy.ops.ed.undo_push(message="made")
+    bpy.ops.object.duplicate()
+    copy = bpy.context.object
+    copy.location.x += 5
+    bpy.context.view_layer.update()
+    poll_timer.poll()
+    other = proxy_of(copy)
+    assert other is not None and other != proxy and other.data == proxy.data
+    assert proxy_of(result) == proxy and not other.visible_camera
+    bpy.context.view_layer.update()
+    assert np.allclose(other.matrix_world, copy.matrix_world, atol=1e-6)
+    copy.hide_render = True
+    bpy.context.view_layer.update()
+    assert other.hide_render and not proxy.hide_render
+    poll_timer.poll()
+    there = {ob.name for ob in scene.objects}
+    name = other.name
+    make_active(bpy.context, copy)
+    bpy.ops.ed.undo_push(message="copied")
+    bpy.ops.object.delete()
+    bpy.context.view_layer.update()
+    poll_timer.poll()
+    assert name not in scene.objects and proxy.name in scene.objects
+    bpy.ops.ed.undo_push(message="deleted")
+    bpy.ops.ed.undo()
+    poll_timer.poll()
+    assert {ob.name for ob in bpy.context.scene.objects} == there
+
+
+def test_a_proxy_follows_edits(result: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: the triangles at the removed splats, and the painted color. The panel names it."""
+    result.location, result.rotation_euler = (0, 0, 0), (0, 0, 0)
+    places = SURFACE.vertices.repeat(10, 0) + np.linspace(0, 0.05, 40)[:, None]
+    made = replace(
+        splats(40), means=places.astype(np.float32), opacities=np.full(40, 5, np.float32)
+    )
+    made.sh0[:] = rgb_to_sh0(np.array([0.2, 0.4, 0.6]))
+    objects.refresh(result, made)
+    proxy = made_proxy(result, tmp_path)
+    assert not fit_proxy.is_stale(result)
+    assert "have changed" not in drawn(SurfacePanel)
+    colors = proxy.data.color_attributes.active_color
+    before = np.array([one.color_srgb[:3] for one in colors.data])
+    kept = made.subset(np.arange(40) < 30)  # without those at the last vertex
+    kept.sh0[:10] = rgb_to_sh0(np.array([0.2, 0.4, 0.5]))
+    objects.refresh(result, kept)
+    bpy.context.view_layer.update()
+    assert fit_proxy.is_stale(result)
+    assert "have changed" in drawn(SurfacePanel)
+    assert bpy.ops.gscore.update_proxy() == {"FINISHED"}
+    assert not fit_proxy.is_stale(result)
+    assert len(proxy.data.polygons) == 1  # the one without the last vertex
+    places = np.array([vertex.co[:] for vertex in proxy.data.vertices])
+    np.testing.assert_allclose(places, SURFACE.vertices[:3], atol=1e-6)
+    colors = proxy.data.color_attributes.active_color
+    after = np.array([one.color_srgb[:3] for one in colors.data])
+    np.testing.assert_allclose(after[1:], before[1:3], atol=1 / 255)
+    np.testing.assert_allclose(after[0], np.clip(before[0] - [0, 0, 0.1], 0, 1), atol=1 / 255)
