@@ -10,7 +10,8 @@ using namespace gs;
 
 namespace {
 
-// Bytes that a draw fetches at once, with its last submission; more are fetched in chunks.
+// Bytes that a draw fetches at once, with its last submission; more are fetched in chunks, and all where steps need the
+// memory.
 constexpr size_t kFetchBytes = size_t(256) << 20;
 // Bytes that take as long as blending a pixel, and an entry at all pixels of its tile; most are done after a few of them.
 constexpr size_t kPixelBytes = 64, kEntryBytes = 256, kWeightBytes = 1024;
@@ -95,7 +96,7 @@ void gs_gpu::ensure_splats(size_t count) {
     frame_.sums = sums_.address;
 }
 
-void gs_gpu::ensure_entries(size_t count) {
+void gs_gpu::ensure_entries(size_t count, size_t scratch) {
     if (count > kMostEntries)
         throw_failure(GS_TOO_MANY,
                       "the splats cover too many tiles: more than %zu entries; use a smaller image or "
@@ -108,7 +109,7 @@ void gs_gpu::ensure_entries(size_t count) {
     }
     device.ensure(sums_, size_t(GS_DIGITS) * groups_of(int64_t(capacity), GS_BLOCK) * kWord + kWord);
     if (frame_.view.outputs & GS_GPU_GRADIENTS) {
-        device.ensure(moments_, count * GS_MOMENT_QUADS * 4 * sizeof(float));
+        device.ensure(moments_, std::max(count * GS_MOMENT_QUADS * 4 * sizeof(float), scratch));
         capacity = std::min(capacity, moments_.bytes / (GS_MOMENT_QUADS * 4 * sizeof(float)));
     }
     frame_.moments = moments_.address;
@@ -260,7 +261,7 @@ void gs_gpu::draw(const gs_gpu_splats &splats, const gs_view &view, const gs_hos
     size_t total = 0;
     for (const Transfer &t : wanted)
         total += t.bytes;
-    const bool whole = total <= kFetchBytes;
+    const bool whole = total <= (step_state_.bytes ? kChunkBytes : kFetchBytes);
     begin();
     record_blend(&gs_gpu_stats::blend_ms);
     lap(&gs_gpu_stats::blend_ms);

@@ -26,6 +26,9 @@ struct Groups {
 
 constexpr size_t kWord = sizeof(uint32_t);
 
+// Bytes of a transfer at a time, so that the buffers for them stay small.
+constexpr size_t kChunkBytes = size_t(8) << 20;
+
 } // namespace gs
 
 struct gs_gpu_splats {
@@ -73,7 +76,7 @@ struct gs_gpu {
     struct StepSlot {
         gs_gpu_step request;
         gs_gpu_model *model;     // null: no step
-        gs::DeviceBuffer upload; // photo, mask, tiles; gradients of a further term
+        gs::DeviceBuffer upload; // photo, mask, tiles
         gs::DeviceBuffer download;
         std::vector<uint8_t> tile_bytes; // copy of request.tiles; the other arrays are in `upload`
         std::vector<uint32_t> tiles;     // words of it
@@ -88,7 +91,8 @@ struct gs_gpu {
     using Transfers = std::vector<Transfer>;
 
     void ensure_splats(size_t count);
-    void ensure_entries(size_t count);
+    // Room for entries; `scratch`: bytes that `moments_` has at least.
+    void ensure_entries(size_t count, size_t scratch = 0);
     void ensure_picture(const gs_view &, const gs_host &);
     // A submission of a draw: `begin`, commands, of which `lap` ends a part and adds it to a time, and `submit`, which
     // waits for them; throws GS_CANCELLED.
@@ -120,7 +124,7 @@ struct gs_gpu {
     void record_blend_backward(uint32_t what); // bits GS_V_*
     Transfers pictures(const gs_image &);
     void send(const Transfers &);
-    // Fetches; up to kFetchBytes in one piece, as commands of a submission that is open: record, finish, read.
+    // Fetches in chunks; or in one piece, as commands of a submission that is open: record, finish, read.
     void fetch(const Transfers &);
     void record_fetch(const Transfers &);
     void read_fetched(const Transfers &);
@@ -139,7 +143,7 @@ struct gs_gpu {
     StepSlot slots_[GS_GPU_STEPS_MAX] = {};
     std::vector<int> in_flight_; // slots in the order of their requests
     gs::GpuLoss step_loss_;
-    gs::DeviceBuffer photo_, mask_, v_alpha_more_, step_state_;
+    gs::DeviceBuffer photo_, mask_, v_alpha_more_, step_state_; // the last is empty where there are no steps
 
     gs_frame frame_ = {};
     const gs_gpu_splats *drawn_ = nullptr;     // by the last draw, if it succeeded

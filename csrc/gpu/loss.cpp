@@ -14,9 +14,13 @@ namespace {
 // Pixels whose derivatives, nine floats each, have 32-bit indices in shaders.
 constexpr int64_t kMostPixels = kMostIndex / 9;
 
-static_assert(sizeof(gs_loss_frame) == 152 && sizeof(gs_gpu_loss_result) == 48);
+static_assert(sizeof(gs_loss_frame) == 144 && sizeof(gs_gpu_loss_result) == 48);
 
 } // namespace
+
+size_t GpuLoss::derivative_bytes(int32_t width, int32_t height) {
+    return 9 * size_t(width) * size_t(height) * sizeof(float);
+}
 
 void GpuLoss::ensure(Device &device, int32_t width, int32_t height) {
     const int64_t pixels = int64_t(width) * height;
@@ -25,9 +29,7 @@ void GpuLoss::ensure(Device &device, int32_t width, int32_t height) {
                       (long long)kMostPixels, width, height);
     const size_t tiles = size_t(ceil_div(width, GS_TILE)) * tile_rows(height), floats = size_t(pixels) * sizeof(float);
     device.ensure(block_, sizeof(gs_loss_frame));
-    device.ensure(derivatives_, 9 * floats);
     device.ensure(sums_, GS_LOSS_SUMS * tiles * sizeof(float));
-    device.ensure(v_rgb_, 3 * floats);
     device.ensure(v_alpha_, floats);
     device.ensure(result_, sizeof(gs_gpu_loss_result));
 }
@@ -45,9 +47,8 @@ void GpuLoss::record_input(Device &device, const LossInput &in) {
     f.alpha = in.alpha ? in.alpha : in.rgb;
     f.photo = in.photo;
     f.mask = in.mask ? in.mask : in.photo;
-    f.derivatives = derivatives_.address;
+    f.derivatives = in.derivatives;
     f.sums = sums_.address;
-    f.v_rgb = v_rgb_.address;
     f.v_alpha = v_alpha_.address;
     f.result = result_.address;
     f.width = uint32_t(in.width);
@@ -95,10 +96,10 @@ void gs_gpu::loss(const gs_loss_args &args, const gs_gpu_loss_terms &terms, gs_g
                   float *v_alpha) {
     const size_t pixels = size_t(args.width) * size_t(args.height), floats = pixels * sizeof(float);
     GpuLoss work;
-    DeviceBuffer rgb, alpha, photo, mask;
+    DeviceBuffer rgb, alpha, photo, mask, derivatives;
     const auto free_all = [&] {
         work.free(device);
-        for (DeviceBuffer *b : {&rgb, &alpha, &photo, &mask})
+        for (DeviceBuffer *b : {&rgb, &alpha, &photo, &mask, &derivatives})
             device.free(*b);
     };
     const auto upload = [&](DeviceBuffer &to, const void *array, size_t bytes) {
@@ -110,10 +111,12 @@ void gs_gpu::loss(const gs_loss_args &args, const gs_gpu_loss_terms &terms, gs_g
     };
     try {
         work.ensure(device, args.width, args.height);
+        device.ensure(derivatives, GpuLoss::derivative_bytes(args.width, args.height));
         LossInput in = {};
         in.width = args.width;
         in.height = args.height;
         in.rgb = upload(rgb, args.image, 3 * floats);
+        in.derivatives = derivatives.address;
         in.alpha = upload(alpha, terms.alpha, floats);
         in.photo = upload(photo, args.target, 3 * pixels);
         in.mask = upload(mask, args.mask, pixels);
@@ -144,9 +147,9 @@ void gs_gpu::loss(const gs_loss_args &args, const gs_gpu_loss_terms &terms, gs_g
                 submit([&] { work.record_gradient(device, row, std::min(band, rows - row)); });
             submit([&] { work.record_result(device); });
         }
-        DeviceBuffer found = work.result(), by_rgb = work.v_rgb(), by_alpha = work.v_alpha();
+        DeviceBuffer found = work.result(), by_alpha = work.v_alpha();
         fetch({{&found, &result, sizeof result},
-               {&by_rgb, v_image, v_image ? 3 * floats : 0},
+               {&rgb, v_image, v_image ? 3 * floats : 0},
                {&by_alpha, v_alpha, v_alpha && in.has_alpha_terms() ? floats : 0}});
         if (v_alpha && !in.has_alpha_terms())
             std::fill_n(v_alpha, pixels, 0.0f);

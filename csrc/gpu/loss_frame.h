@@ -20,13 +20,12 @@
 #define GS_ABSURD_MSE 1e4f
 
 struct gs_loss_frame {
-    GS_POINTER(gs_floats) rgb;         /* [H, W, 3] */
+    GS_POINTER(gs_floats) rgb;         /* [H, W, 3], of which the gradient takes the place */
     GS_POINTER(gs_floats) alpha;       /* [H, W], if `has_alpha_terms` or `fixed_background` */
     GS_POINTER(gs_words) photo;        /* [H, W, 3] bytes */
     GS_POINTER(gs_words) mask;         /* [H, W] bytes, if `has_mask` */
     GS_POINTER(gs_floats) derivatives; /* [9, H, W] of SSIM, in E[x], E[x^2 + y^2], E[d^2], of each three channels */
     GS_POINTER(gs_floats) sums;        /* [GS_LOSS_SUMS, tiles] */
-    GS_POINTER(gs_floats) v_rgb;       /* [H, W, 3] */
     GS_POINTER(gs_floats) v_alpha;     /* [H, W], if `has_alpha_terms` */
     GS_POINTER(gs_words) result;       /* gs_gpu_loss_result */
     gs_uint width, height, tiles_x, tiles;

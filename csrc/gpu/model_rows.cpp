@@ -6,13 +6,6 @@
 
 using namespace gs;
 
-namespace {
-
-// Bytes of components, or of row numbers, in transit at a time.
-constexpr size_t kChunkBytes = size_t(64) << 20;
-
-} // namespace
-
 gs_rows_push gs_gpu_model::push(const Table &t, uint32_t first, uint32_t width, uint32_t count, uint32_t flags) const {
     gs_rows_push p = {};
     // No address is null, because drivers may read ahead of a condition.

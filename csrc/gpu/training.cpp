@@ -21,15 +21,13 @@ size_t whole(size_t bytes) { return (bytes + 15) / 16 * 16; }
 
 // Where the parts of a step's upload begin.
 struct UploadLayout {
-    size_t photo, mask, tiles, inverse_depth, alpha, end;
+    size_t photo, mask, tiles, end;
     explicit UploadLayout(const gs_gpu_step &s, size_t tile_words) {
         const size_t pixels = size_t(s.view.width) * size_t(s.view.height);
         photo = 0;
         mask = s.photo ? whole(3 * pixels) : 0;
         tiles = mask + (s.mask ? whole(pixels) : 0);
-        inverse_depth = tiles + whole(tile_words * kWord);
-        alpha = inverse_depth + (s.pauses ? whole(pixels * sizeof(float)) : 0);
-        end = alpha + (s.pauses ? whole(pixels * sizeof(float)) : 0);
+        end = tiles + whole(tile_words * kWord);
     }
 };
 
@@ -61,6 +59,7 @@ LossInput gs_gpu::loss_input(const StepSlot &slot) const {
     in.width = s.view.width;
     in.height = s.view.height;
     in.rgb = rgb_.address;
+    in.derivatives = moments_.address; // which has its content later in a step
     in.alpha = alpha_.address;
     in.photo = image_of(s).address;
     in.mask = has_mask(s) ? mask_of(s).address : 0;
@@ -147,11 +146,12 @@ void gs_gpu::prepare_step(StepSlot &slot) {
     ensure_splats(count);
     ensure_picture(frame_.view, gs_host{});
     slot.tiles = choose_tiles(slot.tile_bytes.empty() ? nullptr : slot.tile_bytes.data());
-    ensure_entries(std::max<size_t>(count * 4, 1 << 12));
+    if (download_.bytes > kChunkBytes) // of a draw before the first step
+        device.free(download_);
+    ensure_entries(std::max<size_t>(count * 4, 1 << 12), GpuLoss::derivative_bytes(s.view.width, s.view.height));
     step_loss_.ensure(device, s.view.width, s.view.height);
     device.ensure(photo_, s.kept ? 0 : whole(3 * pixels));
     device.ensure(mask_, s.mask && !s.kept ? whole(pixels) : 0);
-    device.ensure(v_inverse_depth_, (s.pauses ? pixels : 0) * sizeof(float));
     device.ensure(v_alpha_more_, (s.pauses ? pixels : 0) * sizeof(float));
     device.ensure(camera_parts_, kCameraFloats * size_t(groups_of(int64_t(count), GS_GROUP)) * sizeof(float));
     device.ensure(camera_, kCameraFloats * sizeof(float));
@@ -161,9 +161,9 @@ void gs_gpu::prepare_step(StepSlot &slot) {
         device.fill(step_state_, step_state_.bytes, 0);
         device.finish(nullptr);
     }
-    frame_.v_rgb = step_loss_.v_rgb().address;
+    frame_.v_rgb = rgb_.address;
     frame_.v_alpha = step_loss_.v_alpha().address;
-    frame_.v_inverse_depth = v_inverse_depth_.address;
+    frame_.v_inverse_depth = inverse_depth_.address; // which was fetched when it gets its gradient
     frame_.v_alpha_more = v_alpha_more_.address;
     device.ensure(slot.download, sizeof(StepResult), Place::kDownload);
 }
@@ -203,10 +203,6 @@ void gs_gpu::record_step(StepSlot &slot, int commands, bool with_term) {
     if (s.updates)
         model.record_clamp(double(s.extent), step_state_.address, GS_STATE_CLAMP, GS_STATE_LOST_ROWS);
     device.dispatch(Shader::kDecide, push(1), 1);
-    if (slot.has_term_depth)
-        device.copy(slot.upload, v_inverse_depth_, pixels * sizeof(float), at.inverse_depth);
-    if (slot.has_term_alpha)
-        device.copy(slot.upload, v_alpha_more_, pixels * sizeof(float), at.alpha);
     record_blend_backward((loss.has_alpha_terms() ? GS_V_ALPHA : 0) | (slot.has_term_depth ? GS_V_DEPTH : 0) |
                           (slot.has_term_alpha ? GS_V_ALPHA_MORE : 0));
     const Groups groups(groups_of(model.splats.count, GS_GROUP));
@@ -290,16 +286,12 @@ void gs_gpu::resume_step(int number, double value, const float *v_inverse_depth,
     StepSlot &slot = slots_[number];
     if (!slot.model || !slot.paused)
         throw_failure(GS_BAD_ARGUMENT, "gs_gpu_step_resume: slot %d has no step that pauses", number);
-    const UploadLayout at(slot.request, slot.tiles.size());
     const size_t bytes = size_t(slot.request.view.width) * size_t(slot.request.view.height) * sizeof(float);
-    char *const to = static_cast<char *>(slot.upload.mapped);
     slot.term_is_sane = std::isfinite(value);
     slot.has_term_depth = v_inverse_depth;
     slot.has_term_alpha = v_alpha;
-    if (v_inverse_depth)
-        std::memcpy(to + at.inverse_depth, v_inverse_depth, bytes);
-    if (v_alpha)
-        std::memcpy(to + at.alpha, v_alpha, bytes);
+    send({{&inverse_depth_, const_cast<float *>(v_inverse_depth), v_inverse_depth ? bytes : 0},
+          {&v_alpha_more_, const_cast<float *>(v_alpha), v_alpha ? bytes : 0}});
     record_step(slot, 1 + number, true);
     device.submit();
     slot.paused = false;

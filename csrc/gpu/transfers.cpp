@@ -8,9 +8,6 @@ using namespace gs;
 
 namespace {
 
-// Bytes of a transfer at a time, so that host memory stays small.
-constexpr size_t kChunkBytes = size_t(64) << 20;
-
 // Writes rows from `begin` to `end` of a plane of a model, see frame.h.
 void write_plane(const gs_splats &in, size_t plane, size_t begin, size_t end, float *to) {
     const size_t rest = size_t(in.sh_rest);

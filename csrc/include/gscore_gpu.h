@@ -216,7 +216,7 @@ typedef struct gs_gpu_loss_result {
 
 /* Loss of a picture and its gradients, as gs_image_loss: v_image [H, W, 3] in the image, v_alpha [H, W] in opacity, either
  * may be null. Of gs_loss_args, `threads` is not used. A mask counts for the terms of opacity also with GS_MASK_NONE.
- * Takes 56 bytes per pixel on the device besides image and opacity, during the call. */
+ * Takes 44 bytes per pixel on the device besides image and opacity, during the call. */
 GS_API gs_status gs_gpu_loss(gs_gpu *gpu, const gs_loss_args *args, const gs_gpu_loss_terms *terms,
                              gs_gpu_loss_result *result, float *v_image, float *v_alpha);
 /* Training steps: draw a view, compare it with its photo, and update the rows of a model, as gscore/engine/base.py's

@@ -5,7 +5,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
 from gscore.splats import PARAMETERS
 from gscore.stress.capture import toy_photos, toy_splats
 from gscore.trainer import run
+from gscore.trainer.estimate.device_memory import device_bytes
 from tests.engine.test_contract import COUNTERS, columns_of, request_of
 from tests.gpu.drivers import DRIVERS, ROOT, Driver, each_driver, result_of, variables_of
 from tests.gpu.engines import software_engine
@@ -145,10 +146,15 @@ def test_photos_make_room_for_splats() -> None:
     assert 100 < counts[0] < 2000 and counts[1] == 0 and taken == 2 and rows == 16_000
 
 
-def test_the_forecast_of_device_memory_covers_a_training() -> None:
-    """Oracle: the peak that the library counts, at least half of the forecast."""
-    peak, forecast = trained(ONE, "print_memory(20000, 96)")
-    assert forecast / 2 < peak <= forecast
+@pytest.mark.parametrize(("splats", "size"), [(20_000, 96), (200, 384)])
+def test_the_forecast_of_device_memory_covers_a_training(splats: int, size: int) -> None:
+    """Oracle: the peak that the library counts, at least four fifths of the forecast; 1.6 KB a
+    splat, and 100 bytes a pixel without the entries of the splats and buffers of constant size."""
+    peak, forecast = trained(ONE, f"print_memory({splats}, {size})")
+    assert 0.8 * forecast < peak <= forecast
+    one = partial(device_bytes, sh_degree=3)
+    assert one(splats=2_000_000, pixels=1) - one(splats=1_000_000, pixels=1) <= 1600e6
+    assert one(splats=1, pixels=20_000_000) - one(splats=1, pixels=10_000_000) <= 1000e6
 
 
 def test_a_training_beyond_the_device_s_memory_is_refused(capture: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gscore.config import TrainConfig
-from gscore.engine.base import Engine, RowEdit, StepPhoto
+from gscore.engine.base import Engine, RowEdit, StepPhoto, TermGradients
 from gscore.engine.cpu.engine import CpuEngine
 from gscore.stress.capture import toy_photos, toy_splats
 from gscore.trainer.analysis.analysis import Analysis
@@ -171,8 +171,9 @@ def print_short_room(rows: int) -> None:
 
 
 def print_memory(rows: int, size: int) -> None:
-    """Most bytes that a training took which grew to `rows` splats of SH degree 3, with pictures,
-    contributions and masks; and their forecast."""
+    """Most bytes that a training took which grew to `rows` splats of SH degree 3, with pictures
+    before and between its steps, contributions, masks, and a term that the trainer computes; and
+    their forecast."""
     engine = software_engine()
     photos = toy_photos(size=size)
     columns = columns_of(toy_splats(count=rows // 2))
@@ -180,15 +181,27 @@ def print_memory(rows: int, size: int) -> None:
     model = engine.model(columns, counters=COUNTERS)
     mask = np.full((size, size), 255, np.uint8)
     photo = StepPhoto(image=photos.image(0), mask=mask, mask_mode="ignore")
-    for step in range(1, 7):
+
+    def draw() -> None:
+        black = {"background": (0.0, 0.0, 0.0), "antialias": False}
+        engine.draw([model], request_of(photos, 0, 1).view, inverse_depth=True, **black)
+
+    def term(inverse_depth: np.ndarray, alpha: np.ndarray) -> TermGradients:
+        return TermGradients(0.0, np.zeros_like(alpha), np.zeros_like(alpha))
+
+    draw()
+    for step in range(1, 6):
         engine.put(0, photo)
-        request = request_of(photos, 0, step, sh_degree=3, learn_pose=True, gain=(1.0, 1.1, 0.9))
-        engine.step(model, request)
-        if step == 3:
+        options = {"sh_degree": 3, "learn_pose": True, "gain": (1.0, 1.1, 0.9)}
+        term_of = term if step == 4 else None
+        engine.step(model, request_of(photos, 0, step, picture_term=term_of, **options))
+        if step == 2:
             model.edit(RowEdit(parents=np.arange(len(model)), morton=True))
-    black = {"background": (0.0, 0.0, 0.0), "antialias": False}
-    engine.draw([model], request_of(photos, 0, 1).view, inverse_depth=True, **black)
-    assert list(engine.contributions(model, [(request.view, photo)], antialias=False))
+            draw()
+    draw()
+    view = request_of(photos, 0, 1).view
+    assert list(engine.contributions(model, [(view, photo)], antialias=False))
+    draw()
     assert len(model) == rows and len(model.save()["param/shN"]) == rows
     forecast = device_bytes(splats=rows, sh_degree=3, pixels=size * size)
     sys.stdout.write(f"\n{json.dumps([engine.peak_memory(), forecast])}\n")

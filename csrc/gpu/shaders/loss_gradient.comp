@@ -58,7 +58,7 @@ void main() {
                 g *= loss.gain[c];
             }
             g *= weight;
-            loss.v_rgb.at[3 * pixel + c] = g;
+            loss.rgb.at[3 * pixel + c] = g; // no other invocation reads this pixel
             through[c] = g * transmittance;
         }
     }

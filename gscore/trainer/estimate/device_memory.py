@@ -12,16 +12,20 @@ _COUNTERS = 16
 """Bytes per splat of counters and row numbers."""
 _SCREEN = 100
 """Bytes per splat of the projection and its sort."""
-_ENTRY, _ENTRIES = 68, 8
-"""Bytes per splat and tile, and tiles that a splat touches on average in a large model."""
-_PIXEL = 180
-"""Bytes per pixel of the largest view: pictures, gradients and the loss, 100; buffers for transfers
-of the steps in flight and of pictures, 80."""
-_TRANSFERS = 8_000_000
-"""Bytes of other buffers for transfers and of constant size."""
-_TRANSFER_SPLAT = 32
-"""Bytes per splat of the buffers through which columns are read and written, below a limit."""
-_TRANSFER_MOST = 2 * (64 << 20)
+_ENTRY, _MOMENTS, _ENTRIES = 20, 48, 8
+"""Bytes per splat and tile of lists and of gradients, and tiles that a splat touches on average in
+a large model."""
+_PIXEL = 53
+"""Bytes per pixel of the largest view: pictures and their gradients, 36; photo and mask on the
+device and for each step in flight, 16; sums of tiles, 1."""
+_DERIVATIVES = 36
+"""Bytes per pixel of the derivatives of SSIM, where gradients of splats are later."""
+_CONSTANT = 2_000_000
+"""Bytes of buffers of constant size."""
+_TRANSFER_SPLAT, _TRANSFER_PIXEL = 32, 20
+"""Bytes per splat and per pixel of the buffers through which columns and pictures are read and
+written, below a limit."""
+_TRANSFER_MOST = 2 * (8 << 20)
 """That limit."""
 
 
@@ -39,8 +43,9 @@ def device_bytes(*, splats: int, sh_degree: int, pixels: int, models: int = 1) -
     tables = 3 * values + _QUAD * harmonics + _COUNTERS
     merged = values if models > 1 else 0
     a_splat = models * (tables + _SCREEN + merged) + _ENTRY * _ENTRIES
-    transfers = _TRANSFERS + min(_TRANSFER_SPLAT * splats, _TRANSFER_MOST)
-    return splats * a_splat + pixels * _PIXEL + transfers
+    shared = max(splats * _MOMENTS * _ENTRIES, pixels * _DERIVATIVES)
+    transfers = min(_TRANSFER_SPLAT * splats + _TRANSFER_PIXEL * pixels, _TRANSFER_MOST)
+    return splats * a_splat + pixels * _PIXEL + shared + transfers + _CONSTANT
 
 
 def photo_room(memory: int, config: TrainConfig, cameras: Cameras, *, models: int) -> int:
