@@ -13,7 +13,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from studio_maker import cameras, figure, render, sfm, stage, write
+from studio_maker import blender, cameras, figure, render, sfm, stage, write
 
 log = logging.getLogger("make_studio")
 
@@ -31,6 +31,9 @@ def main():
     )
     parser.add_argument("--threads", type=int, default=0, help="threads of Cycles; 0: one per core")
     parser.add_argument(
+        "--surface", type=Path, metavar="FILE.ply", help="write the figure's triangles too, metres"
+    )
+    parser.add_argument(
         "--preview", action="store_true", help="coarse cloth, one picture of few samples, no COLMAP"
     )
     args = parser.parse_args()
@@ -46,6 +49,8 @@ def main():
     stage.build(np.random.default_rng(1))
     log.info("Figure; the cloth simulation takes a few minutes")
     figure.build(np.random.default_rng(2), coarse=args.preview)
+    if args.surface:
+        write.surface(args.surface, *blender.figure_surface())
     camera = cameras.add_camera()
     render.configure(
         width, height, min(args.samples, 8) if args.preview else args.samples, args.threads

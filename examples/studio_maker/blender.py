@@ -67,6 +67,59 @@ def evaluated_vertices(item):
     return flat.reshape(-1, 3).astype(np.float64)
 
 
+def figure_surface():
+    """Triangles of everything in the mask as rendered: [V, 3] float64, metres, and [F, 3] int64.
+
+    A strand is a tube of three sides, of its own radius.
+    """
+    graph = bpy.context.evaluated_depsgraph_get()
+    points, triangles, count = [], [], 0
+    for item in bpy.context.scene.objects:
+        slots = getattr(item.data, "materials", None)
+        nodes = slots[0].node_tree.nodes if slots else ()
+        if not any(getattr(node, "aov_name", "") == MASK for node in nodes):
+            continue
+        shape = item.evaluated_get(graph).data
+        vertices, faces = tubes(shape) if item.type == "CURVES" else triangles_of(shape)
+        place = np.array(item.matrix_world)
+        points.append(vertices @ place[:3, :3].T + place[:3, 3])
+        triangles.append(faces + count)
+        count += len(vertices)
+    return np.concatenate(points), np.concatenate(triangles)
+
+
+def triangles_of(data):
+    """[V, 3] float64 vertices of a mesh and [F, 3] int64 triangles of its faces."""
+    data.calc_loop_triangles()
+    flat = np.empty(3 * len(data.vertices), np.float32)
+    data.attributes["position"].data.foreach_get("vector", flat)
+    faces = np.empty(3 * len(data.loop_triangles), np.int32)
+    data.loop_triangles.foreach_get("vertices", faces)
+    return flat.reshape(-1, 3).astype(np.float64), faces.reshape(-1, 3).astype(np.int64)
+
+
+def tubes(data, sides=3):
+    """Vertices and triangles of tubes around strands that have equally many points."""
+    strands = len(data.curves)
+    flat = np.empty(3 * len(data.points), np.float32)
+    data.attributes["position"].data.foreach_get("vector", flat)
+    radius = np.empty(len(data.points), np.float32)
+    data.attributes["radius"].data.foreach_get("value", radius)
+    path = flat.reshape(strands, -1, 3).astype(np.float64)
+    along = np.gradient(path, axis=1)
+    along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
+    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=-1)])
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    turn = 2 * np.pi * np.arange(sides)[:, None] / sides
+    around = across[:, :, None] * np.cos(turn) + np.cross(along, across)[:, :, None] * np.sin(turn)
+    vertices = path[:, :, None] + radius.reshape(strands, -1, 1, 1) * around
+    rows = np.arange(strands * path.shape[1] * sides).reshape(strands, -1, sides)
+    a, b = rows[:, :-1], rows[:, 1:]
+    c, d = np.roll(a, -1, axis=2), np.roll(b, -1, axis=2)
+    faces = np.stack([a, c, b, b, c, d], axis=-1).reshape(-1, 3)
+    return vertices.reshape(-1, 3), faces
+
+
 def add_image(name, pixels):
     """Image from sRGB values [H, W, 3] in [0, 1], row 0 at the bottom (v = 0)."""
     h, w, _ = pixels.shape

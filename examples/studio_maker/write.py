@@ -1,4 +1,4 @@
-"""Files of the capture: pictures, masks, depth and the true cameras."""
+"""Files of the capture: pictures, masks, depth, the true cameras and the surface."""
 
 import io
 import json
@@ -45,6 +45,24 @@ def view(folder, name, rgb, mask, depth, quality=87):
     )
     atomic(folder / "masks" / f"{name}.png", encode(np.round(mask * 255).astype(np.uint8), "PNG"))
     atomic(folder / "depths" / f"{name}.png", encode(code.astype(np.uint16), "PNG"))
+
+
+def surface(path, vertices, triangles):
+    """Write triangles as a binary PLY.
+
+    Args:
+        path: the file.
+        vertices: [V, 3] metres; triangles: [F, 3] rows of `vertices`.
+    """
+    head = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(vertices)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(triangles), [("count", "u1"), ("rows", "<i4", 3)])
+    faces["count"], faces["rows"] = 3, triangles
+    atomic(path, head.encode() + vertices.astype("<f4").tobytes() + faces.tobytes())
 
 
 def truth(folder, names, K, viewmats, width, height, sfm):
