@@ -7,7 +7,7 @@ from collections.abc import Callable
 import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from .core import depth_networks
+from .core import depth_networks, no_automatic_card
 from .paths import ROOT
 
 FILE = "FILE"
@@ -38,7 +38,7 @@ def _devices(prefs: "Preferences", context: bpy.types.Context | None) -> list[_I
     """Items of `device`; a card has the same number in every session."""
     _items[:] = [
         (CPU, "CPU", "All cores of the processor", 0),
-        (AUTO, "Automatic", "The fastest graphics card, or the CPU if there is none", 1),
+        (AUTO, "Automatic", "A graphics card, for trainings if it is faster, else the CPU", 1),
     ]
     for uuid, name in _found(prefs):
         number = 2 + zlib.crc32(uuid.encode()) % (1 << 30)
@@ -57,6 +57,13 @@ def _found(prefs: "Preferences") -> list[list[str]]:
 def device_name(value: str) -> str:
     """Name of a value of `device`, as the subject of a sentence."""
     return dict(_found(get())).get(value, "The graphics card")
+
+
+def uses_card() -> bool:
+    """Whether something else than the CPU may be used: where `AUTO` finds no card, nothing is
+    loaded or started for it."""
+    value = get().device or AUTO
+    return value != CPU and not (value == AUTO and no_automatic_card())
 
 
 class Preferences(bpy.types.AddonPreferences):
@@ -90,6 +97,7 @@ class Preferences(bpy.types.AddonPreferences):
         description="What trains splats, and what draws renders and Rendered shading of the engine "
         "Gaussian Splats",
         items=_devices,
+        default=1,
     )
     found_devices: StringProperty(
         name="Found Devices",

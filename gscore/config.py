@@ -265,8 +265,8 @@ class TrainConfig:
         free=True,
     )
     device: str = _run_option(
-        "cpu",
-        "`cpu`, `gpu`: a graphics card; `auto`: a usable card or the CPU; or a number of `gscore "
+        "auto",
+        "`cpu`; `gpu`: a graphics card; `auto`: the faster one, by a trial; or a number of `gscore "
         "doctor`.",
         metavar="DEVICE",
         basic=True,

@@ -33,6 +33,7 @@ Show = Callable[[Event], None]
 """Receives each event."""
 
 TOPICS = {
+    "chosen_device": "Device",
     "region": "Region",
     "masks": "Masks",
     "enough": "Caps",

@@ -113,6 +113,7 @@ from .mesh.surface_mesh import read_surface as read_surface
 from .option_marks import show_options as show_options
 from .options import Option as Option
 from .options import options_of as options_of
+from .raster.gpu.absence import no_automatic_card as no_automatic_card
 from .raster.mesh import mesh_depth as mesh_depth
 from .raster.render_client import RenderClient as RenderClient
 from .raster.render_client import find_devices as find_devices

@@ -142,7 +142,16 @@ TRAINER = {
     },
     "run_start": {"files", "photos", "model", "prepare", "session", "trainer"},
     "worker_rank": {"host", "prepare", "distributed", "trainer"},
-    "run": {"run_start", "files", "host", "preflight", "prepare", "distributed", "session"},
+    "run": {
+        "estimate",
+        "run_start",
+        "files",
+        "host",
+        "preflight",
+        "prepare",
+        "distributed",
+        "session",
+    },
     "frames": {"files"},
     "sequence": {"files", "frames", "distributed", "run"},
 }

@@ -132,6 +132,7 @@ class VisibleSplats:
             orthographic=view.orthographic,
             depths=depths,
             window=window,
+            device="cpu",
         )
 
     @property

@@ -152,7 +152,7 @@ def draw_forecast(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     text = forecast.warning(current)
     if not text:
         text = forecast.words(current)
-        if preferences.get().device not in ("", preferences.CPU):
+        if preferences.uses_card():
             text += " That is for the CPU; the time on a graphics card is not known."
         sentence(layout, text, icon="TIME")
         return

@@ -70,7 +70,7 @@ def similarity(
 ) -> float:
     """Mean PSNR, dB, of pictures of `after` against those of `before`, over black; `check` is
     called before each."""
-    values, how = [], {"antialias": antialias, "depths": False}
+    values, how = [], {"antialias": antialias, "depths": False, "device": "cpu"}
     for K, viewmat, width, height in views:
         pictures = []
         for splats in (before, after):

@@ -44,7 +44,7 @@ class RenderDevice:
         if self.is_off:
             if not self._failures:  # the reason is shown once
                 self.problem = ""
-            return render(*args, **how)
+            return render(*args, **how, device="cpu")
         try:
             drawn = render(*args, **how, device=self._client)
         except core.NoDeviceError as error:
@@ -56,7 +56,7 @@ class RenderDevice:
         else:
             self._failures, self.problem = 0, ""
             return drawn
-        return render(*args, **how)
+        return render(*args, **how, device="cpu")
 
     def close(self) -> None:
         """End the server."""
@@ -84,10 +84,10 @@ class DeviceChoice:
 
     def device(self) -> RenderDevice | None:
         """The device; None: the CPU, for which nothing is loaded or started."""
-        value = preferences.get().device or preferences.CPU
+        value = preferences.get().device or preferences.AUTO
         if self._chosen is not None and self._chosen[0] != value:
             self.forget()
-        if value == preferences.CPU:
+        if not preferences.uses_card():
             return None
         if self._chosen is None:
             client = core.RenderClient(value.lower(), folder=bpy.app.tempdir)

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -86,7 +87,7 @@ def draw(
     """
     antialias = compensates(options.antialias, trained=model.antialias, plain=model.plain)
     flag = CancelFlag() if cancel is None else cancel
-    drawn_by = render if options.device is None else options.device.render
+    drawn_by = partial(render, device="cpu") if options.device is None else options.device.render
     done: list[Rendered | BaseException] = []
 
     def work() -> None:

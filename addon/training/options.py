@@ -23,7 +23,7 @@ class Machine:
 
     threads: int = 0
     """CPU threads; 0: all."""
-    device: str = "cpu"
+    device: str = "auto"
     """Device that trains: `cpu`, `auto`, or the UUID of a graphics card."""
     lpips: Path | None = None
     """Network that measures LPIPS."""

@@ -93,7 +93,7 @@ class RunState:
     """Unique warnings, the latest last."""
     started: Started | None = None
     replaces_card: bool = False
-    """Whether the CPU trains because a graphics card could not be used, or failed."""
+    """Whether the CPU trains because a graphics card failed."""
     preview: Preview | None = None
     snapshot: Snapshot | None = None
     checkpoint: Path | None = None
@@ -188,10 +188,8 @@ class RunState:
                 self.sentence += f" Resume continues from step {self.checkpoint_step:,}."
 
     def _started(self, event: Started) -> None:
-        train = event.config.get("train")
-        wanted = train.get("device") if isinstance(train, dict) else _CPU
         failed = self.started is not None and self.started.device != _CPU
-        self.replaces_card = event.device == _CPU and (failed or wanted == "auto")
+        self.replaces_card = event.device == _CPU and failed
         self.started = event
         self.step, self.iterations, self.splats = event.step, event.iterations, event.splats
         self.phase = "first steps"

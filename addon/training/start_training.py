@@ -210,7 +210,7 @@ def machine() -> options.Machine:
             )
     return options.Machine(
         threads=prefs.threads,
-        device=(prefs.device or preferences.CPU).lower(),
+        device=(prefs.device or preferences.AUTO).lower(),
         lpips=lpips,
         preview_seconds=prefs.preview_seconds,
     )

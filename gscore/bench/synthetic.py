@@ -88,7 +88,13 @@ class SyntheticPhotos:
     def _photo(self, index: int, width: int, height: int) -> np.ndarray:
         cameras = self.scene.cameras
         rgb = render(
-            self.splats, cameras.Ks[index], cameras.viewmats[index], width, height, depths=False
+            self.splats,
+            cameras.Ks[index],
+            cameras.viewmats[index],
+            width,
+            height,
+            depths=False,
+            device="cpu",
         ).rgb
         # Half as bright, so that gradients are as large as early in a training.
         return (np.clip(rgb, 0, 1) * 127 + 0.5).astype(np.uint8)

@@ -259,6 +259,7 @@ def _pictures(trainer: Trainer, eval_views: Dataset | None) -> PictureOf:
             near=trainer.frame.world_near,
             antialias=trainer.config.antialias,
             threads=trainer.config.threads,
+            device="cpu",
         ).rgb
         return rgb if gain is None else rgb * gain.numpy()
 

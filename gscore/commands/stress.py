@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--json", "JSON list on stdout, one object per test")
     option("--only NAME", "run only tests whose names contain this", action="append", default=[])
     option("--isa ISA", "instruction set; `all` runs each one available (the best)")
-    add_device_option(parser)
+    add_device_option(parser, default="cpu")
     option("--full", "also run the long tests: five minutes to half an hour")
 
 

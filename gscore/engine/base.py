@@ -16,7 +16,7 @@ import numpy as np
 
 from ..choices import Skip
 from ..raster.request import Frustum
-from ..splats import PARAMETERS
+from ..splats import PARAMETERS, SH_REST_BY_DEGREE
 
 Columns = Mapping[str, np.ndarray]
 """Columns by name, [N, ...] float32."""
@@ -334,6 +334,19 @@ class CostModel:
     """Weight of this model against measured steps, planned seconds: small, because steps soon
     replace it."""
 
+    def seconds(self, splats: float, sh_degree: int, pixels: float, models: int = 1) -> float:
+        """Seconds of a step.
+
+        Args:
+            splats: Number of splats of all models.
+            sh_degree: SH degree in use.
+            pixels: Drawn pixels of a model.
+            models: Number of models.
+        """
+        numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[sh_degree])
+        a_splat = self.splat + self.number * numbers
+        return models * (self.step + self.pixel * pixels) + a_splat * splats
+
 
 @dataclass(frozen=True, kw_only=True)
 class EngineInfo:
@@ -396,11 +409,13 @@ class Engine(Protocol[Model]):
     """Steps that may be requested before the result of the first is read."""
     info: EngineInfo
     """Identity and capabilities."""
+    measured_pace: float = 1.0
+    """Time of a step relative to `EngineInfo.cost`, where it was measured before."""
 
     def pace(self) -> float:
         """Measure the time of a step relative to `EngineInfo.cost` under the current load, within a
-        tenth of a second; 1: the first steps will show it."""
-        return 1.0
+        tenth of a second, or return `measured_pace`; 1: the first steps will show it."""
+        return self.measured_pace
 
     def model(
         self, columns: Columns, *, counters: Sequence[str] = (), frozen: Columns | None = None

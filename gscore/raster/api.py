@@ -73,7 +73,7 @@ def render(
     origin: np.ndarray | Sequence[float] | None = None,
     threads: int = 0,
     cancel: CancelFlag | None = None,
-    device: "str | Chosen | RenderClient" = "cpu",
+    device: "str | Chosen | RenderClient" = "auto",
     keep: bool = False,
 ) -> Rendered:
     """Render splats from one camera (Kerbl et al. 2023; EWA of Zwicker et al. 2001).
@@ -104,8 +104,9 @@ def render(
         threads: 0: all cores.
         cancel: Set it from another thread to stop.
         device: What draws: `cpu`; `gpu`, a graphics card; `auto`, a graphics card if there is a
-            usable one, or the CPU; or the number of a device in `gscore doctor`. In Blender a
-            `gscore.frontend.RenderClient`, which also needs arrays that do not change.
+            usable one, which is tested first, or the CPU; or the number of a device in `gscore
+            doctor`. In Blender `cpu`, or a `gscore.frontend.RenderClient`, which also needs arrays
+            that do not change.
         keep: The graphics card may keep its copy of the splats for further pictures; their arrays
             must not change from now on.
 
@@ -226,6 +227,10 @@ def _draw(
     keep: bool,
 ) -> Any:
     """Draw on a device; returns the number of splats in the picture."""
+    if device == "auto":
+        from .gpu.absence import no_automatic_card
+
+        device = "cpu" if no_automatic_card() else device
     if isinstance(device, str) and device != "cpu":
         from .gpu.choice import chosen_device  # loads what only graphics cards need
 

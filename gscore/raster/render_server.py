@@ -172,7 +172,7 @@ def open_device(device: str, report: Callable[[str], None]) -> tuple[Lend, int]:
 
     chosen = choose(device, report=report)
     if chosen.device is None:
-        raise NoDeviceError(chosen.note)
+        raise NoDeviceError(chosen.note or f"The CPU is used. {chosen.reason}")
     report(f"Starting {chosen.name}")
     with chosen.lend():  # compiles
         return chosen.lend, min(KEPT_BYTES, chosen.device.memory_bytes // _KEPT_SHARE)

@@ -102,7 +102,7 @@ def toy_photos(
     splats, cameras = splats or toy_splats(seed), toy_cameras(views, size)
     images = []
     for K, viewmat in zip(cameras.Ks, cameras.viewmats, strict=True):
-        rgb = render(splats, K, viewmat, size, size).rgb
+        rgb = render(splats, K, viewmat, size, size, device="cpu").rgb
         if not rgb.mean() > 0.1:
             raise EmptyTestError("a photo of the toy capture is nearly black")
         images.append((np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8))

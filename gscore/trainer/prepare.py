@@ -97,6 +97,8 @@ class Prepared:
     trainer: Trainer
     warnings: Sequence[str] = ()
     """Warnings of reading the photos."""
+    device: Decision | None = None
+    """Choice of the device; None: the options name it."""
     caps: Decision | None = None
     """Caps of steps and splats; None: none applies."""
     requested: dict[str, int] = field(default_factory=dict)
@@ -117,7 +119,12 @@ class Prepared:
         rules = (self.stereo, self.depth, self.guide, self.exposure, self.pose_check)
         models = self.trainer.models
         counts = {"trained": models.trained_count, "frozen": models.frozen_count}
-        found = [*self.trainer.rules.decisions(**counts), self.caps, _MASKS.get(self.mask_mode)]
+        found = [
+            self.device,
+            *self.trainer.rules.decisions(**counts),
+            self.caps,
+            _MASKS.get(self.mask_mode),
+        ]
         found += [rule.decision for rule in rules]
         by_topic = {one.topic: one for one in found if one is not None}
         by_topic |= {one.topic: one for one in earlier if one.topic in _KEPT}

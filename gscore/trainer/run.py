@@ -10,10 +10,11 @@ from typing import Any
 from ..config import DataConfig, TrainConfig
 from ..config_file import to_dict
 from ..control import Control
+from ..datasets import load_dataset
 from ..engine.base import Engine
 from ..engine.opening import open_engine
 from ..errors import ConfigError, GsError
-from ..events import ENDED, Event, Warn
+from ..events import ENDED, Decision, Event, Warn
 from ..io.runs import AGENT, checkpoints_in
 from ..live.viewer_clients import ViewerClients
 from ..metrics import find_lpips, lpips_warnings
@@ -21,6 +22,7 @@ from ..raster.gpu.choice import once_a_device
 from ..raster.gpu.library import DEVICE_ERRORS
 from .distributed.consistency import all_ready, check_equal
 from .distributed.process_group import BEGIN, ProcessGroup, RankLostError
+from .estimate.automatic_device import open_automatic, run_size
 from .files.run_folder import RunFolder, open_folder
 from .files.run_result import TrainResult
 from .host.isolated_state import isolated_torch_state, mmap_large_blocks
@@ -136,9 +138,12 @@ def _train(
             options = {"config": to_dict(run_start.config), "data": to_dict(data)}
             group.broadcast({"do": BEGIN, "facts": run_start.state.facts(), **options})
         with all_ready(group):
-            engine = _engine_of(run_start.config, emit=emit, control=control, group=group)
-            if engine is not None:
+            engine, decision = None, None
+            if group is None:
+                engine, decision = _open_engine(run_start, data, emit=emit, control=control)
                 stack.enter_context(closing(engine))
+            else:
+                _check_cpu(run_start.config.device)
             found = prepare(
                 run_start.config,
                 data,
@@ -149,6 +154,7 @@ def _train(
                 control=control,
                 group=group,
             )
+            found.device = decision
         if group:
             check_equal(group, found.facts())
         with readable_memory_errors(), closing(found.trainer.engine):
@@ -183,35 +189,44 @@ def _train(
                 return result
 
 
-def _engine_of(
-    config: TrainConfig,
-    *,
-    emit: Callable[[Event], None],
-    control: Control,
-    group: ProcessGroup | None,
-) -> Engine[Any] | None:
-    """Open the engine of a training; None: a rank has its own.
+def _check_cpu(device: str) -> None:
+    """Raise ConfigError if the ranks of torchrun are to train on one device that is not the CPU."""
+    if device not in ("cpu", "auto"):
+        raise ConfigError(
+            f"torchrun trains on CPUs alone; leave out `--device {device}`, or train without "
+            "torchrun."
+        )
+
+
+def _open_engine(
+    start: RunStart, data: DataConfig, *, emit: Callable[[Event], None], control: Control
+) -> tuple[Engine[Any], Decision | None]:
+    """Open the engine of a training; with the decision, if the options leave the choice.
 
     Raises:
-        ConfigError: there is no such device, or several ranks train on one that is not the CPU.
+        ConfigError: there is no such device.
         BackendError: the device cannot be used.
+        GsError: the device is to be chosen, and the capture cannot be read.
     """
-    if group is not None:
-        if config.device not in ("cpu", "auto"):
-            raise ConfigError(
-                f"torchrun trains on CPUs alone; leave out `--device {config.device}`, or train "
-                "without torchrun."
-            )
-        return None
-    engine, note = open_engine(
-        config.device,
-        threads=config.threads,
-        report=once_a_device(lambda text: emit(Warn(message=f"{text}.", code=DEVICE))),
-        cancel=lambda: bool(control.stop_reason),
-    )
+    config = start.config
+    how = {
+        "threads": config.threads,
+        "report": once_a_device(lambda text: emit(Warn(message=f"{text}.", code=DEVICE))),
+        "cancel": lambda: bool(control.stop_reason),
+    }
+    if config.device != "auto":
+        engine, note = open_engine(config.device, **how)
+        decision = None
+    else:
+        found = open_automatic(
+            lambda: run_size(config, load_dataset(data, cancelled=how["cancel"])),
+            earlier=start.isa,
+            **how,
+        )
+        engine, decision, note = found.engine, found.decision, found.warning
     if note:
         emit(Warn(message=note, code=DEVICE))
-    return engine
+    return engine, decision
 
 
 @contextmanager

@@ -69,6 +69,11 @@ class RunStart:
         self.state = self._state()
         """State of the checkpoint, and start splats until `resume`."""
 
+    @property
+    def isa(self) -> str:
+        """Identity of the bits of the steps taken so far; empty: none, or unknown."""
+        return (self._checkpoint and self._checkpoint.isa) or ""
+
     def check(self, photos: Photos) -> None:
         """Check the capture against the checkpoint, if any.
 

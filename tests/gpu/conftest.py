@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from gscore.raster.gpu import choice, gpu_raster, library, verdict
+from gscore.raster.gpu import absence, choice, gpu_raster, library, verdict
 from gscore.raster.gpu.devices import Device, find_devices
 from tests.gpu.drivers import absent
 from tests.gpu.fake_gpu import FakeGpu
@@ -17,13 +17,14 @@ from tests.trainer.conftest import capture  # noqa: F401
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The folder of the verdicts, empty; nothing of another test is remembered; `auto` uses cards
-    on any system."""
+    """The folder of the verdicts, empty; nothing of another test is remembered; `auto` looks for
+    cards on any system."""
     folder = tmp_path / "cache"
     monkeypatch.setattr(verdict, "cache_folder", lambda: folder)
     monkeypatch.setattr(verdict, "_of_process", {})
     monkeypatch.setattr(choice, "_by_name", {})
-    monkeypatch.setattr(choice, "_AUTO_ON", (sys.platform,))
+    monkeypatch.setattr(absence, "_AUTO_ON", (sys.platform,))
+    monkeypatch.setattr(absence, "may_have_card", lambda: True)
     monkeypatch.delenv("GSCORE_GPU_FAULT", raising=False)
     yield folder
     gpu_raster.close_all()

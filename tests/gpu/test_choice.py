@@ -6,7 +6,8 @@ import pytest
 import gscore
 from gscore.errors import BackendError, ConfigError
 from gscore.raster import native_library
-from gscore.raster.gpu import choice
+from gscore.raster.gpu import absence, choice
+from gscore.raster.gpu.absence import may_have_card
 from gscore.raster.gpu.choice import choose
 from gscore.raster.gpu.devices import find_devices
 from gscore.raster.gpu.library import DeviceLostError, DeviceMemoryError, DeviceTimeoutError
@@ -62,29 +63,48 @@ def test_a_card_that_failed_is_passed_over(machine) -> None:
 def test_auto_is_the_cpu_on_untested_platforms(
     machine, monkeypatch: pytest.MonkeyPatch, platform: str
 ) -> None:
-    """Oracle: no list of devices for `auto`, a reason; cards can still be named."""
+    """Oracle: no list of devices for `auto`, and a reason that is not shown; cards can still be
+    named."""
     machine(card())
     assert _number("gpu") == _number("0") == 0
-    monkeypatch.setattr(choice, "_AUTO_ON", ("linux",))
-    monkeypatch.setattr(choice.sys, "platform", platform)
+    monkeypatch.setattr(absence, "_AUTO_ON", ("linux",))
+    monkeypatch.setattr(absence.sys, "platform", platform)
     found = choose("auto", find=lambda: pytest.fail("listed"))
-    assert found.device is None and "no graphics card is chosen automatically" in found.note
+    assert found.device is None and not found.note
+    assert "no graphics card is chosen automatically" in found.reason
+
+
+def test_auto_without_a_driver_s_device_file_loads_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path
+) -> None:
+    """Oracle: a list of devices that must not be made; device files of three kinds of drivers."""
+    monkeypatch.setattr(absence, "may_have_card", lambda: may_have_card(tmp_path))
+    found = choose("auto", find=lambda: pytest.fail("listed"))
+    assert found.device is None and not found.note and found.reason == "There is no graphics card."
+    for name in ("nvidiactl", "dxg", "dri/renderD128"):
+        root = tmp_path / name.replace("/", "-")
+        path = root / "dev" / name
+        path.parent.mkdir(parents=True)
+        assert not may_have_card(root)
+        path.touch()
+        assert may_have_card(root)
 
 
 def test_software_is_chosen_by_name_only(machine) -> None:
-    """Oracle: `auto` draws on the CPU with a reason, `gpu` takes it with a warning."""
+    """Oracle: `auto` draws on the CPU, which is not mentioned, `gpu` takes it with a warning."""
     machine(card(**SOFTWARE))
     auto, gpu = choose("auto"), choose("gpu")
-    assert auto.device is None and "llvmpipe, is a software device" in auto.note
+    assert auto.device is None and not auto.note
+    assert "llvmpipe, is a software device" in auto.reason
     assert gpu.device is not None and "more slowly than with `--device cpu`" in gpu.note
     assert choose("0").note == gpu.note
 
 
 def test_without_devices_there_is_a_reason(fake) -> None:
-    """Oracle: the library's message in a note for `auto`, in errors otherwise."""
+    """Oracle: the library's message as the reason for `auto`, in errors otherwise."""
     fake(message="there is no Vulkan loader on this system")
     auto = choose("auto")
-    assert auto.device is None and auto.note.startswith("The CPU is used. There is")
+    assert auto.device is None and not auto.note and auto.reason.startswith("There is")
     with pytest.raises(BackendError, match="No graphics card can be used"):
         choose("gpu")
     with pytest.raises(ConfigError, match="There is no device 0"):

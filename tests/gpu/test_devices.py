@@ -164,7 +164,7 @@ def test_drawing_on_the_cpu_loads_no_vulkan() -> None:
         "p = gscore.Splats(means=f(1, 3), quats=f(1, 4), scales=f(1, 3), opacities=f(1),\n"
         "    sh0=f(1, 1, 3), shN=f(1, 0, 3))\n"
         "gscore.render(p, np.diag([9.0, 9.0, 1.0]), np.eye(4), 4, 4)\n"
-        "gpu = [name for name in sys.modules if name.startswith('gscore.raster.gpu')]\n"
+        "gpu = [name for name in sys.modules if name.startswith('gscore.raster.gpu.')]\n"
         "maps = open('/proc/self/maps').read() if sys.platform == 'linux' else ''\n"
         "print(gpu, 'vulkan' in maps, 'gscore_gpu' in maps)"
     )
@@ -172,4 +172,4 @@ def test_drawing_on_the_cpu_loads_no_vulkan() -> None:
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=env
     )
-    assert done.stdout.strip() == "[] False False"
+    assert done.stdout.strip() == "['gscore.raster.gpu.absence'] False False"

@@ -90,7 +90,7 @@ def test_automatic_takes_no_software_device(client: RenderClient, device: Device
     """Oracle: the kind of the devices."""
     if not device.is_software:
         pytest.skip("There is a graphics card.")
-    with pytest.raises(NoDeviceError, match="software device"):
+    with pytest.raises(NoDeviceError, match=r"^The CPU is used\. "):
         drawn(splats_of(), device=RenderClient("auto"))
 
 
@@ -108,5 +108,5 @@ def test_a_machine_without_vulkan(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert found == [] and len(problems) == 1 and "GSCORE_VULKAN_LOADER" in problems[0]
     with pytest.raises(BackendError, match="not in this computer"):
         drawn(splats_of(), device=RenderClient("ab" * 16))
-    with pytest.raises(NoDeviceError, match="GSCORE_VULKAN_LOADER"):
+    with pytest.raises(NoDeviceError, match=r"^The CPU is used\. "):
         drawn(splats_of(), device=RenderClient("auto"))

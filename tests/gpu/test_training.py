@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 
 from gscore.config import DataConfig, TrainConfig
-from gscore.engine import opening
 from gscore.engine.base import RowEdit, StepPhoto, TermGradients
 from gscore.engine.cpu.engine import CpuEngine
 from gscore.engine.gpu.engine import GpuEngine
 from gscore.errors import BackendError
-from gscore.events import Saved, Started
+from gscore.events import Decision, Saved, Started
 from gscore.raster.gpu.devices import Device
 from gscore.raster.gpu.library import DeviceMemoryError
 from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
 from gscore.splats import PARAMETERS
 from gscore.stress.capture import toy_photos, toy_splats
 from gscore.trainer import run
+from gscore.trainer.estimate.automatic_device import AutomaticDevice
 from gscore.trainer.estimate.device_memory import device_bytes
 from tests.engine.test_contract import COUNTERS, columns_of, request_of
 from tests.gpu.drivers import DRIVERS, ROOT, Driver, each_driver, result_of, variables_of
@@ -257,12 +257,11 @@ def test_the_cpu_takes_over_from_a_device_chosen_automatically(
     """Oracle: a finished run and one sentence, on a device that is lost at a step, or that lacks
     memory for one: then no step before it is taken again."""
 
-    def opened(device: str, **options: Any) -> Any:
-        return (software_engine(), "") if device == "auto" else opening.open_engine(device)
-
     monkeypatch.setenv("GSCORE_GPU_FAULT", fault)
     monkeypatch.setattr(GpuEngine, "keep_photos", lambda *_: None)  # they would make room
-    monkeypatch.setattr(run, "open_engine", opened)
+    chosen = Decision("chosen_device", "")
+    found = lambda *_, **__: AutomaticDevice(engine=software_engine(), decision=chosen)  # noqa: E731
+    monkeypatch.setattr(run, "open_automatic", found)
     events: list[Any] = []
     config = TrainConfig(iterations=12, device="auto", checkpoint_iterations=(2, 8))
     done = run.train(config, DataConfig(source=capture), tmp_path / "run", events.append)

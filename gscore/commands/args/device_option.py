@@ -12,15 +12,15 @@ from ..terminal.output import print_warnings
 from ..terminal.status import Status, can_move
 
 
-def add_device_option(parser: argparse.ArgumentParser) -> None:
-    """Declare `--device`."""
+def add_device_option(parser: argparse.ArgumentParser, *, default: str = "auto") -> None:
+    """Declare `--device`; `default`: for verbs that measure a device, which must be named."""
     add_option(
         parser,
         "--device DEVICE",
         "what draws: cpu, gpu (a graphics card), auto (a usable card or the CPU), or a number of "
-        "gscore doctor (cpu)",
+        f"gscore doctor ({default})",
         _device,
-        default="cpu",
+        default=default,
     )
 
 

@@ -165,7 +165,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-r, --resolution RESOLUTION", "size of the photos, as in `gscore train`", float, default=-1
     )
     add_threads_option(parser)
-    add_device_option(parser)
+    add_device_option(parser, default="cpu")
     option("--isa ISA", "instruction set; `all` measures each one available")
 
 

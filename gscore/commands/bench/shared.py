@@ -45,7 +45,7 @@ def add_training_options(parser: argparse.ArgumentParser) -> None:
     option("--max-splats MAX_SPLATS", "cap of the number of splats; default: the preset's", int)
     option("--strategy", "densification strategy", choices=tuple(Strategy))
     add_threads_option(parser)
-    add_device_option(parser)
+    add_device_option(parser, default="cpu")
     add_data_options(parser)
 
 

@@ -131,7 +131,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     skips = [skip.value for skip in Skip]
     option("--without SKIP...", choices=skips, default=())
     add_threads_option(parser)
-    add_device_option(parser)
+    add_device_option(parser, default="cpu")
     option(
         "--cache-mb MB",
         "memory for decoded photos of SOURCE; others are decoded at each use (all)",

@@ -103,4 +103,4 @@ def _picture(splats: Splats, cameras: Cameras, index: int, views: EditViews) -> 
 
 def _rendered(splats: Splats, cameras: Cameras, index: int, views: EditViews) -> Rendered:
     how = {"near": views.near, "antialias": views.antialias, "threads": views.threads}
-    return render_camera(splats, cameras, index, **how)
+    return render_camera(splats, cameras, index, **how, device="cpu")

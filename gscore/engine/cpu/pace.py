@@ -54,7 +54,7 @@ def _paces(threads: int) -> list[float]:
     paces = []
     for _ in range(_TRIES):
         began = time.perf_counter()
-        render(splats, K, viewmat, _WIDTH, _HEIGHT, depths=False, threads=threads)
+        render(splats, K, viewmat, _WIDTH, _HEIGHT, depths=False, threads=threads, device="cpu")
         paces.append(1000 * (time.perf_counter() - began) / _REFERENCE_MS)
     return paces
 

@@ -5,6 +5,13 @@ import sys
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
+_AUTO_ON = ("linux",)
+"""Platforms (sys.platform) whose cards `auto` uses: on others no card has passed the tests yet."""
+_AUTO_OFF = (
+    "On this operating system no graphics card is chosen automatically, because none was tested "
+    "yet; choose the card itself to use it."
+)
+_NO_CARD = "There is no graphics card."
 _VENDORS = {
     0x10DE: (
         "NVIDIA",
@@ -22,6 +29,25 @@ _VARIABLES = (
 )
 """Environment variables that hide drivers from the Vulkan loader."""
 _LOADERS = {"win32": "vulkan-1.dll", "darwin": "libvulkan.1.dylib"}
+
+
+def may_have_card(root: Path = Path("/")) -> bool:
+    """Whether Linux has a device file of a graphics driver for programs, without which Vulkan only
+    offers software devices; no library is loaded.
+
+    Args:
+        root: Root of the file system.
+    """
+    devices = root / "dev"
+    names = ("nvidiactl", "dxg")  # NVIDIA's driver, and WSL2's
+    return any((devices / name).exists() for name in names) or any(devices.glob("dri/renderD*"))
+
+
+def no_automatic_card() -> str:
+    """Why `auto` is the CPU here without a search, as a sentence; empty: there may be a card."""
+    if sys.platform not in _AUTO_ON:
+        return _AUTO_OFF
+    return "" if may_have_card() else _NO_CARD
 
 
 def why_no_device(message: str, root: Path = Path("/")) -> tuple[str, ...]:

@@ -3,7 +3,6 @@
 import logging
 import os
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from ...errors import BackendError, ConfigError
 from .. import _native
 from ..buffers import Array
 from ..request import Frustum, Settings
+from .absence import no_automatic_card
 from .devices import Device, FoundDevices, failure_text, find_devices
 from .gpu_raster import GpuRaster, opened
 from .library import library_hash
@@ -20,12 +20,6 @@ from .verification import Report, verified
 _log = logging.getLogger(__name__)
 _ORDER = ("discrete", "integrated", "virtual", "other")
 """Kinds of real devices, best first."""
-_AUTO_ON = ("linux",)
-"""Platforms (sys.platform) whose cards `auto` uses: on others no card has passed the tests yet."""
-_AUTO_OFF = (
-    "The CPU is used. On this operating system no graphics card is chosen automatically, because "
-    "none was tested yet; choose the card itself to use it."
-)
 _UUID = re.compile("[0-9a-f]{32}")
 
 
@@ -43,6 +37,8 @@ class Chosen:
     """None: the CPU."""
     note: str = ""
     """A sentence for the user on the choice; empty: nothing to mention."""
+    reason: str = ""
+    """Why `auto` chose the CPU, as a sentence, also where there is nothing to mention."""
     fallback: bool = False
     """Whether the CPU continues after an error of the device."""
     failed: Device | None = None
@@ -160,8 +156,9 @@ def choose(
 
     Args:
         device: `cpu`; `gpu`: a graphics card, or a software device if there is nothing else;
-            `auto`: a graphics card, or the CPU; the number of a device in `gscore doctor`; or its
-            UUID, which stays the same after a start of the system.
+            `auto`: a graphics card, or the CPU, for which no library is loaded where there is no
+            card; the number of a device in `gscore doctor`; or its UUID, which stays the same
+            after a start of the system.
         report: Receives a sentence on a self-test while it runs.
         cancel: Returns whether a self-test is to stop.
         find: Lists the devices.
@@ -178,8 +175,8 @@ def choose(
             f"The device must be cpu, gpu, auto or a number that `gscore doctor` lists, got "
             f"{device[:40]!r}."
         )
-    if device == "auto" and sys.platform not in _AUTO_ON:
-        return Chosen(device=None, note=_AUTO_OFF)
+    if device == "auto" and (absent := no_automatic_card()):
+        return Chosen(device=None, reason=absent)
     found = find()
     if device not in ("gpu", "auto"):
         return _named(device, found, report, cancel)
@@ -194,7 +191,9 @@ def choose(
         failures.append(f"Device {one.number} ({one.name}): {failure}")
     software = [one for one in found.devices if one.is_software]
     if device == "auto":
-        return Chosen(device=None, note=f"The CPU is used. {_why(failures, software)}")
+        why = _why(failures, software)
+        # Where no card could be used before, the CPU is nothing to mention.
+        return Chosen(device=None, note=f"The CPU is used. {why}" if real else "", reason=why)
     for one in software:
         if not (failure := _failure(one, report, cancel)):
             return Chosen(device=one, note=f"{_software_note(one)} {_why(failures, [])}".rstrip())

@@ -7,7 +7,6 @@ from itertools import accumulate
 
 from ...engine.base import CostModel
 from ...engine.cpu.pace import COST
-from ...splats import SH_REST_BY_DEGREE
 from ..schedule.plan import Plan
 
 _SECONDS_A_POINT = 2e-6
@@ -49,12 +48,9 @@ class Cost:
 
         Other machines differ by a factor that is about the same for all steps.
         """
-        plan, model = self.plan, self.model
-        numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[plan.sh_degree_at(step)])
-        a_splat = model.splat + model.number * numbers
+        plan = self.plan
         drawn = plan.pixels / plan.factor_at(step) ** 2
-        a_model = model.step + model.pixel * drawn
-        return plan.models * a_model + a_splat * splats
+        return self.model.seconds(splats, plan.sh_degree_at(step), drawn, plan.models)
 
     def seconds_after(self, step: int, splats: int) -> float:
         """Seconds of the steps after `step`, which ends with `splats`, on the reference machine."""

@@ -209,7 +209,8 @@ def test_a_success_forgives_a_failure(scene, prefs, rendered, monkeypatch):
 
 
 def test_automatic_without_a_card_gives_the_reason_once(scene, prefs, rendered, monkeypatch, capfd):
-    """Oracle also: one report; one process at most looks for cards."""
+    """Oracle also: one report; one process at most looks for cards, where there may be one."""
+    monkeypatch.setattr(preferences, "no_automatic_card", lambda: "")
     none = "def none(*_): raise s.NoDeviceError('The CPU draws. There is no card.')\n"
     code = BREAKING.replace("s.main(", f"{none}s.open_device = none\ns.main(")
     monkeypatch.setattr(render_process, "_CODE", code)
@@ -225,6 +226,8 @@ def test_automatic_without_a_card_gives_the_reason_once(scene, prefs, rendered, 
         chosen = device.CHOICE.device()
         assert chosen is not None and bool(chosen.problem) == bool(count), "in the view"
     assert client_of().started == 1
+    monkeypatch.setattr(preferences, "no_automatic_card", lambda: "There is no graphics card.")
+    assert device.CHOICE.device() is None
 
 
 def test_the_viewport_is_drawn_by_the_device(scene, prefs, monkeypatch):
@@ -368,4 +371,5 @@ print("started", started)
 addon_utils.disable("addon", default_set=True)
 """
     output = run_blender(script)
-    assert "loaded []" in output and "started []" in output
+    assert "loaded ['gscore.raster.gpu', 'gscore.raster.gpu.absence']" in output
+    assert "started []" in output

@@ -68,10 +68,10 @@ def test_a_training_gets_the_device(
 
 
 def test_the_panel_names_the_device() -> None:
-    """Oracle: the events; a CPU in place of a card is named, at the start and after a failure."""
+    """Oracle: the events; a CPU in place of a card that failed is named."""
     assert shown(started("cpu", "cpu")) == "CPU"
     assert shown(started("Card", "auto")) == "Card"
-    assert shown(started("cpu", "auto")) == "CPU, without a graphics card"
+    assert shown(started("cpu", "auto")) == "CPU"
     assert shown(started("Card", "auto"), started("cpu", "cpu")) == "CPU, without a graphics card"
     older = {name: value for name, value in STARTED.items() if name != "event"}
     assert shown(Started(**older)) == "CPU"

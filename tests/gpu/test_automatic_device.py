@@ -1,0 +1,147 @@
+"""`auto` of trainings: a software device that counts as a card, and times that are given."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gscore.config import DataConfig, TrainConfig
+from gscore.engine.cpu.engine import CpuEngine
+from gscore.engine.trial import step_seconds
+from gscore.events import Started, Warn
+from gscore.raster.gpu.choice import Chosen
+from gscore.raster.gpu.devices import Device
+from gscore.raster.gpu.library import DeviceLostError
+from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
+from gscore.trainer import run
+from gscore.trainer.estimate import automatic_device
+from tests.gpu.engines import software_engine
+
+CONFIG = TrainConfig(iterations=4, checkpoint_iterations=(2,))
+Trial = Callable[..., float]
+
+
+@pytest.fixture
+def as_card(device: Device, monkeypatch: pytest.MonkeyPatch) -> Callable[[Trial], list[str]]:
+    """Makes `auto` choose the first device, which takes the given time in a trial; returns the
+    list of the names that were to be chosen from then on."""
+    asked: list[str] = []
+
+    def choose(name: str, **_: Any) -> Chosen:
+        asked.append(name)
+        return Chosen(device=device, fallback=True)
+
+    def install(trial: Trial) -> list[str]:
+        monkeypatch.setattr(automatic_device, "choose", choose)
+        monkeypatch.setattr(automatic_device, "step_seconds", trial)
+        monkeypatch.setattr(automatic_device, "_trials", {})
+        return asked
+
+    return install
+
+
+def _train(capture: Path, output: Path, **options: Any) -> tuple[Any, list[Any]]:
+    events: list[Any] = []
+    config = replace(CONFIG, **options.pop("config", {}))
+    done = run.train(config, DataConfig(source=capture), output, events.append, **options)
+    return done, events
+
+
+def _decision(events: list[Any]) -> str:
+    """The decision on the device; empty: none."""
+    (started,) = (one for one in events if isinstance(one, Started))
+    return started.decision("chosen_device")
+
+
+def _warnings(events: list[Any]) -> list[str]:
+    return [one.message for one in events if isinstance(one, Warn) and one.code == run.DEVICE]
+
+
+def test_a_faster_card_trains(as_card, device: Device, capture: Path, tmp_path: Path) -> None:
+    """Oracle: the device and both times in the event and metrics.json, `auto` in config.json; the
+    expected time has the pace of the trial."""
+    as_card(lambda *_, **__: 1e-6)
+    done, events = _train(capture, tmp_path)
+    assert done.steps == 4 and not _warnings(events)
+    text = _decision(events)
+    assert text.startswith(f"{device.name} trains: in a trial it took 0.001 ms a step with ")
+    assert ", the CPU about " in text
+    metrics = json.loads((tmp_path / "metrics.json").read_text(encoding="utf-8"))
+    assert metrics["decisions"][0] == {"topic": "chosen_device", "text": text}
+    assert metrics["machine"]["isa"].startswith("gpu: ")
+    assert json.loads((tmp_path / "config.json").read_text())["train"]["device"] == "auto"
+    (started,) = (one for one in events if isinstance(one, Started))
+    assert started.left_s < 1e-3
+
+
+def test_a_slower_card_is_left_alone(as_card, capture: Path, tmp_path: Path) -> None:
+    """Oracle: the bits of a training on the CPU, and both times in a sentence."""
+    as_card(lambda *_, **__: 1e3)
+    done, events = _train(capture, tmp_path / "auto")
+    cpu, _ = _train(capture, tmp_path / "cpu", config={"device": "cpu"})
+    assert done.splats.means.tobytes() == cpu.splats.means.tobytes()
+    assert _decision(events).startswith("The CPU trains: in a trial ")
+    assert not _warnings(events)
+
+
+def test_a_card_that_fails_in_its_trial_is_named(as_card, capture: Path, tmp_path: Path) -> None:
+    """Oracle: one sentence, and a finished run on the CPU."""
+
+    def trial(*_: Any, **__: Any) -> float:
+        raise DeviceLostError("The device was lost.")
+
+    as_card(trial)
+    done, events = _train(capture, tmp_path)
+    assert done.steps == 4
+    (text,) = _warnings(events)
+    assert "failed in a trial. The device was lost." in text and _decision(events) == text
+
+
+def test_a_resumed_run_keeps_its_device(as_card, capture: Path, tmp_path: Path) -> None:
+    """Oracle: the device of the first part, whatever a trial would find; nothing is looked for
+    where that was the CPU."""
+    asked = as_card(lambda *_, **__: 1e3)
+    for device in ("cpu", "0"):
+        output = tmp_path / device
+        first, _ = _train(capture, output, config={"device": device})
+        asked.clear()
+        config = {"iterations": 6, "device": "auto"}
+        done, events = _train(capture, output, config=config, resume=True)
+        assert first.steps == 4 and done.steps == 6
+        assert done.metrics["machine"]["isa"] == first.metrics["machine"]["isa"]
+        assert _decision(events).endswith(" trains, as before.") == (device == "0")
+        assert asked == (["auto"] if device == "0" else [])
+
+
+@pytest.fixture(autouse=True)
+def passed(device: Device) -> None:
+    """A verdict of the device."""
+    keep_verdict(device.key, DeviceVerdict(passed=True))
+
+
+def test_trials_are_shared_by_trainings_of_one_size(as_card, capture: Path, tmp_path: Path) -> None:
+    """Oracle: the number of trials."""
+    sizes = []
+    as_card(lambda *_, **size: sizes.append(size) or 1e3)
+    for name in "ab":
+        _train(capture, tmp_path / name)
+    assert len(sizes) == 1 and sizes[0]["sh_degree"] == 3 and sizes[0]["width"] > 0
+
+
+@pytest.mark.parametrize("make", [CpuEngine, software_engine])
+def test_a_trial_takes_steps(make: Callable[[], Any]) -> None:
+    """Oracle: a time, of which the steps of the engine give the order."""
+    engine = make()
+    found = step_seconds(engine, splats=50, sh_degree=1, width=40, height=30, seconds=0.02)
+    engine.close()
+    assert 0 < found < 60
+
+
+def test_no_trial_without_a_card(capture: Path, tmp_path: Path, monkeypatch) -> None:
+    """Oracle: a size that must not be read; nothing was decided, and nothing is shown."""
+    monkeypatch.setattr(run, "run_size", lambda *_: pytest.fail("read"))
+    _, events = _train(capture, tmp_path)
+    assert not _decision(events) and not _warnings(events)
