@@ -193,8 +193,8 @@ def _check_cpu(device: str) -> None:
     """Raise ConfigError if the ranks of torchrun are to train on one device that is not the CPU."""
     if device not in ("cpu", "auto"):
         raise ConfigError(
-            f"torchrun trains on CPUs alone; leave out `--device {device}`, or train without "
-            "torchrun."
+            f"torchrun trains one capture on CPUs alone; leave out `--device {device}`, train "
+            "without torchrun, or give blocks (`gscore split`), which ranks train in turn."
         )
 
 

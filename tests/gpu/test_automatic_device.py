@@ -100,6 +100,19 @@ def test_a_card_that_fails_in_its_trial_is_named(as_card, capture: Path, tmp_pat
     assert "failed in a trial. The device was lost." in text and _decision(events) == text
 
 
+def test_a_card_whose_memory_others_use_is_named(
+    as_card, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: one sentence with the memory, and a finished run on the CPU."""
+    as_card(lambda *_, **__: 1e-6)
+    monkeypatch.setenv("GSCORE_GPU_MEMORY", "20")
+    done, events = _train(capture, tmp_path, config={"max_splats": 10**6})
+    assert done.steps == 4
+    (text,) = _warnings(events)
+    assert text.startswith("The CPU trains from the start, because the device failed: Training 1,0")
+    assert [one.device for one in events if isinstance(one, Started)] == ["cpu"]
+
+
 def test_a_resumed_run_keeps_its_device(as_card, capture: Path, tmp_path: Path) -> None:
     """Oracle: the device of the first part, whatever a trial would find; nothing is looked for
     where that was the CPU."""

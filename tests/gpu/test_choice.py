@@ -48,6 +48,20 @@ def test_the_best_card_is_chosen(machine) -> None:
     assert choose("auto").note == "" and choose("auto").fallback and not choose("gpu").fallback
 
 
+def test_ranks_take_the_best_cards_in_turn(machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the discrete cards by the local number, the integrated one and the CPU never; the
+    next card where the own one failed."""
+    other = card(name=b"Other", uuid=bytes([9] * 16))
+    machine(card(**INTEGRATED), card(), other)
+    for rank, number in (("0", 1), ("1", 2), ("2", 1), ("x", 1)):
+        monkeypatch.setenv("LOCAL_RANK", rank)
+        assert _number("gpu") == _number("auto") == number
+        assert _number("0") == 0
+    machine(card(**INTEGRATED), card(), other, failed=[2])
+    monkeypatch.setenv("LOCAL_RANK", "1")
+    assert _number("gpu") == 1
+
+
 def test_a_card_that_failed_is_passed_over(machine) -> None:
     """Oracle: the next kind of card, and the reason in the note."""
     machine(card(**INTEGRATED), card(), failed=[1])

@@ -155,7 +155,8 @@ def choose(
     """Choose by the value of `--device`. A device is tested first if it has no verdict yet.
 
     Args:
-        device: `cpu`; `gpu`: a graphics card, or a software device if there is nothing else;
+        device: `cpu`; `gpu`: a graphics card, for ranks of torchrun in turn where there are several
+            of the best kind, or a software device if there is nothing else;
             `auto`: a graphics card, or the CPU, for which no library is loaded where there is no
             card; the number of a device in `gscore doctor`; or its UUID, which stays the same
             after a start of the system.
@@ -182,6 +183,9 @@ def choose(
         return _named(device, found, report, cancel)
     real = [one for one in found.devices if not one.is_software]
     real.sort(key=lambda one: _ORDER.index(one.kind))
+    best = [one for one in real if one.kind == real[0].kind]
+    turn = _rank_on_this_machine() % max(len(best), 1)
+    real = best[turn:] + best[:turn] + real[len(best) :]
     failures = list(found.problems)
     for one in real:
         failure = _failure(one, report, cancel)
@@ -199,6 +203,13 @@ def choose(
             return Chosen(device=one, note=f"{_software_note(one)} {_why(failures, [])}".rstrip())
         failures.append(f"Device {one.number} ({one.name}): {failure}")
     raise BackendError(f"No graphics card can be used. {_why(failures, [])}".rstrip())
+
+
+def _rank_on_this_machine() -> int:
+    """Number of this process among those that torchrun started here, each of which takes another
+    one of the best cards; 0: without torchrun."""
+    text = os.environ.get("LOCAL_RANK", "")
+    return int(text) if text.isascii() and text.isdigit() else 0
 
 
 def _named(
