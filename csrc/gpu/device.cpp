@@ -222,11 +222,11 @@ bool Device::inject_fault(bool is_step) {
     const int count = is_step ? ++steps_ : ++draws_;
     const char *const text = std::getenv("GSCORE_GPU_FAULT");
     if (!text || !*text)
-        return false;
+        return is_damaged_;
     const char *const colon = std::strchr(text, ':');
     const bool of_steps = colon && colon[1] == 's';
     if (of_steps != is_step || count != (colon ? std::atoi(colon + 1 + of_steps) : 1))
-        return false;
+        return is_damaged_;
     const size_t length = colon ? size_t(colon - text) : std::strlen(text);
     const auto is = [&](const char *name) { return std::strlen(name) == length && !std::strncmp(text, name, length); };
     if (is("oom"))
@@ -236,7 +236,8 @@ bool Device::inject_fault(bool is_step) {
         throw_failure(gs_status(GS_DEVICE_LOST), "%.100s is lost (GSCORE_GPU_FAULT)", info_.name);
     }
     hangs_ = is("hang");
-    return is("wrong");
+    is_damaged_ = is_damaged_ || (is_step && is("wrong"));
+    return is_damaged_ || is("wrong");
 }
 
 } // namespace gs

@@ -92,8 +92,10 @@ class Device {
     void profile(bool on);
     KernelTime kernel_time(Shader shader) const { return times_[int(shader)]; }
 
-    // Fails as GSCORE_GPU_FAULT demands; to be called once per draw or training step. True: the picture is to be damaged.
+    // Fails as GSCORE_GPU_FAULT demands; to be called once per draw or training step. True: the picture is to be damaged;
+    // from a step on, all are.
     bool inject_fault(bool is_step = false);
+    bool is_damaged() const { return is_damaged_; }
 
   private:
     // A command to be recorded, without padding.
@@ -159,7 +161,7 @@ class Device {
     size_t limit_; // bytes
     size_t bytes_at_once_;
     int draws_ = 0, steps_ = 0;
-    bool fails_to_allocate_ = false, hangs_ = false; // injected faults
+    bool fails_to_allocate_ = false, hangs_ = false, is_damaged_ = false; // injected faults
 };
 
 } // namespace gs

@@ -13,6 +13,8 @@ constexpr size_t kCameraFloats = 12, kQuad = 4 * sizeof(float);
 // Bytes that take as long as comparing a pixel with the photo, or the gradient there; and bytes of a row of a plane in
 // an Adam step: values and moments, read and written.
 constexpr size_t kLossBytes = 128, kLearnBytes = 6 * kQuad;
+// 0.5f, the first number of a damaged picture.
+constexpr uint32_t kHalf = 0x3F000000;
 
 static_assert(GS_SH_OFF == GS_GPU_SH_OFF && GS_SH_ACCUMULATE == GS_GPU_SH_ACCUMULATE && GS_SH_STEP == GS_GPU_SH_STEP);
 static_assert(GS_OUT_GRADIENTS == GS_GPU_GRADIENTS);
@@ -189,6 +191,8 @@ void gs_gpu::record_step(StepSlot &slot, int commands, bool with_term) {
     if (!with_term) {
         record_lists();
         record_blend();
+        if (device.is_damaged())
+            device.fill(rgb_, kWord, kHalf);
         if (s.pauses)
             return;
     }
@@ -237,7 +241,8 @@ void gs_gpu::request_step(gs_gpu_model &model, const gs_gpu_step &step, int numb
     if (slot.model)
         throw_failure(GS_BAD_ARGUMENT, "gs_gpu_step_request: the result of slot %d was not read", number);
     require_no_pause();
-    device.inject_fault(true);
+    if (step.number) // else it is no step of a training
+        device.inject_fault(true);
     slot.request = step;
     slot.term_is_sane = true;
     slot.has_term_alpha = slot.has_term_depth = false;

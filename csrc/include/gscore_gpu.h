@@ -23,7 +23,8 @@
  * most. GSCORE_GPU_SUBMISSION: MiB that the kernels of a submission move at most (4096), unless one alone moves more.
  * GSCORE_GPU_CHECK=1: validation layers, an error of which fails the call; buffers are filled with a pattern before each
  * draw, and each kernel is submitted alone. GSCORE_GPU_FAULT=lost|oom|wrong|hang, optionally :N: the N-th draw
- * (first: 1) fails so, or :sN: the N-th step of a training, for tests; a hang lasts 0.1 s. GSCORE_GPU_CHECK_LOG: a file to which validation messages
+ * (first: 1) fails so, or :sN: the N-th step whose number is not 0, for tests; from a wrong step on, all results are
+ * wrong; a hang lasts 0.1 s. GSCORE_GPU_CHECK_LOG: a file to which validation messages
  * are appended. */
 #pragma once
 

@@ -477,6 +477,10 @@ class Engine(Protocol[Model]):
         """Return the gradient of a view's photometric loss in its pose, [4, 4] float32."""
         ...
 
+    def verify(self) -> None:
+        """Repeat a small training, between two steps; BackendError if its result is not that of the
+        first call."""
+
     def keep_photos(self, room: int) -> None:
         """Let photos stay in the engine's own memory, up to `room` bytes of them."""
 

@@ -1,10 +1,12 @@
 """Opening of the engine that a training names: the CPU, or a graphics card that passed its test."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from ..raster.gpu.choice import Chosen, choose
 from ..raster.gpu.gpu_raster import GpuRaster
+from ..raster.gpu.verification import distrust
 from .base import Engine
 from .cpu.engine import CpuEngine
 from .gpu.engine import CARD_COST, SOFTWARE_COST, GpuEngine
@@ -43,4 +45,10 @@ def engine_of(chosen: Chosen, *, threads: int = 0) -> Engine[Any]:
         return CpuEngine(threads=threads)
     cost = SOFTWARE_COST if chosen.device.is_software else CARD_COST
     raster = GpuRaster(chosen.device.number)
-    return GpuEngine(raster, name=chosen.device.name, numerics=chosen.identity, cost=cost)
+    return GpuEngine(
+        raster,
+        name=chosen.device.name,
+        numerics=chosen.identity,
+        cost=cost,
+        on_wrong=partial(distrust, chosen.device),
+    )

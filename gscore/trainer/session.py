@@ -126,6 +126,7 @@ class Session:
     def run(self) -> TrainResult:
         """Train until the last step or a stop request, then write the results."""
         self._results.write_inputs(self._data)
+        self._trainer.engine.verify()
         self._started()
         trainer, control = self._trainer, self._control
         self._start_watchdog()
@@ -187,8 +188,8 @@ class Session:
 
     @contextmanager
     def _checkpoint_on_error(self) -> Iterator[None]:
-        """Write a checkpoint if a photo can no longer be read or the device has failed, and name it
-        in the error."""
+        """Write a checkpoint if a photo can no longer be read or the device has failed, unless its
+        results are wrong, and name the last one in the error."""
         try:
             yield
         except DEVICE_ERRORS as error:
@@ -376,6 +377,7 @@ class Session:
 
     def _write_checkpoint(self) -> Path:
         self._observe(self._trainer.read_all)
+        self._trainer.engine.verify()
         path = self._folder.checkpoint(self._trainer.steps)
         self._last_checkpoint = self._meter.train_seconds
         state = {
@@ -415,7 +417,8 @@ class Session:
         )
 
     def _finish(self) -> TrainResult:
-        self._observe(self._trainer.read_all)
+        with self._checkpoint_on_error():
+            self._observe(self._trainer.read_all)
         if self._has_diverged:
             self._rescue()
         trainer, reason = self._trainer, self._steering.reason
@@ -433,7 +436,8 @@ class Session:
                 "there are objects so close, train with `--free-space 0`.",
                 "cleared",
             )
-        self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
+        with self._checkpoint_on_error():
+            self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
         splats = trainer.finish()
         poses = self._prepared.pose_check.decision
         exposure = self._prepared.exposure.numbers

@@ -25,7 +25,7 @@ from .photos.view_sampler import ViewSampler
 from .schedule.plan import Plan
 from .step.model_set import ModelSet
 from .step.step_edits import StepEdits
-from .step.step_queue import RequestedStep, StepQueue
+from .step.step_queue import RequestedStep, StepQueue, StepStart
 from .step.step_requests import LossTerms, StepRequests, check_engine
 from .step.step_result import StepCounts, StepResult, combine_results, result_of
 from .step.training_start import training_start
@@ -149,6 +149,10 @@ class Trainer:
             first_degree=start.first.sh_degree,
         )
         self._queue = StepQueue(self.engine)
+        self._requesting: StepStart | None = None
+        """State before the step that is being requested, or whose request failed."""
+        self._requested_models = 0
+        """Models of which that step was requested."""
         self.cut_degree = start.cut_degree
         """SH degree of the start splats before it was cut to that of the config."""
         if Skip.SH_BANDS in config.without:
@@ -209,12 +213,22 @@ class Trainer:
         return self._read(0)
 
     def abandon(self) -> list[StepResult]:
-        """Forget the steps from the first that failed on, which changed nothing; returns the
-        results of those before it that were not read."""
+        """Forget the steps from the first that failed on, which changed nothing, so that they are
+        taken again with the same bits; returns the results of those before it that were not read.
+
+        Raises:
+            BackendError: some models have taken a step and others have not.
+        """
+        if self._requested_models:
+            raise BackendError("Some models have taken a step more than others.")
         results: list[StepResult] = []
         with suppress(BackendError):
             results = self._read(0)
-        self.counts.steps -= self._queue.clear()
+        views, start = self._queue.clear()
+        self.counts.steps -= views
+        if start := start or self._requesting:
+            self._restore_views(start.views, start.photos, start.generator)
+            self._queue.used = start.used
         return results
 
     def _advance(self, count: int) -> list[StepResult]:
@@ -222,11 +236,16 @@ class Trainer:
         step, timer = self.steps + count, StageTimer()
         self.stage_timer = timer
         self.models.widen_sh(self.plan.sh_degree_at(step))
+        self._requesting, self._requested_models = self._start(), 0
         views = self._draw_views(step, count)
         timer.pixels = sum(one.view.width * one.view.height for one in views)
         timer.lap("photo")
-        pairs = zip(self.models.members, views, strict=True)
-        self._queue.add(step, [self._requested(*pair, step) for pair in pairs])
+        requested = []
+        for member, training_view in zip(self.models.members, views, strict=True):
+            requested.append(self._requested(member, training_view, step))
+            self._requested_models += 1
+        self._queue.add(step, requested, self._requesting)
+        self._requesting, self._requested_models = None, 0
         self.counts.steps = step
         edits = self._edits.due_at(self.plan, step, self.models.members)
         kept = step % self.plan.kept_every == 0 or step >= self.plan.iterations
@@ -235,6 +254,14 @@ class Trainer:
             results[-1] = self._edited(results[-1])
         timer.lap("edit")
         return results
+
+    def _start(self) -> StepStart | None:
+        """State before the next step; None: the engine reads each step at once."""
+        if not self._queue.depth:
+            return None
+        photos = {name: one.clone() for name, one in self.photo_parameters.tensors().items()}
+        generator = self.generator.get_state()
+        return StepStart(self.view_batcher.state(), generator, photos, self._queue.used)
 
     def _draw_views(self, step: int, count: int) -> list[TrainingView]:
         """Draw the views of a step, one for each model."""
@@ -335,11 +362,17 @@ class Trainer:
         self.replan(length)
         self.models.restore(members, state, tensors)
         self._queue.restore(tensors)
-        self.photo_parameters.restore(self.sampler.indices, len(self.photos.scene.cameras), tensors)
-        self.generator.set_state(tensors["generator"])
-        self.view_batcher.restore(state)
+        self._restore_views(state, tensors, tensors["generator"])
         self.counts.restore(state)
         self.pruner.restore(state)
+
+    def _restore_views(
+        self, state: dict[str, Any], tensors: dict[str, torch.Tensor], generator: torch.Tensor
+    ) -> None:
+        """Restore gains and poses, the order of views, and the random numbers."""
+        self.photo_parameters.restore(self.sampler.indices, len(self.photos.scene.cameras), tensors)
+        self.generator.set_state(generator)
+        self.view_batcher.restore(state)
 
     def _send_restored(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         """Send the state to the other ranks; nothing to do for one process."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gscore.config import DataConfig, TrainConfig
+from gscore.config import Background, DataConfig, Switch, TrainConfig
 from gscore.engine.base import RowEdit, StepPhoto, TermGradients
 from gscore.engine.cpu.engine import CpuEngine
 from gscore.engine.gpu.engine import GpuEngine
@@ -250,12 +250,12 @@ def test_the_command_trains_on_a_device(capture: Path, tmp_path: Path) -> None:
     assert (tmp_path / "lost" / "point_cloud.ply").read_bytes() == splats
 
 
-@pytest.mark.parametrize("fault", ["lost:s1", "lost:s5", "oom:s5"])
+@pytest.mark.parametrize("fault", ["lost:s1", "lost:s5", "oom:s5", "wrong:s5"])
 def test_the_cpu_takes_over_from_a_device_chosen_automatically(
     fault: str, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: a finished run and one sentence, on a device that is lost at a step, or that lacks
-    memory for one: then no step before it is taken again."""
+    """Oracle: a finished run and one sentence, on a device that is lost or wrong at a step, or that
+    lacks memory for one: then no step before it is taken again."""
 
     monkeypatch.setenv("GSCORE_GPU_FAULT", fault)
     monkeypatch.setattr(GpuEngine, "keep_photos", lambda *_: None)  # they would make room
@@ -272,6 +272,7 @@ def test_the_cpu_takes_over_from_a_device_chosen_automatically(
     assert len(messages) == 1 and "because the device failed: " in messages[0]
     saved = [one.step for one in events if isinstance(one, Saved)]
     assert (4 in saved) == (fault == "oom:s5")
+    assert saved.count(8) == 1
 
 
 def test_a_device_that_hangs_ends_the_command(capture: Path, tmp_path: Path) -> None:
@@ -287,13 +288,43 @@ def test_a_device_that_hangs_ends_the_command(capture: Path, tmp_path: Path) -> 
     assert _train(capture, tmp_path / "run", *options, "--resume").returncode == 0
 
 
+@pytest.mark.parametrize("fault", ["wrong:s1", "wrong:s7"])
+def test_a_device_that_computes_wrong_results_ends_the_command(
+    fault: str, capture: Path, tmp_path: Path
+) -> None:
+    """Oracle: exit code 2, one sentence, the last checkpoint before the fault or none, and the
+    bits of a run without it, where a run is resumed from there."""
+    result_of(ONE, "keep_passed()", XDG_CACHE_HOME=str(tmp_path / "cache"))
+    options = ("--device", "0", "--set", "checkpoint_iterations=4", "--set", "watchdog=off")
+    found = _train(capture, tmp_path / "run", *options, GSCORE_GPU_FAULT=fault)
+    text = " ".join(found.stderr.split())
+    assert found.returncode == 2 and "Traceback" not in text, text
+    assert "no longer computes what it did when the training began" in text
+    assert not (tmp_path / "run" / "point_cloud.ply").exists()
+    if fault == "wrong:s1":
+        assert "There is no checkpoint yet." in text
+        return
+    assert "Step 4 is kept in" in text and "continue with --resume" in text
+    assert _train(capture, tmp_path / "run", *options, "--resume").returncode == 0
+    assert _train(capture, tmp_path / "whole", *options).returncode == 0
+    one, other = ((tmp_path / name / "point_cloud.ply").read_bytes() for name in ("run", "whole"))
+    assert one == other
+
+
 def test_steps_before_a_lack_of_memory_are_kept(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the step in the sentence, and its checkpoint, from which a resumed run ends; where
-    photos on the device make room, the bits of a run without the fault."""
+    """Oracle: the step in the sentence, and the bits of a run without the fault, where photos on
+    the device make room, and where a run is resumed."""
     monkeypatch.setattr(run, "open_engine", lambda *_, **__: (software_engine(), ""))
-    config, data = TrainConfig(iterations=12, device="0"), DataConfig(source=capture)
+    config = TrainConfig(
+        iterations=12,
+        device="0",
+        exposure=Switch.ON,
+        refine_poses=Switch.ON,
+        background=Background.RANDOM,
+    )
+    data = DataConfig(source=capture)
     whole = run.train(config, data, tmp_path / "whole").splats
     monkeypatch.setenv("GSCORE_GPU_FAULT", "oom:s7")
     retried = run.train(config, data, tmp_path / "retried").splats
@@ -302,7 +333,8 @@ def test_steps_before_a_lack_of_memory_are_kept(
     with pytest.raises(DeviceMemoryError, match="Step 6 is kept in "):
         run.train(config, data, tmp_path / "run")
     monkeypatch.delenv("GSCORE_GPU_FAULT")
-    assert run.train(config, data, tmp_path / "run", resume=True).steps == 12
+    resumed = run.train(config, data, tmp_path / "run", resume=True)
+    assert resumed.steps == 12 and resumed.splats.means.tobytes() == whole.means.tobytes()
 
 
 def test_a_device_that_fails_its_test_between_two_runs(

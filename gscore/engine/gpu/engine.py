@@ -4,7 +4,7 @@ import ctypes as ct
 import math
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -14,7 +14,7 @@ from ...raster import arguments
 from ...raster.buffers import UINT8, address, optional
 from ...raster.gpu import header
 from ...raster.gpu.gpu_raster import GpuRaster
-from ...raster.gpu.library import DeviceMemoryError
+from ...raster.gpu.library import DeviceMemoryError, DeviceWrongError
 from ...raster.header import MASK_MODES, OUT_INVERSE_DEPTH, TILE
 from ...raster.request import Frustum, Settings
 from ...splats import PARAMETERS
@@ -23,6 +23,7 @@ from ..base import Color, Columns, Feature, ShUpdate, StepNumbers, StepPhoto, St
 from ..ensemble import merge_models
 from .model import GpuModel
 from .photos import KeptPhotos
+from .small_training import small_training
 
 IN_FLIGHT = 2
 """Steps in flight; a constant, so that results do not depend on time."""
@@ -83,6 +84,7 @@ class GpuEngine(base.Engine[GpuModel]):
         name: str,
         numerics: str,
         cost: base.CostModel = SOFTWARE_COST,
+        on_wrong: Callable[[str], None] = lambda problem: None,
     ) -> None:
         """Take over an open device.
 
@@ -91,6 +93,7 @@ class GpuEngine(base.Engine[GpuModel]):
             name: Its name.
             numerics: Identity of its bits, see `EngineInfo.numerics`.
             cost: Seconds of its steps.
+            on_wrong: Receives a sentence if the device computes wrong results.
         """
         self.in_flight = IN_FLIGHT
         self.info = base.EngineInfo(
@@ -107,6 +110,11 @@ class GpuEngine(base.Engine[GpuModel]):
         self._unread: deque[tuple[int, PendingStep]] = deque()
         """Slots and steps in flight, in their order."""
         self._kept = KeptPhotos(raster)
+        self._on_wrong = on_wrong
+        self._first_result = b""
+        """Of `small_training`; empty: it did not run yet."""
+        self._problem = ""
+        """What `verify` found, as a sentence; empty: nothing."""
         raster.wait_for_steps = self.read_all
         raster.make_room = self._kept.make_room
 
@@ -300,6 +308,26 @@ class GpuEngine(base.Engine[GpuModel]):
         pending = PendingStep(self, model, request, updates=False)
         self._start(pending, photo)
         return pending.result().slopes[0, 3:].reshape(4, 4).astype(np.float32)
+
+    def verify(self) -> None:
+        """Repeat a small training, see `Engine.verify`.
+
+        Raises:
+            DeviceWrongError: its result is another one, now or in an earlier call.
+        """
+        if not self._problem:
+            found = small_training(self)
+            self._first_result = self._first_result or found
+            if found != self._first_result:
+                self._problem = (
+                    f"{self.info.name} no longer computes what it did when the training began. "
+                    "Overheated and overclocked cards do this, and damaged drivers."
+                )
+                self._on_wrong(self._problem)
+        if self._problem:
+            raise DeviceWrongError(
+                f"{self._problem} Run `gscore doctor --verify`, or use `--device cpu`."
+            )
 
     def keep_photos(self, room: int) -> None:
         """Let photos stay on the device, up to `room` bytes of them."""

@@ -44,7 +44,11 @@ class DeviceMemoryError(BackendError):
     """The device has too little memory."""
 
 
-DEVICE_ERRORS = (DeviceLostError, DeviceMemoryError, DeviceTimeoutError)
+class DeviceWrongError(BackendError):
+    """The device no longer computes what it did before."""
+
+
+DEVICE_ERRORS = (DeviceLostError, DeviceMemoryError, DeviceTimeoutError, DeviceWrongError)
 """Failures of a device, after which the CPU may continue."""
 _ERRORS: dict[int, tuple[type[BackendError], str]] = {
     header.DEVICE_LOST: (

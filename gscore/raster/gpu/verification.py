@@ -53,6 +53,13 @@ def verified(
     return verdict
 
 
+def distrust(device: Device, problem: str) -> None:
+    """Let this process use a device no longer, and later ones test it again, because it computed
+    wrong results; `problem`: a sentence."""
+    verdict = DeviceVerdict(passed=False, problems=(problem,), lasting=False)
+    keep_verdict(device.key, verdict, in_files=not os.environ.get("GSCORE_GPU_FAULT"))
+
+
 def _tested(
     device: Device, report: Report, cancel: Callable[[], bool] | None, seconds: float
 ) -> DeviceVerdict:

@@ -38,6 +38,18 @@ class Slopes(NamedTuple):
     """[19] float64, see `StepNumbers.slopes`."""
 
 
+class StepStart(NamedTuple):
+    """State before a step besides its models, which are as after the steps before it."""
+
+    views: dict[str, Any]
+    """`ViewBatcher.state`."""
+    generator: torch.Tensor
+    photos: dict[str, torch.Tensor]
+    """`PhotoParameters.tensors`, copied."""
+    used: int
+    """Last step whose slopes were used."""
+
+
 class StepQueue:
     """Requested steps, at most `depth` of which stay unread from one step to the next.
 
@@ -47,8 +59,11 @@ class StepQueue:
 
     def __init__(self, engine: Engine[Any]) -> None:
         self._engine = engine
-        self._unread: deque[tuple[int, list[RequestedStep]]] = deque()
+        self._unread: deque[tuple[int, list[RequestedStep], StepStart | None]] = deque()
         self._slopes: deque[Slopes] = deque()
+        """Those that were not used, and used ones that `rewind` may need."""
+        self.used = 0
+        """Last step whose slopes were used."""
 
     @property
     def depth(self) -> int:
@@ -64,9 +79,9 @@ class StepQueue:
             pending = self._engine.step(model, request)
         return RequestedStep(indices, request.learn_gain or request.learn_pose, pending)
 
-    def add(self, step: int, requested: list[RequestedStep]) -> None:
-        """Add a step, of all models."""
-        self._unread.append((step, requested))
+    def add(self, step: int, requested: list[RequestedStep], start: StepStart | None) -> None:
+        """Add a step, of all models; `start`: the state before it, for `clear`."""
+        self._unread.append((step, requested, start))
 
     def read(self, most: int) -> Iterator[list[tuple[RequestedStep, StepNumbers]]]:
         """Yield the numbers of each model, waiting for them, until at most `most` steps are unread.
@@ -75,7 +90,7 @@ class StepQueue:
             BackendError: the engine failed, or answered another step.
         """
         while len(self._unread) > most:
-            step, requested = self._unread[0]
+            step, requested, _ = self._unread[0]
             with engine_errors(self._engine, f"in step {step}"):
                 numbers = [self._checked(one.pending.result(), step) for one in requested]
             self._unread.popleft()  # a step that failed stays
@@ -96,26 +111,31 @@ class StepQueue:
 
     def slopes_until(self, step: int) -> Iterator[Slopes]:
         """Yield the slopes of steps up to `step` that were not used yet."""
-        while self._slopes and self._slopes[0].step <= step:
-            yield self._slopes.popleft()
+        yield from [one for one in self._slopes if self.used < one.step <= step]
+        self.used = max(self.used, step)
+        while self._slopes and self._slopes[0].step < self.used - self.depth:
+            self._slopes.popleft()
 
     def drop(self) -> None:
         """Wait for all steps and drop them with their slopes, for a state that is restored."""
         for _ in self.read(0):
             pass
         self._slopes.clear()
+        self.used = 0
 
-    def clear(self) -> int:
+    def clear(self) -> tuple[int, StepStart | None]:
         """Forget all steps that are unread, without waiting for them; returns the number of views
-        of a model in them."""
-        views = sum(len(requested[0].indices) for _, requested in self._unread)
+        of a model in them, and the state before the first."""
+        views = sum(len(requested[0].indices) for _, requested, _ in self._unread)
+        start = self._unread[0][2] if self._unread else None
         self._unread.clear()
-        return views
+        return views, start
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Slopes that were not used yet, by name, if any; all steps must be read."""
         assert not self._unread
-        rows = [[one.step, one.index, *one.slopes] for one in self._slopes]
+        unused = (one for one in self._slopes if one.step > self.used)
+        rows = [[one.step, one.index, *one.slopes] for one in unused]
         return {_SLOPES: torch.tensor(rows, dtype=torch.float64, device="cpu")} if rows else {}
 
     def restore(self, tensors: Mapping[str, torch.Tensor]) -> None:
