@@ -94,7 +94,7 @@ def test_step_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert sum(found["laps_ms"].values()) == pytest.approx(found["mean_ms"], rel=0.2)
     share = sum(found["raster_ms"].values()) / found["mean_ms"]
     assert found["raster_share"] == pytest.approx(share, rel=1e-6) and 0 < share < 1
-    assert found["pairs_per_pixel"] > 0 and found["steps"] == 3
+    assert found["pairs_per_pixel"] > 0 and found["steps"] == 3 and found["queued_ms"] == 0
     assert found["machine"] == machine()
 
 

@@ -208,6 +208,17 @@ def test_bench_measures_a_device(gscore, tested: Device) -> None:
     assert found["total_ms"] > 0 and tested.name in found["device"]
 
 
+def test_steps_are_measured_alone_and_in_flight(gscore, tested: Device) -> None:
+    """Oracle: both times in JSON and text, and the name of the device."""
+    size = ("--splats", "50", "--width", "40", "--height", "30", "--steps", "3")
+    code, out, err = gscore("bench", "step", "--device", str(tested.number), *size, "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["isa"].startswith("gpu: ") and found["queued_ms"] > 0 and found["step_ms"] > 0
+    _, out, _ = gscore("bench", "step", "--device", str(tested.number), *size)
+    assert "ms with others in flight, as in trainings" in out
+
+
 def test_benches_of_trainings_name_their_device(gscore, tested: Device, tmp_path: Path) -> None:
     """Oracle: device and driver in results.json; the CPU's results are not continued."""
     capture = Path(__file__).parents[2] / "examples" / "studio"

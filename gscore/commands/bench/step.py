@@ -40,6 +40,8 @@ class StepBench(BenchSetting):
     """Median time of a step."""
     mean_ms: float
     """Mean time of a step, the sum of the parts below."""
+    queued_ms: float
+    """Mean time of a step with as many in flight as a training has; 0: a training waits for each."""
     laps_ms: dict[str, float]
     """Mean by part of the step."""
     raster_ms: dict[str, float]
@@ -64,7 +66,7 @@ def _bench(
             limit.
     """
     steps, threads = args.steps, args.threads
-    total = steps + _WARM_UP
+    total = 2 * steps + _WARM_UP
     config = TrainConfig(
         iterations=10_000 + total,
         max_splats=max(len(splats), 1),
@@ -83,7 +85,7 @@ def _bench(
     mmap_large_blocks()
     with isolated_torch_state():
         trainer = Trainer(config, Analysis(photos=photos, start=splats, photo_cache=photo_cache))
-        for step in range(total):
+        for step in range(steps + _WARM_UP):
             began = time.perf_counter()
             trainer.step()
             took = time.perf_counter() - began
@@ -96,6 +98,7 @@ def _bench(
                 stages[name] += trainer.stage_timer.raster.get(name, 0.0)  # the CPU's
             pairs += trainer.stage_timer.raster.get("forward_pairs", 0)
             pixels += trainer.stage_timer.pixels
+        queued = _queued_seconds(trainer, steps) if trainer.engine.in_flight else 0.0
         identity = trainer.engine.info.numerics
         trainer.engine.close()
     cameras = photos.scene.cameras
@@ -110,12 +113,22 @@ def _bench(
         steps=steps,
         step_ms=1000 * statistics.median(seconds),
         mean_ms=1000 * statistics.mean(seconds),
+        queued_ms=1000 * queued / steps,
         laps_ms={name: 1000 * value / steps for name, value in parts.items()},
         raster_ms={name.removesuffix("_ms"): value / steps for name, value in stages.items()},
         raster_share=raster / sum(seconds),
         pairs_per_pixel=pairs / pixels,
         peak_memory_bytes=peak_memory_bytes(),
     )
+
+
+def _queued_seconds(trainer: Trainer, steps: int) -> float:
+    """Seconds of some steps of which a few are in flight at a time, until the last is done."""
+    began = time.perf_counter()
+    for _ in range(steps):
+        trainer.advance()
+    trainer.read_all()
+    return time.perf_counter() - began
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -167,13 +180,16 @@ def run(args: argparse.Namespace) -> int:
 def _table(r: StepBench) -> str:
     stages = "  ".join(f"{name} {ms:.2f}" for name, ms in r.laps_ms.items())
     raster = "  ".join(f"{name} {ms:.2f}" for name, ms in r.raster_ms.items())
+    queued = (
+        f"  {r.queued_ms:.2f} ms with others in flight, as in trainings\n" if r.queued_ms else ""
+    )
     return (
         f"{r.isa}, {count_text(r.threads, 'thread')}, {count_text(r.splats, 'splat')}, "
         f"{count_text(r.views, 'view')}, "
         f"{r.width} x {r.height} px, {count_text(r.steps, 'step')}\n"
         f"  a step takes {r.step_ms:.2f} ms (median; mean {r.mean_ms:.2f}), "
         f"{100 * r.raster_share:.0f} % of it in the rasterizer; "
-        f"{r.pairs_per_pixel:.1f} pairs per pixel\n"
+        f"{r.pairs_per_pixel:.1f} pairs per pixel\n{queued}"
         f"  ms by part: {stages}\n"
         f"  ms in the rasterizer: {raster}\n"
     )

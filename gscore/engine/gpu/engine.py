@@ -112,9 +112,9 @@ class GpuEngine(base.Engine[GpuModel]):
         self._kept = KeptPhotos(raster)
         self._on_wrong = on_wrong
         self._first_result = b""
-        """Of `small_training`; empty: it did not run yet."""
+        """Hash of the first `small_training`; empty: none yet."""
         self._problem = ""
-        """What `verify` found, as a sentence; empty: nothing."""
+        """Sentence on wrong results; empty: none were found."""
         raster.wait_for_steps = self.read_all
         raster.make_room = self._kept.make_room
 
