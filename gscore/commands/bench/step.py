@@ -41,7 +41,7 @@ class StepBench(BenchSetting):
     mean_ms: float
     """Mean time of a step, the sum of the parts below."""
     queued_ms: float
-    """Mean time of a step with as many in flight as a training has; 0: a training waits for each."""
+    """Mean time with steps in flight, as in trainings; 0: a training waits for each step."""
     laps_ms: dict[str, float]
     """Mean by part of the step."""
     raster_ms: dict[str, float]
