@@ -9,7 +9,7 @@ from typing import Any
 from .config import LIFTED_BY, DataConfig, TrainConfig, unlimited
 from .hold_out import SPLIT, hold_out_word
 from .options import flag_of
-from .presets import RECIPES
+from .presets import RECIPES, on_card, on_cpu
 
 _OF_THE_SPLIT = ("eval", "test_offset", *SPLIT)
 _OF_A_PRESET = ("iterations", "max_splats", "sh_degree")
@@ -18,21 +18,22 @@ _OF_A_PRESET = ("iterations", "max_splats", "sh_degree")
 def preset_of(data: DataConfig, train: TrainConfig) -> str:
     """The preset with this width limit of photos, of several the one with the fewest other options;
     empty: none, and no option sets such a limit."""
-    made = {name: make(data.source) for name, make in RECIPES.items()}
-    changes = {
-        name: len(list(_differences(plain, train)))
-        for name, (plain_data, plain) in made.items()
-        if plain_data.max_width == data.max_width
-    }
-    return min(changes, key=changes.__getitem__, default="")
+    return _nearest(data, train)[0]
+
+
+def _nearest(data: DataConfig, train: TrainConfig) -> tuple[str, DataConfig, TrainConfig]:
+    """`preset_of` and its options, those of the CPU or of a graphics card."""
+    made = [(name, *of(name, data.source)) for of in (on_cpu, on_card) for name in RECIPES]
+    alike = [one for one in made if one[1].max_width == data.max_width]
+    changes = [len(list(_differences(one[2], train))) for one in alike]
+    return alike[changes.index(min(changes))] if alike else ("", data, train)
 
 
 def preset_text(data: DataConfig, train: TrainConfig) -> str:
     """Name of the preset, and whether options were changed; empty: no preset."""
-    name = preset_of(data, train)
+    name, _, plain = _nearest(data, train)
     if not name:
         return ""
-    plain = RECIPES[name](data.source)[1]
     for option, limit in LIFTED_BY.items():
         value = getattr(train, option)
         if value < getattr(plain, option) and getattr(train, limit):  # lowered by the limit
@@ -56,11 +57,10 @@ def train_command(
         requested: Requested value of each option that the photos limited. The same photos limit it
             again, so the command omits it.
     """
-    preset = preset_of(data, train)
+    preset, plain_data, plain_train = _nearest(data, train)
     if not preset or (data.eval and data.test_offset is not None):
         return ""
     words = ["gscore", "train", str(data.source), "-o", str(output), "--preset", preset]
-    plain_data, plain_train = RECIPES[preset](data.source)
     words += _split(data)
     for name, value in _differences(plain_data, data):
         if name not in _OF_THE_SPLIT:

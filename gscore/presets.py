@@ -1,4 +1,5 @@
-"""Presets: four levels of training length and quality; and published recipes, to compare with."""
+"""Presets: levels of training length and quality, larger where a graphics card trains; and
+published recipes, to compare with."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -60,6 +61,42 @@ PRESETS: dict[str, Callable[[Path], tuple[DataConfig, TrainConfig]]] = {
 }
 
 
+def highest(source: Path) -> tuple[DataConfig, TrainConfig]:
+    """For graphics cards alone, as two cores would take days: photos of up to 4K."""
+    train = replace(
+        _LONG, iterations=30_000, max_splats=5_000_000, splats_a_photo=20_000, ensemble=3
+    )
+    return DataConfig(source=source, max_width=3840), train
+
+
+_ON_CARD: dict[str, tuple[int, dict[str, int]]] = {
+    "preview": (720, {"iterations": 2000, "max_splats": 150_000, "sh_degree": 2}),
+    "draft": (960, {"iterations": 6000, "max_splats": 300_000, "sh_degree": 3}),
+    "normal": (1280, {"iterations": 10_000, "max_splats": 600_000, "splats_a_photo": 6000}),
+    "high": (1920, {"iterations": 20_000, "max_splats": 1_500_000, "splats_a_photo": 10_000}),
+}
+"""Width of photos and other options of the presets where a graphics card trains: estimated from the
+work of a step, as no card was measured (docs/gpu.md). No width is that of another preset, so
+that it identifies one."""
+
+
+def on_cpu(name: str, source: Path) -> tuple[DataConfig, TrainConfig]:
+    """A recipe where the CPU trains, see `on_card`."""
+    return RECIPES[name](source)
+
+
+def on_card(name: str, source: Path) -> tuple[DataConfig, TrainConfig]:
+    """A recipe where a graphics card trains.
+
+    Args:
+        name: One of `RECIPES`.
+        source: Folder of the capture.
+    """
+    data, train = RECIPES[name](source)
+    width, changes = _ON_CARD.get(name, (data.max_width, {}))
+    return replace(data, max_width=width), replace(train, **changes)
+
+
 def published_3dgs(source: Path) -> tuple[DataConfig, TrainConfig]:
     """The recipe of Kerbl et al. 2023, section 5 and the options of their release of 2023, without
     any decision of gscore.
@@ -104,6 +141,6 @@ def published_3dgs(source: Path) -> tuple[DataConfig, TrainConfig]:
     return DataConfig(source=source, max_width=1600), train
 
 
-RECIPES = PRESETS | {"3dgs": published_3dgs}
-"""Presets of `gscore train` and the benches: those that a user chooses from, and published recipes
-to compare with."""
+RECIPES = PRESETS | {"highest": highest, "3dgs": published_3dgs}
+"""Presets of `gscore train` and the benches: those that a user chooses from, one for graphics cards
+alone, and published recipes to compare with."""

@@ -49,6 +49,8 @@ from ..sfm.photos import check_no_cameras_above, photos_of, same_photos
 from ..sfm.staging import frames_request, is_staged, of_frames, photos_from, stage_photos
 from ..video import extract_frames, is_video
 
+_FOUND = ("source", "images", "masks", "invert_masks")
+"""Options that change where the cameras were found first."""
 _HOW = {
     FINISHED: "Finished",
     TARGET: "Reached the target PSNR",
@@ -124,6 +126,7 @@ def _train(
     request: TrainRequest, show: Show, control: Control, group: "ProcessGroup | None"
 ) -> tuple["TrainResult", TrainConfig]:
     data, config = request.configs_with_messages(show)
+    on_card = request.configs(card=True)
     from ..trainer.files.run_folder import check_option_files, check_writable
     from ..trainer.run import train
 
@@ -148,6 +151,7 @@ def _train(
         check=check,
         threads=config.threads,
     )
+    on_card = replace(on_card[0], **{name: getattr(data, name) for name in _FOUND}), on_card[1]
     with viewer_clients_of(request.live, data.source, show, after_the_end=True) as viewers:
         result = train(
             config,
@@ -161,6 +165,7 @@ def _train(
             viewers=viewers,
             group=group,
             agent=agent(),
+            on_card=on_card,
         )
     return result, config
 

@@ -359,6 +359,8 @@ class EngineInfo:
     set of the CPU engine."""
     threads: int = 0
     """CPU threads of its kernels; 0: none."""
+    is_card: bool = False
+    """Whether it computes on a graphics card."""
     terms: frozenset[TermKind] = frozenset(TermKind)
     """Loss terms that it computes."""
     features: frozenset[Feature] = frozenset()

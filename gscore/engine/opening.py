@@ -43,12 +43,12 @@ def engine_of(chosen: Chosen, *, threads: int = 0) -> Engine[Any]:
     """The engine of a chosen device, opened for it alone."""
     if chosen.device is None:
         return CpuEngine(threads=threads)
-    cost = SOFTWARE_COST if chosen.device.is_software else CARD_COST
-    raster = GpuRaster(chosen.device.number)
+    is_card = not chosen.device.is_software
     return GpuEngine(
-        raster,
+        GpuRaster(chosen.device.number),
         name=chosen.device.name,
         numerics=chosen.identity,
-        cost=cost,
+        cost=CARD_COST if is_card else SOFTWARE_COST,
+        is_card=is_card,
         on_wrong=partial(distrust, chosen.device),
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig, TrainConfig
-from ..config_file import to_dict
+from ..config_file import load_config, to_dict
 from ..control import Control
 from ..datasets import load_dataset
 from ..engine.base import Engine
@@ -48,6 +48,7 @@ def train(
     viewers: ViewerClients | None = None,
     group: ProcessGroup | None = None,
     agent: str = "",
+    on_card: tuple[DataConfig, TrainConfig] | None = None,
 ) -> TrainResult:
     """Train splats from a capture and write them, their metrics and a report into a folder.
 
@@ -67,6 +68,8 @@ def train(
             call `run_worker`.
         agent: Identifier of the torchrun that restarts lost processes; kept in the folder until
             the run has ended, so that a restart resumes the run.
+        on_card: The options in place of `data` and `config` where a graphics card trains; None: the
+            same.
 
     Returns:
         The result of the run. A stop by `control` is not an error.
@@ -90,7 +93,7 @@ def train(
     before = set(_checkpoints(output))
     start = {"resume": resume, "overwrite": overwrite, "start_checkpoint": start_checkpoint}
     try:
-        return run(config, data, output, **start)
+        return run(config, data, output, **start, on_card=on_card)
     except DEVICE_ERRORS as error:
         if config.device != "auto":
             raise
@@ -100,6 +103,8 @@ def train(
         emit(Warn(message=f"The CPU {how}, because the device failed: {error}", code=DEVICE))
         if continues:
             start = {"resume": True, "overwrite": False, "start_checkpoint": None}
+            if on_card is not None and not resume:
+                data, config = load_config(RunFolder(output).config)
         else:
             start["overwrite"] = True
         return run(replace(config, device="cpu"), data, output, **start)
@@ -125,6 +130,7 @@ def _train(
     viewers: ViewerClients | None,
     group: ProcessGroup | None,
     agent: str,
+    on_card: tuple[DataConfig, TrainConfig] | None = None,
 ) -> TrainResult:
     """`train` on the device of `config`."""
     opened = open_folder(output, resume=resume, overwrite=overwrite, data=data)
@@ -142,6 +148,10 @@ def _train(
             if group is None:
                 engine, decision = _open_engine(run_start, data, emit=emit, control=control)
                 stack.enter_context(closing(engine))
+                if on_card is not None and engine.info.is_card:
+                    data, config = on_card
+                    how = {"resume": resume, "start_checkpoint": start_checkpoint}
+                    run_start = RunStart(folder, config, data, **how)
             else:
                 _check_cpu(run_start.config.device)
             found = prepare(

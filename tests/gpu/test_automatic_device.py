@@ -77,6 +77,22 @@ def test_a_faster_card_trains(as_card, device: Device, capture: Path, tmp_path: 
     assert started.left_s < 1e-3
 
 
+def test_options_of_a_card_are_used_where_one_trains(
+    as_card, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the config of the event, on a card and on a CPU that takes over from one."""
+    monkeypatch.setattr(Device, "is_software", False)
+    options = DataConfig(source=capture, max_width=20), replace(CONFIG, iterations=3)
+    for name, trial, fault in (("card", 1e-6, ""), ("cpu", 1e3, ""), ("lost", 1e-6, "lost:s3")):
+        monkeypatch.setenv("GSCORE_GPU_FAULT", fault)
+        as_card(lambda *_, trial=trial, **__: trial)
+        _, events = _train(capture, tmp_path / name, on_card=options)
+        started = [one for one in events if isinstance(one, Started)]
+        wanted = (4, 48) if name == "cpu" else (3, 20)
+        assert [(one.iterations, one.width) for one in started] == [wanted] * len(started)
+        assert len(started) == 1 + (name == "lost")
+
+
 def test_a_slower_card_is_left_alone(as_card, capture: Path, tmp_path: Path) -> None:
     """Oracle: the bits of a training on the CPU, and both times in a sentence."""
     as_card(lambda *_, **__: 1e3)

@@ -14,7 +14,7 @@ from gscore.commands.args.train_request import TrainRequest
 from gscore.commands.parser import Parser
 from gscore.config import Background, DataConfig, Skip, Strategy, Switch, TrainConfig
 from gscore.config_command import depth_command, preset_text, train_command
-from gscore.presets import RECIPES
+from gscore.presets import RECIPES, on_card
 
 CAPTURE = Path("my photos/first")
 ODD = {
@@ -54,6 +54,16 @@ def test_a_training_command_gives_its_options_back(preset: str, options: dict) -
     assert command.startswith(f"{start} --preset {preset}")
     assert (command.count("--") == 1) is (not options)
     assert "--overwrite" not in shlex.split(command)  # pasting must not replace a run
+
+
+@pytest.mark.parametrize("preset", list(RECIPES))
+def test_a_preset_is_found_where_a_card_trains(preset: str) -> None:
+    """Oracle: its name, for larger photos and numbers; the same command as on the CPU."""
+    data, train = on_card(preset, CAPTURE)
+    assert (data, train) == RECIPES[preset](CAPTURE) or data.max_width > 500
+    assert preset_text(data, train) == f"preset {preset}"
+    out = Path("run")
+    assert train_command(data, train, out) == train_command(*RECIPES[preset](CAPTURE), out)
 
 
 @pytest.mark.parametrize(

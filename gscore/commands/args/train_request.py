@@ -11,7 +11,7 @@ from ...errors import ConfigError
 from ...events import Show, Warn
 from ...io.runs import options_of_run
 from ...live_options import LiveOptions
-from ...presets import RECIPES
+from ...presets import on_card, on_cpu
 from ...quoting import brief
 from ..terminal.run_job import OutputOptions
 from .data_options import given_data
@@ -91,17 +91,20 @@ class TrainRequest:
         return replace(self, data=fewer[0], given=fewer[1])
 
     def configs(
-        self, *, warn: Callable[[str], None] = lambda text: None
+        self, *, warn: Callable[[str], None] = lambda text: None, card: bool = False
     ) -> tuple[DataConfig, TrainConfig]:
         """The options of a preset, a config file or the resumed run, overridden by the given ones.
 
-        `warn` is called with sentences on removed options in the config file.
+        `warn` is called with sentences on removed options in the config file; `card`: the preset is
+        that of a graphics card.
 
         Raises:
             ConfigError: no capture, no run to resume, or options that contradict.
             FormatError: the config file is invalid.
         """
         source, stored = self.source, self.config
+
+        recipe = on_card if card else on_cpu
         if self.resume and not (self.config or (self.preset and source)):
             stored = self.output / "config.json"
             if not stored.is_file():
@@ -110,7 +113,7 @@ class TrainRequest:
                 check_free(self.output)  # a run that has just begun has written nothing yet
                 raise ConfigError(f"{self.output} contains no run to resume; leave out `--resume`.")
         if self.preset and stored:
-            data, config = RECIPES[self.preset](options_of_run(stored)[0].source)
+            data, config = recipe(self.preset, options_of_run(stored)[0].source)
         elif stored:
             # The checkpoint of a resumed run has the same options, and warns of them.
             found = options_of_run(stored) if self.resume else options_of_run(stored, warn=warn)
@@ -119,7 +122,7 @@ class TrainRequest:
         elif source is None:
             raise ConfigError("No capture was given: `gscore train SOURCE -o OUTPUT`.")
         else:
-            data, config = RECIPES[self.preset or "normal"](source)
+            data, config = recipe(self.preset or "normal", source)
         data, config = replace(data, **self.data), replace(config, **self.train)
         if "iterations" in self.train and config.time_budget > 0:
             raise ConfigError(

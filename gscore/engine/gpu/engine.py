@@ -85,6 +85,7 @@ class GpuEngine(base.Engine[GpuModel]):
         numerics: str,
         cost: base.CostModel = SOFTWARE_COST,
         on_wrong: Callable[[str], None] = lambda problem: None,
+        is_card: bool = False,
     ) -> None:
         """Take over an open device.
 
@@ -94,11 +95,13 @@ class GpuEngine(base.Engine[GpuModel]):
             numerics: Identity of its bits, see `EngineInfo.numerics`.
             cost: Seconds of its steps.
             on_wrong: Receives a sentence if the device computes wrong results.
+            is_card: Whether it is a graphics card.
         """
         self.in_flight = IN_FLIGHT
         self.info = base.EngineInfo(
             name=name,
             numerics=numerics,
+            is_card=is_card,
             features=frozenset(base.Feature) - {Feature.ANOMALIES},
             memory=raster.memory()[1],
             cost=cost,

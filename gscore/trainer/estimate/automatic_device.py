@@ -49,7 +49,7 @@ class AutomaticDevice:
 
     engine: Engine[Any]
     decision: Decision | None
-    """What was decided and why; None: there was no card."""
+    """The choice with its reason; None: there was no card."""
     warning: str = ""
     """A sentence where a card failed; empty: none did."""
 
