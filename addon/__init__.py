@@ -43,6 +43,8 @@ MODULES: tuple[str, ...] = (
     "render.operators",
     "render.world_light",
     "render.proxy",
+    "render.lamps",
+    "render.estimate_light",
     "render.decimate",
     "render.panels",
     "paint.settings",

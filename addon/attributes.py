@@ -23,6 +23,9 @@ from .core import Splats
 
 POSITION, SCALE, ROTATION = "position", "scale", "rotation"
 BASE, SH = "radiance:base", "radiance:sh_"
+NORMAL, CAPTURED = "gs_normal", "gs_captured"
+"""Attributes of splats that can be relit: unit normal, and linear light of a white surface in the
+photos, see `render.relight`."""
 SH_COUNTS = (0, 3, 8, 15, 24)
 """Numbers of `radiance:sh_<k>` attributes of SH degrees 0 to 4."""
 NO_SPLATS = Splats(
@@ -245,6 +248,13 @@ def names(datablock: Any, *, rest: bool = True, called: str = "") -> list[str]:
     if point_count(datablock):  # else Blender drops `position`
         found.append(POSITION)
     return found + [f"{SH}{k}" for k in range(sh_count(datablock, called=called) if rest else 0)]
+
+
+def light_names(datablock: Any) -> list[str]:
+    """`NORMAL` and `CAPTURED` if a mesh or point cloud has both."""
+    found = [datablock.attributes.get(name) for name in (NORMAL, CAPTURED)]
+    fit = all(a is not None and (a.data_type, a.domain) == ("FLOAT_VECTOR", "POINT") for a in found)
+    return [NORMAL, CAPTURED] if fit else []
 
 
 def as_splats(columns: dict[str, np.ndarray]) -> Splats:

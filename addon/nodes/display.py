@@ -5,7 +5,7 @@ from collections.abc import Callable
 import bpy
 
 from .. import compat
-from ..attributes import ROTATION, SCALE, SH
+from ..attributes import CAPTURED, NORMAL, ROTATION, SCALE, SH
 from . import colors, filters, harmonics, materials
 from .graph import Graph, Socket, ensure, inputs, is_ours, new_group, result, socket, use_group
 
@@ -51,6 +51,7 @@ def _build(name: str) -> bpy.types.NodeTree:
     socket(tree, "Point Radius", "Float", 0.01, min_value=0.0, subtype="DISTANCE")
     socket(tree, "Ellipsoid Size", "Float", 1.5, min_value=0.0)
     filters.add_inputs(tree)
+    socket(tree, "Light", "Float", 0.0, min_value=0.0, max_value=1.0)
     given = inputs(graph)
     visible = use_group(graph, filters.group(), given)
     renders_soft = [graph.compare("EQUAL", given["Display"], k) for k in _RENDERS_SOFT]
@@ -90,8 +91,24 @@ def _points(graph: Graph, given: dict[str, Socket], visible: Socket, from_camera
     compat.remove_by_wildcard(slim)
     graph.feed(slim.inputs["Geometry"], colored)
     graph.feed(slim.inputs["Name"], f"{SH}*")
-    named = {"Mesh": slim.outputs[0], "Selection": visible, "Radius": given["Point Radius"]}
+    lit = _store(graph, "FLOAT", slim.outputs[0], True, materials.LIGHT, _light(graph, given))
+    lit = _store(graph, "FLOAT_VECTOR", lit, True, materials.FACING, _facing(graph))
+    named = {"Mesh": lit, "Selection": visible, "Radius": given["Point Radius"]}
     return graph.call("GeometryNodeMeshToPoints", named=named)
+
+
+def _light(graph: Graph, given: dict[str, Socket]) -> Socket:
+    """The share of the scene's light; 0 for splats without captured light."""
+    captured = graph.attribute(CAPTURED, "FLOAT_VECTOR")
+    known = graph.math("GREATER_THAN", graph.vector("LENGTH", captured), 0.0)
+    return graph.math("MULTIPLY", given["Light"], known)
+
+
+def _facing(graph: Graph) -> Socket:
+    """The normal in the world."""
+    own = graph.outputs("GeometryNodeObjectInfo", graph.call("GeometryNodeSelfObject"))
+    normal = graph.attribute(NORMAL, "FLOAT_VECTOR")
+    return graph.call("FunctionNodeRotateVector", normal, own["Rotation"])
 
 
 def _native(graph: Graph, mesh: Socket, visible: Socket) -> Socket:

@@ -1,13 +1,16 @@
-"""Materials with a splat's colour unlit: on points, on ellipsoids, and with a Gaussian falloff."""
+"""Materials with a splat's colour, unlit or relit: on points and ellipsoids, and with a falloff."""
 
 import bpy
 
 from .. import compat
+from ..attributes import CAPTURED
 from .graph import Graph, Socket, ensure
 
 COLOR = "gs_color"
 """Attribute of the scene-linear colour. (The name `color` renders black on point clouds.)"""
 OPACITY = "gs_opacity"
+FACING, LIGHT = "gs_facing", "gs_light"
+"""Attributes of the world normal, and of the share of the scene's light in place of the color's."""
 REACH = 3.0
 """Standard deviations at which a soft splat ends; its weight there is 1.1 %."""
 
@@ -39,9 +42,22 @@ def _attribute(graph: Graph, name: str, kind: str) -> bpy.types.Node:
     return graph.node("ShaderNodeAttribute", attribute_name=name, attribute_type=kind)
 
 
-def _emission(graph: Graph, kind: str) -> Socket:
+def _lit(graph: Graph, kind: str) -> Socket:
+    """The color, or as the share of LIGHT a diffuse surface with that color under the captured
+    light. Splats cast no shadows on each other."""
     color = _attribute(graph, COLOR, kind).outputs["Color"]
-    return graph.call("ShaderNodeEmission", color)
+    captured = _attribute(graph, CAPTURED, kind).outputs["Vector"]
+    normal = _attribute(graph, FACING, kind).outputs["Vector"]
+    albedo = graph.vector("DIVIDE", color, captured)
+    diffuse = graph.node("ShaderNodeBsdfDiffuse")
+    graph.feed(diffuse.inputs["Color"], albedo)
+    graph.feed(diffuse.inputs["Normal"], normal)
+    emission = graph.call("ShaderNodeEmission", color)
+    share = _attribute(graph, LIGHT, kind).outputs[2]
+    lit = graph.call("ShaderNodeMixShader", share, emission, diffuse.outputs[0])
+    is_shadow = graph.node("ShaderNodeLightPath").outputs["Is Shadow Ray"]
+    clear = graph.math("MULTIPLY", is_shadow, graph.math("GREATER_THAN", share, 0.0))
+    return graph.call("ShaderNodeMixShader", clear, lit, graph.call("ShaderNodeBsdfTransparent"))
 
 
 def _finish(graph: Graph, shader: Socket) -> None:
@@ -53,7 +69,7 @@ def _finish(graph: Graph, shader: Socket) -> None:
 def plain(name: str, kind: str) -> bpy.types.Material:
     """A new material of the attribute's colour, for a geometry or its instancer."""
     graph, material = _new(name)
-    _finish(graph, _emission(graph, kind))
+    _finish(graph, _lit(graph, kind))
     return material
 
 
@@ -79,6 +95,6 @@ def _soft(name: str) -> bpy.types.Material:
     opacity = _attribute(graph, OPACITY, "INSTANCER").outputs[2]
     front = graph.math("SUBTRACT", 1.0, geometry.outputs["Backfacing"])
     alpha = graph.math("MULTIPLY", graph.math("MULTIPLY", weight, opacity), front, clamp=True)
-    parts = graph.call("ShaderNodeBsdfTransparent"), _emission(graph, "INSTANCER")
+    parts = graph.call("ShaderNodeBsdfTransparent"), _lit(graph, "INSTANCER")
     _finish(graph, graph.call("ShaderNodeMixShader", alpha, *parts))
     return material

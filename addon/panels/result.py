@@ -18,7 +18,7 @@ from ..interface.option_labels import error_text
 from ..live import draw_handler
 from ..splats import edit, lag, live_display, operators
 from ..splats.mend_operators import outdated
-from ..splats.objects import active_splats, has_trained, in_question, is_native
+from ..splats.objects import active_splats, has_splats, has_trained, in_question, is_native
 from ..surface import fit_proxy, make_mesh
 from ..timeline import frame_sync
 from ..timeline.frame_at import moment_of, series_of
@@ -247,6 +247,24 @@ class SurfacePanel(TabPanel, bpy.types.Panel):
             text = "The splats have changed since their proxy was made. After a training, make it "
             sentence(layout, f"{text}again; after edits, update it.", icon="INFO")
             layout.operator("gscore.update_proxy", icon="FILE_REFRESH")
+
+
+class LightPanel(TabPanel, bpy.types.Panel):
+    """Light of the scene on the splats"""
+
+    bl_idname = "GSCORE_PT_light"
+    bl_label = "Light"
+    bl_parent_id = "GSCORE_PT_result"
+    bl_options: ClassVar = {"DEFAULT_CLOSED"}
+    needs = Condition(has_splats)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, ob = self.layout, active_splats(context)
+        layout.operator("gscore.relight_splats", icon="LIGHT")
+        column = layout.column()
+        column.active = bool(attributes.light_names(ob.data))
+        column.prop(ob.gscore, "light", slider=True)
 
 
 class ErrorsPanel(TabPanel, bpy.types.Panel):

@@ -10,6 +10,7 @@ from ..cameras.panorama import EQUIRECTANGULAR, Panorama
 from . import picture
 from .model import Model
 from .pass_renderer import PassRenderer
+from .relight import map_directions, map_solid_angles
 from .shutter_lens import View
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -41,19 +42,12 @@ class LightProbe:
     @property
     def directions(self) -> np.ndarray:
         """Unit vectors of the pixels [H, W, 3], from the point outwards."""
-        height, width = self.alpha.shape
-        longitude = np.pi * (1 - 2 * (np.arange(width) + 0.5) / width)
-        latitude = np.pi * ((np.arange(height) + 0.5) / height - 0.5)
-        x, y = np.cos(longitude), np.sin(longitude)
-        level, up = np.cos(latitude)[:, None], np.sin(latitude)[:, None]
-        return np.stack([level * x, level * y, np.broadcast_to(up, (height, width))], -1)
+        return map_directions(*self.alpha.shape)
 
     @property
     def solid_angles(self) -> np.ndarray:
         """Steradians of the pixels [H, W]."""
-        height, width = self.alpha.shape
-        edges = np.sin(np.pi * (np.arange(height + 1) / height - 0.5))
-        return np.broadcast_to(np.diff(edges)[:, None] * (2 * np.pi / width), self.alpha.shape)
+        return map_solid_angles(*self.alpha.shape)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -103,7 +103,13 @@ class FrozenMesh:
         """The splats; ValueError if values are not finite."""
         for one, values in self.columns.items():
             attributes.check_finite(values, one, self.name)
-        return attributes.as_splats({one: values.copy() for one, values in self.columns.items()})
+        own = {one: v.copy() for one, v in self.columns.items() if attributes.is_splats(one)}
+        return attributes.as_splats(own)
+
+    @property
+    def can_be_relit(self) -> bool:
+        """Whether there are `attributes.NORMAL` and `CAPTURED`."""
+        return attributes.NORMAL in self.columns
 
     def kept(self, filters: Filters) -> np.ndarray:
         """Splats that pass the filters, [N] bool."""
@@ -145,7 +151,7 @@ class Freezer:
 
     def _copying(self) -> Steps[None]:
         data, name = self._data, self._copy.name
-        found = attributes.names(data, called=name)
+        found = [*attributes.names(data, called=name), *attributes.light_names(data)]
         kinds = {one: attributes.check_vectors(data, one, called=name).data_type for one in found}
         count = attributes.point_count(data)
         if count * sum(attributes.FORMATS[kind][1] for kind in kinds.values()) < self._ahead:

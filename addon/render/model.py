@@ -10,6 +10,7 @@ from .. import attributes
 from ..core import Splats, sh_basis, transform_splats
 from ..interface.option_labels import error_text
 from .mesh_copies import FrozenMesh, Trace, repainted_rows, trace_of
+from .relight import relit
 from .scene import Identity, Placed
 
 HALF = float(0.5 / sh_basis(0, np.array([0.0, 0.0, 1.0]))[0])
@@ -41,6 +42,8 @@ class SplatCache:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._parts: dict[tuple[int, bytes], tuple[Trace, Splats]] = {}
+        self._relit: dict[tuple[int, bytes], tuple[Splats, Splats]] = {}
+        """Splats as captured, and relit, by `Placed.part`."""
         self._merged: tuple[list[tuple[Splats, np.ndarray]], Splats] | None = None
         self._holdouts: tuple[Splats, list[tuple[int, bool]], tuple[Splats, Splats]] | None = None
         self.decoded = 0
@@ -51,7 +54,7 @@ class SplatCache:
     def clear(self) -> None:
         """Drop all splats."""
         with self._lock:
-            self._parts, self._merged, self._holdouts = {}, None, None
+            self._parts, self._relit, self._merged, self._holdouts = {}, {}, None, None
 
     def model(self, placed: list[Placed]) -> Model:
         """One model of all objects; only changes since the last call are computed.
@@ -95,19 +98,29 @@ class SplatCache:
         """Splats by `Placed.part`; drops all others."""
         for p in placed:
             check_similar(p)
-        parts = {p.part: self._decode(p) for p in placed}
-        self._parts = {key: known for key, known in self._parts.items() if key in parts}
+        captured = {p.captured: self._decode(p) for p in placed}
+        self._parts = {key: known for key, known in self._parts.items() if key in captured}
+        parts = {p.part: self._relight(captured[p.captured], p) for p in placed}
+        self._relit = {key: known for key, known in self._relit.items() if key in parts}
         return parts
 
+    def _relight(self, captured: Splats, placed: Placed) -> Splats:
+        if placed.relighting is None:
+            return captured
+        known = self._relit.get(placed.part)
+        if known is None or known[0] is not captured:
+            self._relit[placed.part] = known = captured, _relit(captured, placed)
+        return known[1]
+
     def _decode(self, placed: Placed) -> Splats:
-        known = self._parts.get(placed.part)
+        known = self._parts.get(placed.captured)
         if known is not None and known[0].fingerprint == placed.frozen.fingerprint:
             return known[1]
         made = None if known is None else _repainted(*known, placed)
         if made is None:
             made = _read(placed)
             self.decoded += 1
-        self._parts[placed.part] = made
+        self._parts[placed.captured] = made
         return made[1]
 
     def _merge(self, turned: list[tuple[Splats, np.ndarray]]) -> Splats:
@@ -133,6 +146,16 @@ def _read(placed: Placed) -> tuple[Trace, Splats]:
         kept = placed.frozen.kept(placed.filters)
         splats = splats.subset(kept)
     return trace_of(placed.frozen, kept), splats
+
+
+def _relit(captured: Splats, placed: Placed) -> Splats:
+    """The splats of an object under the light of its scene."""
+    assert isinstance(placed.frozen, FrozenMesh)
+    columns = [placed.frozen.columns[name] for name in (attributes.NORMAL, attributes.CAPTURED)]
+    if placed.filters is not None:
+        kept = placed.frozen.kept(placed.filters)
+        columns = [column[kept] for column in columns]
+    return relit(captured, *columns, placed.relighting)
 
 
 def _repainted(before: Trace, splats: Splats, placed: Placed) -> tuple[Trace, Splats] | None:

@@ -13,7 +13,9 @@ from ..splats.objects import ANTIALIAS, can_export, chain
 from ..timeline.frame_at import Moment, moment_of
 from . import compositing_scene
 from .instances import instances
+from .lamps import scene_light
 from .mesh_copies import HIDDEN, SELECTED, Frozen, FrozenMesh, freeze, read_marks
+from .relight import Relighting, SceneLight
 
 NO_SPLATS = (
     "There are no splats to render: import a splat PLY, or enable the splat object and its "
@@ -104,6 +106,11 @@ class Source:
         marks = np.fromiter(bits, np.uint8, len(verts))
         return marks if marks.any() else None
 
+    @property
+    def light(self) -> SceneLight:
+        """The light of the scene."""
+        return scene_light(self._depsgraph)
+
     _depsgraph: bpy.types.Depsgraph
     """Evaluates `data`."""
 
@@ -135,6 +142,8 @@ class Placed:
     """Whether it is in Edit Mode, where hidden points are not drawn."""
     holdout: bool = False
     """Whether it cuts a hole into the picture."""
+    relighting: Relighting | None = None
+    """The light that replaces the captured one; None: it does not."""
 
     @property
     def name(self) -> str:
@@ -143,6 +152,12 @@ class Placed:
 
     @property
     def part(self) -> tuple[int, bytes]:
+        """Key that is equal for objects with the same mesh, filters and light."""
+        uid, filters = self.captured
+        return uid, filters if self.relighting is None else filters + self.relighting.key
+
+    @property
+    def captured(self) -> tuple[int, bytes]:
         """Key that is equal for objects with the same mesh and filters."""
         if self.filters is None:
             return self.uid, b""
@@ -196,6 +211,9 @@ def place(source: Source, frozen: Frozen | None = None, *, always_filtered: bool
     filters = filters_of(ob) if filtered else None
     if filters is not None and not filters.leave_out_anything:
         filters = None
+    relighting, share = None, 0.0 if settings is None else settings.light
+    if share > 0 and isinstance(frozen, FrozenMesh) and frozen.can_be_relit:
+        relighting = Relighting(share=share, light=source.light, matrix=source.matrix)
     return Placed(
         identity=Identity(ob.name, chain(ob.original)[-1].name, ob.pass_index),
         uid=source.uid,
@@ -205,4 +223,5 @@ def place(source: Source, frozen: Frozen | None = None, *, always_filtered: bool
         antialias=bool(ob.get(ANTIALIAS, False)),
         edited=source.is_edited,
         holdout=source.is_holdout,
+        relighting=relighting,
     )

@@ -147,6 +147,11 @@ def is_splats(ob: bpy.types.Object | None) -> bool:
     return ob is not None and ob.type == "MESH" and ob.get("gs_kind") == KIND
 
 
+def is_relit(ob: bpy.types.Object) -> bool:
+    """True if the scene's light replaces the captured light of splats, see `render.relight`."""
+    return ob.gscore.light > 0 and bool(attributes.light_names(ob.data))
+
+
 def active_splats(context: bpy.types.Context) -> bpy.types.Object | None:
     """The active object, or the splat object that it crops."""
     active = context.object

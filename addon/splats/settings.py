@@ -1,6 +1,7 @@
 """Display settings of a splat object: properties copied to the inputs of its display modifier."""
 
 import time
+from contextlib import suppress
 
 import bpy
 from bpy.app.handlers import persistent
@@ -152,6 +153,17 @@ class SplatSettings(bpy.types.PropertyGroup):
         update=_update,
         override=_KEPT,
     )
+    light: bpy.props.FloatProperty(
+        name="Light",
+        description="Light on the splats: 0, that of the photos; 1, the scene's lamps and world, "
+        "without shadows. Relight Splats prepares it",
+        default=0.0,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
+        update=_update,
+        override=_KEPT,
+    )
     apply_filters_to_render: bpy.props.BoolProperty(
         name="Filters in Render",
         description="Also hide filtered splats in renders of the Gaussian Splats engine",
@@ -189,6 +201,8 @@ def apply(ob: bpy.types.Object) -> None:
     }
     for name, value in values.items():
         compat.set_modifier_input(modifier, name, value)
+    with suppress(KeyError):  # a group from an older file, which Restore Display updates
+        compat.set_modifier_input(modifier, "Light", settings.light)
 
 
 FILTERS = ("opacity_min", "size_min", "size_max", "crop_object", "crop_shape", "crop_invert")

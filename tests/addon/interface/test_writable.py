@@ -68,6 +68,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "use_as_proxy": {},
     "remove_proxy": {},
     "update_proxy": {},
+    "relight_splats": {},
     "show_splats": {},
     "select_result": {},
     "compare_photo": {},
@@ -295,6 +296,7 @@ SETTINGS: dict[str, Any] = {
     "size_max": 0.75,
     "crop_shape": "SPHERE",
     "crop_invert": True,
+    "light": 0.5,
     "apply_filters_to_render": False,
 }
 

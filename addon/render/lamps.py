@@ -1,0 +1,158 @@
+"""Lamps and world of a scene, as light for splats."""
+
+import zlib
+
+import bpy
+import numpy as np
+
+from ..compat import matrix_to_numpy, rec709_to_scene, world_nodes
+from ..triangles import Triangles, triangles_of
+from . import relight
+from .color import world_light, world_of
+from .compositing_scene import main_scene
+from .instances import may_hold_out
+from .proxy import is_proxy
+from .relight import POINT, SUN, Lamp, SceneLight
+from .shadow_maps import Casters
+
+_GRID = 2
+"""Points of an area lamp along each side."""
+_LARGEST_MAP = 1 << 21
+"""Pixels of an environment texture above which the world's color is used."""
+_ROWS = 64
+"""Rows to which an environment texture is reduced."""
+
+
+def scene_light(depsgraph: bpy.types.Depsgraph) -> SceneLight:
+    """The visible lamps and meshes of a depsgraph, and its world; that of the main scene in a
+    splat-only one."""
+    lamps: list[Lamp] = []
+    meshes: list[bpy.types.Object] = []
+    for ob in depsgraph.objects:
+        if ob.type == "LIGHT":
+            lamps += _lamps_of(ob)
+        elif may_hold_out(ob) and ob.visible_shadow and not ob.is_shadow_catcher:
+            meshes.append(ob)
+    main = main_scene(depsgraph.scene)
+    world = world_of(depsgraph.scene, depsgraph.view_layer) if main is None else main.world
+    casters = _casters(meshes, depsgraph) if lamps else Casters()
+    return SceneLight(lamps=tuple(lamps), world=_world(world), casters=casters)
+
+
+_copies: dict[int, tuple[bytes, Triangles]] = {}
+"""Checksum and triangles of each mesh object, by session uid."""
+
+
+def _casters(meshes: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> Casters:
+    """Meshes that cast shadows. Renders copy them anew, because no handler tells what changed."""
+    if depsgraph.mode == "RENDER":
+        _copies.clear()
+    key, found = [], {True: [], False: []}
+    for ob in meshes:
+        uid = ob.original.session_uid
+        if uid not in _copies:
+            copy = triangles_of(ob)
+            sums = (zlib.crc32(np.ascontiguousarray(values)) for values in copy)
+            _copies[uid] = b"".join(one.to_bytes(4) for one in sums), copy
+        checksum, triangles = _copies[uid]
+        if len(triangles.triangles):
+            matrix = matrix_to_numpy(ob.matrix_world)
+            key.append(checksum + matrix.tobytes())
+            found[is_proxy(ob)].append((triangles, matrix))
+    return Casters(key=b"".join(key), proxies=tuple(found[True]), meshes=tuple(found[False]))
+
+
+@bpy.app.handlers.persistent
+def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """Forget copies of changed meshes."""
+    for update in () if depsgraph is None or not _copies else depsgraph.updates:
+        if update.is_updated_geometry and isinstance(update.id, bpy.types.Object):
+            _copies.pop(update.id.original.session_uid, None)
+
+
+@bpy.app.handlers.persistent
+def _forget(*_: object) -> None:
+    _copies.clear()
+
+
+HANDLERS = {
+    "depsgraph_update_post": _after_update,
+    "undo_post": _forget,
+    "redo_post": _forget,
+    "load_post": _forget,
+}
+
+
+def _lamps_of(ob: bpy.types.Object) -> list[Lamp]:
+    data, matrix = ob.data, matrix_to_numpy(ob.matrix_world)
+    color = np.array(data.color, np.float64) * data.energy * 2.0 ** getattr(data, "exposure", 0)
+    if getattr(data, "use_temperature", False):
+        color *= np.array(data.temperature_color)
+    color = np.linalg.solve(rec709_to_scene(), color)
+    axis = -matrix[:3, 2] / max(np.linalg.norm(matrix[:3, 2]), 1e-12)
+    place = tuple(matrix[:3, 3].tolist())
+    common = {"axis": tuple(axis.tolist()), "source": place if data.use_shadow else None}
+    if data.type == "SUN":
+        return [Lamp(kind=SUN, strength=tuple((color / np.pi).tolist()), **common)]
+    common["kind"] = POINT
+    if data.type == "AREA":
+        # As many points that shine with the cosine: the flux is pi times the intensity ahead.
+        strength = tuple((color / np.pi**2 / _GRID**2).tolist())
+        sides = np.array([data.size, data.size_y if "RECT" in data.shape else data.size])
+        if data.shape == "ELLIPSE":
+            sides[1] = data.size_y
+        if not getattr(data, "normalize", True):
+            strength = tuple((np.array(strength) * float(sides.prod())).tolist())
+        steps = (np.arange(_GRID) + 0.5) / _GRID - 0.5
+        if data.shape in {"DISK", "ELLIPSE"}:
+            steps *= np.sqrt(np.pi) / 2  # a square of the same area
+        x, y = (grid.ravel() for grid in np.meshgrid(steps * sides[0], steps * sides[1]))
+        places = matrix[:3, 3] + np.outer(x, matrix[:3, 0]) + np.outer(y, matrix[:3, 1])
+        least = float(sides.max()) / _GRID / 2
+        return [
+            Lamp(strength=strength, place=tuple(p), radius=least, is_surface=True, **common)
+            for p in places.tolist()
+        ]
+    strength = tuple((color / (4 * np.pi**2)).tolist())
+    radius = float(data.shadow_soft_size)
+    if data.type == "SPOT":
+        edge = float(np.cos(data.spot_size / 2))
+        common["cone"] = (edge, (1 - edge) * data.spot_blend)
+    return [Lamp(strength=strength, place=place, radius=radius, **common)]
+
+
+def _world(world: bpy.types.World | None) -> np.ndarray:
+    """`SceneLight.world`: of the first environment texture if the world has one, else its color."""
+    tree = None if world is None else world_nodes(world)
+    nodes = () if tree is None else tree.nodes
+    node = next((n for n in nodes if n.type == "TEX_ENVIRONMENT" and n.image is not None), None)
+    if node is not None and 0 < node.image.size[0] * node.image.size[1] <= _LARGEST_MAP:
+        links = node.outputs[0].links
+        shader = links[0].to_node if links else None
+        is_shown = shader is not None and shader.type == "BACKGROUND"
+        strength = shader.inputs["Strength"].default_value if is_shown else 1.0
+        return strength * _of_image(node.image)
+    light = np.linalg.solve(rec709_to_scene(), world_light(world)[0])
+    return relight.even_world(light)
+
+
+_known: dict[tuple[int, int, int], np.ndarray] = {}
+"""Light of the last environment texture by its session uid and size."""
+
+
+def _of_image(image: bpy.types.Image) -> np.ndarray:
+    key = image.original.session_uid, *image.size
+    if key not in _known:
+        width, height = image.size
+        pixels = np.empty(width * height * image.channels, np.float32)
+        image.original.pixels.foreach_get(pixels)
+        step = max(height // _ROWS, 1)
+        rows, columns = height // step * step, width // step * step
+        light = pixels.reshape(height, width, -1)[:rows, :columns, :3]
+        light = light.reshape(rows // step, step, columns // step, step, 3).mean((1, 3))
+        size = light.shape[:2]
+        _known.clear()
+        _known[key] = relight.world_of_map(
+            light, relight.map_directions(*size), relight.map_solid_angles(*size)
+        )
+    return _known[key]

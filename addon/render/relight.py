@@ -1,0 +1,278 @@
+"""Relighting: colors of splats under the scene's lights in place of the captured light; no bpy.
+
+A splat has a normal and the captured light, the radiance that a white surface in its place had in
+the photos. Its linear color is multiplied by the scene's such radiance divided by that one. Meshes,
+and proxies in place of splats, cast shadows; there are no reflections.
+"""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..core import Splats, quat_to_rotmat, rgb_to_sh0, sh0_to_rgb, sh_basis
+from ..srgb import decode, encode
+from .shadow_maps import Casters, ShadowMaps, shadow_maps
+
+POINT, SUN = "POINT", "SUN"
+_WHITE = 0.8
+"""Albedo that the brightest surfaces of a capture are assumed to have."""
+_BRIGHTEST = 95
+"""Percentile of the colors that are these surfaces."""
+_DARKEST = 0.1
+"""Least captured light, in means of the capture."""
+_STRONGEST = 16.0
+"""Largest ratio of the scene's light to the captured light."""
+_CELLS = 64
+"""Cells in which normals are averaged, along the diagonal of most splats."""
+_DIM = 1 / 255
+"""sRGB value below which a color is black."""
+_BLOCK = 1 << 13
+"""Splats of which intermediate results are in the cache."""
+_BANDS = np.array([1, *(3 * [2 / 3]), *(5 * [1 / 4])])
+"""Irradiance of a white surface over pi, by radiance, of the harmonics of degree 0 to 2
+(Ramamoorthi and Hanrahan 2001)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lamp:
+    """A small source of light in the world; a large one is several."""
+
+    kind: str
+    """POINT: `strength` over squared distance; SUN: `strength` everywhere."""
+    strength: tuple[float, float, float]
+    """Radiance of a white surface that faces it, linear Rec. 709, at distance 1."""
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Unit vector along which it shines: of a sun, a cone, or a surface."""
+    radius: float = 0.0
+    """Least distance."""
+    cone: tuple[float, float] = (-2.0, 0.0)
+    """Cosine of half the cone's angle, and the range of cosines in which it fades in."""
+    is_surface: bool = False
+    """Whether it fades with the cosine of the angle to its axis."""
+    source: tuple[float, float, float] | None = None
+    """World position from which shadows fall, any for a sun; None: it casts none."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneLight:
+    """All light of a scene."""
+
+    lamps: tuple[Lamp, ...] = ()
+    world: np.ndarray = field(default_factory=lambda: np.zeros((9, 3)))
+    """[9, 3] radiance of a white surface by its normal, in harmonics of degree 0 to 2."""
+
+    casters: Casters = field(default_factory=Casters)
+    """Meshes that cast shadows."""
+
+    @cached_property
+    def key(self) -> bytes:
+        """Differs if the light differs."""
+        return repr(self.lamps).encode() + self.world.tobytes() + self.casters.key
+
+    @cached_property
+    def maps(self) -> tuple[ShadowMaps | None, ...]:
+        """The shadows of each lamp; None: it casts none."""
+        return tuple(_maps_of(self.casters, lamp) for lamp in self.lamps)
+
+    def white(self, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Radiance of white surfaces, linear Rec. 709, [N, 3] float32.
+
+        Args:
+            places: World positions [N, 3] float32.
+            normals: Unit vectors [N, 3] float32.
+        """
+        light = harmonics(normals) @ self.world.astype(np.float32)
+        np.maximum(light, 0, out=light)
+        for lamp, maps in zip(self.lamps, self.maps, strict=True):
+            share = _falloff(lamp, places, normals)
+            if maps is not None:
+                share *= maps.lit(places, normals)
+            light += share[:, None] * np.float32(lamp.strength)
+        return light
+
+
+_known: dict[tuple[bytes, str], ShadowMaps] = {}
+"""The last shadow maps by their meshes and lamp."""
+_MOST_MAPS = 32
+
+
+def _maps_of(casters: Casters, lamp: Lamp) -> ShadowMaps | None:
+    if not casters or lamp.source is None:
+        return None
+    axis = np.array(lamp.axis) if lamp.kind == SUN else None
+    key = casters.key, repr(lamp.source if axis is None else lamp.axis)
+    maps = _known.pop(key, None)
+    if maps is None:
+        maps = shadow_maps(casters, np.array(lamp.source), axis)
+    while len(_known) >= _MOST_MAPS:
+        _known.pop(next(iter(_known), key), None)
+    _known[key] = maps
+    return maps
+
+
+def harmonics(normals: np.ndarray) -> np.ndarray:
+    """Basis of degree 0 to 2 of unit vectors [N, 3]: [N, 9]."""
+    return sh_basis(2, normals)
+
+
+def world_of_map(light: np.ndarray, directions: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """`SceneLight.world` of radiances [..., 3] from unit directions [..., 3], with solid angles
+    [...]."""
+    basis = harmonics(directions.reshape(-1, 3)) * weights.reshape(-1, 1)
+    return _BANDS[:, None] * (basis.T @ light.reshape(-1, 3).astype(np.float64))
+
+
+def map_directions(height: int, width: int) -> np.ndarray:
+    """Unit vectors [H, W, 3] of the pixels of an equirectangular map of Blender's world: the bottom
+    row (straight down) first, +X in the middle, +Y to its left."""
+    longitude = np.pi * (1 - 2 * (np.arange(width) + 0.5) / width)
+    latitude = np.pi * ((np.arange(height) + 0.5) / height - 0.5)
+    x, y = np.cos(longitude), np.sin(longitude)
+    level, up = np.cos(latitude)[:, None], np.sin(latitude)[:, None]
+    return np.stack([level * x, level * y, np.broadcast_to(up, (height, width))], -1)
+
+
+def map_solid_angles(height: int, width: int) -> np.ndarray:
+    """Steradians [H, W] of these pixels."""
+    edges = np.sin(np.pi * (np.arange(height + 1) / height - 0.5))
+    return np.broadcast_to(np.diff(edges)[:, None] * (2 * np.pi / width), (height, width))
+
+
+def even_world(light: np.ndarray) -> np.ndarray:
+    """`SceneLight.world` of one radiance [3] from all directions."""
+    found = np.zeros((9, 3))
+    found[0] = np.asarray(light) / harmonics(np.array([[0.0, 0.0, 1.0]]))[0, 0]
+    return found
+
+
+def _falloff(lamp: Lamp, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Share of a lamp's strength that arrives at surfaces, [N] float32."""
+    axis = np.float32(lamp.axis)
+    if lamp.kind == SUN:
+        return np.maximum(normals @ -axis, 0)
+    towards = np.float32(lamp.place) - places
+    squared = np.maximum(np.einsum("ij,ij->i", towards, towards), np.float32(1e-12))
+    distance = np.sqrt(squared)
+    share = np.maximum(np.einsum("ij,ij->i", towards, normals), 0)
+    share /= distance * np.maximum(squared, np.float32(lamp.radius**2))
+    edge, fade = lamp.cone
+    if edge > -1 or lamp.is_surface:
+        along = (towards @ -axis) / distance
+    if edge > -1:
+        ramp = np.clip((along - edge) / max(fade, 1e-6), 0, 1)
+        share *= ramp * ramp * (3 - 2 * ramp)
+    if lamp.is_surface:
+        share *= np.maximum(along, 0)
+    return share
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relighting:
+    """Relighting of an object."""
+
+    share: float
+    """0: the captured light; 1: the scene's."""
+    light: SceneLight
+    matrix: np.ndarray
+    """[4, 4] float64, object to world."""
+
+    @cached_property
+    def key(self) -> bytes:
+        """Differs if the result differs."""
+        return np.float64(self.share).tobytes() + self.matrix.tobytes() + self.light.key
+
+
+def relit(splats: Splats, normals: np.ndarray, captured: np.ndarray, how: Relighting) -> Splats:
+    """Splats under the scene's light.
+
+    Args:
+        splats: Splats as captured, in the object's space.
+        normals: Unit vectors in that space [N, 3]; zero: none, and the color stays.
+        captured: Radiance of white surfaces in the photos [N, 3], linear.
+        how: The light.
+    """
+    count, rest, _ = splats.shN.shape
+    sh0, shN = np.empty((count, 3), np.float32), np.empty((count, rest * 3), np.float32)
+    turn = (how.matrix[:3, :3] / np.cbrt(abs(np.linalg.det(how.matrix[:3, :3])))).T
+    turn, matrix = turn.astype(np.float32), how.matrix.astype(np.float32)
+
+    def work(at: int) -> None:
+        part = slice(at, at + _BLOCK)
+        places = splats.means[part] @ matrix[:3, :3].T + matrix[:3, 3]
+        white, before = how.light.white(places, normals[part] @ turn), captured[part]
+        known = (before > 0).all(axis=1) & normals[part].any(axis=1)
+        ratio = np.divide(white, before, out=np.ones_like(white), where=known[:, None])
+        ratio = np.float32(1 - how.share) + np.float32(how.share) * np.minimum(ratio, _STRONGEST)
+        color = sh0_to_rgb(splats.sh0[part, 0])
+        relit = encode(decode(color) * ratio) + np.minimum(color, 0)
+        sh0[part] = rgb_to_sh0(relit)
+        if rest:
+            # View dependence is scaled as the color is; a black one has none of its own.
+            gain = np.where(color > _DIM, relit / np.maximum(color, _DIM), 1).astype(np.float32)
+            own = splats.shN[part].reshape(-1, rest * 3)
+            np.multiply(own, np.tile(gain, rest), out=shN[part])
+
+    _ = how.light.maps  # once, before the threads need them
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(work, range(0, count, _BLOCK)))
+    return replace(splats, sh0=sh0[:, None], shN=shN.reshape(count, rest, 3))
+
+
+def shortest_axes(quats: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """Unit vectors [N, 3] along the shortest axes of splats with quaternions [N, 4] (w first)."""
+    axes = np.argmin(scales, axis=1)
+    turns = quat_to_rotmat(quats)
+    return np.take_along_axis(turns, axes[:, None, None], axis=2)[..., 0].astype(np.float32)
+
+
+def facing(means: np.ndarray, eyes: np.ndarray) -> np.ndarray:
+    """Vectors [N, 3] from places [N, 3] to the eyes [C, 3] that are near; without eyes away from
+    the middle of the places."""
+    if not len(eyes):
+        return means - np.median(means, axis=0)
+    out = np.zeros_like(means)
+    for eye in eyes.astype(np.float32):
+        away = eye - means
+        out += away / np.maximum(np.einsum("ij,ij->i", away, away), 1e-9)[:, None] ** 1.5
+    return out
+
+
+def smooth(means: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Unit vectors averaged over cells of space, [N, 3]; weights [N]."""
+    low, high = np.percentile(means, [5, 95], axis=0)
+    cell = max(float(np.linalg.norm(high - low)) / _CELLS, 1e-9)
+    keys = np.floor(means / cell).astype(np.int64)
+    _, home = np.unique(keys, axis=0, return_inverse=True)
+    home = home.ravel()
+    sums = np.stack(
+        [np.bincount(home, weights=normals[:, axis] * weights) for axis in range(3)], axis=1
+    )[home]
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.where(lengths > 1e-12, sums / np.maximum(lengths, 1e-12), normals).astype(np.float32)
+
+
+def captured_light(colors: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The captured light, if surfaces of all directions have the same colors on average: the smooth
+    function of normals next to the colors, [N, 3] float32.
+
+    Args:
+        colors: Linear colors of the splats [N, 3].
+        normals: Unit vectors [N, 3].
+        weights: Weights of the splats [N].
+    """
+    basis = harmonics(normals).astype(np.float64)
+    rest = 1e-3 * weights.sum() * np.diag([0.0] + 8 * [1.0])  # unseen directions are as the mean
+    normal = basis.T @ (basis * weights[:, None]) + rest
+    found = np.linalg.solve(normal, basis.T @ (colors * weights[:, None]))
+    shading = basis @ found
+    mean = np.average(colors, axis=0, weights=weights)
+    shading = np.maximum(shading, _DARKEST * mean)
+    order = np.argsort(brightness := (colors / shading).mean(axis=1))
+    summed = np.cumsum(weights[order])
+    place = np.searchsorted(summed, summed[-1] * _BRIGHTEST / 100)
+    top = brightness[order[min(place, len(order) - 1)]]
+    return (shading * max(top, 1e-9) / _WHITE).astype(np.float32)

@@ -1,0 +1,244 @@
+"""Lights of the scene on splats. Oracle, unless stated otherwise: Cycles' picture of a plane in
+place of the splats."""
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from addon import attributes, compat
+from addon.render import relight
+from addon.render.proxy import attach
+from tests.addon import splat_scenes as lab
+
+SIZE = (40, 40)
+COLOR = (0.5, 0.6, 0.3)
+
+
+def lamp(scene: bpy.types.Scene, kind: str) -> bpy.types.Object:
+    """A colored lamp above the right side, which shines obliquely down."""
+    data = bpy.data.lights.new(kind, kind)
+    made = bpy.data.objects.new(kind, data)
+    scene.collection.objects.link(made)
+    made.location, made.rotation_euler = (0.5, 0.2, 1.5), (0.1, -0.3, 0.2)
+    data.color = (1.0, 0.8, 0.6)
+    data.energy = 3.0 if kind == "SUN" else 60.0
+    if kind == "SPOT":
+        data.spot_size, data.spot_blend = 0.9, 0.4
+    if kind == "AREA":
+        data.shape, data.size, data.size_y = "RECTANGLE", 0.6, 0.3
+    if kind in {"POINT", "SPOT"}:
+        data.shadow_soft_size = 0.02
+    return made
+
+
+def know_light(ob: bpy.types.Object, normal=(0, 0, 1), captured: float = 1.0) -> None:
+    """Store normal and captured light of all splats."""
+    for name, values in ((attributes.NORMAL, normal), (attributes.CAPTURED, 3 * [captured])):
+        attributes.declare(ob.data, name, "FLOAT_VECTOR")
+        rows = np.tile(np.float32(values), (len(ob.data.vertices), 1))
+        attributes.fill(ob.data, name, "FLOAT_VECTOR", rows.ravel())
+
+
+@pytest.fixture
+def lit(scene):
+    """A wall of splats at z = 0 that is relit, in a black world."""
+    lab.prepare(scene, SIZE)
+    ob = lab.add(scene, lab.wall(0.0, COLOR, half=2.5, along=101))
+    know_light(ob)
+    ob.gscore.light = 1.0
+    return scene
+
+
+def by_cycles(scene: bpy.types.Scene, folder) -> np.ndarray:
+    """The picture of a plane with the splats' color as albedo."""
+    bpy.ops.mesh.primitive_plane_add(size=5)
+    albedo = bpy.data.materials.new("albedo")
+    compat.use_nodes(albedo)
+    albedo.node_tree.nodes.clear()
+    shader = albedo.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
+    linear = ((np.array(COLOR) + 0.055) / 1.055) ** 2.4
+    shader.inputs["Color"].default_value = (*linear, 1)
+    out = albedo.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    albedo.node_tree.links.new(shader.outputs[0], out.inputs["Surface"])
+    bpy.context.object.data.materials.append(albedo)
+    for ob in scene.objects:
+        if ob.get("gs_kind") == "splats":
+            ob.hide_render = True
+    scene.render.engine, scene.cycles.samples = "CYCLES", 64
+    scene.cycles.use_denoising = False
+    return lab.render_exr(folder, "cycles")[..., :3]
+
+
+@pytest.mark.parametrize("kind", ["SUN", "POINT", "SPOT", "AREA"])
+def test_lamps(lit, tmp_path, kind):
+    """Of all kinds: color, strength, distance, angle, cone and size."""
+    lamp(lit, kind)
+    got = lab.render_exr(tmp_path, "ours")[..., :3]
+    wanted = by_cycles(lit, tmp_path)
+    assert wanted.max() > 0.1
+    error = np.abs(got - wanted) / wanted.max()
+    assert error.mean() < 0.015
+    assert np.percentile(error, 95) < 0.04
+
+
+@pytest.mark.parametrize("kind", ["SUN", "POINT", "room"])
+def test_shadows_of_meshes(lit, tmp_path, kind):
+    """A cube over the wall: where its shadow is, and none of a cube without shadows; in a room, in
+    which the lamp is among the meshes; the wall's own proxy casts none on it."""
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.1, 0, 0.5))
+    cube = bpy.context.object
+    made = lamp(lit, "POINT" if kind == "room" else kind)
+    made.location = (0.5, 0.2, 1.9)
+    if kind == "room":
+        bpy.ops.mesh.primitive_cube_add(size=9, location=(0, 0, 4.4))
+        bpy.context.object.visible_camera = False
+        lit.cycles.max_bounces = 0
+    (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
+    bpy.ops.mesh.primitive_grid_add(
+        x_subdivisions=150, y_subdivisions=150, size=5, location=(0, 0, -0.01)
+    )
+    proxy = bpy.context.object
+    attach(lit, ob, proxy)
+    got = lab.render_exr(tmp_path, "ours")[..., :3]
+    cube.visible_shadow = False
+    without = lab.render_exr(tmp_path, "without")[..., :3]
+    cube.visible_shadow, cube.visible_camera = True, False
+    lit.cycles.max_bounces, proxy.hide_render = 0, True
+    proxy.driver_remove("hide_render")
+    proxy.hide_render = True
+    wanted = by_cycles(lit, tmp_path)
+    shadow = wanted.mean(2) < 0.5 * without.mean(2)
+    ours = got.mean(2) < 0.5 * without.mean(2)
+    assert shadow.sum() > 20
+    assert (shadow & ours).sum() / (shadow | ours).sum() > 0.7
+    clear = ~(shadow | ours)
+    assert np.abs(got - without)[clear].mean() < 0.01 * without.max()
+
+
+def test_world(lit, tmp_path):
+    """An even world, and an environment texture whose upper half is bright and blue."""
+    lit.render.film_transparent = True
+    tree = compat.world_nodes(lit.world)
+    tree.nodes["Background"].inputs[0].default_value = (0.3, 0.5, 0.7, 1)
+    got = lab.render_exr(tmp_path, "ours")[16:24, 16:24, :3].mean((0, 1))
+    linear = ((np.array(COLOR) + 0.055) / 1.055) ** 2.4
+    np.testing.assert_allclose(got, linear * [0.3, 0.5, 0.7], rtol=0.02)
+    image = bpy.data.images.new("sky", 64, 32, float_buffer=True)
+    image.colorspace_settings.name = "Linear Rec.709"
+    pixels = np.zeros((32, 64, 4), np.float32)
+    pixels[16:, :32] = (0.2, 0.4, 1.5, 1)
+    image.pixels.foreach_set(pixels.ravel())
+    image.update()
+    node = tree.nodes.new("ShaderNodeTexEnvironment")
+    node.image = image
+    tree.links.new(node.outputs[0], tree.nodes["Background"].inputs[0])
+    got = lab.render_exr(tmp_path, "textured")[16:24, 16:24, :3].mean((0, 1))
+    wanted = by_cycles(lit, tmp_path)[16:24, 16:24].mean((0, 1))
+    np.testing.assert_allclose(got, wanted, rtol=0.05)
+
+
+def test_off_is_the_captured_look(lit, tmp_path):
+    """Oracle: the same bits as without attributes, whatever the lamps; and half way between."""
+    lamp(lit, "SUN")
+    (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
+    on = lab.render_exr(tmp_path, "on")
+    ob.gscore.light = 0.0
+    off = lab.render_exr(tmp_path, "off")
+    ob.gscore.light = 0.5
+    half = lab.render_exr(tmp_path, "half")
+    for name in (attributes.NORMAL, attributes.CAPTURED):
+        ob.data.attributes.remove(ob.data.attributes[name])
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "plain"), off)
+    assert np.abs(on - off).max() > 0.05
+    np.testing.assert_allclose(half, (on + off) / 2, atol=2e-3)
+
+
+def test_objects_are_lit_where_they_stand(lit, tmp_path):
+    """A turned, scaled copy far away, and moved lamps, without another estimate."""
+    (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
+    sun = lamp(lit, "SUN")
+    sun.rotation_euler = (0, 0, 0)
+    straight = lab.render_exr(tmp_path, "straight")[20, 20, :3]
+    sun.rotation_euler = (0, np.radians(60), 0)
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "low")[20, 20, :3], straight / 2, rtol=0.01)
+    ob.rotation_euler, ob.scale = (0, np.radians(60), 0), (2, 2, 2)
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "turned")[20, 20, :3], straight, rtol=0.03)
+
+
+def test_the_captured_light_is_found(scene):
+    """Oracle: the light of a ball of one color, by the cosine of its normals, up to scale; its
+    normals face the cameras, here away from the middle."""
+    lab.prepare(scene)
+    splats = lab.beads(0)
+    index = np.arange(3000) + 0.5
+    up, turn = 1 - index / 1500, np.pi * (1 + 5**0.5) * index
+    level = np.sqrt(1 - up**2)
+    normals = np.stack([level * np.cos(turn), level * np.sin(turn), up], 1).astype(np.float32)
+    light = 0.5 + 0.4 * normals @ np.float32([0, 0, 1])
+    found = relight.captured_light(
+        np.repeat(light[:, None], 3, axis=1) * [1, 0.5, 0.2], normals, np.ones(3000)
+    )
+    ratio = found / (light[:, None] * [1, 0.5, 0.2])
+    np.testing.assert_allclose(ratio, ratio.mean(), rtol=0.06)
+    assert splats is not None
+    assert (relight.facing(normals, np.zeros((0, 3))) * normals).sum(1).min() > 0.5
+    inside = relight.facing(normals, np.zeros((1, 3)))
+    assert (inside * normals).sum(1).max() < 0
+
+
+def test_the_button(scene, tmp_path):
+    """Oracle: the lamps of the estimate give the captured look again; a brighter sun brightens; the
+    attributes stay through edits and files."""
+    lab.prepare(scene, SIZE)
+    ob = lab.add(scene, lab.wall(0.0, COLOR, half=2.5, along=101))
+    sun = lamp(scene, "SUN")
+    before = lab.render_exr(tmp_path, "before")
+    bpy.context.view_layer.objects.active = ob
+    ob.select_set(True)
+    assert bpy.ops.gscore.relight_splats(captured="SCENE") == {"FINISHED"}
+    assert ob.gscore.light == 1.0
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "same"), before, atol=2e-3)
+    sun.data.energy *= 2
+    brighter = lab.render_exr(tmp_path, "brighter")[..., :3]
+    np.testing.assert_allclose(brighter, 2 * before[..., :3], rtol=0.02, atol=2e-3)
+    assert bpy.ops.gscore.relight_splats() == {"FINISHED"}
+    path = str(tmp_path / "saved.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    wanted = lab.render_exr(tmp_path, "wanted")
+    bpy.ops.wm.open_mainfile(filepath=path)
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "loaded"), wanted)
+
+
+@pytest.mark.parametrize("display", ["POINTS", "ELLIPSOIDS", "SOFT"])
+def test_node_displays(scene, tmp_path, display):
+    """A sun brightens the display in Cycles as it does the engine's picture; with the slider at 0
+    it does nothing. The object is turned, so that its normals are not the world's."""
+    lab.prepare(scene, (24, 24))
+    ob = lab.add(scene, lab.wall(0.0, COLOR, half=2.5, along=41))
+    know_light(ob, normal=(1, 0, 0))
+    ob.matrix_world = Matrix.Rotation(np.radians(-90), 4, "Y")
+    ob.data.attributes["position"].data.foreach_set(
+        "vector", (lab.wall(0.0, COLOR, half=2.5, along=41).means[:, [2, 1, 0]]).ravel()
+    )
+    for name, order in ((attributes.SCALE, [2, 1, 0]),):
+        rows = attributes.column(ob.data, name)[:, order]
+        attributes.fill(ob.data, name, "FLOAT_VECTOR", np.ascontiguousarray(rows).ravel())
+    ob.data.update()
+    sun = lamp(scene, "SUN")
+    middle = (slice(8, 16), slice(8, 16), slice(0, 3))
+    pictures = {}
+    for engine in ("GSCORE_SPLATS", "CYCLES"):
+        for light in (0.0, 1.0):
+            ob.gscore.light = light
+            found = lab.render_exr(tmp_path, f"{engine}{light}")
+            pictures[engine, light] = found[middle].mean((0, 1))
+        ob.gscore.display, ob.gscore.point_size = display, 0.15
+        scene.render.engine, scene.cycles.samples = "CYCLES", 64
+        scene.cycles.use_denoising, scene.cycles.transparent_max_bounces = False, 64
+    gains = {one: pictures[one, 1.0] / pictures[one, 0.0] for one in ("GSCORE_SPLATS", "CYCLES")}
+    np.testing.assert_allclose(gains["CYCLES"], gains["GSCORE_SPLATS"], rtol=0.06)
+    ob.gscore.light = 0.0
+    before = lab.render_exr(tmp_path, "off")
+    sun.hide_render = True
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "dark"), before)
