@@ -50,6 +50,10 @@ _FILLED = (
     "The mesh may be in the wrong place, or behind objects that should stay; `--guide-surface` "
     "keeps splats in front of a mesh."
 )
+_EMPTY = (
+    "No splats are left: all were transparent, or in a space that was found to be free. Check that "
+    "photos, masks and cameras match."
+)
 _MANY_CLEARED = 0.02
 """Number of splats removed in front of cameras, relative to the final number, above which the user
 is warned. Trainings of real captures remove up to 0.005 in total."""
@@ -260,8 +264,8 @@ class Session:
         )
 
     def _warn_of_step(self, result: StepResult, later: list[StepResult]) -> None:
-        """Emit warnings about a step: losses, gradients, slow ranks, free space, runaways; `later`:
-        results that were read with it."""
+        """Emit warnings about a step: losses, gradients, slow ranks, free space, no splats,
+        runaways; `later`: results that were read with it."""
         step, counts, pruner = result.step, self._trainer.counts, self._trainer.pruner
         if result.skipped:
             self.warn(f"Step {step}: the loss was not usable; the step was skipped.", "non_finite")
@@ -276,6 +280,8 @@ class Session:
         for emptied, text in crowds:
             if emptied.crowded and text not in self._warnings:
                 self.warn(text, "crowded")
+        if not self._trainer.models.trained_count and _EMPTY not in self._warnings:
+            self.warn(_EMPTY, "no_splats")
         lost = counts.lost_rows - sum(one.lost_rows for one in later)
         if any(lost - result.lost_rows < limit <= lost for limit in _WARN_ROWS):
             message = "splats with runaway values were reset"

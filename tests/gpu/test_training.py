@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gscore.config import Background, DataConfig, Switch, TrainConfig
+from gscore.config import Background, DataConfig, Strategy, Switch, TrainConfig
 from gscore.engine.base import RowEdit, StepPhoto, TermGradients
 from gscore.engine.cpu.engine import CpuEngine
 from gscore.engine.gpu.engine import GpuEngine
 from gscore.errors import BackendError
 from gscore.events import Decision, Saved, Started
+from gscore.formats import read_splats
 from gscore.raster.gpu.devices import Device
 from gscore.raster.gpu.library import DeviceMemoryError
 from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
@@ -26,6 +27,7 @@ from gscore.stress.capture import toy_photos, toy_splats
 from gscore.trainer import run
 from gscore.trainer.estimate.automatic_device import AutomaticDevice
 from gscore.trainer.estimate.device_memory import device_bytes
+from gscore.trainer.trainer import Trainer
 from tests.engine.test_contract import COUNTERS, columns_of, request_of
 from tests.gpu.drivers import DRIVERS, ROOT, Driver, each_driver, result_of, variables_of
 from tests.gpu.engines import software_engine
@@ -335,6 +337,37 @@ def test_steps_before_a_lack_of_memory_are_kept(
     monkeypatch.delenv("GSCORE_GPU_FAULT")
     resumed = run.train(config, data, tmp_path / "run", resume=True)
     assert resumed.steps == 12 and resumed.splats.means.tobytes() == whole.means.tobytes()
+
+
+@pytest.mark.parametrize("strategy", list(Strategy))
+def test_a_training_that_loses_all_splats_ends_as_on_the_cpu(
+    strategy: Strategy, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the CPU's warning, its metrics, and a file without splats."""
+    advance = Trainer._advance
+
+    def pruned(self: Trainer, count: int) -> Any:
+        if self.steps == 12:
+            self.read_all()
+            self.model.edit(RowEdit(keep=np.zeros(0, np.int64)))
+        return advance(self, count)
+
+    monkeypatch.setattr(Trainer, "_advance", pruned)
+    config = TrainConfig(
+        iterations=40, strategy=strategy, refine_start=10, refine_every=10, watchdog=False
+    )
+    data, found = DataConfig(source=capture, eval=True, test_every=4), []
+    for device in ("cpu", "0"):
+        make = CpuEngine if device == "cpu" else software_engine
+        monkeypatch.setattr(run, "open_engine", lambda *_, make=make, **__: (make(), ""))
+        out = tmp_path / device
+        events: list[Any] = []
+        done = run.train(replace(config, device=device), data, out, events.append)
+        assert len(done.splats.means) == len(read_splats(out / "point_cloud.ply")) == 0
+        texts = [one.message for one in events if getattr(one, "code", "") == "no_splats"]
+        found.append((texts, done.metrics["psnr"], done.metrics["ssim"]))
+    assert len(found[0][0]) == 1 and found[0][0][0].startswith("No splats are left: ")
+    assert found[0] == found[1]
 
 
 def test_a_device_that_fails_its_test_between_two_runs(
