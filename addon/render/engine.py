@@ -2,6 +2,7 @@
 
 import traceback
 from contextlib import closing
+from dataclasses import replace
 from typing import Any
 from weakref import WeakSet, finalize
 
@@ -16,9 +17,9 @@ from ..timeline import frame_sync
 from ..timeline.frame_at import gap_sentence
 from ..timeline.settings import plays
 from . import device, holdout_meshes, picture, unsupported_settings, viewport_copies
-from .color import background_of, light_of
+from .color import NOTHING, background_of, light_of
 from .compositing_scene import main_scene
-from .geometry_passes import position_pass
+from .geometry_passes import position_pass, vector_pass
 from .model import SplatCache
 from .pass_renderer import PassRenderer, Shot
 from .passes import RequestedPasses, requested_passes
@@ -237,7 +238,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         pass_renderer = PassRenderer(
             options=picture.Options(
                 background=background_of(light),
-                depths=requested.depth or requested.position,
+                depths=requested.depth or requested.position or requested.vector,
                 normals=requested.normal,
                 antialias=scene.gscore_render.antialias,
                 window=window,
@@ -250,6 +251,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         )
         shutter_lens = ShutterLens(depsgraph, camera, size, final_cache, self.frame_set, eye)
         still = shutter_lens.view()
+        if requested.vector and len({owner for owner, _ in still.model.owners} - {None}) > 1:
+            pass_renderer = replace(pass_renderer, mattes=True)
         self.update_progress(0.1)
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
         if shutter_lens.blurs:
@@ -265,10 +268,14 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         else:
             shot = pass_renderer.expose(still, self._stops)
         passes = pass_renderer.completed(shot, still, self._stops)
-        if requested.position:
-            passes["Position"] = position_pass(passes["Depth"], still.camera, window)
-            if not requested.depth:
-                del passes["Depth"]
+        if requested.position or requested.vector:
+            depth = passes["Depth"] if requested.depth else passes.pop("Depth")
+            places = position_pass(depth, still.camera, window)
+            if requested.vector:
+                frames, known = shutter_lens.neighbours(), depth < NOTHING
+                passes["Vector"] = vector_pass(places, known, frames, shot.covered)
+            if requested.position:
+                passes["Position"] = places
         mattes, stamps = requested.mattes_of(shot.covered, passes["Combined"].shape[:2], layer.name)
         self.update_progress(0.9)
         result = self.begin_result(0, 0, *size, layer=layer.name, view=view)

@@ -88,6 +88,7 @@ class VIEWLAYER_PT_gscore_passes(_EnginePanel, bpy.types.Panel):  # noqa: N801 B
         column.prop(layer, "use_pass_z", text="Depth")
         column.prop(layer, "use_pass_position", text="Position")
         column.prop(layer, "use_pass_normal", text="Normal")
+        column.prop(layer, "use_pass_vector", text="Vector")
         column.prop(layer, "use_pass_object_index", text="Object Index")
         if layer.use_pass_object_index:
             column.prop(layer, "pass_alpha_threshold", text="Alpha Threshold")

@@ -109,7 +109,7 @@ def metadata(layer: str, kind: str, names: list[str]) -> dict[str, str]:
 
 SWITCHES = {
     *("use_pass_combined", "use_pass_z", "use_pass_object_index"),
-    *("use_pass_normal", "use_pass_position"),
+    *("use_pass_normal", "use_pass_position", "use_pass_vector"),
     *("use_pass_cryptomatte_object", "use_pass_cryptomatte_asset"),
 }
 """Switches of the passes that this engine makes."""
@@ -127,6 +127,7 @@ class RequestedPasses:
     depth: bool
     normal: bool
     position: bool
+    vector: bool
     holdout_depth: bool
     """Passes with which the compositor cuts meshes at holdout splats."""
     index: bool
@@ -150,6 +151,8 @@ class RequestedPasses:
         for name, on in (("Normal", self.normal), ("Position", self.position)):
             if on:
                 found.append((name, 3, "XYZ", "VECTOR"))
+        if self.vector:
+            found.append(("Vector", 4, "XYZW", "VECTOR"))
         if self.holdout_depth:
             found += [(name, 1, "Z", "VALUE") for name in HOLDOUT_PASSES]
         if self.index:
@@ -204,6 +207,7 @@ def requested_passes(layer: bpy.types.ViewLayer, main: bpy.types.Scene | None) -
         depth=layer.use_pass_z,
         normal=layer.use_pass_normal,
         position=layer.use_pass_position,
+        vector=layer.use_pass_vector,
         holdout_depth=layer.use_pass_z and main is not None,
         index=layer.use_pass_object_index,
         kinds=tuple(kind for kind, on in kinds.items() if on),

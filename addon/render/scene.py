@@ -27,6 +27,16 @@ NONE_IN_VIEW = (
 _EDITED = threading.Lock()
 
 
+class Identity(NamedTuple):
+    """Identity of an object in mattes."""
+
+    name: str
+    asset: str
+    """Name of its uppermost parent, or its own."""
+    index: int
+    """Pass Index."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Source:
     """A splat object of a depsgraph with its placement; valid as long as the depsgraph is."""
@@ -54,6 +64,11 @@ class Source:
         return self.ob.is_holdout or compositing_scene.is_held_out(
             self.shown_by.original, self._depsgraph
         )
+
+    @property
+    def identity(self) -> Identity:
+        """Its identity in mattes."""
+        return Identity(self.ob.name, chain(self.ob.original)[-1].name, self.ob.pass_index)
 
     @property
     def uid(self) -> int:
@@ -113,16 +128,6 @@ class Source:
 
     _depsgraph: bpy.types.Depsgraph
     """Evaluates `data`."""
-
-
-class Identity(NamedTuple):
-    """Identity of an object in mattes."""
-
-    name: str
-    asset: str
-    """Name of its uppermost parent, or its own."""
-    index: int
-    """Pass Index."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +220,7 @@ def place(source: Source, frozen: Frozen | None = None, *, always_filtered: bool
     if share > 0 and isinstance(frozen, FrozenMesh) and frozen.can_be_relit:
         relighting = Relighting(share=share, light=source.light, matrix=source.matrix)
     return Placed(
-        identity=Identity(ob.name, chain(ob.original)[-1].name, ob.pass_index),
+        identity=source.identity,
         uid=source.uid,
         frozen=frozen,
         matrix=source.matrix,

@@ -16,6 +16,7 @@ from ..compat import matrix_to_numpy
 from ..equality import same
 from ..timeline import frame_sync
 from .compositing_scene import main_scene
+from .geometry_passes import Placement
 from .holdout_meshes import Hidden, HoldoutMesh, HoldoutMeshes, hidden
 from .mesh_copies import Frozen
 from .model import Model, SplatCache
@@ -117,6 +118,17 @@ class ShutterLens:
             return
         with self._other_moments():
             yield from self._through(samples(count))
+
+    def neighbours(self) -> list[Placement]:
+        """Camera and objects at the previous frame, the frame itself, and the next; without motion
+        blur of lens and shutter."""
+        found = []
+        with self._other_moments():
+            for offset in (-1, 0, 1):
+                self._go(self._frame + offset)
+                matrices = {one.identity: one.matrix for one in sources(self._depsgraph)}
+                found.append(Placement(camera=self._pinhole(), matrices=matrices))
+        return found
 
     def shares(self, count: int, rows: np.ndarray) -> np.ndarray | None:
         """`Shutter.shares` of the views."""

@@ -78,3 +78,82 @@ def test_empty_pixels_and_blur(tilted, tmp_path):
     np.testing.assert_array_equal(three(scene, tmp_path, "Position"), sharp)
     lengths = np.linalg.norm(three(scene, tmp_path, "Normal")[80, 100])
     assert 0.9 < lengths < 1.001
+
+
+def four(scene, folder, name: str) -> np.ndarray:
+    """A pass of four channels via the compositor, [H, W, 4]."""
+    tree = compat.make_compositor_tree(scene)
+    layers = next(n for n in tree.nodes if n.type == "R_LAYERS")
+    tree.links.new(layers.outputs[name], compat.compositor_result(tree))
+    scene.render.use_compositing = True
+    return lab.render_exr(folder, name)
+
+
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO", "several"])
+def test_motion_is_that_of_a_plane(tilted, tmp_path, kind):
+    """Of a moving, turning wall and camera; with a second object that moves otherwise aside; the
+    scene is at its frame afterwards, and without motion all is 0."""
+    scene, ob, plane, camera = tilted
+    camera.data.type = "ORTHO" if kind == "ORTHO" else "PERSP"
+    if kind == "several":
+        other = lab.add(scene, lab.wall(0.0, (0.2, 0.9, 0.2), half=0.2), "other")
+        other.location = (0.9, 0, 1)
+        lab.moving(other, -0.3)
+    layer = scene.view_layers[0]
+    layer.use_pass_vector = True
+    for name in ("use_pass_normal", "use_pass_position"):
+        setattr(layer, name, False)
+    assert not four(scene, tmp_path, "Vector")[70:90, 90:110].any()
+    for one in (ob, plane):
+        for frame in (4, 5, 6):
+            one.location.x, one.rotation_euler.z = 0.2 + 0.05 * (frame - 5), 0.2 * frame**2 / 25
+            one.keyframe_insert("location", frame=frame)
+            one.keyframe_insert("rotation_euler", frame=frame)
+    lab.moving(camera, 0.02)
+    scene.frame_set(5)
+    ours = four(scene, tmp_path, "Vector")
+    assert scene.frame_current == 5
+    if kind == "several":
+        moved = np.abs(ours[..., 0]) > 8
+        assert moved.any() and not moved[60:100, 80:120].any()
+    ob.hide_render, plane.hide_render = True, False
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 1, False
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = "BLACKMAN_HARRIS", 0.01
+    wanted = four(scene, tmp_path, "Vector")
+    part = slice(60, 100), slice(80, 120)
+    assert np.abs(wanted[part]).max(axis=(0, 1)).min() > 1
+    difference = np.abs(ours - wanted)[part]
+    assert np.median(difference) < 0.1
+    assert difference.max() < 0.3
+
+
+def test_all_passes_in_one_file(tilted, tmp_path):
+    """A multilayer EXR has all passes, with the values of the compositor."""
+    scene, _, _, _ = tilted
+    layer = scene.view_layers[0]
+    layer.use_pass_z = layer.use_pass_vector = layer.use_pass_object_index = True
+    wanted = three(scene, tmp_path, "Position")
+    scene.render.use_compositing = False
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    scene.render.filepath = str(tmp_path / "all.exr")
+    bpy.ops.render.render(write_still=True)
+    data = (tmp_path / "all.exr").read_bytes()[:4000]
+    for name in ("Combined", "Depth", "Normal", "Position", "Vector", "Object Index"):
+        assert f"{layer.name}.{name}".encode() in data
+    assert wanted.any()
+
+
+def test_depth_has_no_holes(scene, tmp_path):
+    """Every pixel with splats has a depth, and no other one."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob(200))
+    scene.render.film_transparent = True
+    scene.view_layers[0].use_pass_z = True
+    alpha = lab.render_exr(tmp_path)[..., 3]
+    depth = three(scene, tmp_path, "Depth")[..., 0]
+    assert 0.2 < (alpha > 0).mean() < 0.9
+    np.testing.assert_array_equal(alpha > 0, depth < 1e9)
