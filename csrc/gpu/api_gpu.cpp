@@ -137,7 +137,7 @@ gs_status gs_gpu_projected(gs_gpu *gpu, float *means2d, float *depths, float *co
 
 gs_status gs_gpu_test(gs_gpu *gpu, int32_t kernel, const uint32_t *a, const uint32_t *b, uint32_t *out, int64_t count) {
     const bool two = kernel >= GS_GPU_TEST_PRODUCT && kernel <= GS_GPU_TEST_FMA;
-    if (!gpu || kernel < 0 || kernel > GS_GPU_TEST_SORT || count < 0 || count > (int64_t(1) << 28) ||
+    if (!gpu || kernel < 0 || kernel > GS_GPU_TEST_CHAIN || count < 0 || count > (int64_t(1) << 28) ||
         (count && (!a || !out || (two && !b))))
         return fail(GS_BAD_ARGUMENT, "gs_gpu_test: an argument is null or out of range");
     return run("gs_gpu_test", [&] {

@@ -102,7 +102,8 @@ def test_the_measuring_script_runs(tmp_path: Path) -> None:
     assert len(found["pictures"]) == 4 and len(found["times"]) == 2
     times = found["times"][0]
     assert times["kernels_ms"]["blend"] > 0
-    assert times["kernels_ms"].keys() >= times["kernels_bytes"].keys()
+    assert times["kernels_ms"].keys() >= times["kernels_bytes"].keys() == times["floors_ms"].keys()
+    assert min(found["ceilings"].values()) > 0 and "pictures/s" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,29 @@ def _measured(folder: Path, out: str, *options: str) -> tuple[int, Any, str]:
 
 
 @pytest.mark.slow
+def test_one_command_measures_a_card(tmp_path: Path) -> None:
+    """Oracle: its exit code and files; floors at the measured bandwidth, which the kernels do not
+    beat by far."""
+    result_of(ONE, PASSED, XDG_CACHE_HOME=str(tmp_path / "cache"))
+    variables = variables_of(ONE) | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    variables |= {"PYTHON": sys.executable, "PYTHONPATH": str(ROOT)}
+    script = ROOT / "tools" / "measure" / "gpu.sh"
+    done = subprocess.run(
+        [script, tmp_path / "out", "--tiny"], capture_output=True, text=True, env=variables
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "gpu.txt").read_text(encoding="utf-8") == done.stdout
+    for name in ("forward", "train"):
+        found = json.loads((tmp_path / "out" / f"{name}.json").read_text(encoding="utf-8"))
+        assert found["ceilings"].keys() == {"bytes_a_second", "operations_a_second"}
+        times = found["times"][0]
+        floors = times["floors_ms"]
+        assert floors.keys() == times["kernels_bytes"].keys()
+        found_bytes = times["kernels_bytes"]["blend"] / floors["blend"] * 1e3
+        assert found_bytes == pytest.approx(found["ceilings"]["bytes_a_second"])
+
+
+@pytest.mark.slow
 def test_the_measuring_script_compares_trainings_with_the_cpu(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

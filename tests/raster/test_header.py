@@ -65,6 +65,7 @@ CONSTANTS = {
     "GS_GPU_TEST_SUM": gpu_header.TEST_SUM,
     "GS_GPU_TEST_FMA": gpu_header.TEST_FMA,
     "GS_GPU_TEST_SORT": gpu_header.TEST_SORT,
+    "GS_GPU_TEST_CHAIN": gpu_header.TEST_CHAIN,
 }
 KINDS = {
     ct.c_float: "float",

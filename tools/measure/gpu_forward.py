@@ -1,4 +1,4 @@
-"""Graphics card, forward: self-test, pictures against the CPU's, time of each kernel, as JSON.
+"""Graphics card, forward: self-test, pictures against the CPU's, ceilings, kernels.
 
     python tools/measure/gpu_forward.py [--device gpu] [--tiny] [-o gpu.json]
 
@@ -19,12 +19,13 @@ import numpy as np
 from gscore.raster import _native
 from gscore.raster.gpu.choice import choose, once_a_device
 from gscore.raster.gpu.gpu_raster import GpuRaster
+from gscore.raster.gpu.header import TEST_CHAIN, TEST_NATIVE_EXP2
 from gscore.raster.gpu.timing import picture_of, timed_pictures, timing_splats, timing_view
 
-BANDWIDTH = {"H100": 3.35e12, "H200": 4.8e12, "RTX 4090": 1.008e12, "RTX 3090": 0.936e12}
-"""Bytes a second of device memory by the makers' data sheets, by parts of names."""
-USED = 0.8
-"""Share of it that kernels reach at best."""
+CEILING_WORDS, TINY_WORDS = 1 << 26, 1 << 16
+"""Words of the kernels that measure ceilings: 768 MB, more than caches hold; and with --tiny."""
+CHAIN = 2048
+"""Products and sums of TEST_CHAIN per word."""
 
 
 def compared(raster: GpuRaster, count: int, width: int) -> dict[str, Any]:
@@ -44,14 +45,52 @@ def compared(raster: GpuRaster, count: int, width: int) -> dict[str, Any]:
     }
 
 
-def bandwidth_of(name: str) -> float | None:
-    """Bytes a second of a device's memory, if its data sheet is known."""
-    return next((b for part, b in BANDWIDTH.items() if part in name), None)
+def ceilings(raster: GpuRaster, *, tiny: bool) -> dict[str, float]:
+    """Bytes a second of a kernel that reads two words and writes one, and products and sums a
+    second of one that does little else; empty where the device has no timer."""
+    words = np.full(TINY_WORDS if tiny else CEILING_WORDS, 0.25, np.float32)
+    found = {}
+    for name, kernel, work in (
+        ("bytes_a_second", TEST_NATIVE_EXP2, 12),
+        ("operations_a_second", TEST_CHAIN, CHAIN),
+    ):
+        times = []
+        for _ in range(3):
+            raster.profile(True)
+            raster.test(kernel, words)
+            times.append(raster.kernel_times()["test"][0])
+        if min(times):
+            found[name] = work * len(words) / min(times) * 1e3
+    raster.profile(False)
+    return found
 
 
-def floors(moved: dict[str, float], bandwidth: float | None) -> dict[str, float]:
-    """Milliseconds that the bytes of each kernel take; empty where the bandwidth is unknown."""
-    return {n: v / (USED * bandwidth) * 1e3 for n, v in moved.items()} if bandwidth else {}
+def floors(moved: dict[str, float], ceilings: dict[str, float]) -> dict[str, float]:
+    """Milliseconds that the bytes of each kernel take at the measured bandwidth."""
+    bandwidth = ceilings.get("bytes_a_second")
+    return {n: v / bandwidth * 1e3 for n, v in moved.items()} if bandwidth else {}
+
+
+def print_kernels(times: dict[str, Any]) -> None:
+    """Print the kernels beside their floors, as text."""
+    for name, value in times["kernels_ms"].items():
+        moved, floor = times["kernels_bytes"].get(name, 0), times["floors_ms"].get(name)
+        least = f", at least {floor:.3f}, {value / floor:.1f} times" if floor else ""
+        print(f"{'':>10}{name:<24}{value:9.3f} ms {moved / 1e6:9.1f} MB{least}")
+
+
+def print_table(result: dict[str, Any]) -> None:
+    """Print the figures as text."""
+    print(result["device"]["name"], result["device"]["driver"])
+    for name, value in result["ceilings"].items():
+        print(f"{value / 1e9:12.1f} billion {name.replace('_', ' ')}")
+    for one in result["times"]:
+        print(
+            f"{one['splats']:>9} splats, {'x'.join(map(str, one['size']))}: "
+            f"{one['pictures_a_second_on_the_device'] or 0:.1f} pictures/s, with the transfer "
+            f"{1e3 / one['whole_call_ms']:.1f}, {one['device_bytes'] / 2**20:.0f} MiB"
+        )
+        print_kernels(one)
 
 
 def moved_bytes(times: dict[str, Any]) -> dict[str, float]:
@@ -96,13 +135,13 @@ def main() -> int:
     with GpuRaster(chosen.device.number) as raster:
         result["pictures"] = [compared(raster, n, w) for n in counts for w in widths]
         result["times"] = [timed_pictures(raster, n, widths[-1]) for n in counts]
+        result["ceilings"] = ceilings(raster, tiny=options.tiny)
     for times in result["times"]:
         times["kernels_bytes"] = moved_bytes(times)
-        times["floors_ms"] = floors(times["kernels_bytes"], bandwidth_of(chosen.device.name))
-    text = json.dumps(result, indent=2)
+        times["floors_ms"] = floors(times["kernels_bytes"], result["ceilings"])
     if options.output:
-        options.output.write_text(text + "\n", encoding="utf-8")
-    print(text)
+        options.output.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    print_table(result)
     return int(not all(p["same_bits"] and p["share_above_1e-5"] < 5e-3 for p in result["pictures"]))
 
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gpu_forward import bandwidth_of, floors, moved_bytes
+from gpu_forward import ceilings, floors, moved_bytes, print_kernels
 
 import gscore
 from gscore.engine.base import ShUpdate, StepPhoto, StepRequest, TermKind
@@ -213,10 +213,7 @@ def timed(raster: GpuRaster, engine: GpuEngine, size: tuple[int, int, int], step
         "kernels_ms": kernels,
     }
     moved = step_bytes(figures)
-    return figures | {
-        "kernels_bytes": moved,
-        "floors_ms": floors(moved, bandwidth_of(engine.info.name)),
-    }
+    return figures | {"kernels_bytes": moved}
 
 
 def cpu_means(file: Path, names: list[str], steps: int) -> dict[str, float]:
@@ -261,10 +258,7 @@ def print_table(result: dict[str, Any]) -> None:
             f"{one['steps_a_second']:.2f} steps/s, {one['device_bytes'] / 2**20:.0f} MiB, "
             f"host {one['host_ms']:.3f} ms a step"
         )
-        for name, value in one["kernels_ms"].items():
-            moved, floor = one["kernels_bytes"].get(name, 0), one["floors_ms"].get(name)
-            least = f", at least {floor:.3f}" if floor else ""
-            print(f"{'':>10}{name:<24}{value:9.3f} ms {moved / 1e6:9.1f} MB{least}")
+        print_kernels(one)
     for name, passed in result["checks"].items():
         print(f"{'ok' if passed else 'FAILED':<7}{name}")
 
@@ -306,6 +300,9 @@ def main() -> int:
         raster = GpuRaster(chosen.device.number)
         engine = GpuEngine(raster, name=chosen.name, numerics=chosen.identity)
         result["times"] = [timed(raster, engine, size, timed_steps) for size in sizes]
+        result["ceilings"] = ceilings(raster, tiny=options.tiny)
+        for one in result["times"]:
+            one["floors_ms"] = floors(one["kernels_bytes"], result["ceilings"])
         engine.close()
     for one in result["trainings"] if cpu else ():
         one["psnr_difference"] = one["mean_psnr"] - cpu[one["capture"]]

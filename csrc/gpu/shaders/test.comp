@@ -19,7 +19,12 @@ void main() {
         found = two_product(a, b).y;
     else if (push.word0 == 3)
         found = two_sum(a, b).y;
-    else
+    else if (push.word0 == 6) {
+        vec4 chains = vec4(a, a + 1.0, a + 2.0, a + 3.0);
+        for (int i = 0; i < 256; ++i)
+            chains = chains * 0.5 + a;
+        found = chains.x + chains.y + chains.z + chains.w;
+    } else
         found = fma(a, b, -(a * b));
     push.keys_out.at[i] = floatBitsToUint(found);
 }

@@ -16,7 +16,7 @@ VALUES, MOMENT1, MOMENT2, ACCUMULATED, COUNTERS = range(5)
 """Tables of a model in training."""
 SHN = 15
 """Component of the first coefficient of shN."""
-TEST_EXP2, TEST_NATIVE_EXP2, TEST_PRODUCT, TEST_SUM, TEST_FMA, TEST_SORT = range(6)
+TEST_EXP2, TEST_NATIVE_EXP2, TEST_PRODUCT, TEST_SUM, TEST_FMA, TEST_SORT, TEST_CHAIN = range(7)
 
 GpuInfoStruct = struct(
     "gs_gpu_info",
