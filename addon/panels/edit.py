@@ -45,9 +45,11 @@ class EditPanel(SplatsPanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("gscore.grade_splats", text="Grade")
         row.operator("gscore.decimate_splats", text="Decimate")
+        row.operator("gscore.erase_splats", text="Erase")
         row = layout.row(align=True)
         row.operator("gscore.separate_splats", text="Separate")
         row.operator("gscore.join_splats", text="Join")
+        layout.operator("gscore.replay_edits", icon="FILE_REFRESH")
 
 
 class PaintPanel(SplatsPanel, bpy.types.Panel):

@@ -1,23 +1,35 @@
 """Edit operators of splats: grade, separate, join, delete, rotate; Object and Edit Mode."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar
 
 import bpy
 import numpy as np
 from bpy.props import BoolProperty, FloatProperty, FloatVectorProperty
 
-from .. import attributes
+from .. import attributes, stored_paths
 from ..core import rgb_to_sh0, sh0_to_rgb
-from ..interface.base_operator import make_active
+from ..interface.base_operator import Condition, make_active
 from ..interface.blocks import with_uid
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Check, Steps, run_in_thread
-from . import edit, objects, separate_join
+from . import edit, filters, objects, separate_join
 from .edit_guard import EditGuard
 from .operators import OnSplats, edit_vertices
-from .read_chunked import read_chunked
+from .read_chunked import ChunkedRead, read_chunked
+from .replay import (
+    DUE,
+    KEY,
+    Volume,
+    edits_of,
+    keeps,
+    record_erased,
+    record_filters,
+    record_grade,
+    shift_of,
+    volume_of,
+)
 
 _LUMA = np.array([0.2126, 0.7152, 0.0722])
 """Luma weights of Rec. 709."""
@@ -150,18 +162,25 @@ class GradeSplats(Editing, bpy.types.Operator):
             gain=tuple(self.gain),
             saturation=self.saturation,
         )
-        columns = yield from read_chunked(ob, [attributes.BASE])
+        partly = self.only_selected and selected.any() and not selected.all()
+        columns = yield from read_chunked(ob, filters.ATTRIBUTES if partly else [attributes.BASE])
         base = columns[attributes.BASE]
 
-        def change(check: Check) -> int:
+        def change(check: Check) -> tuple[int, Volume | None]:
             base[some] = graded(base[some], grade)
-            return len(base[some])
+            if not partly:
+                return len(base[some]), None
+            places = columns[attributes.POSITION]
+            return len(base[some]), volume_of(places, selected, columns[attributes.SCALE])
 
-        count = yield from run_in_thread(change, self.bl_label)
-        mesh = guard.to_change().data
+        count, volume = yield from run_in_thread(change, self.bl_label)
+        ob = guard.to_change()
+        mesh = ob.data
         kind = mesh.attributes[attributes.BASE].data_type
         attributes.fill(mesh, attributes.BASE, kind, base.ravel())
         mesh.update()
+        if count:
+            record_grade(ob, asdict(grade), volume)
         return f"Graded {count:,} of {whole:,} splats."
 
 
@@ -232,8 +251,99 @@ class ApplyFilters(_EditingObject, bpy.types.Operator):
 
     def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
         """Delete."""
+        limits = filters.filters_of(guard.there())
         count = yield from edit.apply_filters(guard)
+        if count:
+            record_filters(guard.found(), limits)
         return f"Deleted {count:,} splats, {len(guard.found().data.vertices):,} left."
+
+
+class EraseSplats(Editing, bpy.types.Operator):
+    """Delete the selected splats, and record where, so that Replay Edits erases new splats there"""
+
+    bl_idname = "gscore.erase_splats"
+    bl_label = "Erase Splats"
+
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
+        """Delete."""
+        ob = guard.there()
+        guard.check_only_points()
+        chosen = attributes.selected(ob.data)
+        if chosen.all() or not chosen.any():
+            many = "all" if len(chosen) and chosen.all() else "none"
+            raise ValueError(f"{guard.name}: select some splats to erase; {many} of them are.")
+        table = yield from ChunkedRead(ob).table()
+        columns = {column.name: column.values for column in table}
+        places, scales = columns[attributes.POSITION], columns[attributes.SCALE]
+        volume = yield from run_in_thread(
+            lambda check: volume_of(places, chosen, scales), self.bl_label
+        )
+        ob = yield from separate_join.kept(guard, table, np.flatnonzero(~chosen))
+        record_erased(ob, volume)
+        return f"Erased {int(chosen.sum()):,} splats, {len(ob.data.vertices):,} left."
+
+
+def _earlier(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The object whose edits are replayed on the active splats: themselves if a training replaced
+    them since, a selected one with edits, else the only one of the same capture."""
+    own = objects.active_splats(context)
+    if own is None or DUE in own:
+        return own
+    edited = [ob for ob in context.scene.objects if ob != own and objects.is_splats(ob)]
+    edited = [ob for ob in edited if KEY in ob]
+    chosen = [ob for ob in edited if ob in context.selected_objects]
+    source = stored_paths.read(own, stored_paths.SOURCE)
+    same = [ob for ob in edited if source and stored_paths.read(ob, stored_paths.SOURCE) == source]
+    found = chosen or same
+    return found[0] if len(found) == 1 else None
+
+
+class ReplayEdits(Editing, bpy.types.Operator):
+    """Apply the recorded edits of earlier splats of the capture to the active ones: what Delete
+    Hidden Splats and Erase Splats removed, and Grade Splats"""
+
+    bl_idname = "gscore.replay_edits"
+    bl_label = "Replay Edits"
+    needs = Condition(
+        lambda context: _earlier(context) is not None,
+        "Select edited splats of the same capture, then Shift-click the new ones",
+    )
+
+    def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
+        """Erase and grade in the order of the edits."""
+        ob, other = guard.there(), _earlier(context)
+        guard.check_only_points()
+        edits, text, name = edits_of(other), other[KEY], other.name
+        shifts = [shift_of(ob, one) for one in edits]
+        table = yield from ChunkedRead(ob).table()
+        columns = {column.name: column.values for column in table}
+
+        def change(check: Check) -> np.ndarray:
+            kept, base = np.ones(len(table[0].values), bool), columns[attributes.BASE]
+            for one, shift in zip(edits, shifts, strict=True):
+                check()
+                kept &= keeps(one, columns, shift)
+                if "grade" in one:
+                    some = kept.copy()
+                    if one["volume"] is not None:
+                        places = columns[attributes.POSITION] + shift.astype(np.float32)
+                        some &= Volume.read(one["volume"]).contains(places)
+                    made = {key: _tuple(value) for key, value in one["grade"].items()}
+                    base[some] = graded(base[some], Grade(**made))
+            return np.flatnonzero(kept)
+
+        before = len(ob.data.vertices)
+        rows = yield from run_in_thread(change, self.bl_label)
+        if not len(rows):
+            raise ValueError(f"The edits of {name} would erase all splats of {guard.name}.")
+        ob = yield from separate_join.kept(guard, table, rows)
+        ob[KEY] = text
+        ob.pop(DUE, None)
+        return f"Replayed {len(edits)} edits of {name}: {before - len(rows):,} splats erased."
+
+
+def _tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
 
 
 class ApplySplatTransform(_EditingObject, bpy.types.Operator):

@@ -15,7 +15,7 @@ from ..cameras.capture_transform import noted_origin
 from ..cameras.objects import is_kind
 from ..capture.folders import same_folder
 from ..interface import editable_check
-from ..splats import objects, splat_files
+from ..splats import objects, replay, splat_files
 from ..splats.error_maps import drop_maps
 from ..splats.objects import ANTIALIAS
 from ..splats.write_chunked import check_replaceable, replace
@@ -114,6 +114,7 @@ def _name(source: Path) -> str:
 def note_filled(ob: bpy.types.Object, job: Job, loaded: Loaded) -> None:
     """Store the job and the signature of an object's splats."""
     ob[_FILLED], ob[_FILLED_BY], ob[_CONTENT] = signature(ob), job.id, loaded.content
+    replay.note_replaced(ob)
 
 
 def is_own(ob: bpy.types.Object, job: Job) -> bool:
@@ -164,6 +165,7 @@ def adopt(
             editable_check.link_like(ob, root)
             objects.hide_points(scene, root)
     ob[_FILLED], ob[_CONTENT] = signature(ob), run.content
+    replay.note_replaced(ob)
     return ob
 
 

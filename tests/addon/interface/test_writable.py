@@ -29,6 +29,8 @@ CALLS: dict[str, dict[str, Any]] = {
     "select_splats": {},
     "grade_splats": {"saturation": 0.3},
     "separate_splats": {},
+    "erase_splats": {},
+    "replay_edits": {},
     "join_splats": {},
     "decimate_splats": {"count": 20},
     "apply_filters": {},

@@ -1,0 +1,141 @@
+"""Replayed edits: what was erased and graded, as volumes on the object, for new splats of the same
+capture.
+"""
+
+import base64
+import json
+import zlib
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..cameras.capture_transform import origin_of
+from ..core import offset_between
+from ..interface import editable_check
+from . import filters
+from .filters import Filters
+
+KEY = "gs_edits"
+"""Custom property of an object: its edits in their order, JSON."""
+DUE = "gs_edits_due"
+"""Custom property of an object: its splats were replaced after its edits."""
+_CELLS = 64
+"""Cells along the longest side of a volume."""
+_BIAS = 1 << 20
+"""Offset of cell numbers, so that three fit an integer of 63 bits."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Volume:
+    """Cells of space."""
+
+    side: float
+    keys: np.ndarray
+    """[K] int64, sorted: the packed numbers of the cells."""
+
+    def contains(self, means: np.ndarray) -> np.ndarray:
+        """Positions [N, 3] inside, [N] bool."""
+        return np.isin(_packed(_numbers(means, self.side)), self.keys)
+
+    def stored(self) -> dict[str, Any]:
+        """For JSON."""
+        packed = base64.b64encode(zlib.compress(self.keys.tobytes())).decode()
+        return {"side": self.side, "keys": packed}
+
+    @classmethod
+    def read(cls, stored: dict[str, Any]) -> "Volume":
+        """From `stored`."""
+        keys = np.frombuffer(zlib.decompress(base64.b64decode(stored["keys"])), np.int64)
+        return cls(side=stored["side"], keys=keys)
+
+
+def _numbers(means: np.ndarray, side: float) -> np.ndarray:
+    numbers = np.floor(means.astype(np.float64) / side)
+    return np.clip(numbers, 1 - _BIAS, _BIAS - 2).astype(np.int64)
+
+
+def _packed(numbers: np.ndarray) -> np.ndarray:
+    x, y, z = (numbers + _BIAS).T
+    return (x << 42) | (y << 21) | z
+
+
+def volume_of(means: np.ndarray, chosen: np.ndarray, scales: np.ndarray) -> Volume:
+    """The cells of the chosen splats and the cells next to them, without those of other splats.
+
+    Args:
+        means: Positions [N, 3].
+        chosen: [N] bool, at least one.
+        scales: Standard deviations [N, 3].
+    """
+    inside = means[chosen]
+    side = max(
+        float(np.ptp(inside, axis=0).max()) / _CELLS,
+        2 * float(np.median(scales[chosen].max(axis=1))),
+        float(np.abs(inside).max()) / (_BIAS / 2),
+        1e-9,
+    )
+    cells = np.unique(_numbers(inside, side), axis=0)
+    steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
+    keys = np.unique(_packed((cells[:, None] + steps).reshape(-1, 3)))
+    others = np.setdiff1d(_packed(_numbers(means[~chosen], side)), _packed(cells))
+    return Volume(side=side, keys=np.setdiff1d(keys, others))
+
+
+def edits_of(ob: bpy.types.Object) -> list[dict[str, Any]]:
+    """The recorded edits of an object; none if they cannot be read."""
+    try:
+        found = json.loads(ob.get(KEY, "[]"))
+    except ValueError:
+        return []
+    return found if isinstance(found, list) else []
+
+
+def note_replaced(ob: bpy.types.Object) -> None:
+    """Note that a training has replaced the splats of an object, and so undone its edits."""
+    if KEY in ob:
+        ob[DUE] = True
+
+
+def _record(ob: bpy.types.Object, edit: dict[str, Any]) -> None:
+    if not editable_check.keeps(ob):
+        return
+    origin = origin_of(ob)
+    edit["origin"] = None if origin is None else origin.tolist()
+    ob[KEY] = json.dumps([*edits_of(ob), edit])
+
+
+def record_filters(ob: bpy.types.Object, limits: Filters) -> None:
+    """Record that the splats that filters hide were deleted."""
+    stored = asdict(limits)
+    stored["crop"] = None if limits.crop is None else limits.crop.tolist()
+    _record(ob, {"filters": stored})
+
+
+def record_erased(ob: bpy.types.Object, volume: Volume) -> None:
+    """Record that the splats in a volume were deleted."""
+    _record(ob, {"erased": volume.stored()})
+
+
+def record_grade(ob: bpy.types.Object, grade: dict[str, Any], volume: Volume | None) -> None:
+    """Record a grade of the splats in a volume; None: of all."""
+    _record(ob, {"grade": grade, "volume": None if volume is None else volume.stored()})
+
+
+def shift_of(ob: bpy.types.Object, edit: dict[str, Any]) -> np.ndarray:
+    """[3], what takes positions of an object to the coordinates of an edit."""
+    origin = edit.get("origin")
+    return offset_between(origin_of(ob), None if origin is None else np.array(origin))
+
+
+def keeps(edit: dict[str, Any], columns: dict[str, np.ndarray], shift: np.ndarray) -> np.ndarray:
+    """Splats that an edit keeps, [N] bool; `columns` as `filters.passing`."""
+    moved = {**columns, "position": columns["position"] + shift.astype(np.float32)}
+    if "filters" in edit:
+        stored = dict(edit["filters"])
+        stored["crop"] = None if stored["crop"] is None else np.array(stored["crop"])
+        return filters.passing(moved, Filters(**stored))
+    if "erased" in edit:
+        return ~Volume.read(edit["erased"]).contains(moved["position"])
+    return np.ones(len(columns["position"]), bool)
