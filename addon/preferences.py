@@ -99,6 +99,15 @@ class Preferences(bpy.types.AddonPreferences):
         items=_devices,
         default=1,
     )
+    gpu_share: FloatProperty(
+        name="Share of the Card",
+        description="Share of the time of the graphics card that a training may use; the rest is "
+        "for the viewport. It does not change the splats",
+        default=0.8,
+        min=0.1,
+        max=1.0,
+        subtype="FACTOR",
+    )
     found_devices: StringProperty(
         name="Found Devices",
         description="Graphics cards found by Find Graphics Cards",

@@ -272,6 +272,13 @@ class TrainConfig:
         basic=True,
         free=True,
     )
+    gpu_share: float = _run_option(
+        1.0,
+        "Share of the time of a graphics card that training may use; the rest is for programs that "
+        "draw, in pauses after short submissions. No bit depends on it.",
+        range=Range(high=1, above=True),
+        free=True,
+    )
     background: Background = _run_option(
         Background.AUTO,
         "Background colour. `auto`: random at each step for photos with opacity, else black.",

@@ -132,6 +132,10 @@ def draw_device(layout: bpy.types.UILayout, prefs: Preferences) -> None:
     row.use_property_split = True
     row.prop(prefs, "device")
     row.operator("gscore.find_devices", text="", icon="FILE_REFRESH")
+    if preferences.uses_card():
+        column = layout.column()
+        column.use_property_split = True
+        column.prop(prefs, "gpu_share", slider=True)
 
 
 APPENDED = ((SECTIONS, draw_device),)

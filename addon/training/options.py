@@ -25,6 +25,8 @@ class Machine:
     """CPU threads; 0: all."""
     device: str = "auto"
     """Device that trains: `cpu`, `auto`, or the UUID of a graphics card."""
+    gpu_share: float = 1.0
+    """Share of the time of a graphics card that the training may use."""
     lpips: Path | None = None
     """Network that measures LPIPS."""
     preview_seconds: float = 0.0
@@ -196,6 +198,8 @@ def _masks(settings: Settings, default: str) -> list[str]:
 
 def _machine(machine: Machine) -> list[str]:
     arguments = ["--threads", str(machine.threads), "--device", machine.device]
+    if machine.gpu_share < 1:
+        arguments += ["--gpu-share", f"{machine.gpu_share:g}"]
     if machine.lpips is not None:
         arguments += ["--lpips", str(machine.lpips)]
     return [*arguments, "--preview-seconds", f"{machine.preview_seconds:g}", "--events", "jsonl"]

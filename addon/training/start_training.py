@@ -211,6 +211,7 @@ def machine() -> options.Machine:
     return options.Machine(
         threads=prefs.threads,
         device=(prefs.device or preferences.AUTO).lower(),
+        gpu_share=prefs.gpu_share if preferences.uses_card() else 1.0,
         lpips=lpips,
         preview_seconds=prefs.preview_seconds,
     )

@@ -108,6 +108,15 @@ gs_status gs_gpu_memory_use(const gs_gpu *gpu, gs_gpu_memory *out) {
     return GS_OK;
 }
 
+gs_status gs_gpu_shorten_submissions(gs_gpu *gpu, int64_t bytes) {
+    if (!gpu || bytes < (1 << 20))
+        return fail(GS_BAD_ARGUMENT, "gs_gpu_shorten_submissions: gpu is null, or bytes are less than 1 MiB");
+    return run("gs_gpu_shorten_submissions", [&] {
+        gpu->device.shorten_submissions(size_t(bytes));
+        return GS_OK;
+    });
+}
+
 gs_status gs_gpu_profile(gs_gpu *gpu, int32_t on) {
     if (!gpu)
         return fail(GS_BAD_ARGUMENT, "gs_gpu_profile: gpu is null");

@@ -55,6 +55,7 @@ class Device {
     size_t bytes_in_use() const { return bytes_; }
     gs_gpu_memory memory() const;
     size_t bytes_at_once() const { return bytes_at_once_; } // of a submission
+    void shorten_submissions(size_t bytes) { bytes_at_once_ = std::min(bytes_at_once_, bytes); }
 
     // Commands between `begin` and `finish`, which waits for them and polls `cancel`, which may be null; a cancelled
     // call still waits. Each command sees what earlier ones wrote, also those of other sets. `begin` waits for commands

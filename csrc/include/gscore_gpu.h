@@ -33,7 +33,7 @@
 #include "gscore/raster.h"
 
 /* Changes whenever a struct or a signature of this header changes. */
-#define GS_GPU_ABI_VERSION 3
+#define GS_GPU_ABI_VERSION 4
 
 /* Further values of gs_status. */
 enum {
@@ -119,6 +119,9 @@ GS_API gs_status gs_gpu_backward(gs_gpu *gpu, const gs_gpu_splats *splats, const
                                  const gs_splat_grads *grads);
 GS_API gs_status gs_gpu_draw_stats(const gs_gpu *gpu, gs_gpu_stats *out);
 GS_API gs_status gs_gpu_memory_use(const gs_gpu *gpu, gs_gpu_memory *out);
+/* Bytes that the kernels of a submission move at most from now on, at least 1 MiB and at most as before: programs that
+ * draw on the same card wait for a submission. No bit depends on it. */
+GS_API gs_status gs_gpu_shorten_submissions(gs_gpu *gpu, int64_t bytes);
 /* Start or stop measuring each kernel, from zero. */
 GS_API gs_status gs_gpu_profile(gs_gpu *gpu, int32_t on);
 /* Name of a kernel, milliseconds and calls since then, by a number from 0 on; GS_BAD_ARGUMENT: there are no more. */

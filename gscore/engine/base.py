@@ -483,6 +483,14 @@ class Engine(Protocol[Model]):
         """Repeat a small training, between two steps; BackendError if its result is not that of the
         first call."""
 
+    def use_share(self, share: float) -> None:
+        """Leave the device to other programs for the rest of the time, in pauses after short
+        submissions; changes no bit. Nothing on the CPU, which the system shares.
+
+        Args:
+            share: Share of the time of the following steps, above 0, at most 1.
+        """
+
     def keep_photos(self, room: int) -> None:
         """Let photos stay in the engine's own memory, up to `room` bytes of them."""
 

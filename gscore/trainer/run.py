@@ -236,6 +236,7 @@ def _open_engine(
         engine, decision, note = found.engine, found.decision, found.warning
     if note:
         emit(Warn(message=note, code=DEVICE))
+    engine.use_share(config.gpu_share)
     return engine, decision
 
 

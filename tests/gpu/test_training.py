@@ -15,12 +15,13 @@ import pytest
 from gscore.config import Background, DataConfig, Strategy, Switch, TrainConfig
 from gscore.engine.base import RowEdit, StepPhoto, TermGradients
 from gscore.engine.cpu.engine import CpuEngine
+from gscore.engine.gpu import engine as engine_module
 from gscore.engine.gpu.engine import GpuEngine
 from gscore.errors import BackendError
 from gscore.events import Decision, Saved, Started
 from gscore.formats import read_splats
 from gscore.raster.gpu.devices import Device
-from gscore.raster.gpu.library import DeviceMemoryError
+from gscore.raster.gpu.library import DeviceMemoryError, library
 from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict
 from gscore.splats import PARAMETERS
 from gscore.stress.capture import toy_photos, toy_splats
@@ -31,7 +32,7 @@ from gscore.trainer.trainer import Trainer
 from tests.engine.test_contract import COUNTERS, columns_of, request_of
 from tests.gpu.drivers import DRIVERS, ROOT, Driver, each_driver, result_of, variables_of
 from tests.gpu.engines import software_engine
-from tests.gpu.training_programs import CASES, trainer_of
+from tests.gpu.training_programs import CASES, hash_of, trainer_of
 
 ONE = DRIVERS[1]
 
@@ -105,6 +106,31 @@ def test_steps_in_flight_end_with_the_error_of_one() -> None:
         assert model.adam_steps["means"] == 3
         means.append(model.column("means"))
     np.testing.assert_allclose(means[1], means[0], atol=1e-5)
+
+
+def test_a_shared_device_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: a training without pauses; a quarter of the time is used, and submissions are at most
+    400 MB."""
+    hashes, pauses, limits = [], list[float](), list[int]()
+    shorten = library().gs_gpu_shorten_submissions
+
+    def recorded(handle: Any, limit: int) -> int:
+        limits.append(limit)
+        return int(shorten(handle, limit))
+
+    monkeypatch.setattr(library(), "gs_gpu_shorten_submissions", recorded)
+    monkeypatch.setattr(engine_module.time, "sleep", pauses.append)
+    for share in (1.0, 0.25):
+        engine = software_engine()
+        engine.use_share(share)
+        trainer = trainer_of("default", engine, 32)
+        for _ in range(12):
+            trainer.advance()
+        hashes.append(hash_of(trainer))
+        assert len(pauses) == (12 if share < 1 else 0)
+        engine.close()
+    assert limits == [400_000_000]
+    assert hashes[0] == hashes[1] and min(pauses) > 0
 
 
 def test_steps_are_requested_before_earlier_ones_are_done(monkeypatch: pytest.MonkeyPatch) -> None:

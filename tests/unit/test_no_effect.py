@@ -13,8 +13,8 @@ from gscore.option_marks import show_flags
 ALWAYS = """
 help source source_option output preset config resume overwrite start_checkpoint images
 mask_mode resolution frame rig eval iterations time_budget target_psnr early_stop max_splats
-block strategy sh_degree seed threads device cache_mb background antialias without near start_splats
-lpips
+block strategy sh_degree seed threads device gpu_share cache_mb background antialias without near
+start_splats lpips
 checkpoint_seconds preview_seconds snapshot_every watchdog detect_anomaly means_lr
 means_lr_final sh0_lr opacities_lr scales_lr quats_lr lr_boost lr_final ssim_weight drop_rate
 alpha_weight opaque_weight steps_a_photo splats_a_photo refine_start refine_stop refine_every

@@ -31,6 +31,10 @@ CARD_COST = base.CostModel(step=2e-3, pixel=2e-9, splat=4e-9, number=0.0, trust=
 """Cost of a card: a guess, which ten steps replace, because none was measured."""
 SOFTWARE_COST = base.CostModel(step=2e-2, pixel=5.5e-6, splat=1.3e-5, number=0.0)
 """Cost of lavapipe on two cores: 500 and 10,000 splats in photos of 32 and 128 px."""
+_SHARED_BYTES = 400_000_000
+"""Bytes of a submission on a shared device: 20 ms of a slow card, which moves 20 GB a second."""
+_LONGEST_PAUSE = 1.0
+"""Seconds of the longest pause after a step of a shared device."""
 _SH_UPDATES = {
     ShUpdate.OFF: header.SH_OFF,
     ShUpdate.ACCUMULATE: header.SH_ACCUMULATE,
@@ -107,6 +111,7 @@ class GpuEngine(base.Engine[GpuModel]):
             cost=cost,
         )
         """Identity and capabilities."""
+        self._share = 1.0
         self._raster = raster
         self._peak = 0
         self._photos: dict[int, StepPhoto] = {}
@@ -142,8 +147,20 @@ class GpuEngine(base.Engine[GpuModel]):
             # An earlier step that is repeated changes the picture, and the term with it.
             self.read_all()
         pending = PendingStep(self, model, request)
+        began = time.perf_counter()
         self._start(pending, photo, key=request.photo)
+        if self._share < 1:
+            self.read_all()
+            busy = time.perf_counter() - began
+            time.sleep(min(busy * (1 / self._share - 1), _LONGEST_PAUSE))
         return pending
+
+    def use_share(self, share: float) -> None:
+        """Pause after each step, see `Engine.use_share`."""
+        self._share = share
+        if share < 1:
+            lib = self._raster.library
+            self._raster.call(lib.gs_gpu_shorten_submissions, _SHARED_BYTES)
 
     def _start(self, pending: PendingStep, photo: StepPhoto, *, key: int | None = None) -> None:
         """Start a step in a free slot; `key`: of a photo that may stay on the device."""

@@ -3,7 +3,7 @@
 from .. import header as base
 from ..header import struct
 
-ABI_VERSION = 3
+ABI_VERSION = 4
 STEPS_MAX = 3
 """Most steps in flight."""
 SH_OFF, SH_ACCUMULATE, SH_STEP = range(3)
@@ -98,6 +98,7 @@ SIGNATURES = base.signatures(
         "gs_gpu_backward": "pointer pointer gs_image_grads gs_splat_grads",
         "gs_gpu_draw_stats": "pointer gs_gpu_stats",
         "gs_gpu_memory_use": "pointer gs_gpu_memory",
+        "gs_gpu_shorten_submissions": "pointer int64",
         "gs_gpu_profile": "pointer int32",
         "gs_gpu_kernel_time": "pointer int32 pointer pointer int64*",
         "gs_gpu_projected": "pointer pointer pointer pointer pointer pointer",

@@ -51,11 +51,13 @@ def test_a_training_gets_the_device(
     studio: bpy.types.Scene,
     prefs: preferences.Preferences,
     play: Callable[..., Path],
+    monkeypatch: pytest.MonkeyPatch,
     chosen: str,
     word: str,
 ) -> None:
     """Oracle: the arguments of the process; resumed runs and sequences have the same."""
     prefs.device = chosen
+    monkeypatch.setattr(preferences, "no_automatic_card", lambda: "There is no graphics card.")
     arguments = play({"say": STARTED}, {"sleep": 600})
     job = start_training.train(studio, overwrite=True)
     until(lambda: job.state.started is not None)
@@ -65,6 +67,9 @@ def test_a_training_gets_the_device(
     frames = options.resumed_sequence(own, output=Path("o"), machine=machine)
     for line in (json.loads(arguments.read_text()), again, frames):
         assert line[line.index("--device") + 1] == word
+        # Where a card may train, a part of its time is the viewport's.
+        assert ("--gpu-share" in line) == (chosen == CARD)
+        assert chosen != CARD or line[line.index("--gpu-share") + 1] == "0.8"
 
 
 def test_the_panel_names_the_device() -> None:
