@@ -14,16 +14,6 @@ from ..base import Columns, EngineModel, RowEdit, column_key, counters_of
 from ..cpu.engine import CpuEngine
 from ..cpu.model import ACCUMULATED, LAZY_COUNTERS, morton_bounds
 
-_COMPONENTS = {
-    "means": 0,
-    "opacities": 3,
-    "quats": 4,
-    "scales": 8,
-    "sh0": 12,
-    "shN": header.SHN,
-}
-"""First component of each parameter in a row."""
-
 
 class GpuModel(EngineModel):
     """N splats on a device with their Adam moments, accumulated gradients and counters.
@@ -190,7 +180,7 @@ class GpuModel(EngineModel):
 
     def _first(self, name: str) -> int:
         """First component of a parameter, or number of a counter."""
-        return _COMPONENTS[name] if name in _COMPONENTS else self._counters.index(name)
+        return header.COMPONENTS[name] if name in header.COMPONENTS else self._counters.index(name)
 
     def _width(self, name: str) -> int:
         return math.prod(self.widths[name])
@@ -217,7 +207,7 @@ class GpuModel(EngineModel):
 
 def _table(name: str) -> int:
     """Table of a column."""
-    return header.VALUES if name in _COMPONENTS else header.COUNTERS
+    return header.VALUES if name in header.COMPONENTS else header.COUNTERS
 
 
 def _arrays(columns: Columns) -> list[np.ndarray]:

@@ -16,6 +16,15 @@ VALUES, MOMENT1, MOMENT2, ACCUMULATED, COUNTERS = range(5)
 """Tables of a model in training."""
 SHN = 15
 """Component of the first coefficient of shN."""
+COMPONENTS = {
+    "means": 0,
+    "opacities": 3,
+    "quats": 4,
+    "scales": 8,
+    "sh0": 12,
+    "shN": SHN,
+}
+"""First component of each parameter in a row."""
 TEST_EXP2, TEST_NATIVE_EXP2, TEST_PRODUCT, TEST_SUM, TEST_FMA, TEST_SORT, TEST_CHAIN = range(7)
 
 GpuInfoStruct = struct(

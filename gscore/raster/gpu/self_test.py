@@ -21,6 +21,7 @@ from .library import DeviceMemoryError, DeviceTimeoutError
 from .self_test_arithmetic import arithmetic_checks
 from .self_test_gradients import gradient_checks
 from .self_test_pictures import picture_checks
+from .self_test_training import training_checks
 
 _ENDED = 3
 """Exit code of a test that was ended."""
@@ -38,8 +39,8 @@ class Check:
 
 def checks() -> Iterator[Check]:
     """All tests of a device, the quick ones first."""
-    for name, run in (*picture_checks(), *gradient_checks(), *arithmetic_checks()):
-        yield Check(name, run)
+    for found in (picture_checks, gradient_checks, training_checks, arithmetic_checks):
+        yield from (Check(name, run) for name, run in found())
 
 
 def self_test(number: int, uuid: str, show: Callable[[str], None]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Gradients of a device in its self-test: repeated, and compared with those of the CPU."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -68,7 +68,15 @@ def _compared(scene: SelfTestScene, raster: GpuRaster) -> tuple[list[str], dict[
     ]
     with _native.pool.lend() as cpu:
         true = gradients(scene, cpu)
-    for name, found in first.items():
+    return problems + gradient_problems(first, true), {}
+
+
+def gradient_problems(
+    gradients: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray]
+) -> list[str]:
+    """Problems of gradients by their names, as parts of sentences; `true`: the CPU's."""
+    problems = []
+    for name, found in gradients.items():
         errors = row_errors(found, true[name])
         if errors.size == 0:
             continue
@@ -80,7 +88,7 @@ def _compared(scene: SelfTestScene, raster: GpuRaster) -> tuple[list[str], dict[
                 problems.append(
                     f"the gradient of {name} differs from the CPU's by {error:.1e} ({what})"
                 )
-    return problems, {}
+    return problems
 
 
 def row_errors(found: np.ndarray, true: np.ndarray) -> np.ndarray:
