@@ -110,6 +110,7 @@ from .lod.lod_renderer import LodModel as LodModel
 from .lod.read import read_lod as read_lod
 from .mesh.surface_mesh import SurfaceMesh as SurfaceMesh
 from .mesh.surface_mesh import read_surface as read_surface
+from .mesh.surface_mesh import write_surface as write_surface
 from .option_marks import show_options as show_options
 from .options import Option as Option
 from .options import options_of as options_of

@@ -194,7 +194,7 @@ ROOMS = {
     "trainer_python": _SHARED,
     "nodes": _FLOOR,
     "cameras": _SHARED | {"nodes"},
-    "splats": _SHARED | {"cameras", "nodes", "trainer_python"},
+    "splats": _SHARED | {"cameras", "nodes", "trainer_python", "triangles"},
     "training": _OBJECTS | {"trainer_python"},
     "sfm": _OBJECTS | {"trainer_python", "training"},
     "depth": _OBJECTS | {"trainer_python", "training"},

@@ -14,11 +14,11 @@ from ..core import sh0_to_rgb
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats.edit_guard import EditGuard
 from ..splats.edit_operators import Editing
+from ..splats.objects import proxy_of
 from ..splats.read_chunked import read_chunked
 from ..srgb import decode
 from . import relight
 from .lamps import scene_light
-from .proxy import proxy_of
 
 SURFACES, SCENE = "SURFACES", "SCENE"
 _CHUNK = 1 << 14

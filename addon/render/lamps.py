@@ -6,12 +6,12 @@ import bpy
 import numpy as np
 
 from ..compat import matrix_to_numpy, rec709_to_scene, world_nodes
+from ..splats.objects import is_proxy
 from ..triangles import Triangles, triangles_of
 from . import relight
 from .color import world_light, world_of
 from .compositing_scene import main_scene
 from .instances import may_hold_out
-from .proxy import is_proxy
 from .relight import POINT, SUN, Lamp, SceneLight
 from .shadow_maps import Casters
 

@@ -11,10 +11,8 @@ import bpy
 from ..interface import editable_check
 from ..interface.base_operator import Condition, Undoable
 from ..process import poll_timer
-from ..splats.objects import active_splats, is_splats
+from ..splats.objects import PROXY, active_splats, is_proxy, is_splats, proxy_of
 
-PROXY = "gs_proxy"
-"""Custom property of an object: it is the proxy of its parent."""
 MADE = "gs_made_proxy"
 """Custom property of a proxy: it was made from its splats, and is replaced and deleted with it."""
 _OWN = "gs_own_proxy"
@@ -24,16 +22,6 @@ WALLS = "gs_walls"
 it is one."""
 PROXIES = "gs_proxies"
 """Custom property of the collection of the proxies of a scene."""
-
-
-def is_proxy(ob: bpy.types.Object) -> bool:
-    """Whether an object is the proxy of a splat object."""
-    return PROXY in ob and ob.type == "MESH" and ob.parent is not None and is_splats(ob.parent)
-
-
-def proxy_of(splats: bpy.types.Object) -> bpy.types.Object | None:
-    """The proxy of a splat object; None: it has none."""
-    return next((ob for ob in splats.children if is_proxy(ob)), None)
 
 
 def proxies_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -10,9 +10,9 @@ from typing import Any
 
 import bpy
 
-from ..splats.objects import is_native, is_splats
+from ..splats.objects import PROXY, is_native, is_proxy, is_splats
 from .compositing_scene import helper
-from .proxy import PROXIES, PROXY, dress, is_proxy, proxies_of
+from .proxy import PROXIES, dress, proxies_of
 
 SHADOW_SCENE = "gs_shadow_scene"
 """Custom property of a scene: the scene that renders the shadows on its splats."""

@@ -1,7 +1,8 @@
 """Export of splat objects to one file, in short steps."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -11,8 +12,18 @@ import numpy as np
 from .. import attributes
 from ..cameras.capture_transform import origin_of
 from ..compat import matrix_to_numpy
-from ..core import BackendError, GsError, Splats, file_errors, join_splats, write_splat_file
+from ..core import (
+    BackendError,
+    GsError,
+    Splats,
+    SurfaceMesh,
+    file_errors,
+    join_splats,
+    write_splat_file,
+    write_surface,
+)
 from ..process.incremental_tasks import Check, Steps, run_in_thread
+from ..triangles import moved, triangles_of_mesh
 from . import conversion, filters, objects
 from .filters import Filters
 from .read_chunked import ChunkedRead
@@ -21,6 +32,10 @@ from .splat_files import BLENDER, SOURCE, note_of_up, source_matrix, source_matr
 Written = tuple[int, tuple[str, ...]]
 """Number of written splats, and sentences on omitted splats and on data that the format cannot
 store."""
+
+
+_HEAD = 400
+"""Bytes of a mesh file in which its writer is named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +57,12 @@ class _Part:
 
 
 def exporting(
-    obs: Sequence[bpy.types.Object], path: str | Path, *, world: str, filtered: bool
+    obs: Sequence[bpy.types.Object],
+    path: str | Path,
+    *,
+    world: str,
+    filtered: bool,
+    proxies: bool = False,
 ) -> Steps[Written]:
     """Write splat objects with their edits and transforms as one file.
 
@@ -55,6 +75,7 @@ def exporting(
         world: SOURCE for the world of the first object's photos (or of its file), BLENDER for the
             scene's.
         filtered: Leave out splats that the display filters hide.
+        proxies: Also write the objects' proxies as one mesh, NAME.proxy.ply.
 
     Raises:
         ValueError: no objects, no splats, or a matrix that is not a similarity; nothing is written.
@@ -67,6 +88,11 @@ def exporting(
     antialiased = all(ob.get(objects.ANTIALIAS) for ob in obs)
     comments = note_of_up(obs[0], world)
     origin = None if world == BLENDER else origin_of(obs[0])
+    surfaces = _surfaces(obs, parts) if proxies else []
+    if proxies and not surfaces:
+        raise ValueError("The splats have no proxy to export: make one, or turn Proxies off.")
+    if surfaces:
+        _check_replaceable(proxy_path(path))
     taken: list[ChunkedRead] = []
     try:
         for ob in obs:
@@ -97,9 +123,62 @@ def exporting(
         raise GsError(
             "The splats do not fit into memory twice; close other programs and export again."
         ) from error
+    if surfaces:
+        mesh = replace(_joined(surfaces), origin=origin)
+        write_mesh = partial(_write_surface, proxy_path(path), mesh)
+        yield from run_in_thread(write_mesh, "Writing the proxies")
     hidden = total - len(splats)
     left = (f"{hidden:,} splats that the filters hide were left out.",) if hidden else ()
     return len(splats), (*notes, *left)
+
+
+def proxy_path(path: Path) -> Path:
+    """The file of the proxies of a splat file."""
+    return path.with_name(f"{path.name.partition('.')[0]}.proxy.ply")
+
+
+def _surfaces(obs: Sequence[bpy.types.Object], parts: list[_Part]) -> list[SurfaceMesh]:
+    """The proxies of objects in the space of the file."""
+    found = []
+    for ob, part in zip(obs, parts, strict=True):
+        if (proxy := objects.proxy_of(ob)) is None:
+            continue
+        mesh, matrix = proxy.data, part.matrix @ matrix_to_numpy(proxy.matrix_basis)
+        triangles = triangles_of_mesh(mesh)
+        colors = np.ones((len(triangles.vertices), 4), np.float32)
+        layer = mesh.color_attributes.active_color
+        if layer is not None and layer.domain == "POINT":
+            layer.data.foreach_get("color_srgb", colors.ravel())
+        found.append(
+            SurfaceMesh(
+                vertices=moved(triangles.vertices, matrix),
+                triangles=triangles.triangles.astype(np.int64),
+                colors=np.clip(colors[:, :3], 0, 1),
+            )
+        )
+    return found
+
+
+def _check_replaceable(path: Path) -> None:
+    """Raise ValueError if a file of another program has the name of the proxies' file, for which no
+    file browser asks."""
+    with suppress(FileNotFoundError), path.open("rb") as file:
+        if b"gscore" not in file.read(_HEAD):
+            raise ValueError(f"{path} is of another program: rename it, or turn Proxies off.")
+
+
+def _write_surface(path: Path, mesh: SurfaceMesh, check: Check) -> None:
+    _check_replaceable(path)
+    write_surface(path, mesh)
+
+
+def _joined(surfaces: list[SurfaceMesh]) -> SurfaceMesh:
+    starts = np.cumsum([0, *(len(one.vertices) for one in surfaces)])
+    return SurfaceMesh(
+        vertices=np.concatenate([one.vertices for one in surfaces]),
+        triangles=np.concatenate([s.triangles + n for s, n in zip(surfaces, starts, strict=False)]),
+        colors=np.concatenate([one.colors for one in surfaces]),
+    )
 
 
 def _same_file(

@@ -192,6 +192,12 @@ class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
         description="Leave out splats that the filters and the crop hide",
         default=True,
     )
+    proxies: BoolProperty(
+        name="Proxies",
+        description="Write the proxies of the splats beside the file, as NAME.proxy.ply, a mesh "
+        "with colors at their place",
+        default=False,
+    )
     collection: StringProperty(
         name="Collection",
         description="Export the splat objects of this collection, not the selected ones; set by "
@@ -223,7 +229,7 @@ class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
         """Write the file."""
         context.view_layer.update()
         obs, path = _chosen(context, self.collection), self.filepath
-        how = {"world": self.world, "filtered": self.filtered}
+        how = {"world": self.world, "filtered": self.filtered, "proxies": self.proxies}
         count, notes = yield from exporting.exporting(obs, path, **how)
         self.warn(notes)
         return f"Wrote {count:,} splats to {path}."

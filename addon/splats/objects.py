@@ -15,6 +15,8 @@ from . import copy_metadata, lag, live_display, settings
 KIND = "splats"
 ANTIALIAS = "gs_antialias"
 """Custom property of a splat object trained with antialias (Mip-Splatting)."""
+PROXY = "gs_proxy"
+"""Custom property of an object: it is the proxy of its parent."""
 CATCH_UP: list[Callable[[bpy.types.Object], None]] = []
 """Functions that update an object's mesh to its displayed splats; ValueError if that fails."""
 
@@ -145,6 +147,16 @@ def check_writable(ob: bpy.types.Object) -> None:
 def is_splats(ob: bpy.types.Object | None) -> bool:
     """True if an object is a splat object of this add-on."""
     return ob is not None and ob.type == "MESH" and ob.get("gs_kind") == KIND
+
+
+def is_proxy(ob: bpy.types.Object) -> bool:
+    """True if an object is the proxy of a splat object, see `render.proxy`."""
+    return PROXY in ob and ob.type == "MESH" and ob.parent is not None and is_splats(ob.parent)
+
+
+def proxy_of(splats: bpy.types.Object) -> bpy.types.Object | None:
+    """The proxy of a splat object; None: it has none."""
+    return next((ob for ob in splats.children if is_proxy(ob)), None)
 
 
 def is_relit(ob: bpy.types.Object) -> bool:

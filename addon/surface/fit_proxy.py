@@ -18,8 +18,8 @@ from ..interface.base_operator import Condition
 from ..interface.blocks import block_of
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Check, Steps, run_in_thread
-from ..render.proxy import MADE, proxy_of
-from ..splats.objects import active_splats
+from ..render.proxy import MADE
+from ..splats.objects import active_splats, proxy_of
 from ..splats.read_chunked import read_chunked
 from .mesh_object import COLOR
 

@@ -14,9 +14,9 @@ from ..interface.editable_check import keeps, taking
 from ..interface.windows import push_undo
 from ..process.incremental_tasks import Steps, run_in_thread
 from ..render.compositing_scene import MAIN_SCENE
-from ..render.proxy import MADE, attach, proxy_of
+from ..render.proxy import MADE, attach
 from ..splats.error_maps import finished_run_of, is_map, run_of
-from ..splats.objects import active_splats, has_trained, is_splats
+from ..splats.objects import active_splats, has_trained, is_splats, proxy_of
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS, Cancelling, Starting, own_arguments
 from . import fit_proxy

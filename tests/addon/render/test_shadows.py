@@ -8,8 +8,9 @@ import pytest
 from addon import compat
 from addon.panels.render import RenderPanel
 from addon.render import composite_nodes, compositor
-from addon.render.proxy import PROXIES, left_over, proxy_of
+from addon.render.proxy import PROXIES, left_over
 from addon.render.shadow_scene import SHADOW_SCENE, missing
+from addon.splats.objects import proxy_of
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from addon import attributes
-from addon.core import GsError, Splats, read_splats
-from addon.process.incremental_tasks import TaskRunner
+from addon.core import GsError, Splats, read_splats, read_surface
+from addon.process.incremental_tasks import TaskRunner, run_blocking
+from addon.render.proxy import attach
 from addon.splats import exporting, objects, read_chunked
 from tests.addon import points
 from tests.addon.calls import export_splats
@@ -157,3 +158,37 @@ def test_refuses(obs: list, tmp_path: Path) -> None:
         Export(obs[:1], out, **options)
     assert out.read_bytes() == b"earlier"
     nothing_left(tmp_path, "out.ply")
+
+
+def test_proxies_are_written_beside(obs: list[bpy.types.Object], tmp_path: Path) -> None:
+    """Oracle: their vertices in the coordinates of the file, both objects' as one mesh, with
+    colors; a file of another program stays, and without a proxy nothing is written."""
+    out = tmp_path / "a.ply"
+    export = {"world": "BLENDER", "filtered": False, "proxies": True}
+    with pytest.raises(ValueError, match="no proxy"):
+        run_blocking(exporting.exporting(obs, out, **export))
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+    for number, ob in enumerate(obs):
+        mesh = bpy.data.meshes.new("proxy")
+        mesh.from_pydata((corners + number).tolist(), [], [(0, 1, 2)])
+        colors = mesh.color_attributes.new("Color", "BYTE_COLOR", "POINT")
+        colors.data.foreach_set("color_srgb", np.float32([0.2, 0.4, 0.6, 1] * 3))
+        mesh.color_attributes.active_color = colors
+        proxy = bpy.data.objects.new("proxy", mesh)
+        bpy.context.scene.collection.objects.link(proxy)
+        proxy.matrix_world = ob.matrix_world
+        bpy.context.view_layer.update()
+        attach(bpy.context.scene, ob, proxy)
+    beside = tmp_path / "a.proxy.ply"
+    beside.write_text("mine")
+    with pytest.raises(ValueError, match="another program"):
+        run_blocking(exporting.exporting(obs, out, **export))
+    assert beside.read_text() == "mine"
+    beside.unlink()
+    for _ in range(2):  # its own file is replaced
+        run_blocking(exporting.exporting(obs, out, **export))
+    written = read_surface(beside)
+    np.testing.assert_allclose(written.vertices[:3], corners, atol=1e-6)
+    np.testing.assert_allclose(written.vertices[3:], 2 * (corners + 1) + [5, 0, 0], atol=1e-6)
+    np.testing.assert_array_equal(written.triangles, [[0, 1, 2], [3, 4, 5]])
+    np.testing.assert_allclose(written.colors, [[0.2, 0.4, 0.6]] * 6, atol=1 / 255)

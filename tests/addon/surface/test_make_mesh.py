@@ -14,8 +14,9 @@ from addon.interface.base_operator import make_active
 from addon.panels.result import SurfacePanel
 from addon.process import poll_timer
 from addon.render import compositor
-from addon.render.proxy import attach, proxy_of
+from addon.render.proxy import attach
 from addon.splats import objects
+from addon.splats.objects import proxy_of
 from addon.surface import fit_proxy, make_mesh
 from addon.training.verb_jobs import follow
 from gscore.config_file import config_json
