@@ -39,7 +39,7 @@ class RelightSplats(Editing, bpy.types.Operator):
             (
                 SURFACES,
                 "From the Colors",
-                "What the colors of surfaces have in common by their direction; the brightest "
+                "What the brightness of surfaces has in common by their direction; the brightest "
                 "surfaces count as white",
             ),
             (

@@ -19,6 +19,8 @@ from .shadow_maps import Casters, ShadowMaps, shadow_maps
 POINT, SUN = "POINT", "SUN"
 _WHITE = 0.8
 """Albedo that the brightest surfaces of a capture are assumed to have."""
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of linear Rec. 709 (ITU-R BT.709, section 3)."""
 _BRIGHTEST = 95
 """Percentile of the colors that are these surfaces."""
 _DARKEST = 0.1
@@ -256,23 +258,25 @@ def smooth(means: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.nd
 
 
 def captured_light(colors: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The captured light, if surfaces of all directions have the same colors on average: the smooth
-    function of normals next to the colors, [N, 3] float32.
+    """The captured light, if surfaces of all directions are equally bright on average, and photos
+    are balanced to white light: the smooth function of normals next to the brightness of the
+    colors, grey, [N, 3] float32.
 
     Args:
         colors: Linear colors of the splats [N, 3].
         normals: Unit vectors [N, 3].
         weights: Weights of the splats [N].
     """
+    brightness = colors @ _LUMINANCE
     basis = harmonics(normals).astype(np.float64)
     rest = 1e-3 * weights.sum() * np.diag([0.0] + 8 * [1.0])  # unseen directions are as the mean
     normal = basis.T @ (basis * weights[:, None]) + rest
-    found = np.linalg.solve(normal, basis.T @ (colors * weights[:, None]))
-    shading = basis @ found
-    mean = np.average(colors, axis=0, weights=weights)
-    shading = np.maximum(shading, _DARKEST * mean)
-    order = np.argsort(brightness := (colors / shading).mean(axis=1))
+    shading = basis @ np.linalg.solve(normal, basis.T @ (brightness * weights))
+    shading = np.maximum(shading, _DARKEST * np.average(brightness, weights=weights))
+    albedo = brightness / np.maximum(shading, 1e-9)
+    order = np.argsort(albedo)
     summed = np.cumsum(weights[order])
     place = np.searchsorted(summed, summed[-1] * _BRIGHTEST / 100)
-    top = brightness[order[min(place, len(order) - 1)]]
-    return (shading * max(top, 1e-9) / _WHITE).astype(np.float32)
+    top = albedo[order[min(place, len(order) - 1)]]
+    shading *= max(top, 1e-9) / _WHITE
+    return np.repeat(shading[:, None], 3, axis=1).astype(np.float32)
