@@ -1,5 +1,6 @@
 """Relight Splats: normals of splats, and the light in their photos, kept as attributes."""
 
+from dataclasses import replace
 from functools import partial
 
 import bpy
@@ -62,6 +63,7 @@ class RelightSplats(Editing, bpy.types.Operator):
         light = None
         if self.captured == SCENE:
             light = scene_light(context.evaluated_depsgraph_get())
+            light = replace(light, casters=light.casters.only_proxies)
         work = partial(
             _estimated,
             eyes=eyes @ inverse[:3, :3].T + inverse[:3, 3],

@@ -1,7 +1,7 @@
 """Shadow maps: which surfaces a lamp reaches past meshes; no bpy."""
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,6 +30,11 @@ class Casters:
     but not exactly."""
     meshes: tuple[tuple[Triangles, np.ndarray], ...] = field(default=(), compare=False)
     """Other meshes."""
+
+    @property
+    def only_proxies(self) -> "Casters":
+        """The proxies alone: what stood there when the photos were taken."""
+        return replace(self, key=self.key + b"proxies", meshes=())
 
     def __bool__(self) -> bool:
         return bool(self.proxies or self.meshes)

@@ -241,3 +241,21 @@ def test_node_displays(scene, tmp_path, display):
     before = lab.render_exr(tmp_path, "off")
     sun.hide_render = True
     np.testing.assert_array_equal(lab.render_exr(tmp_path, "dark"), before)
+
+
+def test_new_meshes_shadow_the_captured_look(scene, tmp_path):
+    """A cube that is there already when the light of the photos is that of the scene: the captured
+    look, but in its shadow."""
+    lab.prepare(scene, SIZE)
+    ob = lab.add(scene, lab.wall(0.0, COLOR, half=2.5, along=101))
+    lamp(scene, "SUN")
+    before = lab.render_exr(tmp_path, "before")[..., 0]
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.1, 0, 0.5))
+    bpy.context.view_layer.objects.active = ob
+    assert bpy.ops.gscore.relight_splats(captured="SCENE") == {"FINISHED"}
+    after = lab.render_exr(tmp_path, "after")[..., 0]
+    dark = after < 0.1 * before
+    assert 20 < dark.sum() < 200
+    rest = after > 0.9 * before
+    assert (dark | rest).mean() > 0.9
+    np.testing.assert_allclose(after[rest], before[rest], atol=2e-3, rtol=0.1)
