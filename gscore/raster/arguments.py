@@ -72,16 +72,17 @@ def view(frustum: Frustum, settings: Settings, sh_degree: int) -> ct.Structure:
         raise ShapeError(f"viewmat must be [4, 4], got {list(viewmat.shape)}.")
     if K.shape != (3, 3):
         raise ShapeError(f"K must be [3, 3], got {list(K.shape)}.")
-    if K[0, 1] != 0 or K[1, 0] != 0 or K[2, 0] != 0 or K[2, 1] != 0 or K[2, 2] != 1:
+    (fx, skew, cx), (left, fy, cy), last = K.tolist()
+    if skew != 0 or left != 0 or last != [0, 0, 1]:
         raise ShapeError(
             "K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]; skew is not supported, "
             f"got {K.tolist()}."
         )
     found = header.ViewStruct(
-        fx=K[0, 0],
-        fy=K[1, 1],
-        cx=K[0, 2],
-        cy=K[1, 2],
+        fx=fx,
+        fy=fy,
+        cx=cx,
+        cy=cy,
         width=frustum.width,
         height=frustum.height,
         near_plane=frustum.near,

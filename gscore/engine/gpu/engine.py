@@ -31,6 +31,8 @@ CARD_COST = base.CostModel(step=2e-3, pixel=2e-9, splat=4e-9, number=0.0, trust=
 """Cost of a card: a guess, which ten steps replace, because none was measured."""
 SOFTWARE_COST = base.CostModel(step=2e-2, pixel=5.5e-6, splat=1.3e-5, number=0.0)
 """Cost of lavapipe on two cores: 500 and 10,000 splats in photos of 32 and 128 px."""
+_NO_SLOPES = np.zeros((1, 19))
+"""Slopes of a step without gain and pose."""
 _SHARED_BYTES = 400_000_000
 """Bytes of a submission on a shared device: 20 ms of a slow card, which moves 20 GB a second."""
 _LONGEST_PAUSE = 1.0
@@ -236,14 +238,15 @@ class GpuEngine(base.Engine[GpuModel]):
         skipped = bool(found.skipped)
         if skipped:
             pending.take_back()
-        slopes = [*found.v_log_gain, *found.v_viewmat] if not skipped else [0.0] * 19
-        if request.gain is None:
-            slopes[:3] = [0.0] * 3
+        slopes = _NO_SLOPES
+        if (request.gain is not None or request.learn_pose) and not skipped:
+            gain = [0.0] * 3 if request.gain is None else found.v_log_gain
+            slopes = np.array([[*gain, *found.v_viewmat]], np.float64)
         pending.numbers = StepNumbers(
             step=request.step,
             loss=loss,
             mse=found.mse,
-            slopes=np.array([slopes], np.float64),
+            slopes=slopes,
             bad_rows=found.bad_rows,
             lost_rows=found.lost_rows,
             skipped=skipped,

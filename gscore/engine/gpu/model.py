@@ -79,6 +79,11 @@ class GpuModel(EngineModel):
         shapes = ((3,), (4,), (3,), (), (1, 3), (self._sh_rest, 3))
         return dict(zip(PARAMETERS, shapes, strict=True)) | dict.fromkeys(self._counters, ())
 
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the SH coefficients stored, 0 to 3."""
+        return math.isqrt(self._sh_rest + 1) - 1
+
     def __len__(self) -> int:
         return len(self.rows)
 
