@@ -19,6 +19,7 @@ MODULES: tuple[str, ...] = (
     "splats.file_operators",
     "splats.operators",
     "splats.edit_operators",
+    "splats.restore",
     "splats.select_operators",
     "splats.mend_operators",
     "splats.edit_guard",

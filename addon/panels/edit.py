@@ -49,7 +49,9 @@ class EditPanel(SplatsPanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("gscore.separate_splats", text="Separate")
         row.operator("gscore.join_splats", text="Join")
-        layout.operator("gscore.replay_edits", icon="FILE_REFRESH")
+        row = layout.row(align=True)
+        row.operator("gscore.restore_splats", text="Restore")
+        row.operator("gscore.replay_edits", text="Replay Edits")
 
 
 class PaintPanel(SplatsPanel, bpy.types.Panel):

@@ -123,6 +123,19 @@ def record_grade(ob: bpy.types.Object, grade: dict[str, Any], volume: Volume | N
     _record(ob, {"grade": grade, "volume": None if volume is None else volume.stored()})
 
 
+def forget_erased(ob: bpy.types.Object, means: np.ndarray) -> None:
+    """Remove places [N, 3] in the space of an object from its recorded volumes of erased splats."""
+    edits = edits_of(ob)
+    for edit in edits:
+        if "erased" in edit:
+            volume, places = Volume.read(edit["erased"]), means + shift_of(ob, edit)
+            again = _packed(_numbers(places, volume.side))
+            kept = Volume(side=volume.side, keys=np.setdiff1d(volume.keys, again))
+            edit["erased"] = kept.stored()
+    if edits and editable_check.keeps(ob):
+        ob[KEY] = json.dumps(edits)
+
+
 def shift_of(ob: bpy.types.Object, edit: dict[str, Any]) -> np.ndarray:
     """[3], what takes positions of an object to the coordinates of an edit."""
     origin = edit.get("origin")

@@ -135,7 +135,9 @@ def joined(guard: EditGuard, others: list[EditGuard]) -> Steps[bpy.types.Object]
     if not abs(np.linalg.det(world[:3, :3])) > 1e-30:
         raise ValueError(f"{ob.name} has a scale of 0: set its scale to 1 first.")
     to_own = np.linalg.inv(world)
-    matrices = [to_own @ compat.matrix_to_numpy(one.matrix_world) for one in obs]
+    places = [compat.matrix_to_numpy(one.matrix_world) for one in obs]
+    # Exact for splats in one space.
+    matrices = [np.eye(4) if np.array_equal(m, world) else to_own @ m for m in places]
     for one, matrix in zip(obs, matrices, strict=True):
         objects.moved(attributes.NO_SPLATS, matrix, one.name)  # raises unless it is a similarity
     tables = []

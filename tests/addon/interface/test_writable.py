@@ -31,6 +31,7 @@ CALLS: dict[str, dict[str, Any]] = {
     "separate_splats": {},
     "erase_splats": {},
     "replay_edits": {},
+    "restore_splats": {},
     "join_splats": {},
     "decimate_splats": {"count": 20},
     "apply_filters": {},

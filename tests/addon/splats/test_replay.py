@@ -6,12 +6,15 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix
 
 from addon import attributes, stored_paths
-from addon.core import Splats
+from addon.core import Splats, write_splats
 from addon.panels.edit import EditPanel
 from addon.splats import objects, replay
 from addon.splats.edit_operators import Grade, graded
+from gscore.config_file import config_json
+from gscore.presets import PRESETS
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 from tests.addon.trainings import positions
@@ -146,3 +149,43 @@ def test_a_training_into_the_same_object(pair) -> None:
     wanted = graded(before, Grade(gain=(0.5, 0.5, 0.5)))
     np.testing.assert_array_equal(attributes.column(old.data, attributes.BASE), wanted)
     assert not bpy.ops.gscore.replay_edits.poll()
+
+
+def test_deleted_splats_are_restored(scene, tmp_path) -> None:
+    """Oracle: the file's splats, inside the crop, with a graded neighbour as it was; a second time
+    nothing; the recorded volume does not erase them again; of another training nothing."""
+    run = tmp_path / "run"
+    run.mkdir()
+    splats = two_walls(1)
+    write_splats(run / "point_cloud.ply", splats)
+    (run / "config.json").write_text(config_json(*PRESETS["preview"](tmp_path)))
+    assert bpy.ops.gscore.import_splats(filepath=str(run / "point_cloud.ply")) == {"FINISHED"}
+    ob = bpy.context.object
+    activate(ob, positions(ob)[:, 0] > 0)
+    assert bpy.ops.gscore.grade_splats(gain=(0.5, 1, 1), only_selected=True) == {"FINISHED"}
+    activate(ob, positions(ob)[:, 2] > 0.5)
+    assert bpy.ops.gscore.erase_splats() == {"FINISHED"}
+    kept = attributes.column(ob.data, attributes.BASE)
+    count = len(kept)
+    assert bpy.ops.gscore.add_crop_box() == {"FINISHED"}
+    box = ob.gscore.crop_object
+    box.matrix_world = ob.matrix_world @ Matrix.Translation((1, 0, 1.5)) @ Matrix.Scale(1, 4)
+    bpy.context.view_layer.update()
+    activate(ob)
+    assert bpy.ops.gscore.restore_splats() == {"FINISHED"}
+    erased = splats.means[:, 2] > 0.5
+    inside = erased & (splats.means[:, 0] > 0)
+    assert len(ob.data.vertices) == count + inside.sum()
+    rows = positions(ob)[count:]
+    assert {tuple(row) for row in rows} == {tuple(row) for row in splats.means[inside]}
+    np.testing.assert_array_equal(attributes.column(ob.data, attributes.BASE)[:count], kept)
+    assert len([one for one in scene.objects if objects.is_splats(one)]) == 1
+    assert bpy.ops.gscore.restore_splats() == {"FINISHED"}
+    assert len(ob.data.vertices) == count + inside.sum()
+    (erase,) = (one["erased"] for one in replay.edits_of(ob) if "erased" in one)
+    volume = replay.Volume.read(erase)
+    assert not volume.contains(rows).any()
+    left = splats.means[erased & (splats.means[:, 0] < -0.2)]
+    assert volume.contains(left).all()
+    write_splats(run / "point_cloud.ply", two_walls(9))
+    assert "trained again" in lab.error_of(bpy.ops.gscore.restore_splats)
