@@ -12,8 +12,8 @@ from ..splats import PARAMETERS, SH_REST_BY_DEGREE
 from .base import Columns, Engine, Pending, ShUpdate, StepPhoto, StepRequest, TermKind
 
 SECONDS = 0.5
-"""Time of the measured steps; at least two are taken."""
-_WARMUP = 2
+"""Time of the measured steps; at least one is taken."""
+_WARMUP = 1
 """First steps, which allocate memory."""
 _SIGMA = 1.0
 """Screen size of a splat times the root of the number per pixel, px: then a step of the CPU takes
@@ -62,7 +62,7 @@ def step_seconds(
         take(step)
     wait()
     began, taken = time.perf_counter(), 0
-    while taken < 2 or time.perf_counter() - began < seconds:
+    while not taken or time.perf_counter() - began < seconds:
         taken += 1
         take(_WARMUP + taken)
     wait()

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from addon import compat, preferences
-from addon.core import Cancelled
+from addon.core import Cancelled, write_splats
 from addon.interface.option_labels import panel_text
 from addon.render import device, engine, picture, viewport
 from addon.render.model import SplatCache
@@ -152,6 +152,25 @@ def test_animations_keep_the_server(scene, prefs, rendered):
     for frame, one in zip((0, 1, 2), frames, strict=True):
         scene.frame_set(frame)
         assert_same([one], rendered("CPU"))
+
+
+def test_sequences_and_a_picture_of_4k(scene, prefs, rendered, tmp_path):
+    """Oracle also: each frame of a sequence has other splats, which are sent once."""
+    lab.prepare(scene)
+    for number in range(3):
+        write_splats(tmp_path / f"frame_{number:04d}.ply", lab.blob(100 + number, seed=number))
+    bpy.ops.gscore.import_sequence(directory=str(tmp_path), up="Z")
+    frames = []
+    for frame in (1, 2, 3):
+        scene.frame_set(frame)
+        frames += rendered(CARD)
+        assert client_of().sent == 6 * frame
+    for frame, one in zip((1, 2, 3), frames, strict=True):
+        scene.frame_set(frame)
+        assert_same([one], rendered("CPU"))
+    scene.render.resolution_x, scene.render.resolution_y = 3840, 2160
+    scene.render.resolution_percentage = 100
+    assert_same(rendered(CARD), rendered("CPU"))
 
 
 def test_panoramas_stereo_and_blur(scene, prefs, rendered):
