@@ -488,6 +488,18 @@ class TrainConfig:
         "Weight of the mean transmittance at counted pixels, unless masks are `composite`. "
         "Prevents holes in dark areas that appear over a brighter background; 0: off.",
     )
+    surface_weight: float = _loss_option(
+        0.0,
+        "Weight of terms that make splats flat and lie on surfaces, for `gscore mesh`; 1 is a good "
+        "value. CPU only. 0: off.",
+    )
+    surface_from: float = _loss_option(
+        0.7,
+        "Share of the run after which splats are made to lie on surfaces.",
+        range=Range(high=1),
+        unit="share of the run",
+        when="surface",
+    )
     alpha_weight: float = _loss_option(
         0.0,
         "Weight of the mean absolute difference between rendered opacity and mask, for "

@@ -208,6 +208,7 @@ class Feature(StrEnum):
     NOISE = "noise and regularisers of splats (`--strategy mcmc`)"
     GAINS = "exposure gains of photos (`--exposure off`)"
     POSES = "refined camera poses (`--set refine_poses=off`)"
+    SURFACE = "splats on surfaces (`--surface-weight`)"
     CONTRIBUTIONS = "pruning by contribution (`--set prune_share=0`)"
 
 
@@ -267,6 +268,8 @@ class StepRequest:
     """Loss terms with their weights."""
     picture_term: PictureTerm | None = None
     """A further loss term, which needs inverse depth; None: none."""
+    surface: float = 0.0
+    """Weight of the terms that make splats lie on surfaces, see `cpu.surface_term`; 0: none."""
     opacity_reg: float = 0.0
     """Weight of the mean opacity in the loss."""
     scale_reg: float = 0.0

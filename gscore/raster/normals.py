@@ -1,6 +1,6 @@
 """Normals of splats as a differentiable picture: a picture whose colours are the normals."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -8,6 +8,19 @@ from torch import Tensor
 from ..shared_constants import SH_C0
 from .autograd import rasterize
 from .reference.geometry import quat_to_rotmat
+
+
+class NormalPicture(NamedTuple):
+    """Normals of a view, differentiable."""
+
+    normals: Tensor
+    """[H, W, 3], sum of weight times unit normal, camera axes."""
+    alpha: Tensor
+    """[H, W]."""
+    inverse_depth: Tensor | None = None
+    """[H, W], as of `RasterOutput`; None unless requested."""
+    depth: Tensor | None = None
+    """[H, W], as of `RasterOutput`; None unless requested."""
 
 
 def rasterize_normals(
@@ -20,7 +33,7 @@ def rasterize_normals(
     width: int,
     height: int,
     **how: Any,
-) -> tuple[Tensor, Tensor]:
+) -> NormalPicture:
     """Render the normals of splats from one pinhole camera; see `splat_normals` of `api`.
 
     Normals are colours of `rasterize`, so every device draws them, and its gradients reach quats
@@ -36,11 +49,11 @@ def rasterize_normals(
         K: As for `rasterize`.
         width: As for `rasterize`.
         height: As for `rasterize`.
-        **how: Other arguments of `rasterize`: raw, near, antialias, threads, device and more; no
-            background.
+        **how: Other arguments of `rasterize`: raw, near, antialias, threads, device, inverse_depth,
+            depth and more; no background.
 
     Returns:
-        [H, W, 3], sum of weight times unit normal, camera axes; and alpha [H, W].
+        Normals, alpha and the requested depths.
 
     Raises:
         As `rasterize`.
@@ -52,7 +65,8 @@ def rasterize_normals(
         *(viewmat, K, width, height),
         **how,
     )
-    return 2 * drawn.rgb - drawn.alpha[..., None], drawn.alpha
+    normals = 2 * drawn.rgb - drawn.alpha[..., None]
+    return NormalPicture(normals, drawn.alpha, drawn.inverse_depth, drawn.depth)
 
 
 def oriented_normals(means: Tensor, quats: Tensor, scales: Tensor, viewmat: Tensor) -> Tensor:

@@ -45,6 +45,7 @@ LACKS: list[tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = [
     (NONE, {"strategy": Strategy.MCMC}, {}, r"`--strategy mcmc`"),
     (NONE, {}, {"gains": True}, "exposure gains"),
     (NONE, {}, {"poses": True}, "refined camera poses"),
+    (NONE, {"surface_weight": 1.0}, {}, r"`--surface-weight`"),
     (NONE, {"prune_share": 0.2}, {}, "pruning by contribution"),
     ({"skips": frozenset()}, {"without": (Skip.ZERO_TILE,)}, {}, "skip zero-tile"),
 ]

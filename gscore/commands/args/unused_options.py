@@ -55,6 +55,7 @@ _WHEN: dict[str, _Rule] = {
         "not with `--ensemble 1` or `--start-splats`",
         lambda a, d, c: c.ensemble == 1 or c.start_splats is not None,
     ),
+    "surface": ("only with `--surface-weight`", lambda a, d, c: c.surface_weight == 0),
     "dropping": ("not with `--drop-rate 0`", lambda a, d, c: c.drop_rate == 0),
     "guide_surface": ("only with `--guide-surface`", lambda a, d, c: c.guide_surface is None),
     "start_splats": ("only with `--start-splats`", lambda a, d, c: c.start_splats is None),

@@ -33,6 +33,7 @@ from .loss import LossAndGradients, StepLoss
 from .model import CpuModel, Moments, accumulated_of
 from .pace import COST, current_pace
 from .splat_terms import add_noise, add_regularisers, drop_splats
+from .surface_term import surface_terms
 
 _SKIPS = {
     Skip.EXACT_CULL: NO_EXACT_CULL,
@@ -51,6 +52,8 @@ class DrawnStep:
     opacities: torch.Tensor
     leaf: torch.Tensor | None
     """Opacities before dropout; None: no dropout."""
+    further: Mapping[str, torch.Tensor]
+    """Gradients of terms that have their own picture; those of shN excepted."""
     timer: StageTimer
 
 
@@ -70,6 +73,8 @@ class CpuEngine(base.Engine[CpuModel]):
         )
         """Identity and capabilities."""
         self._rasterizer = TrainingRasterizer()
+        self._frozen: Mapping[str, torch.Tensor] | None = None
+        """Splats that are drawn with those of the model; None: none."""
         self._loss = StepLoss(threads)
         self._photos: dict[int, StepPhoto] = {}
         self._v_viewmat = zeros(4, 4)
@@ -87,9 +92,8 @@ class CpuEngine(base.Engine[CpuModel]):
     ) -> CpuModel:
         """Create a model, see `Engine.model`."""
         if frozen is not None:
-            self._rasterizer = TrainingRasterizer(
-                {name: torch.from_numpy(frozen[name]) for name in PARAMETERS}
-            )
+            self._frozen = {name: torch.from_numpy(frozen[name]) for name in PARAMETERS}
+            self._rasterizer = TrainingRasterizer(self._frozen)
         return self._new({name: torch.from_numpy(columns[name]) for name in PARAMETERS}, counters)
 
     def load(
@@ -174,8 +178,19 @@ class CpuEngine(base.Engine[CpuModel]):
             ),
         )
         timer.lap("draw")
-        loss = self._loss.of(picture, photo, request)
-        return DrawnStep(loss, opacities, leaf, timer)
+        loss, further = self._loss.of(picture, photo, request), {}
+        if request.surface:
+            value, further = surface_terms(
+                model.params,
+                photo,
+                request.view,
+                request.surface,
+                frozen=self._frozen,
+                antialias=request.antialias,
+                threads=self._threads,
+            )
+            loss = loss._replace(value=loss.value + value)
+        return DrawnStep(loss, opacities, leaf, further, timer)
 
     def _checked(
         self,
@@ -209,6 +224,10 @@ class CpuEngine(base.Engine[CpuModel]):
         if drawn.leaf is not None:
             grad = into["opacities"]
             grad.copy_(torch.autograd.grad(drawn.opacities, drawn.leaf, grad)[0])
+        hidden = self._rasterizer.radii == 0
+        for name, more in drawn.further.items():
+            more[hidden] = 0  # in its smaller picture a splat may be larger
+            into[name].add_(more)
         drawn.timer.lap("gradients")
         drawn.timer.add_raster(self._rasterizer.stats())
         return v_means2d

@@ -108,7 +108,7 @@ class GpuEngine(base.Engine[GpuModel]):
             name=name,
             numerics=numerics,
             is_card=is_card,
-            features=frozenset(base.Feature) - {Feature.ANOMALIES},
+            features=frozenset(base.Feature) - {Feature.ANOMALIES, Feature.SURFACE},
             memory=raster.memory()[1],
             cost=cost,
         )

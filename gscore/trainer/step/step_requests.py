@@ -166,6 +166,7 @@ class StepRequests:
             noise=strategy.noise_at(means_lr),
             terms=self.terms.terms,
             picture_term=self.terms.picture_term(training_view.index, step),
+            surface=config.surface_weight if step > config.surface_from * plan.iterations else 0.0,
             opacity_reg=strategy.opacity_reg,
             scale_reg=strategy.scale_reg,
             observe=strategy.counters if strategy.observes_at(step) else (),
@@ -207,6 +208,7 @@ def check_engine(
         Feature.NOISE: config.strategy is Strategy.MCMC,
         Feature.GAINS: analysis.gains is not None,
         Feature.POSES: analysis.pose_check.viewmats is not None,
+        Feature.SURFACE: config.surface_weight > 0,
         Feature.CONTRIBUTIONS: config.prune_share > 0,
     }
     lacking = [kind for kind, weight in terms.terms if weight and kind not in info.terms]
