@@ -44,8 +44,8 @@ TEXTURED = 50_000
 """Triangles of a textured mesh where no number is requested."""
 LARGEST_TEXTURE = 8192
 """Largest side of a texture, px."""
-_PIXELS = 2.0
-"""Voxel size in pixels' widths on the nearer surfaces: less only shows the noise of depths."""
+_PIXELS = 1.0
+"""Voxel size in pixels' widths on the nearer surfaces."""
 _NEARER = 0.25
 """Share of the seen surfaces that are the nearer ones."""
 _FAR = 2.0
@@ -74,7 +74,7 @@ class MeshRequest:
     """
 
     voxel: float | None = None
-    """Distance between voxels, world units; None: two pixels, or more to fit into memory."""
+    """Distance between voxels, world units; None: a pixel, or more to fit into memory."""
     far: float | None = None
     """Farthest depth that is fused, world units; None: twice that of the nearer surfaces."""
     region: np.ndarray | None = None
@@ -86,7 +86,7 @@ class MeshRequest:
     """One of `HOLES`."""
     min_part: float = 0.01
     """Least part that is kept, as a share of the largest one's triangles."""
-    smooth: int = 10
+    smooth: int = 30
     """Steps of smoothing."""
     triangles: int | None = None
     """Number of triangles; None: all."""

@@ -10,7 +10,11 @@ _FREE = 0.1
 _SOLID = 0.5
 """Alpha above which it ends at the median depth."""
 _WINDOW = 5
-"""Side of the median filter of depths, px: neighbouring pixels have depths of different splats."""
+"""Side of the filter of depths, px: neighbouring pixels have depths of different splats."""
+_PASSES = 2
+"""Passes of the filter by planes."""
+_BEND = 0.5
+"""Least cosine between normals of pixels on one surface."""
 _FLATTEST = 0.1
 """Least cosine between ray and normal that counts."""
 _STEEPEST = 6.0
@@ -72,8 +76,11 @@ def surface_view(
 def sure_depth(drawn: Rendered, K: np.ndarray, *, spread: float, far: float) -> np.ndarray:
     """[H, W] float32, median depth, filtered; 0 where there is no surface, or not for sure.
 
+    The median depth is that of a splat's centre. Each pixel gets the mean depth of its neighbours'
+    planes on its ray if normals were drawn, else the median of its neighbours.
+
     Args:
-        drawn: The picture with depths.
+        drawn: The picture with depths, and normals for a better filter.
         K: [3, 3] px.
         spread: Largest difference of mean and median depth, world units.
         far: Largest depth, world units.
@@ -82,11 +89,55 @@ def sure_depth(drawn: Rendered, K: np.ndarray, *, spread: float, far: float) -> 
 
     assert drawn.median_depth is not None
     assert drawn.depth is not None
-    depth = median_filter(drawn.median_depth, _WINDOW, mode="nearest")
+    if drawn.normal is None:
+        depth = median_filter(drawn.median_depth, _WINDOW, mode="nearest")
+    else:
+        depth = _by_planes(drawn.median_depth, drawn.normal, drawn.alpha > _SOLID, K)
     sure = (drawn.alpha > _SOLID) & (drawn.median_depth > 0) & (depth < far)
     sure &= np.abs(drawn.depth - depth) < spread
     sure &= _slope(depth) < 2 * _STEEPEST * depth / K[0, 0]
     return np.where(sure, depth, 0)
+
+
+def _by_planes(
+    depth: np.ndarray, normal: np.ndarray, known: np.ndarray, K: np.ndarray
+) -> np.ndarray:
+    """[H, W] float32, at each known pixel the mean depth on its ray of the planes of the pixels
+    around it, which its surface is made of: bends by less than `_BEND` and no steps.
+
+    Args:
+        depth: [H, W] float32.
+        normal: [H, W, 3] float32, unit length, camera axes.
+        known: [H, W] bool, pixels that have a plane.
+        K: [3, 3] px.
+    """
+    rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+    found = np.array(depth, np.float32)
+    if not len(rows):
+        return found
+    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    half = _WINDOW // 2
+    x, y = (pixel_rays(K, *depth.shape)[part][..., i] for i in range(2))
+    planes = np.pad(np.moveaxis(normal[part], 2, 0), ((0, 0), (half, half), (half, half)))
+    height, width = x.shape
+    steps = [(j, i) for j in range(_WINDOW) for i in range(_WINDOW)]
+    own = planes[:, half : half + height, half : half + width]
+    for _ in range(_PASSES):
+        at = np.where(known, found, 0)[part]
+        reach = at * np.float32(_STEEPEST / K[0, 0])
+        offset = np.pad((own[0] * x + own[1] * y + own[2]) * at, half)
+        sums, counts = np.zeros_like(at), np.zeros_like(at)
+        for j, i in steps:
+            window = slice(j, j + height), slice(i, i + width)
+            a, b, c = planes[:, *window]
+            slope = a * x + b * y + c
+            slope[slope > -_FLATTEST] = np.inf
+            there = offset[window] / slope
+            same = (np.abs(there - at) < reach) & (own[0] * a + own[1] * b + own[2] * c > _BEND)
+            sums += np.where(same, there, 0)
+            counts += same
+        found[part] = np.where(counts > 0, sums / np.maximum(counts, 1), found[part])
+    return found
 
 
 def pixel_rays(K: np.ndarray, height: int, width: int) -> np.ndarray:
