@@ -7,7 +7,7 @@ import pytest
 from mathutils import Matrix
 
 from addon import attributes, compat
-from addon.render import relight
+from addon.render import compositor, relight
 from addon.render.proxy import attach
 from tests.addon import splat_scenes as lab
 
@@ -259,3 +259,20 @@ def test_new_meshes_shadow_the_captured_look(scene, tmp_path):
     rest = after > 0.9 * before
     assert (dark | rest).mean() > 0.9
     np.testing.assert_allclose(after[rest], before[rest], atol=2e-3, rtol=0.1)
+
+
+def test_composites_have_the_light_of_the_main_scene(lit, tmp_path):
+    """Oracle: the engine's picture, with a lamp that moves and a world that changes after the
+    set-up."""
+    sun = lamp(lit, "SUN")
+    lit.render.engine, lit.cycles.samples = "CYCLES", 1
+    compositor.set_up(lit)
+    sun.rotation_euler = (0, 0.9, 0)
+    compat.world_nodes(lit.world).nodes["Background"].inputs[0].default_value = (0.2, 0.1, 0.3, 1)
+    middle = (slice(8, 32), slice(8, 32), slice(0, 3))
+    got = lab.render_exr(tmp_path, "composite")[middle]
+    lit.render.engine = "GSCORE_SPLATS"
+    bpy.context.view_layer.update()
+    wanted = lab.render_exr(tmp_path, "engine")[middle]
+    assert wanted.max() > 0.1
+    np.testing.assert_allclose(got, wanted, atol=5e-3)
