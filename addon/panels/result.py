@@ -16,9 +16,17 @@ from ..histograms.histogram_cache import ICONS
 from ..interface.base_operator import Condition
 from ..interface.option_labels import error_text
 from ..live import draw_handler
+from ..render.color import world_light
 from ..splats import edit, lag, live_display, operators
 from ..splats.mend_operators import outdated
-from ..splats.objects import active_splats, has_splats, has_trained, in_question, is_native
+from ..splats.objects import (
+    active_splats,
+    has_splats,
+    has_trained,
+    in_question,
+    is_native,
+    is_relit,
+)
 from ..surface import fit_proxy, make_mesh
 from ..timeline import frame_sync
 from ..timeline.frame_at import moment_of, series_of
@@ -265,6 +273,10 @@ class LightPanel(TabPanel, bpy.types.Panel):
         column = layout.column()
         column.active = bool(attributes.light_names(ob.data))
         column.prop(ob.gscore, "light", slider=True)
+        lamps = any(one.type == "LIGHT" for one in context.scene.objects)
+        if is_relit(ob) and not lamps and not world_light(context.scene.world)[0].any():
+            text = "The scene has no lamp and a black world, so relit splats are black."
+            sentence(layout, text, icon="INFO")
 
 
 class ErrorsPanel(TabPanel, bpy.types.Panel):

@@ -77,8 +77,12 @@ class SceneLight:
 
     @cached_property
     def maps(self) -> tuple[ShadowMaps | None, ...]:
-        """The shadows of each lamp; None: it casts none."""
-        return tuple(_maps_of(self.casters, lamp) for lamp in self.lamps)
+        """The shadows of each lamp; None: it casts none, as those after the first `_MOST_MAPS`."""
+        sources = list(dict.fromkeys(map(_source, self.lamps)))[:_MOST_MAPS]
+        return tuple(
+            _maps_of(self.casters, lamp) if _source(lamp) in sources else None
+            for lamp in self.lamps
+        )
 
     def white(self, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Radiance of white surfaces, linear Rec. 709, [N, 3] float32.
@@ -102,11 +106,16 @@ _known: dict[tuple[bytes, str], ShadowMaps] = {}
 _MOST_MAPS = 32
 
 
+def _source(lamp: Lamp) -> str:
+    """Differs if shadows fall otherwise."""
+    return repr(lamp.axis if lamp.kind == SUN else lamp.source)
+
+
 def _maps_of(casters: Casters, lamp: Lamp) -> ShadowMaps | None:
     if not casters or lamp.source is None:
         return None
     axis = np.array(lamp.axis) if lamp.kind == SUN else None
-    key = casters.key, repr(lamp.source if axis is None else lamp.axis)
+    key = casters.key, _source(lamp)
     maps = _known.pop(key, None)
     if maps is None:
         maps = shadow_maps(casters, np.array(lamp.source), axis)

@@ -7,9 +7,11 @@ import pytest
 from mathutils import Matrix
 
 from addon import attributes, compat
+from addon.panels.result import LightPanel
 from addon.render import compositor, relight
 from addon.render.proxy import attach
 from tests.addon import splat_scenes as lab
+from tests.addon.drawn import drawn
 
 SIZE = (40, 40)
 COLOR = (0.5, 0.6, 0.3)
@@ -276,3 +278,25 @@ def test_composites_have_the_light_of_the_main_scene(lit, tmp_path):
     wanted = lab.render_exr(tmp_path, "engine")[middle]
     assert wanted.max() > 0.1
     np.testing.assert_allclose(got, wanted, atol=5e-3)
+
+
+def test_many_lamps_and_none(lit, tmp_path):
+    """Hundreds of lamps add up, with shadows of the first; without any the panel says why the
+    splats are black."""
+    (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
+    bpy.context.view_layer.objects.active = ob
+    assert "no lamp" in drawn(LightPanel)
+    assert lab.render_exr(tmp_path, "none")[..., :3].max() < 1e-3
+    bpy.ops.mesh.primitive_cube_add(size=0.2, location=(0.5, 0.5, 0.5))
+    bpy.context.view_layer.objects.active = ob
+    data = bpy.data.lights.new("many", "SUN")
+    data.energy = 0.01
+    for number in range(200):
+        one = bpy.data.objects.new("many", data)
+        one.rotation_euler.z = number / 100
+        one.rotation_euler.x = 1e-4 * number
+        lit.collection.objects.link(one)
+    assert "no lamp" not in drawn(LightPanel)
+    got = lab.render_exr(tmp_path, "many")[12, 12, :3]
+    linear = ((np.array(COLOR) + 0.055) / 1.055) ** 2.4
+    np.testing.assert_allclose(got, linear * 2 / np.pi, rtol=0.02)
