@@ -107,6 +107,11 @@ class Parser(argparse.ArgumentParser):
         if message.startswith(_REQUIRED):
             names = message.removeprefix(_REQUIRED).split(", ")
             message = f"missing: {', '.join(name.split('/')[0] for name in names)}"
+            message += "".join(
+                f", one of {', '.join(action.choices)}"
+                for action in self._actions
+                if isinstance(action, argparse._SubParsersAction) and action.metavar in names
+            )
         sentence = message if message.endswith("?") else f"{message.rstrip('.')}."
         sentence = f"{sentence} See {self.prog} --help."
         print(wrapped(f"{self.prog}: error: {sentence}", sys.stderr), file=sys.stderr)

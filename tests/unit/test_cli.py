@@ -44,6 +44,12 @@ def test_a_verb_that_does_not_exist(capsys: pytest.CaptureFixture[str]) -> None:
     assert "did you mean `gscore train`?" in capsys.readouterr().err
 
 
+def test_a_measurement_is_not_given(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: all choices, in the message."""
+    assert commands.main(["bench"]) == 2
+    assert "missing: WHAT, one of raster, step, skips, " in capsys.readouterr().err
+
+
 def test_a_verb_that_is_left_out_of_an_installation(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
