@@ -40,8 +40,8 @@ def configure(width, height, samples, threads):
     render.image_settings.color_depth = "32"
 
 
-def picture(path):
-    """Render the current camera to a temporary file `path`.exr.
+def picture(path, gain=1.0):
+    """Render the current camera to a temporary file `path`.exr, with linear colours times `gain`.
 
     Returns:
         rgb [H, W, 3] sRGB in [0, 1]; mask [H, W] coverage by the figure; depth [H, W] along the
@@ -55,7 +55,7 @@ def picture(path):
     rgb = np.stack([find(channels, "Combined." + c) for c in "RGB"], -1)
     depth = find(channels, "Depth.Z", "Depth.V")
     mask = find(channels, MASK + ".X", MASK + ".V", MASK + ".Value")
-    rgb = np.clip(rgb, 0, 1)
+    rgb = np.clip(rgb * gain, 0, 1)
     srgb = np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * rgb ** (1 / 2.4) - 0.055)
     return srgb, np.clip(mask, 0, 1), np.where(depth < 1e9, depth, np.inf)
 
