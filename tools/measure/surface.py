@@ -103,8 +103,10 @@ def of_depths(capture: Path) -> Truth:
     where these are on different surfaces."""
     points, normals = [], []
     for name, K, viewmat, width, height in views_of(capture):
-        code = np.asarray(Image.open(capture / "depths" / f"{name}.png")).astype(np.float64)
-        mask = np.asarray(Image.open(capture / "masks" / f"{name}.png"))
+        code = np.asarray(Image.open(capture / "depths" / f"{name}.png", formats=["PNG"])).astype(
+            np.float64
+        )
+        mask = np.asarray(Image.open(capture / "masks" / f"{name}.png", formats=["PNG"]))
         depth = np.divide(DEPTH_STEPS, code, out=np.zeros_like(code), where=code > 0)
         places = depth[..., None] * pixel_rays(K, height, width)
         across = places[1:-1, 2:] - places[1:-1, :-2]
@@ -137,7 +139,7 @@ def overlap(mesh: TriangleMesh, scene: Path, every: int) -> str:
     found, shares = json.loads((scene / "transforms_test.json").read_text()), []
     for frame in found["frames"][::every]:
         picture = scene / frame["file_path"]
-        alpha = np.asarray(Image.open(picture.with_suffix(".png")))[..., 3] >= 128
+        alpha = np.asarray(Image.open(picture.with_suffix(".png"), formats=["PNG"]))[..., 3] >= 128
         height, width = alpha.shape
         focal = width / (2 * np.tan(found["camera_angle_x"] / 2))
         K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
