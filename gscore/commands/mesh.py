@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option = partial(add_option, parser.add_argument_group("surface"))
     option(
         "--voxel X",
-        "size of the smallest details, world units; default: a pixel on the nearer surfaces",
+        "size of the smallest details, world units; default: two pixels on the nearer surfaces",
         float,
     )
     option(

@@ -44,8 +44,9 @@ TEXTURED = 50_000
 """Triangles of a textured mesh where no number is requested."""
 LARGEST_TEXTURE = 8192
 """Largest side of a texture, px."""
-_PIXELS = 1.0
-"""Voxel size in pixels' widths on the nearer surfaces."""
+_PIXELS = 2.0
+"""Voxel size in pixels' widths on the nearer surfaces: smaller ones leave holes unless splats are
+flat."""
 _NEARER = 0.25
 """Share of the seen surfaces that are the nearer ones."""
 _FAR = 2.0
@@ -74,7 +75,7 @@ class MeshRequest:
     """
 
     voxel: float | None = None
-    """Distance between voxels, world units; None: a pixel, or more to fit into memory."""
+    """Distance between voxels, world units; None: two pixels, or more to fit into memory."""
     far: float | None = None
     """Farthest depth that is fused, world units; None: twice that of the nearer surfaces."""
     region: np.ndarray | None = None
