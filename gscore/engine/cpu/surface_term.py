@@ -72,7 +72,10 @@ def surface_terms(
         drawn = {name: torch.cat([frozen[name], leaf]) for name, leaf in leaves.items()}
     small = smaller(view)
     picture = rasterize_normals(
-        *drawn.values(),
+        drawn["means"],
+        drawn["quats"],
+        drawn["scales"],
+        drawn["opacities"],
         small.viewmat,
         small.K,
         small.width,
