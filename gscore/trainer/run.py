@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig, TrainConfig
-from ..config_file import load_config, to_dict
+from ..config_file import to_dict
 from ..control import Control
 from ..datasets import load_dataset
 from ..engine.base import Engine
@@ -103,8 +103,7 @@ def train(
         emit(Warn(message=f"The CPU {how}, because the device failed: {error}", code=DEVICE))
         if continues:
             start = {"resume": True, "overwrite": False, "start_checkpoint": None}
-            if on_card is not None and not resume:
-                data, config = load_config(RunFolder(output).config)
+            data, config = on_card or (data, config)
         else:
             start["overwrite"] = True
         return run(replace(config, device="cpu"), data, output, **start)
@@ -220,15 +219,15 @@ def _open_engine(
     """
     config = start.config
     how = {
-        "threads": config.threads,
         "report": once_a_device(lambda text: emit(Warn(message=f"{text}.", code=DEVICE))),
         "cancel": lambda: bool(control.stop_reason),
     }
     if config.device != "auto":
-        engine, note = open_engine(config.device, **how)
+        engine, note = open_engine(config.device, threads=config.threads, **how)
         decision = None
     else:
         found = open_automatic(
+            config,
             lambda: run_size(config, load_dataset(data, cancelled=how["cancel"])),
             earlier=start.isa,
             **how,

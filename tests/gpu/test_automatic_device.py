@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
-from gscore.config import DataConfig, TrainConfig
+from gscore.config import DataConfig, Skip, TrainConfig
 from gscore.engine.cpu.engine import CpuEngine
 from gscore.engine.trial import step_seconds
 from gscore.events import Started, Warn
+from gscore.raster.gpu import absence
 from gscore.raster.gpu.choice import Chosen
 from gscore.raster.gpu.devices import Device
 from gscore.raster.gpu.library import DeviceLostError
@@ -93,6 +94,47 @@ def test_options_of_a_card_are_used_where_one_trains(
         assert len(started) == 1 + (name == "lost")
 
 
+def test_a_resumed_run_keeps_the_options_of_a_card_that_fails(
+    as_card, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the config of the events, on the card and on the CPU that takes over."""
+    monkeypatch.setattr(Device, "is_software", False)
+    as_card(lambda *_, **__: 1e-6)
+    photos, more = DataConfig(source=capture, max_width=20), replace(CONFIG, iterations=6)
+    _train(capture, tmp_path, on_card=(photos, replace(CONFIG, iterations=3)))
+    monkeypatch.setenv("GSCORE_GPU_FAULT", "lost:s2")
+    done, events = _train(capture, tmp_path, on_card=(photos, more), resume=True)
+    started = [one for one in events if isinstance(one, Started)]
+    assert [(one.iterations, one.width) for one in started] == [(6, 20)] * 2 and done.steps == 6
+    assert started[1].device == "cpu"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"surface_weight": 1.0}, "--surface-weight"),
+        ({"detect_anomaly": True}, "--detect-anomaly"),
+        ({"without": (Skip.ZERO_TILE,)}, "--without zero-tile"),
+    ],
+)
+def test_what_a_card_cannot_compute_is_trained_on_the_cpu(
+    options: dict[str, Any],
+    words: str,
+    as_card,
+    capture: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Oracle: the option in the decision, and a finished run; nothing is decided without a card."""
+    asked = as_card(lambda *_, **__: 1e-6)
+    done, events = _train(capture, tmp_path / "card", config=options)
+    assert done.steps == 4 and not asked and not _warnings(events)
+    text = _decision(events)
+    assert text.startswith("The CPU trains: graphics cards do not compute ") and words in text
+    monkeypatch.setattr(absence, "may_have_card", lambda: False)
+    assert not _decision(_train(capture, tmp_path / "none", config=options)[1])
+
+
 def test_a_slower_card_is_left_alone(as_card, capture: Path, tmp_path: Path) -> None:
     """Oracle: the bits of a training on the CPU, and both times in a sentence."""
     as_card(lambda *_, **__: 1e3)
@@ -170,7 +212,11 @@ def test_a_trial_takes_steps(make: Callable[[], Any]) -> None:
 
 
 def test_no_trial_without_a_card(capture: Path, tmp_path: Path, monkeypatch) -> None:
-    """Oracle: a size that must not be read; nothing was decided, and nothing is shown."""
+    """Oracle: a size that must not be read; the reason where there may be a card, and nothing
+    where there is none."""
     monkeypatch.setattr(run, "run_size", lambda *_: pytest.fail("read"))
-    _, events = _train(capture, tmp_path)
+    _, events = _train(capture, tmp_path / "software")
+    assert "is a software device." in _decision(events) and not _warnings(events)
+    monkeypatch.setattr(absence, "may_have_card", lambda: False)
+    _, events = _train(capture, tmp_path / "none")
     assert not _decision(events) and not _warnings(events)

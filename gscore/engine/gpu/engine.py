@@ -25,6 +25,8 @@ from .model import GpuModel
 from .photos import KeptPhotos
 from .small_training import small_training
 
+FEATURES = frozenset(base.Feature) - {Feature.ANOMALIES, Feature.SURFACE}
+"""Features that it has."""
 IN_FLIGHT = 2
 """Steps in flight; a constant, so that results do not depend on time."""
 CARD_COST = base.CostModel(step=2e-3, pixel=2e-9, splat=4e-9, number=0.0, trust=0.02)
@@ -108,7 +110,7 @@ class GpuEngine(base.Engine[GpuModel]):
             name=name,
             numerics=numerics,
             is_card=is_card,
-            features=frozenset(base.Feature) - {Feature.ANOMALIES, Feature.SURFACE},
+            features=FEATURES,
             memory=raster.memory()[1],
             cost=cost,
         )

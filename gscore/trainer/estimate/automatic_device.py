@@ -9,13 +9,16 @@ from ...config import TrainConfig
 from ...datasets.dataset import Dataset
 from ...engine.base import Engine
 from ...engine.cpu.pace import COST, current_pace
+from ...engine.gpu.engine import FEATURES
 from ...engine.opening import engine_of
 from ...engine.trial import step_seconds
 from ...errors import BackendError
 from ...events import Decision
+from ...raster.gpu.absence import no_automatic_card
 from ...raster.gpu.choice import CPU, Chosen, choose
 from ...text_format import count_text
 from ..schedule.caps import cap_by_photos, expected_points
+from ..schedule.lacking_options import lacking_options
 from ..schedule.plan import Plan
 from .cost import Cost
 
@@ -49,7 +52,7 @@ class AutomaticDevice:
 
     engine: Engine[Any]
     decision: Decision | None
-    """The choice with its reason; None: there was no card."""
+    """The choice with its reason; None: there was nothing to choose from."""
     warning: str = ""
     """A sentence where a card failed; empty: none did."""
 
@@ -80,9 +83,9 @@ def run_size(config: TrainConfig, photos: Dataset) -> RunSize:
 
 
 def open_automatic(
+    config: TrainConfig,
     size: Callable[[], RunSize],
     *,
-    threads: int,
     earlier: str = "",
     report: Callable[[str], None],
     cancel: Callable[[], bool],
@@ -90,8 +93,8 @@ def open_automatic(
     """Choose and open the device of a training.
 
     Args:
+        config: The options.
         size: Returns the size of the steps; not called where there is no card to try.
-        threads: CPU threads; 0: all cores.
         earlier: Identity of the bits of the run's earlier steps, whose device trains on; empty: it
             has none.
         report: Receives a sentence on a self-test while it runs.
@@ -101,13 +104,16 @@ def open_automatic(
         Cancelled: `cancel` returned True.
         GsError: `size` failed.
     """
-    if earlier and not earlier.startswith(_CARD):
+    threads = config.threads
+    if no_automatic_card() or (earlier and not earlier.startswith(_CARD)):
         return AutomaticDevice(engine=engine_of(CPU, threads=threads), decision=None)
+    if lacking := lacking_options(config, FEATURES, frozenset()):
+        text = f"The CPU trains: graphics cards do not compute {', '.join(lacking)}."
+        return _cpu(text, threads=threads)
     chosen = choose("auto", report=report, cancel=cancel)
-    if chosen.device is None and not chosen.note:
-        return AutomaticDevice(engine=engine_of(CPU, threads=threads), decision=None)
     if chosen.device is None:
-        return _cpu(f"The CPU trains. {chosen.reason}", threads=threads, warning=chosen.note)
+        text = f"The CPU trains. {chosen.reason}".rstrip()
+        return _cpu(text, threads=threads, warning=chosen.note)
     try:
         if earlier:
             engine = engine_of(chosen, threads=threads)

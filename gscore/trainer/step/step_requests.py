@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import torch
 
-from ...config import Skip, Strategy, TrainConfig
+from ...config import Skip, TrainConfig
 from ...engine.base import (
     ENGINE_SKIPS,
     EngineInfo,
@@ -23,6 +23,7 @@ from ...errors import ConfigError
 from ..analysis.analysis import Analysis
 from ..depth.loss import DepthLoss, GuideLoss
 from ..schedule.caps import drop_rate_at
+from ..schedule.lacking_options import lacking_options
 from ..schedule.plan import Plan
 from ..strategy import Policy
 from ..views.model_renderer import ModelRenderer
@@ -202,21 +203,16 @@ def check_engine(
     needed = {
         Feature.PICTURE_TERMS: terms.needs_pictures,
         Feature.FROZEN: frozen,
-        Feature.ANOMALIES: config.detect_anomaly,
         Feature.MASKS: analysis.photos.mask_mode != "none",
         Feature.DROPOUT: drops,
-        Feature.NOISE: config.strategy is Strategy.MCMC,
         Feature.GAINS: analysis.gains is not None,
         Feature.POSES: analysis.pose_check.viewmats is not None,
-        Feature.SURFACE: config.surface_weight > 0,
-        Feature.CONTRIBUTIONS: config.prune_share > 0,
     }
     lacking = [kind for kind, weight in terms.terms if weight and kind not in info.terms]
-    skips = sorted(ENGINE_SKIPS.intersection(config.without) - info.skips)
     missing = [
         *(f"the loss term {kind.name.lower().replace('_', ' ')}" for kind in lacking),
-        *(one for one in Feature if needed[one] and one not in info.features),
-        *(f"steps without the skip {skip} (`--without {skip}`)" for skip in skips),
+        *(one for one, is_used in needed.items() if is_used and one not in info.features),
+        *lacking_options(config, info.features, info.skips),
     ]
     if missing:
         raise ConfigError(
