@@ -22,8 +22,9 @@ def preset_of(data: DataConfig, train: TrainConfig) -> str:
 
 
 def _nearest(data: DataConfig, train: TrainConfig) -> tuple[str, DataConfig, TrainConfig]:
-    """`preset_of` and its options, those of the CPU or of a graphics card."""
-    made = [(name, *of(name, data.source)) for of in (on_cpu, on_card) for name in RECIPES]
+    """`preset_of` and its options, those of the CPU or, unless that is named, of a card."""
+    recipes = (on_cpu,) if train.device == "cpu" else (on_cpu, on_card)
+    made = [(name, *of(name, data.source)) for of in recipes for name in RECIPES]
     alike = [one for one in made if one[1].max_width == data.max_width]
     changes = [len(list(_differences(one[2], train))) for one in alike]
     return alike[changes.index(min(changes))] if alike else ("", data, train)

@@ -66,6 +66,13 @@ def test_a_preset_is_found_where_a_card_trains(preset: str) -> None:
     assert train_command(data, train, out) == train_command(*RECIPES[preset](CAPTURE), out)
 
 
+def test_options_of_a_card_have_no_command_that_names_the_cpu() -> None:
+    """Oracle: a command with `--device cpu`, which has smaller presets, gives other options."""
+    data, train = on_card("normal", CAPTURE)
+    train = replace(train, device="cpu")
+    assert train_command(data, train, Path("run")) == preset_text(data, train) == ""
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
