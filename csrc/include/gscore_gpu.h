@@ -139,7 +139,7 @@ enum {
     GS_GPU_TEST_SUM = 3,         /* floats a, b to the rounding error of a + b */
     GS_GPU_TEST_FMA = 4,         /* floats a, b to fma(a, b, -a b): 0 where fma() rounds twice */
     GS_GPU_TEST_SORT = 5,        /* words a to the row numbers that sort them stably */
-    GS_GPU_TEST_CHAIN = 6        /* a float to a value after 1,024 products and sums, for measurements */
+    GS_GPU_TEST_CHAIN = 6        /* a float to a value after 2,048 products and sums, for measurements */
 };
 GS_API gs_status gs_gpu_test(gs_gpu *gpu, int32_t kernel, const uint32_t *a, const uint32_t *b, uint32_t *out,
                              int64_t count);

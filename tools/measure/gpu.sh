@@ -1,10 +1,13 @@
 #!/usr/bin/env bash
 # Graphics card in one go: self-test, bandwidth and arithmetic ceilings, each kernel beside its floor, pictures and steps
 # a second, memory. Writes forward.json, train.json and gpu.txt:
-#   tools/measure/gpu.sh FOLDER [--device N] [--tiny]        (--tiny: for software devices, in seconds)
+#   tools/measure/gpu.sh [FOLDER] [--device N] [--tiny]        (FOLDER: out/gpu; --tiny: for software devices)
 set -euo pipefail
-folder=${1:?"usage: tools/measure/gpu.sh FOLDER [--device N] [--tiny]"}
-shift
+folder=out/gpu
+if [[ $# -gt 0 && $1 != -* ]]; then
+    folder=$1
+    shift
+fi
 here=$(realpath "$(dirname "$0")")
 python=${PYTHON:-python}
 mkdir -p "$folder"
