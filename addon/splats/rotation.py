@@ -25,11 +25,13 @@ class _Linear(NamedTuple):
     """Factor of the scales."""
     harmonics: np.ndarray
     """[K, K] float32, matrix of SH coefficients."""
+    normals: np.ndarray
+    """[3, 3] float32, of unit vectors."""
 
 
 def turned(table: list[Column], turns: np.ndarray, numbers: np.ndarray) -> list[Column]:
-    """Transform quaternions, scales and SH coefficients in place; other attributes and splats stay
-    bit-identical.
+    """Transform quaternions, scales, SH coefficients and normals in place; other attributes and
+    splats stay bit-identical.
 
     Args:
         table: Attributes of N points, including those of splats.
@@ -46,6 +48,7 @@ def turned(table: list[Column], turns: np.ndarray, numbers: np.ndarray) -> list[
     names = [n for n in by_name if n not in (attributes.BASE, attributes.POSITION)]
     names.sort(key=lambda name: name != attributes.ROTATION)  # then scales, then coefficients
     columns = [by_name[name] for name in names]
+    normals = [one.values for one in table if one.name == attributes.NORMAL]
     steps: list[tuple[np.ndarray, _Linear]] = []
     for number, turn in enumerate(turns):
         chosen = numbers == number
@@ -56,7 +59,9 @@ def turned(table: list[Column], turns: np.ndarray, numbers: np.ndarray) -> list[
         columns[0][at] = columns[0][at] @ linear.quats.T
         columns[1][at] *= linear.factor
         _turn_harmonics(columns[2:], rows, linear.harmonics)
-    return [column for column in table if column.name in names]
+        for values in normals:
+            values[at] = values[at] @ linear.normals.T
+    return [column for column in table if column.name in {*names, attributes.NORMAL}]
 
 
 def moved(table: list[Column], matrix: np.ndarray, name: str, check: Check) -> list[Column]:
@@ -102,7 +107,9 @@ def _linear(turn: np.ndarray, count: int) -> _Linear:
         ),
         matrix,
     )
-    return _Linear(made.quats[:4].T, np.exp(made.scales[0, 0]), made.shN[:count, :, 0].T)
+    factor = np.exp(made.scales[0, 0])
+    normals = (turn / factor).astype(np.float32)
+    return _Linear(made.quats[:4].T, factor, made.shN[:count, :, 0].T, normals)
 
 
 def _turn_harmonics(columns: list[np.ndarray], rows: np.ndarray, turn: np.ndarray) -> None:

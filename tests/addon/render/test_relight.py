@@ -168,6 +168,28 @@ def test_objects_are_lit_where_they_stand(lit, tmp_path):
     np.testing.assert_allclose(lab.render_exr(tmp_path, "turned")[20, 20, :3], straight, rtol=0.03)
 
 
+def test_normals_turn_with_the_splats(lit, tmp_path):
+    """Applied and joined transforms: the picture of the object that was turned."""
+    (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
+    lamp(lit, "SUN")
+    ob.rotation_euler, ob.scale = (0.3, 0.5, 0), (1.5,) * 3
+    wanted = lab.render_exr(tmp_path, "turned")
+    bpy.context.view_layer.objects.active = ob
+    ob.select_set(True)
+    assert bpy.ops.gscore.apply_splat_transform() == {"FINISHED"}
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "applied"), wanted, atol=2e-3)
+    other = lab.add(lit, lab.wall(0.0, COLOR), "receiver")
+    know_light(other)
+    other.rotation_euler, other.location = (0, -0.4, 0), (50, 0, 0)
+    bpy.context.view_layer.update()
+    bpy.context.view_layer.objects.active = other
+    other.gscore.light = 1.0
+    for one in (ob, other):
+        one.select_set(True)
+    assert bpy.ops.gscore.join_splats() == {"FINISHED"}
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "joined"), wanted, atol=2e-3)
+
+
 def test_the_captured_light_is_found(scene):
     """Oracle: the light of a ball of one color, by the cosine of its normals, up to scale, and
     grey; normals face the cameras, without them away from the middle."""
