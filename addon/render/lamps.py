@@ -40,21 +40,21 @@ def scene_light(depsgraph: bpy.types.Depsgraph) -> SceneLight:
 
 
 _copies: dict[int, tuple[bytes, Triangles]] = {}
-"""Checksum and triangles of each mesh object, by session uid."""
+"""Checksum and triangles of each mesh object of the viewport, by session uid."""
 
 
 def _casters(meshes: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> Casters:
-    """Meshes that cast shadows. Renders copy them anew, because no handler tells what changed."""
-    if depsgraph.mode == "RENDER":
-        _copies.clear()
+    """Meshes that cast shadows. Renders copy them anew: no handler has their changes, and they run
+    in a thread of their own."""
+    copies = {} if depsgraph.mode == "RENDER" else _copies
     key, found = [], {True: [], False: []}
     for ob in meshes:
         uid = ob.original.session_uid
-        if uid not in _copies:
+        if uid not in copies:
             copy = triangles_of(ob)
             sums = (zlib.crc32(np.ascontiguousarray(values)) for values in copy)
-            _copies[uid] = b"".join(one.to_bytes(4) for one in sums), copy
-        checksum, triangles = _copies[uid]
+            copies[uid] = b"".join(one.to_bytes(4) for one in sums), copy
+        checksum, triangles = copies[uid]
         if len(triangles.triangles):
             matrix = matrix_to_numpy(ob.matrix_world)
             key.append(checksum + matrix.tobytes())
@@ -77,6 +77,7 @@ def _forget(*_: object) -> None:
 
 HANDLERS = {
     "depsgraph_update_post": _after_update,
+    "frame_change_post": _after_update,
     "undo_post": _forget,
     "redo_post": _forget,
     "load_post": _forget,

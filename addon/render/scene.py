@@ -1,7 +1,9 @@
 """Scene splats: the splat objects that a depsgraph shows, copied out of Blender."""
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import bmesh
@@ -121,11 +123,8 @@ class Source:
         marks = np.fromiter(bits, np.uint8, len(verts))
         return marks if marks.any() else None
 
-    @property
-    def light(self) -> SceneLight:
-        """The light of the scene."""
-        return scene_light(self._depsgraph)
-
+    light: Callable[[], SceneLight]
+    """The light of the scene, computed once for all objects."""
     _depsgraph: bpy.types.Depsgraph
     """Evaluates `data`."""
 
@@ -172,9 +171,10 @@ class Placed:
 
 def sources(depsgraph: bpy.types.Depsgraph) -> list[Source]:
     """The visible splat objects of a depsgraph, including those in collection instances."""
-    found = []
+    found, light = [], cache(partial(scene_light, depsgraph))
     for ob in depsgraph.objects:  # without objects hidden or excluded in the depsgraph's mode
-        found += [_source(o, m, ob, depsgraph) for o, m, _ in instances(ob, depsgraph, can_export)]
+        shown = instances(ob, depsgraph, can_export)
+        found += [_source(o, m, ob, depsgraph, light) for o, m, _ in shown]
     if depsgraph.mode == "RENDER":
         return [source for source in found if source.is_camera_visible]
     return found
@@ -185,6 +185,7 @@ def _source(
     matrix: np.ndarray,
     shown_by: bpy.types.Object,
     depsgraph: bpy.types.Depsgraph,
+    light: Callable[[], SceneLight],
 ) -> Source:
     edited = bool(getattr(ob.original.data, "is_editmode", False))
     wait = bpy.app.background or depsgraph.mode == "RENDER"
@@ -194,6 +195,7 @@ def _source(
         matrix=matrix,
         shown_by=shown_by,
         moment=None if edited else moment,  # Edit Mode shows the mesh
+        light=light,
         _depsgraph=depsgraph,
     )
 
@@ -218,7 +220,7 @@ def place(source: Source, frozen: Frozen | None = None, *, always_filtered: bool
         filters = None
     relighting, share = None, 0.0 if settings is None else settings.light
     if share > 0 and isinstance(frozen, FrozenMesh) and frozen.can_be_relit:
-        relighting = Relighting(share=share, light=source.light, matrix=source.matrix)
+        relighting = Relighting(share=share, light=source.light(), matrix=source.matrix)
     return Placed(
         identity=source.identity,
         uid=source.uid,

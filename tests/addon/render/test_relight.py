@@ -8,7 +8,7 @@ from mathutils import Matrix
 
 from addon import attributes, compat
 from addon.panels.result import LightPanel
-from addon.render import compositor, relight
+from addon.render import compositor, lamps, relight
 from addon.render.proxy import attach
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
@@ -116,6 +116,26 @@ def test_shadows_of_meshes(lit, tmp_path, kind):
     assert (shadow & ours).sum() / (shadow | ours).sum() > 0.7
     clear = ~(shadow | ours)
     assert np.abs(got - without)[clear].mean() < 0.01 * without.max()
+
+
+def test_playback_moves_shadows(lit):
+    """Of a mesh that changes by shape keys."""
+    lamp(lit, "SUN")
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.1, 0, 0.5))
+    cube = bpy.context.object
+    cube.shape_key_add(name="small")
+    large = cube.shape_key_add(name="large")
+    for point in large.data:
+        point.co *= 3
+    for frame in (1, 10):
+        large.value = float(frame == 10)
+        large.keyframe_insert("value", frame=frame)
+    keys = []
+    for frame in (1, 10, 1):
+        lit.frame_set(frame)
+        keys.append(lamps.scene_light(bpy.context.evaluated_depsgraph_get()).casters.key)
+    assert keys[0] != keys[1]
+    assert keys[0] == keys[2]
 
 
 def test_world(lit, tmp_path):
