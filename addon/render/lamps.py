@@ -7,6 +7,7 @@ import numpy as np
 
 from ..compat import matrix_to_numpy, rec709_to_scene, world_nodes
 from ..splats.objects import is_proxy
+from ..srgb import decode
 from ..triangles import Triangles, triangles_of
 from . import relight
 from .color import world_light, world_of
@@ -21,6 +22,8 @@ _LARGEST_MAP = 1 << 21
 """Pixels of an environment texture above which the world's color is used."""
 _ROWS = 64
 """Rows to which an environment texture is reduced."""
+_SAMPLES = 4
+"""Samples of a texture of bytes along each side of a reduced pixel."""
 
 
 def scene_light(depsgraph: bpy.types.Depsgraph) -> SceneLight:
@@ -64,15 +67,18 @@ def _casters(meshes: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> 
 
 @bpy.app.handlers.persistent
 def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """Forget copies of changed meshes."""
-    for update in () if depsgraph is None or not _copies else depsgraph.updates:
+    """Forget copies of changed meshes, and the light of changed worlds."""
+    for update in () if depsgraph is None or not (_copies or _known) else depsgraph.updates:
         if update.is_updated_geometry and isinstance(update.id, bpy.types.Object):
             _copies.pop(update.id.original.session_uid, None)
+        elif isinstance(update.id, bpy.types.World):  # changed images tag it
+            _known.clear()
 
 
 @bpy.app.handlers.persistent
 def _forget(*_: object) -> None:
     _copies.clear()
+    _known.clear()
 
 
 HANDLERS = {
@@ -143,17 +149,24 @@ _known: dict[tuple[int, int, int], np.ndarray] = {}
 
 def _of_image(image: bpy.types.Image) -> np.ndarray:
     key = image.original.session_uid, *image.size
-    if key not in _known:
+    found = _known.get(key)
+    if found is None:
         width, height = image.size
         pixels = np.empty(width * height * image.channels, np.float32)
         image.original.pixels.foreach_get(pixels)
+        pixels = pixels.reshape(height, width, -1)
         step = max(height // _ROWS, 1)
-        rows, columns = height // step * step, width // step * step
-        light = pixels.reshape(height, width, -1)[:rows, :columns, :3]
-        light = light.reshape(rows // step, step, columns // step, step, 3).mean((1, 3))
-        size = light.shape[:2]
-        _known.clear()
-        _known[key] = relight.world_of_map(
+        if not image.is_float and image.colorspace_settings.name == "sRGB":
+            some = max(step // _SAMPLES, 1)  # bytes have no lamps that could be missed
+            pixels, step = decode(pixels[::some, ::some]), max(step // some, 1)
+        rows, columns = (size // step for size in pixels.shape[:2])
+        light = pixels[: rows * step].reshape(rows, step, -1).mean(1)  # first, as it is fast
+        light = light.reshape(rows, -1, image.channels)[:, : columns * step]
+        light = light.reshape(rows, columns, step, -1).mean(2)[..., :3]
+        size = rows, columns
+        found = relight.world_of_map(
             light, relight.map_directions(*size), relight.map_solid_angles(*size)
         )
-    return _known[key]
+        _known.clear()
+        _known[key] = found
+    return found

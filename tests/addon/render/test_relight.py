@@ -160,6 +160,31 @@ def test_world(lit, tmp_path):
     np.testing.assert_allclose(got, wanted, rtol=0.05)
 
 
+def test_pictures_of_worlds(lit, tmp_path):
+    """An sRGB picture of bytes, and the same image after another file was loaded into it."""
+    lit.render.film_transparent = True
+    image = bpy.data.images.new("sky", 600, 300)
+    pixels = np.ones((300, 600, 4), np.float32)
+    pixels[150:, :, :3] = (0.3, 0.5, 0.7)
+    pixels[:150, :, :3] = 0.1
+    image.pixels.foreach_set(pixels.ravel())
+    for name, gain in (("dark.png", 0.5), ("light.png", 1.0)):
+        image.pixels.foreach_set((pixels * gain).ravel())
+        image.filepath_raw, image.file_format = str(tmp_path / name), "PNG"
+        image.save()
+    image = bpy.data.images.load(str(tmp_path / "dark.png"))
+    tree = compat.world_nodes(lit.world)
+    node = tree.nodes.new("ShaderNodeTexEnvironment")
+    node.image = image
+    tree.links.new(node.outputs[0], tree.nodes["Background"].inputs[0])
+    lab.render_exr(tmp_path, "dark")
+    image.filepath = str(tmp_path / "light.png")
+    image.reload()
+    got = lab.render_exr(tmp_path, "light")[16:24, 16:24, :3].mean((0, 1))
+    wanted = by_cycles(lit, tmp_path)[16:24, 16:24].mean((0, 1))
+    np.testing.assert_allclose(got, wanted, rtol=0.05)
+
+
 def test_off_is_the_captured_look(lit, tmp_path):
     """Oracle: the same bits as without attributes, whatever the lamps; and half way between."""
     lamp(lit, "SUN")
