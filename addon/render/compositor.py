@@ -4,7 +4,7 @@ import bpy
 
 from .. import compat
 from ..interface import editable_check
-from ..splats.objects import is_relit, is_splats
+from ..splats.objects import is_proxy, is_relit, is_splats
 from . import shadow_scene
 from .composite_nodes import Others, combine_node, insert, remove, show_passes
 from .compositing_scene import MAIN_SCENE, SPLAT_SCENE, helper
@@ -215,11 +215,12 @@ def _follow_layer(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
 
 
 def _link(scene: bpy.types.Scene, other: bpy.types.Scene) -> None:
-    """Link the splats, the holdout meshes, which hide splats behind them, and lamps of relit splats
-    to the splats' scene."""
+    """Link the splats, the holdout meshes, which hide splats behind them, and lamps and proxies of
+    relit splats to the splats' scene."""
     splats = [*filter(is_splats, scene.objects)]
-    lamps = [ob for ob in scene.objects if ob.type == "LIGHT"]
-    wanted = [*splats, *holdouts_of(scene), *(lamps if any(map(is_relit, splats)) else ())]
+    lighting = [ob for ob in scene.objects if ob.type == "LIGHT" or is_proxy(ob)]
+    wanted = [*splats, *holdouts_of(scene), *(lighting if any(map(is_relit, splats)) else ())]
+    wanted = list(dict.fromkeys(wanted))
     for ob in [o for o in other.collection.objects if o not in wanted]:
         other.collection.objects.unlink(ob)
     for ob in wanted:

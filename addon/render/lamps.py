@@ -11,7 +11,7 @@ from ..srgb import decode
 from ..triangles import Triangles, triangles_of
 from . import relight
 from .color import world_light, world_of
-from .compositing_scene import main_scene
+from .compositing_scene import is_rendered, main_scene
 from .instances import may_hold_out
 from .relight import POINT, SUN, Lamp, SceneLight
 from .shadow_maps import Casters
@@ -27,16 +27,22 @@ _SAMPLES = 4
 
 
 def scene_light(depsgraph: bpy.types.Depsgraph) -> SceneLight:
-    """The visible lamps and meshes of a depsgraph, and its world; that of the main scene in a
-    splat-only one."""
+    """The visible lamps and meshes of a depsgraph, and its world.
+
+    In a splat-only scene, those lamps that the main scene shows, its world, and its proxies: the
+    shadow scene has the shadows of other meshes, but not of proxies on each other.
+    """
     lamps: list[Lamp] = []
     meshes: list[bpy.types.Object] = []
+    main = main_scene(depsgraph.scene)
+    top = None if main is None else main.view_layers[0].layer_collection
     for ob in depsgraph.objects:
+        if top is not None and not is_rendered(ob.original, top):
+            continue
         if ob.type == "LIGHT":
             lamps += _lamps_of(ob)
         elif may_hold_out(ob) and ob.visible_shadow and not ob.is_shadow_catcher:
-            meshes.append(ob)
-    main = main_scene(depsgraph.scene)
+            meshes += [ob] if main is None or is_proxy(ob) else []
     world = world_of(depsgraph.scene, depsgraph.view_layer) if main is None else main.world
     casters = _casters(meshes, depsgraph) if lamps else Casters()
     return SceneLight(lamps=tuple(lamps), world=_world(world), casters=casters)

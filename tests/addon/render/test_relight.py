@@ -52,6 +52,14 @@ def lit(scene):
     return scene
 
 
+def grid(z: float) -> bpy.types.Object:
+    """A fine mesh of the wall."""
+    bpy.ops.mesh.primitive_grid_add(
+        x_subdivisions=150, y_subdivisions=150, size=5, location=(0, 0, z)
+    )
+    return bpy.context.object
+
+
 def by_cycles(scene: bpy.types.Scene, folder) -> np.ndarray:
     """The picture of a plane with the splats' color as albedo."""
     bpy.ops.mesh.primitive_plane_add(size=5)
@@ -97,10 +105,7 @@ def test_shadows_of_meshes(lit, tmp_path, kind):
         bpy.context.object.visible_camera = False
         lit.cycles.max_bounces = 0
     (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
-    bpy.ops.mesh.primitive_grid_add(
-        x_subdivisions=150, y_subdivisions=150, size=5, location=(0, 0, -0.01)
-    )
-    proxy = bpy.context.object
+    proxy = grid(-0.01)
     attach(lit, ob, proxy)
     got = lab.render_exr(tmp_path, "ours")[..., :3]
     cube.visible_shadow = False
@@ -345,6 +350,41 @@ def test_composites_have_the_light_of_the_main_scene(lit, tmp_path):
     wanted = lab.render_exr(tmp_path, "engine")[middle]
     assert wanted.max() > 0.1
     np.testing.assert_allclose(got, wanted, atol=5e-3)
+
+
+def test_shadows_in_composites(lit, tmp_path):
+    """Of parts of a proxy on others: the engine's picture; of a held-out cube: once, as of one that
+    is not; a lamp in a collection that is excluded is dark."""
+    (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
+    lamp(lit, "SUN").data.angle = 0
+    aside = bpy.data.collections.new("aside")
+    lit.collection.children.link(aside)
+    excluded = bpy.data.objects.new("excluded", bpy.data.lights.new("excluded", "SUN"))
+    aside.objects.link(excluded)
+    bpy.context.view_layer.layer_collection.children["aside"].exclude = True
+    compat.world_nodes(lit.world).nodes["Background"].inputs[0].default_value = (0.2, 0.2, 0.2, 1)
+    proxy = grid(-0.01)
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(-0.9, 0.3, 0.6))
+    proxy.select_set(True)
+    bpy.context.view_layer.objects.active = proxy
+    bpy.ops.object.join()
+    attach(lit, ob, proxy)
+    wanted = lab.render_exr(tmp_path, "engine")[..., 0]
+    assert (wanted < 0.5 * np.median(wanted)).sum() > 20
+    lit.render.engine, lit.cycles.samples = "CYCLES", 16
+    compositor.set_up(lit)
+    got = lab.render_exr(tmp_path, "composite")[..., 0]
+    assert np.median(np.abs(got - wanted)) < 0.005
+    assert (np.abs(got - wanted) > 0.05).mean() < 0.01
+    bpy.ops.mesh.primitive_cube_add(size=0.4, location=(0.4, -0.3, 0.5))
+    cube = bpy.context.object
+    found = []
+    for cube.is_holdout in (False, True):
+        compositor.set_up(lit)
+        found.append(lab.render_exr(tmp_path, f"cube{cube.is_holdout}")[..., 0])
+    dark = (found[0] < 0.8 * got) & (found[1] > 0)
+    assert dark.sum() > 20
+    assert np.median(np.abs(found[1] - found[0])[dark]) < 0.02
 
 
 def test_many_lamps_and_none(lit, tmp_path):
