@@ -251,7 +251,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         )
         shutter_lens = ShutterLens(depsgraph, camera, size, final_cache, self.frame_set, eye)
         still = shutter_lens.view()
-        if requested.vector and len({owner for owner, _ in still.model.owners} - {None}) > 1:
+        owners = {owner for owner, _ in still.model.owners} - {None}
+        if requested.vector and len(owners) > 1:
             pass_renderer = replace(pass_renderer, mattes=True)
         self.update_progress(0.1)
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
@@ -273,7 +274,8 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             places = position_pass(depth, still.camera, window)
             if requested.vector:
                 frames, known = shutter_lens.neighbours(), depth < NOTHING
-                passes["Vector"] = vector_pass(places, known, frames, shot.covered)
+                covered = shot.covered or dict.fromkeys(owners, known)
+                passes["Vector"] = vector_pass(places, known, frames, covered)
             if requested.position:
                 passes["Position"] = places
         mattes, stamps = requested.mattes_of(shot.covered, passes["Combined"].shape[:2], layer.name)

@@ -70,7 +70,7 @@ def vector_pass(
         world: World positions [H, W, 3], the bottom row first, as the pass Position.
         known: Where there are splats [H, W].
         frames: The previous frame, the frame itself, and the next.
-        covered: Coverage of each pixel by each object [H, W]; empty: there is one object.
+        covered: Coverage of each pixel by each object [H, W].
 
     Returns:
         [H, W, 4] float32, pixels, the y axis up, the bottom row first.
@@ -79,7 +79,7 @@ def vector_pass(
     out = np.zeros((*known.shape, 4), np.float32)
     if any(isinstance(one.camera, Panorama) for one in frames):
         return out
-    shown = _shown(covered, now, known)
+    shown = _shown(covered)
     here = _pixels(now, now, world, shown)
     out[..., :2] = _pixels(now, before, world, shown) - here
     out[..., 2:] = here - _pixels(now, after, world, shown)
@@ -87,15 +87,12 @@ def vector_pass(
     return out
 
 
-def _shown(
-    covered: Mapping[Identity, np.ndarray], now: Placement, known: np.ndarray
-) -> dict[Identity, np.ndarray]:
+def _shown(covered: Mapping[Identity, np.ndarray]) -> dict[Identity, np.ndarray]:
     """The pixels [H, W] bool that each object covers most."""
-    if not covered:
-        return dict.fromkeys(now.matrices, known)
-    owners = list(covered)
+    if not covered:  # there are only holdouts
+        return {}
     most = np.argmax(np.stack(list(covered.values())), axis=0)
-    return {owner: most == number for number, owner in enumerate(owners)}
+    return {owner: most == number for number, owner in enumerate(covered)}
 
 
 def _pixels(

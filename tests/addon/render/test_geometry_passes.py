@@ -128,6 +128,22 @@ def test_motion_is_that_of_a_plane(tilted, tmp_path, kind):
     assert difference.max() < 0.3
 
 
+def test_a_moving_holdout_moves_nothing(tilted, tmp_path):
+    """The motion of what it cuts is that of the splats."""
+    scene, ob, _, _ = tilted
+    scene.view_layers[0].use_pass_vector = True
+    lab.moving(ob, 0.1)
+    scene.frame_set(5)
+    wanted = four(scene, tmp_path, "Vector")
+    cutter = lab.add(scene, lab.wall(0.0, (0.2, 0.9, 0.2), half=0.2), "cutter")
+    cutter.location, cutter.is_holdout = (0.9, 0, 1), True
+    lab.moving(cutter, -0.3)
+    part = slice(70, 90), slice(90, 110)
+    found = four(scene, tmp_path, "Vector")[part]
+    np.testing.assert_allclose(found, wanted[part], atol=0.01)
+    assert np.abs(found).max() > 1
+
+
 def test_all_passes_in_one_file(tilted, tmp_path):
     """A multilayer EXR has all passes, with the values of the compositor."""
     scene, _, _, _ = tilted
