@@ -28,6 +28,7 @@ from .replay import (
     record_filters,
     record_grade,
     shift_of,
+    store,
     volume_of,
 )
 
@@ -313,7 +314,10 @@ class ReplayEdits(Editing, bpy.types.Operator):
         """Erase and grade in the order of the edits."""
         ob, other = guard.there(), _earlier(context)
         guard.check_only_points()
-        edits, text, name = edits_of(other), other[KEY], other.name
+        name, own = other.name, [] if ob == other else edits_of(ob)
+        edits = _due(edits_of(other), own)
+        if not edits:
+            raise ValueError(f"The edits of {name} have been replayed on {guard.name} already.")
         shifts = [shift_of(ob, one) for one in edits]
         table = yield from ChunkedRead(ob).table()
         columns = {column.name: column.values for column in table}
@@ -337,9 +341,20 @@ class ReplayEdits(Editing, bpy.types.Operator):
         if not len(rows):
             raise ValueError(f"The edits of {name} would erase all splats of {guard.name}.")
         ob = yield from separate_join.kept(guard, table, rows)
-        ob[KEY] = text
+        store(ob, [*own, *edits])
         ob.pop(DUE, None)
         return f"Replayed {len(edits)} edits of {name}: {before - len(rows):,} splats erased."
+
+
+def _due(edits: list[dict[str, Any]], done: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The edits that are not among those done."""
+    left, due = list(done), []
+    for one in edits:
+        if one in left:
+            left.remove(one)
+        else:
+            due.append(one)
+    return due
 
 
 def _tuple(value: Any) -> Any:

@@ -92,6 +92,11 @@ def edits_of(ob: bpy.types.Object) -> list[dict[str, Any]]:
     return found if isinstance(found, list) else []
 
 
+def store(ob: bpy.types.Object, edits: list[dict[str, Any]]) -> None:
+    """Record edits on an object in place of those before."""
+    ob[KEY] = json.dumps(edits)
+
+
 def note_replaced(ob: bpy.types.Object) -> None:
     """Note that a training has replaced the splats of an object, and so undone its edits."""
     if KEY in ob:
@@ -103,7 +108,7 @@ def _record(ob: bpy.types.Object, edit: dict[str, Any]) -> None:
         return
     origin = origin_of(ob)
     edit["origin"] = None if origin is None else origin.tolist()
-    ob[KEY] = json.dumps([*edits_of(ob), edit])
+    store(ob, [*edits_of(ob), edit])
 
 
 def record_filters(ob: bpy.types.Object, limits: Filters) -> None:
@@ -133,7 +138,7 @@ def forget_erased(ob: bpy.types.Object, means: np.ndarray) -> None:
             kept = Volume(side=volume.side, keys=np.setdiff1d(volume.keys, again))
             edit["erased"] = kept.stored()
     if edits and editable_check.keeps(ob):
-        ob[KEY] = json.dumps(edits)
+        store(ob, edits)
 
 
 def shift_of(ob: bpy.types.Object, edit: dict[str, Any]) -> np.ndarray:

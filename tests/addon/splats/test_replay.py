@@ -80,6 +80,30 @@ def test_erased_and_graded_volumes_stay(pair) -> None:
     assert len(replay.edits_of(new)) == 2
 
 
+def test_replayed_once_and_beside_own_edits(pair) -> None:
+    """The new splats keep the record of their own edits; the same edits do nothing again; a later
+    one of the first splats is replayed alone."""
+    old, new = pair
+    activate(new, positions(new)[:, 0] > 1)
+    assert bpy.ops.gscore.erase_splats() == {"FINISHED"}
+    activate(old)
+    assert bpy.ops.gscore.grade_splats(gain=(0.5, 0.5, 0.5)) == {"FINISHED"}
+    activate(new)
+    assert bpy.ops.gscore.replay_edits() == {"FINISHED"}
+    assert ["erased" in one for one in replay.edits_of(new)] == [True, False]
+    before = attributes.column(new.data, attributes.BASE)
+    old.select_set(True)
+    assert "already" in lab.error_of(bpy.ops.gscore.replay_edits)
+    activate(old)
+    assert bpy.ops.gscore.grade_splats(gain=(1, 1, 0.5)) == {"FINISHED"}
+    activate(new)
+    old.select_set(True)
+    assert bpy.ops.gscore.replay_edits() == {"FINISHED"}
+    wanted = graded(before, Grade(gain=(1, 1, 0.5)))
+    np.testing.assert_array_equal(attributes.column(new.data, attributes.BASE), wanted)
+    assert len(replay.edits_of(new)) == 3
+
+
 def test_deleted_by_filters(pair, tmp_path) -> None:
     """A crop, by its place in the capture, though the box has moved since; through a saved file."""
     old, new = pair
