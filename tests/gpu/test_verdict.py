@@ -11,7 +11,7 @@ from gscore.raster.gpu import verdict as module
 from gscore.raster.gpu import verification
 from gscore.raster.gpu.devices import Device, find_devices
 from gscore.raster.gpu.verdict import DeviceVerdict, keep_verdict, read_verdict, verdict_key
-from gscore.raster.gpu.verification import verified
+from gscore.raster.gpu.verification import distrust, verified
 from tests.gpu.drivers import ROOT
 from tests.gpu.fake_gpu import card
 
@@ -174,6 +174,16 @@ def test_injected_faults_are_for_one_process(
     assert not verified(device, again=True).passed and "rgb differs" in device.reason
     other_process()
     assert device.verdict == PASSED
+
+
+def test_wrong_results_end_a_verdict(child, other_process) -> None:
+    """Oracle: the device failed in this process, and is tested again in a later one."""
+    device = child("passes")
+    keep_verdict(device.key, PASSED)
+    distrust(device, "It is wrong.")
+    assert verified(device).problems == ("It is wrong.",)
+    other_process()
+    assert device.verdict is None
 
 
 def test_a_python_is_found_in_a_program_without_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -61,7 +61,7 @@ class StepQueue:
         self._engine = engine
         self._unread: deque[tuple[int, list[RequestedStep], StepStart | None]] = deque()
         self._slopes: deque[Slopes] = deque()
-        """Those that were not used, and used ones that `rewind` may need."""
+        """Those that were not used, and those that are used again after `clear`."""
         self.used = 0
         """Last step whose slopes were used."""
 
