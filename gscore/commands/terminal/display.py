@@ -274,6 +274,8 @@ def eval_text(event: Eval) -> str:
 def estimate_text(event: Estimated) -> str:
     """Expected time and memory of a training, as text."""
     text = f"About {time_text(max(round(event.seconds), 1))} of training"
+    if event.device_bytes:
+        text += " (estimated: no device of this kind was measured)"
     if event.reading_seconds > max(1.0, 0.1 * event.seconds):
         text += f" after {time_text(round(event.reading_seconds))} of reading"
     text += f" and {event.peak_bytes / 1e9:.1f} GB of memory"

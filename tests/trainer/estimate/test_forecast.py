@@ -63,6 +63,8 @@ def test_reading_counts_by_points_and_stored_pixels() -> None:
     assert estimate_text(event).startswith("About 1 s of training after 40 s of reading and 1.0 GB")
     plain = replace(event, reading_seconds=few.reading_seconds)
     assert estimate_text(plain).startswith("About 1 s of training and 1.0 GB")
+    card = replace(plain, device_bytes=GB)
+    assert "(estimated: no device of this kind was measured) and 1.0 GB" in estimate_text(card)
 
 
 def test_formats_that_decode_slowly_count_more(tmp_path: Path) -> None:
