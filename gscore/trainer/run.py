@@ -151,6 +151,9 @@ def _train(
                     data, config = on_card
                     how = {"resume": resume, "start_checkpoint": start_checkpoint}
                     run_start = RunStart(folder, config, data, **how)
+                    if run_start.ended is not None:
+                        emit(run_start.ended.event())
+                        return run_start.ended
             else:
                 _check_cpu(run_start.config.device)
             found = prepare(

@@ -97,11 +97,14 @@ def test_options_of_a_card_are_used_where_one_trains(
 def test_a_resumed_run_keeps_the_options_of_a_card_that_fails(
     as_card, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Oracle: the config of the events, on the card and on the CPU that takes over."""
+    """Oracle: the config of the events, on the card and on the CPU that takes over; a run without
+    steps left is complete."""
     monkeypatch.setattr(Device, "is_software", False)
     as_card(lambda *_, **__: 1e-6)
     photos, more = DataConfig(source=capture, max_width=20), replace(CONFIG, iterations=6)
-    _train(capture, tmp_path, on_card=(photos, replace(CONFIG, iterations=3)))
+    first = photos, replace(CONFIG, iterations=3)
+    assert not _train(capture, tmp_path, on_card=first)[0].ended_before
+    assert _train(capture, tmp_path, on_card=first, resume=True)[0].ended_before
     monkeypatch.setenv("GSCORE_GPU_FAULT", "lost:s2")
     done, events = _train(capture, tmp_path, on_card=(photos, more), resume=True)
     started = [one for one in events if isinstance(one, Started)]
