@@ -151,15 +151,14 @@ def _floats(rows: bpy.types.bpy_prop_collection, key: str, width: int) -> np.nda
 
 
 def _fit(proxy: bpy.types.Object, near: _Near, mark: str) -> int:
-    """Cut and color the mesh of a proxy; returns the number of removed triangles."""
+    """Cut and color the mesh of a proxy; returns the number of removed faces."""
     mesh = proxy.data
     before = _floats(mesh.attributes[_DISTANCE].data, "value", 1)
     shift = near.colors - _floats(mesh.attributes[_SHADE].data, "vector", 3)
     places = _floats(mesh.vertices, "co", 3)
-    corners = np.empty(len(mesh.loops), np.int32)
-    mesh.loops.foreach_get("vertex_index", corners)
-    faces = corners.reshape(-1, 3)
-    edges = np.linalg.norm(places[faces[:, 0]] - places[faces[:, 1]], axis=1)
+    ends = np.empty(2 * len(mesh.edges), np.int32)
+    mesh.edges.foreach_get("vertices", ends)
+    edges = np.linalg.norm(places[ends[::2]] - places[ends[1::2]], axis=1)
     gone = near.distances > _FARTHER * before + float(np.median(edges))
     if (colors := mesh.color_attributes.get(COLOR)) is not None:
         rgba = np.empty(4 * len(places), np.float32)
@@ -168,11 +167,11 @@ def _fit(proxy: bpy.types.Object, near: _Near, mark: str) -> int:
         rgba[:, :3] += np.where(gone[:, None], 0, shift)
         colors.data.foreach_set("color_srgb", np.clip(rgba, 0, 1).ravel())
     _store(proxy, _Near(np.where(gone, before, near.distances), near.colors), mark)
-    cut = int(gone[faces].any(axis=1).sum())
-    if cut:
+    faces = len(mesh.polygons)
+    if gone.any():
         _remove(mesh, gone)
     mesh.update()
-    return cut
+    return faces - len(mesh.polygons)
 
 
 def _remove(mesh: bpy.types.Mesh, gone: np.ndarray) -> None:
@@ -217,4 +216,4 @@ class UpdateProxy(IncrementalOperator, bpy.types.Operator):
         if proxy.data.users > 1:  # copies of splats share the mesh of their proxies
             proxy.data = proxy.data.copy()
         cut = _fit(proxy, near, mark)
-        return f"Removed {cut:,} of the triangles of {proxy.name}."
+        return f"Removed {cut:,} of the faces of {proxy.name}."

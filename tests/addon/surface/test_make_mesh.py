@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
@@ -256,3 +257,26 @@ def test_a_proxy_follows_edits(result: bpy.types.Object, tmp_path: Path) -> None
     after = np.array([one.color_srgb[:3] for one in colors.data])
     np.testing.assert_allclose(after[1:], before[1:3], atol=1 / 255)
     np.testing.assert_allclose(after[0], np.clip(before[0] - [0, 0, 0.1], 0, 1), atol=1 / 255)
+
+
+def test_an_edited_proxy_is_updated(result: bpy.types.Object, tmp_path: Path) -> None:
+    """Faces need not be triangles: two were joined by hand."""
+    result.location, result.rotation_euler = (0, 0, 0), (0, 0, 0)
+    means = SURFACE.vertices.repeat(10, 0).astype(np.float32)
+    made = replace(splats(40), means=means, opacities=np.full(40, 5, np.float32))
+    objects.refresh(result, made)
+    proxy = made_proxy(result, tmp_path)
+    shape = bmesh.new()
+    shape.from_mesh(proxy.data)
+    bmesh.ops.join_triangles(
+        shape, faces=shape.faces, angle_face_threshold=3.2, angle_shape_threshold=3.2
+    )
+    shape.to_mesh(proxy.data)
+    shape.free()
+    faces = len(proxy.data.polygons)
+    assert faces < 4
+    objects.refresh(result, made.subset(np.arange(40) < 30))
+    bpy.context.view_layer.update()
+    assert bpy.ops.gscore.update_proxy() == {"FINISHED"}
+    assert len(proxy.data.vertices) == 3
+    assert len(proxy.data.polygons) < faces
