@@ -134,7 +134,7 @@ def exporting(
 
 def proxy_path(path: Path) -> Path:
     """The file of the proxies of a splat file."""
-    return path.with_name(f"{path.name.partition('.')[0]}.proxy.ply")
+    return path.with_name(f"{path.stem}.proxy.ply")
 
 
 def _surfaces(obs: Sequence[bpy.types.Object], parts: list[_Part]) -> list[SurfaceMesh]:

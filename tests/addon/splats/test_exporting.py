@@ -192,3 +192,7 @@ def test_proxies_are_written_beside(obs: list[bpy.types.Object], tmp_path: Path)
     np.testing.assert_allclose(written.vertices[3:], 2 * (corners + 1) + [5, 0, 0], atol=1e-6)
     np.testing.assert_array_equal(written.triangles, [[0, 1, 2], [3, 4, 5]])
     np.testing.assert_allclose(written.colors, [[0.2, 0.4, 0.6]] * 6, atol=1 / 255)
+    run_blocking(exporting.exporting(obs, tmp_path / "a.proxy.ply", **export))
+    assert len(read_surface(tmp_path / "a.proxy.proxy.ply").vertices) == 6
+    run_blocking(exporting.exporting(obs, tmp_path / "a.v2.ply", **export))
+    assert (tmp_path / "a.v2.proxy.ply").exists()
