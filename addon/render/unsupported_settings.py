@@ -126,7 +126,7 @@ def _by_others(shown: Shown, *, catchers: bool) -> list[str]:
         for ob in shown.layer.objects
         if ob.type in _DRAWN_BY_OTHERS and not ob.hide_render and "gs_kind" not in ob
         if not is_native(ob) and not (may_hide(ob) and is_holdout(shown.layer, ob))
-        if ob.is_shadow_catcher == catchers
+        if ob.is_shadow_catcher == catchers and ob.visible_camera
     ]
 
 
@@ -208,7 +208,7 @@ CHECKS = (
     ),
     Check(lag.JOINED, _with_problem(lag.JOINED)),
     Check(
-        "Shadow Catcher of {} has no effect: splats receive no shadows.",
+        "Shadow Catcher of {} has no effect: proxies of splats catch shadows.",
         lambda s: ", ".join(ob.name for ob in s.splats if ob.is_shadow_catcher),
     ),
     Check(

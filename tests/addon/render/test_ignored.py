@@ -141,6 +141,19 @@ def test_ignored_settings_are_reported(
     assert sentence.replace(" ", "") in drawn()
 
 
+def test_objects_that_no_camera_sees_are_not_named(
+    scene: bpy.types.Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Such as proxies."""
+    lab.prepare(scene)
+    lab.add(scene, lab.blob())
+    others(scene)
+    for ob in scene.objects:
+        ob.visible_camera = "gs_kind" in ob
+    lab.render_exr(tmp_path)
+    assert unsupported_settings.without_effect(shown()) == reported(capfd) == []
+
+
 def test_faceless_holdouts_are_named(
     scene: bpy.types.Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
