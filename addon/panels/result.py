@@ -16,7 +16,7 @@ from ..histograms.histogram_cache import ICONS
 from ..interface.base_operator import Condition
 from ..interface.option_labels import error_text
 from ..live import draw_handler
-from ..render.color import world_light
+from ..render.lamps import light_of_world
 from ..splats import edit, lag, live_display, operators
 from ..splats.mend_operators import outdated
 from ..splats.objects import (
@@ -274,7 +274,7 @@ class LightPanel(TabPanel, bpy.types.Panel):
         column.active = bool(attributes.light_names(ob.data))
         column.prop(ob.gscore, "light", slider=True)
         lamps = any(one.type == "LIGHT" for one in context.scene.objects)
-        if is_relit(ob) and not lamps and not world_light(context.scene.world)[0].any():
+        if is_relit(ob) and not lamps and not light_of_world(context.scene.world).any():
             text = "The scene has no lamp and a black world, so relit splats are black."
             sentence(layout, text, icon="INFO")
 

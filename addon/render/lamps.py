@@ -45,7 +45,7 @@ def scene_light(depsgraph: bpy.types.Depsgraph) -> SceneLight:
             meshes += [ob] if main is None or is_proxy(ob) else []
     world = world_of(depsgraph.scene, depsgraph.view_layer) if main is None else main.world
     casters = _casters(meshes, depsgraph) if lamps else Casters()
-    return SceneLight(lamps=tuple(lamps), world=_world(world), casters=casters)
+    return SceneLight(lamps=tuple(lamps), world=light_of_world(world), casters=casters)
 
 
 _copies: dict[int, tuple[bytes, Triangles]] = {}
@@ -134,7 +134,7 @@ def _lamps_of(ob: bpy.types.Object) -> list[Lamp]:
     return [Lamp(strength=strength, place=place, radius=radius, **common)]
 
 
-def _world(world: bpy.types.World | None) -> np.ndarray:
+def light_of_world(world: bpy.types.World | None) -> np.ndarray:
     """`SceneLight.world`: of the first environment texture if the world has one, else its color."""
     tree = None if world is None else world_nodes(world)
     nodes = () if tree is None else tree.nodes

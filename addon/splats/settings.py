@@ -155,8 +155,8 @@ class SplatSettings(bpy.types.PropertyGroup):
     )
     light: bpy.props.FloatProperty(
         name="Light",
-        description="Light on the splats: 0, that of the photos; 1, the scene's lamps and world, "
-        "without shadows. Relight Splats prepares it",
+        description="Light on the splats: 0, that of the photos; 1, the scene's lamps and world. "
+        "Relight Splats prepares it",
         default=0.0,
         min=0.0,
         max=1.0,

@@ -393,6 +393,12 @@ def test_many_lamps_and_none(lit, tmp_path):
     (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
     bpy.context.view_layer.objects.active = ob
     assert "no lamp" in drawn(LightPanel)
+    tree = compat.world_nodes(lit.world)
+    node = tree.nodes.new("ShaderNodeTexEnvironment")
+    node.image = bpy.data.images.new("sky", 8, 4, float_buffer=True)
+    node.image.pixels.foreach_set(np.ones(128, np.float32))
+    assert "no lamp" not in drawn(LightPanel)
+    tree.nodes.remove(node)
     assert lab.render_exr(tmp_path, "none")[..., :3].max() < 1e-3
     bpy.ops.mesh.primitive_cube_add(size=0.2, location=(0.5, 0.5, 0.5))
     bpy.context.view_layer.objects.active = ob
