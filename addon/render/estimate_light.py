@@ -15,7 +15,7 @@ from ..core import sh0_to_rgb
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats.edit_guard import EditGuard
 from ..splats.edit_operators import Editing
-from ..splats.objects import proxy_of
+from ..splats.objects import moved, proxy_of
 from ..splats.read_chunked import read_chunked
 from ..srgb import decode
 from . import relight
@@ -57,6 +57,7 @@ class RelightSplats(Editing, bpy.types.Operator):
         """Estimate in a thread, then store."""
         ob = guard.there()
         matrix, root, proxy = matrix_to_numpy(ob.matrix_world), root_of(ob), proxy_of(ob)
+        moved(attributes.NO_SPLATS, matrix, ob.name)  # raises unless it is a similarity
         cameras = [] if root is None else cameras_of(root)
         eyes = np.array([c.matrix_world.translation for c in cameras]).reshape(-1, 3)
         inverse = np.linalg.inv(matrix)

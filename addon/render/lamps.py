@@ -64,7 +64,7 @@ def _casters(meshes: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> 
             sums = (zlib.crc32(np.ascontiguousarray(values)) for values in copy)
             copies[uid] = b"".join(one.to_bytes(4) for one in sums), copy
         checksum, triangles = copies[uid]
-        if len(triangles.triangles):
+        if len(triangles.triangles) and np.isfinite(triangles.vertices).all():
             matrix = matrix_to_numpy(ob.matrix_world)
             key.append(checksum + matrix.tobytes())
             found[is_proxy(ob)].append((triangles, matrix))
@@ -102,7 +102,10 @@ def _lamps_of(ob: bpy.types.Object) -> list[Lamp]:
     if getattr(data, "use_temperature", False):
         color *= np.array(data.temperature_color)
     color = np.linalg.solve(rec709_to_scene(), color)
-    axis = -matrix[:3, 2] / max(np.linalg.norm(matrix[:3, 2]), 1e-12)
+    length = np.linalg.norm(matrix[:3, 2])
+    if data.type != "POINT" and not length > 0:
+        return []  # a scale of 0: it shines nowhere
+    axis = -matrix[:3, 2] / max(length, 1e-12)
     place = tuple(matrix[:3, 3].tolist())
     common = {"axis": tuple(axis.tolist()), "source": place if data.use_shadow else None}
     if data.type == "SUN":

@@ -1,6 +1,8 @@
 """Lights of the scene on splats. Oracle, unless stated otherwise: Cycles' picture of a plane in
 place of the splats."""
 
+from functools import partial
+
 import bpy
 import numpy as np
 import pytest
@@ -385,6 +387,26 @@ def test_shadows_in_composites(lit, tmp_path):
     dark = (found[0] < 0.8 * got) & (found[1] > 0)
     assert dark.sum() > 20
     assert np.median(np.abs(found[1] - found[0])[dark]) < 0.02
+
+
+def test_bad_matrices_and_meshes(lit, tmp_path):
+    """Lamps of scale 0 and meshes with places that are no numbers change nothing; splats of scale
+    0, or of several scales, get a sentence."""
+    (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
+    lamp(lit, "POINT")
+    wanted = lab.render_exr(tmp_path, "before")
+    lamp(lit, "SUN").scale = (0, 0, 0)
+    mesh = bpy.data.meshes.new("broken")
+    mesh.from_pydata([(0, 0, 1), (1, 0, float("nan")), (0, 1, 1)], [], [(0, 1, 2)])
+    lit.collection.objects.link(bpy.data.objects.new("broken", mesh))
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "after"), wanted)
+    bpy.context.view_layer.objects.active = ob
+    for scale, words in (((0, 0, 0), "scale of 0"), ((1, 2, 1), "unevenly")):
+        ob.scale = scale
+        bpy.context.view_layer.update()
+        for captured in ("SURFACES", "SCENE"):
+            press = partial(bpy.ops.gscore.relight_splats, captured=captured)
+            assert words in lab.error_of(press)
 
 
 def test_many_lamps_and_none(lit, tmp_path):
