@@ -138,7 +138,7 @@ def main() -> None:
     python = os.environ["GSCORE_TRAINER_PYTHON"]
     if not (run / "point_cloud.ply").is_file():
         line = [python, "-m", "gscore", "train", str(capture), "-o", str(run)]
-        subprocess.run([*line, "--preset", "draft", "--no-eval"], check=False)
+        subprocess.run([*line, "--preset", "draft", "--no-eval"], check=True)
     if args.proxy and not (run / "surface.ply").is_file():
         line = [python, "-m", "gscore", "mesh", str(run), "-o", str(run / "surface.ply")]
         subprocess.run([*line, "--triangles", "50000"], check=True)
