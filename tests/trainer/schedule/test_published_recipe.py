@@ -66,6 +66,7 @@ ABSENT = {
     "drop_below": 0,
     "opaque_weight": 0,
     "alpha_weight": 0,
+    "surface_weight": 0,
     "finest": 0,
     "prune_share": 0,
     "free_space": 0,
