@@ -6,15 +6,15 @@ import bpy
 import numpy as np
 
 from ..compat import matrix_to_numpy, rec709_to_scene, world_nodes
-from ..splats.objects import is_proxy
+from ..splats.objects import is_proxy, is_splats
 from ..srgb import decode
 from ..triangles import Triangles, triangles_of
 from . import relight
 from .color import world_light, world_of
 from .compositing_scene import is_rendered, main_scene
-from .instances import may_hold_out
+from .instances import instances, may_hold_out
 from .relight import POINT, SUN, Lamp, SceneLight
-from .shadow_maps import Casters
+from .shadow_maps import Casters, ball_of
 
 _GRID = 2
 """Points of an area lamp along each side."""
@@ -36,15 +36,19 @@ def scene_light(depsgraph: bpy.types.Depsgraph) -> SceneLight:
     meshes: list[bpy.types.Object] = []
     main = main_scene(depsgraph.scene)
     top = None if main is None else main.view_layers[0].layer_collection
+    corners: list[np.ndarray] = []
     for ob in depsgraph.objects:
         if top is not None and not is_rendered(ob.original, top):
             continue
+        for splats, matrix, _ in instances(ob, depsgraph, is_splats):
+            box = np.array([tuple(corner) for corner in splats.original.bound_box])
+            corners.append(box @ matrix[:3, :3].T + matrix[:3, 3])
         if ob.type == "LIGHT":
             lamps += _lamps_of(ob)
         elif may_hold_out(ob) and ob.visible_shadow and not ob.is_shadow_catcher:
             meshes += [ob] if main is None or is_proxy(ob) else []
     world = world_of(depsgraph.scene, depsgraph.view_layer) if main is None else main.world
-    casters = _casters(meshes, depsgraph) if lamps else Casters()
+    casters = _casters(meshes, corners, depsgraph) if lamps else Casters()
     return SceneLight(lamps=tuple(lamps), world=light_of_world(world), casters=casters)
 
 
@@ -52,7 +56,9 @@ _copies: dict[int, tuple[bytes, Triangles]] = {}
 """Checksum and triangles of each mesh object of the viewport, by session uid."""
 
 
-def _casters(meshes: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> Casters:
+def _casters(
+    meshes: list[bpy.types.Object], corners: list[np.ndarray], depsgraph: bpy.types.Depsgraph
+) -> Casters:
     """Meshes that cast shadows. Renders copy them anew: no handler has their changes, and they run
     in a thread of their own."""
     copies = {} if depsgraph.mode == "RENDER" else _copies
@@ -68,7 +74,14 @@ def _casters(meshes: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> 
             matrix = matrix_to_numpy(ob.matrix_world)
             key.append(checksum + matrix.tobytes())
             found[is_proxy(ob)].append((triangles, matrix))
-    return Casters(key=b"".join(key), proxies=tuple(found[True]), meshes=tuple(found[False]))
+    ball = ball_of(np.concatenate(corners)) if corners else None
+    if ball is not None and np.isfinite(ball[1]):
+        key.append(np.append(*ball).tobytes())
+    else:
+        ball = None
+    return Casters(
+        key=b"".join(key), proxies=tuple(found[True]), meshes=tuple(found[False]), splats=ball
+    )
 
 
 @bpy.app.handlers.persistent

@@ -12,11 +12,11 @@ from ..triangles import Triangles, joined, repeated
 _SIZE = 1024
 """Pixels along a side of a map."""
 _OUTSIDE = 1.3
-"""Distance of a lamp from the middle of the meshes, in their radii, from which one map will do."""
+"""Distance of a lamp from the middle of `Casters.ball`, in its radii, for a single map."""
 _SLACK = 1.5
 """Distance by which proxies may be off the splats, in lengths of their edges."""
 _LEAST, _MOST = 0.002, 0.03
-"""Limits of that distance, in radii of all meshes."""
+"""Limits of that distance, in radii of `Casters.ball`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +30,8 @@ class Casters:
     but not exactly."""
     meshes: tuple[tuple[Triangles, np.ndarray], ...] = field(default=(), compare=False)
     """Other meshes."""
+    splats: tuple[np.ndarray, float] | None = field(default=None, compare=False)
+    """Center [3] and radius of a ball around all splats; None: it is not known."""
 
     @property
     def only_proxies(self) -> "Casters":
@@ -46,9 +48,10 @@ class Casters:
 
     @cached_property
     def ball(self) -> tuple[np.ndarray, float]:
-        """Center [3] and radius of a ball around them."""
-        low, high = self.mesh.vertices.min(0), self.mesh.vertices.max(0)
-        return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-9)
+        """Center [3] and radius of a ball around them, or the splats if that is smaller: maps of a
+        wide ground would miss the shadows of small things on it."""
+        own = ball_of(self.mesh.vertices)
+        return own if self.splats is None or self.splats[1] >= own[1] else self.splats
 
     @cached_property
     def slack(self) -> float:
@@ -112,6 +115,12 @@ class ShadowMaps:
         return found
 
 
+def ball_of(places: np.ndarray) -> tuple[np.ndarray, float]:
+    """Center [3] and radius of a ball around the box of places [N, 3], at least one."""
+    low, high = places.min(0), places.max(0)
+    return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-9)
+
+
 def shadow_maps(casters: Casters, place: np.ndarray, axis: np.ndarray | None) -> ShadowMaps:
     """Draw the meshes from a lamp.
 
@@ -123,7 +132,8 @@ def shadow_maps(casters: Casters, place: np.ndarray, axis: np.ndarray | None) ->
     center, radius = casters.ball
     if axis is not None:
         scale = _SIZE / (2.02 * radius)
-        views = [(_turned(axis, center - 2 * radius * axis), scale, True)]
+        ahead = max(2 * radius, radius - float(((casters.mesh.vertices - center) @ axis).min()))
+        views = [(_turned(axis, center - ahead * axis), scale, True)]
     else:
         away = center - place
         distance = float(np.linalg.norm(away))

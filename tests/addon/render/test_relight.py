@@ -125,6 +125,20 @@ def test_shadows_of_meshes(lit, tmp_path, kind):
     assert np.abs(got - without)[clear].mean() < 0.01 * without.max()
 
 
+@pytest.mark.parametrize("kind", ["SUN", "POINT"])
+def test_shadows_beside_a_wide_ground(lit, tmp_path, kind):
+    """Oracle: the picture without the ground, with a tower far up that casts no shadow here."""
+    lamp(lit, kind)
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.1, 0, 0.5))
+    wanted = lab.render_exr(tmp_path, "before")[..., 0]
+    dark = wanted < 0.1 * wanted.max()
+    assert dark.sum() > 20
+    bpy.ops.mesh.primitive_plane_add(size=400, location=(0, 0, -0.5))
+    bpy.ops.mesh.primitive_cube_add(size=20, location=(0, 60, 90))
+    found = lab.render_exr(tmp_path, "after")[..., 0] < 0.1 * wanted.max()
+    assert (dark & found).sum() / (dark | found).sum() > 0.8
+
+
 def test_playback_moves_shadows(lit):
     """Of a mesh that changes by shape keys."""
     lamp(lit, "SUN")
