@@ -93,8 +93,9 @@ def edits_of(ob: bpy.types.Object) -> list[dict[str, Any]]:
 
 
 def store(ob: bpy.types.Object, edits: list[dict[str, Any]]) -> None:
-    """Record edits on an object in place of those before."""
-    ob[KEY] = json.dumps(edits)
+    """Record edits on an object in place of those before, unless it is linked."""
+    if editable_check.keeps(ob):
+        ob[KEY] = json.dumps(edits)
 
 
 def note_replaced(ob: bpy.types.Object) -> None:
@@ -104,8 +105,6 @@ def note_replaced(ob: bpy.types.Object) -> None:
 
 
 def _record(ob: bpy.types.Object, edit: dict[str, Any]) -> None:
-    if not editable_check.keeps(ob):
-        return
     origin = origin_of(ob)
     edit["origin"] = None if origin is None else origin.tolist()
     store(ob, [*edits_of(ob), edit])
@@ -128,17 +127,30 @@ def record_grade(ob: bpy.types.Object, grade: dict[str, Any], volume: Volume | N
     _record(ob, {"grade": grade, "volume": None if volume is None else volume.stored()})
 
 
-def forget_erased(ob: bpy.types.Object, means: np.ndarray) -> None:
-    """Remove places [N, 3] in the space of an object from its recorded volumes of erased splats."""
-    edits = edits_of(ob)
-    for edit in edits:
+def sparing(
+    edits: list[dict[str, Any]], shifts: list[np.ndarray], means: np.ndarray, scales: np.ndarray
+) -> list[dict[str, Any]]:
+    """Recorded edits that no longer erase places where splats were restored; no bpy.
+
+    Args:
+        edits: The edits.
+        shifts: `shift_of` each.
+        means: Positions [N, 3] of the restored splats in the space of the object.
+        scales: Their standard deviations [N, 3].
+    """
+    out = []
+    for edit, shift in zip(edits, shifts, strict=True):
+        places = means + shift.astype(np.float32)
         if "erased" in edit:
-            volume, places = Volume.read(edit["erased"]), means + shift_of(ob, edit)
+            volume = Volume.read(edit["erased"])
             again = _packed(_numbers(places, volume.side))
             kept = Volume(side=volume.side, keys=np.setdiff1d(volume.keys, again))
-            edit["erased"] = kept.stored()
-    if edits and editable_check.keeps(ob):
-        store(ob, edits)
+            edit = {**edit, "erased": kept.stored()}
+        elif "filters" in edit:
+            volume = volume_of(places, np.ones(len(places), bool), scales)
+            edit = {**edit, "spared": [*edit.get("spared", []), volume.stored()]}
+        out.append(edit)
+    return out
 
 
 def shift_of(ob: bpy.types.Object, edit: dict[str, Any]) -> np.ndarray:
@@ -153,7 +165,10 @@ def keeps(edit: dict[str, Any], columns: dict[str, np.ndarray], shift: np.ndarra
     if "filters" in edit:
         stored = dict(edit["filters"])
         stored["crop"] = None if stored["crop"] is None else np.array(stored["crop"])
-        return filters.passing(moved, Filters(**stored))
+        kept = filters.passing(moved, Filters(**stored))
+        for volume in edit.get("spared", []):
+            kept |= Volume.read(volume).contains(moved["position"])
+        return kept
     if "erased" in edit:
         return ~Volume.read(edit["erased"]).contains(moved["position"])
     return np.ones(len(columns["position"]), bool)

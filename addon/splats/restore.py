@@ -1,5 +1,7 @@
 """Restore Splats: bring back splats of the training that were deleted."""
 
+from typing import Any
+
 import bpy
 import numpy as np
 
@@ -47,6 +49,14 @@ class RestoreSplats(Editing, bpy.types.Operator):
             where = "inside the crop" if limits.crop is not None else "of it"
             return f"No splats {where} are missing."
         ob = guard.there()
+        edits = replay.edits_of(ob)
+        shifts = [replay.shift_of(ob, one) for one in edits]
+
+        def sparing(check: Check) -> list[dict[str, Any]]:
+            return replay.sparing(edits, shifts, found.means, np.exp(found.scales))
+
+        edits = yield from run_in_thread(sparing, self.bl_label)
+        ob = guard.there()
         other = objects.create(found, f"{ob.name} restored", collection=ob.users_collection[0])
         other.parent, other.matrix_parent_inverse = ob.parent, ob.matrix_parent_inverse.copy()
         other.matrix_basis = ob.matrix_basis.copy()
@@ -60,7 +70,8 @@ class RestoreSplats(Editing, bpy.types.Operator):
             second.close()
             if (left := second.found()) is not None:
                 bpy.data.objects.remove(left)
-        replay.forget_erased(ob, found.means)
+        if edits:
+            replay.store(ob, edits)
         return f"Restored {len(found):,} splats; {ob.name} has {len(ob.data.vertices):,}."
 
 

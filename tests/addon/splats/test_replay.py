@@ -175,15 +175,50 @@ def test_a_training_into_the_same_object(pair) -> None:
     assert not bpy.ops.gscore.replay_edits.poll()
 
 
+def test_restored_splats_stay_through_filters(scene, tmp_path) -> None:
+    """What Delete Hidden Splats removed, and Restore brought back, is not removed again; splats
+    outside of it are."""
+    imported(tmp_path, two_walls(1))
+    ob = bpy.context.object
+    assert bpy.ops.gscore.add_crop_box() == {"FINISHED"}
+    box = ob.gscore.crop_object
+    box.location, box.scale = (-9, 0, 0), (9, 9, 9)
+    bpy.context.view_layer.update()
+    activate(ob)
+    assert bpy.ops.gscore.apply_filters() == {"FINISHED"}
+    box.location, box.scale = (0.75, 0, 0), (0.25, 9, 9)
+    ob.gscore.crop_object = box
+    bpy.context.view_layer.update()
+    assert bpy.ops.gscore.restore_splats() == {"FINISHED"}
+    assert positions(ob)[:, 0].max() > 0.9
+    new = lab.add(scene, two_walls(2), "new")
+    stored_paths.write(new, stored_paths.SOURCE, stored_paths.read(ob, stored_paths.SOURCE))
+    activate(new)
+    ob.select_set(True)
+    before = positions(new)[:, 0]
+    assert bpy.ops.gscore.replay_edits() == {"FINISHED"}
+    left = positions(new)[:, 0]
+    for low, high in ((-9, 0), (0.55, 0.95)):
+        inside = [((one > low) & (one < high)).sum() for one in (before, left)]
+        assert inside[0] == inside[1] > 0
+    assert not ((left > 0.1) & (left < 0.35)).any()
+
+
+def imported(folder: Path, splats: Splats) -> Path:
+    """Import splats of a run; returns its folder."""
+    run = folder / "run"
+    run.mkdir()
+    write_splats(run / "point_cloud.ply", splats)
+    (run / "config.json").write_text(config_json(*PRESETS["preview"](folder)))
+    assert bpy.ops.gscore.import_splats(filepath=str(run / "point_cloud.ply")) == {"FINISHED"}
+    return run
+
+
 def test_deleted_splats_are_restored(scene, tmp_path) -> None:
     """Oracle: the file's splats, inside the crop, with a graded neighbour as it was; a second time
     nothing; the recorded volume does not erase them again; of another training nothing."""
-    run = tmp_path / "run"
-    run.mkdir()
     splats = two_walls(1)
-    write_splats(run / "point_cloud.ply", splats)
-    (run / "config.json").write_text(config_json(*PRESETS["preview"](tmp_path)))
-    assert bpy.ops.gscore.import_splats(filepath=str(run / "point_cloud.ply")) == {"FINISHED"}
+    run = imported(tmp_path, splats)
     ob = bpy.context.object
     activate(ob, positions(ob)[:, 0] > 0)
     assert bpy.ops.gscore.grade_splats(gain=(0.5, 1, 1), only_selected=True) == {"FINISHED"}
