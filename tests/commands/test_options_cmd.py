@@ -112,7 +112,7 @@ def test_an_option_is_taken_in_both_ways(name: str) -> None:
         text = "0.5"
     if name in ("init_opacity", "prune_opacity"):
         text = "0.75"
-    if name in ("lr_final", "guide_weight"):
+    if name in ("lr_final", "guide_weight", "gpu_share"):
         text = "0.5"
     found = configured(f"{one.flag} {text}")
     assert found == configured(f"--set {name}={text}") != plain

@@ -1,1 +1,1 @@
-"""Forecast of time and memory of a training; no torch."""
+"""Forecast of time and memory of a training, without torch; the automatic device."""

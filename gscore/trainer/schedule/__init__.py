@@ -1,1 +1,2 @@
-"""Schedule of a run: learning rates, refinement steps, photo sizes, caps."""
+"""Schedule of a run: learning rates, refinement steps, photo sizes, caps, options that an engine
+lacks."""
