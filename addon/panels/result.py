@@ -252,8 +252,9 @@ class SurfacePanel(TabPanel, bpy.types.Panel):
             proxy = layout.operator("gscore.make_mesh", text="Make Proxy", icon="MOD_SUBSURF")
             proxy.proxy, proxy.triangles = True, 50_000
         if fit_proxy.is_stale(active_splats(context)):
-            text = "The splats have changed since their proxy was made. After a training, make it "
-            sentence(layout, f"{text}again; after edits, update it.", icon="INFO")
+            text = "The splats have changed since their proxy was made. After a training or a "
+            text += "restoration, make it again; after other edits, update it."
+            sentence(layout, text, icon="INFO")
             layout.operator("gscore.update_proxy", icon="FILE_REFRESH")
 
 
