@@ -78,9 +78,17 @@ class SceneLight:
     @cached_property
     def maps(self) -> tuple[ShadowMaps | None, ...]:
         """The shadows of each lamp; None: it casts none, as those after the first `_MOST_MAPS`."""
-        sources = list(dict.fromkeys(map(_source, self.lamps)))[:_MOST_MAPS]
+        if not self.casters:
+            return (None,) * len(self.lamps)
+        casting = {_source(lamp): lamp for lamp in self.lamps if lamp.source is not None}
+        before, found = dict(_known), {}
+        for source, lamp in list(casting.items())[:_MOST_MAPS]:
+            key = self.casters.key, source
+            found[key] = before.get(key) or _maps_of(self.casters, lamp)
+        _known.clear()
+        _known.update(found)
         return tuple(
-            _maps_of(self.casters, lamp) if _source(lamp) in sources else None
+            None if lamp.source is None else found.get((self.casters.key, _source(lamp)))
             for lamp in self.lamps
         )
 
@@ -102,7 +110,7 @@ class SceneLight:
 
 
 _known: dict[tuple[bytes, str], ShadowMaps] = {}
-"""The last shadow maps by their meshes and lamp."""
+"""Shadow maps of the last light by their meshes and lamp; those of a lamp in a room are 24 MB."""
 _MOST_MAPS = 32
 
 
@@ -111,18 +119,9 @@ def _source(lamp: Lamp) -> str:
     return repr(lamp.axis if lamp.kind == SUN else lamp.source)
 
 
-def _maps_of(casters: Casters, lamp: Lamp) -> ShadowMaps | None:
-    if not casters or lamp.source is None:
-        return None
+def _maps_of(casters: Casters, lamp: Lamp) -> ShadowMaps:
     axis = np.array(lamp.axis) if lamp.kind == SUN else None
-    key = casters.key, _source(lamp)
-    maps = _known.pop(key, None)
-    if maps is None:
-        maps = shadow_maps(casters, np.array(lamp.source), axis)
-    while len(_known) >= _MOST_MAPS:
-        _known.pop(next(iter(_known), key), None)
-    _known[key] = maps
-    return maps
+    return shadow_maps(casters, np.array(lamp.source), axis)
 
 
 def harmonics(normals: np.ndarray) -> np.ndarray:

@@ -137,6 +137,7 @@ def test_shadows_beside_a_wide_ground(lit, tmp_path, kind):
     bpy.ops.mesh.primitive_cube_add(size=20, location=(0, 60, 90))
     found = lab.render_exr(tmp_path, "after")[..., 0] < 0.1 * wanted.max()
     assert (dark & found).sum() / (dark | found).sum() > 0.8
+    assert len(relight._known) == 1  # maps of earlier pictures are freed
 
 
 def test_playback_moves_shadows(lit):
