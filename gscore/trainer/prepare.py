@@ -34,6 +34,7 @@ from .guide.setup import GuideSetup, prepare_guide
 from .model.training_frame import TrainingFrame, checkpoint_origin
 from .region.region_photos import RegionBox, RegionPhotos
 from .schedule.caps import cap_by_photos, expected_points
+from .schedule.lacking_options import lacking_options, refuse
 from .trainer import Trainer
 from .views.photo_poses import PoseCheck
 
@@ -185,6 +186,8 @@ def prepare(
     )
     config, caps = limited()
     check(photos)
+    if engine is not None:
+        refuse(engine.info, lacking_options(config, engine.info.features, engine.info.skips))
     resumed = start.training_frame
     if data.depths:
         MapFolder(photos.source / data.depths)  # raises for a missing folder

@@ -72,7 +72,7 @@ def test_what_an_engine_lacks_is_refused_by_name(
         gains=PhotoGains([0], np.zeros((1, 3))) if "gains" in parts else None,
         pose_check=PoseCheck(viewmats=np.zeros((8, 4, 4)) if "poses" in parts else None),
     )
-    with pytest.raises(ConfigError, match=f"The engine fake cannot compute .*{words}"):
+    with pytest.raises(ConfigError, match=f"The device fake cannot compute .*{words}"):
         check_engine(less, config, analysis, terms, **which)
     check_engine(whole, config, analysis, terms, **which)
     check_engine(less, plain, empty, terms_of(plain, photos), drops=False, frozen=False)

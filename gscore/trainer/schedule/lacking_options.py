@@ -3,7 +3,8 @@
 from collections.abc import Set
 
 from ...config import Skip, Strategy, TrainConfig
-from ...engine.base import ENGINE_SKIPS, Feature
+from ...engine.base import ENGINE_SKIPS, EngineInfo, Feature
+from ...errors import ConfigError
 
 
 def lacking_options(config: TrainConfig, features: Set[Feature], skips: Set[Skip]) -> list[str]:
@@ -25,3 +26,12 @@ def lacking_options(config: TrainConfig, features: Set[Feature], skips: Set[Skip
         *(str(one) for one, is_used in needed.items() if is_used and one not in features),
         *(f"steps without the skip {skip} (`--without {skip}`)" for skip in without),
     ]
+
+
+def refuse(info: EngineInfo, lacking: list[str]) -> None:
+    """Raise ConfigError if the engine lacks anything."""
+    if lacking:
+        raise ConfigError(
+            f"The device {info.name} cannot compute {', '.join(lacking)}. Train without, or with "
+            "`--device cpu`."
+        )

@@ -19,11 +19,10 @@ from ...engine.base import (
     TermGradients,
     TermKind,
 )
-from ...errors import ConfigError
 from ..analysis.analysis import Analysis
 from ..depth.loss import DepthLoss, GuideLoss
 from ..schedule.caps import drop_rate_at
-from ..schedule.lacking_options import lacking_options
+from ..schedule.lacking_options import lacking_options, refuse
 from ..schedule.plan import Plan
 from ..strategy import Policy
 from ..views.model_renderer import ModelRenderer
@@ -209,13 +208,9 @@ def check_engine(
         Feature.POSES: analysis.pose_check.viewmats is not None,
     }
     lacking = [kind for kind, weight in terms.terms if weight and kind not in info.terms]
-    missing = [
+    lacks = [
         *(f"the loss term {kind.name.lower().replace('_', ' ')}" for kind in lacking),
         *(one for one, is_used in needed.items() if is_used and one not in info.features),
         *lacking_options(config, info.features, info.skips),
     ]
-    if missing:
-        raise ConfigError(
-            f"The engine {info.name} cannot compute {', '.join(missing)}. Train without, or on "
-            "the CPU."
-        )
+    refuse(info, lacks)
