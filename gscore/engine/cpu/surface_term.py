@@ -111,8 +111,10 @@ def picture_terms(
     assert depth is not None
     assert picture.inverse_depth is not None
     height, width = alpha.shape
-    columns = (torch.arange(width, dtype=alpha.dtype) + 0.5 - K[0, 2]) / K[0, 0]
-    rows = (torch.arange(height, dtype=alpha.dtype) + 0.5 - K[1, 2]) / K[1, 1]
+    columns = (torch.arange(width, dtype=alpha.dtype, device=alpha.device) + 0.5 - K[0, 2]) / K[
+        0, 0
+    ]
+    rows = (torch.arange(height, dtype=alpha.dtype, device=alpha.device) + 0.5 - K[1, 2]) / K[1, 1]
     places = torch.stack([depth * columns, depth * rows[:, None], depth], dim=-1)
     across = places[1:-1, 2:] - places[1:-1, :-2]
     down = places[2:, 1:-1] - places[:-2, 1:-1]
@@ -145,10 +147,10 @@ def flatness_term(scales: Tensor) -> tuple[float, Tensor]:
 
 def smaller(view: Frustum) -> Frustum:
     """The view with a picture of 1 / `DIVISOR` of its sides."""
-    K = torch.as_tensor(view.K).clone()
+    K, viewmat = (torch.from_numpy(np.array(matrix)) for matrix in (view.K, view.viewmat))
     K[:2] /= DIVISOR
     width, height = (max(side // DIVISOR, 3) for side in (view.width, view.height))
-    return replace(view, viewmat=torch.as_tensor(view.viewmat), K=K, width=width, height=height)
+    return replace(view, viewmat=viewmat, K=K, width=width, height=height)
 
 
 def _smaller_tiles(tiles: np.ndarray | None, view: Frustum) -> Tensor | None:
