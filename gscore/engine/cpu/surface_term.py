@@ -147,7 +147,10 @@ def flatness_term(scales: Tensor) -> tuple[float, Tensor]:
 
 def smaller(view: Frustum) -> Frustum:
     """The view with a picture of 1 / `DIVISOR` of its sides."""
-    K, viewmat = (torch.from_numpy(np.array(matrix)) for matrix in (view.K, view.viewmat))
+    K, viewmat = (
+        torch.from_numpy(matrix.copy()) if isinstance(matrix, np.ndarray) else matrix.clone()
+        for matrix in (view.K, view.viewmat)
+    )
     K[:2] /= DIVISOR
     width, height = (max(side // DIVISOR, 3) for side in (view.width, view.height))
     return replace(view, viewmat=viewmat, K=K, width=width, height=height)
