@@ -62,7 +62,7 @@ PRESETS: dict[str, Callable[[Path], tuple[DataConfig, TrainConfig]]] = {
 
 
 def highest(source: Path) -> tuple[DataConfig, TrainConfig]:
-    """For graphics cards alone, as two cores would take days: photos of up to 4K."""
+    """For graphics cards, as CPUs take hours to days: photos of up to 4K."""
     train = replace(
         _LONG, iterations=30_000, max_splats=5_000_000, splats_a_photo=20_000, ensemble=3
     )

@@ -69,8 +69,9 @@ def write_surface(path: str | Path, mesh: SurfaceMesh) -> None:
     """Write a mesh by the ending of its name, completely or not at all.
 
     PLY and OBJ have the coordinates of the capture and colours of 8 bits or as fractions. GLB has
-    axes with y up, as glTF needs, linear colours and the local origin as the place of its node. A
-    texture is a part of the GLB; an OBJ has it in a .png with a .mtl beside it.
+    y up if the capture's world has y down, as the splats' GLB, linear colours and the local origin
+    as the place of its node. A texture is a part of the GLB; an OBJ has it in a .png with a .mtl
+    beside it.
 
     Args:
         path: A .ply, .obj or .glb file.

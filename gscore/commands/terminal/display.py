@@ -281,7 +281,6 @@ def estimate_text(event: Estimated) -> str:
     text += f" and {event.peak_bytes / 1e9:.1f} GB of memory"
     if event.device_bytes:
         text += f", {event.device_bytes / 1e9:.1f} GB on the device"
-    text += ", where nothing else runs"
     if event.photos_kept:
         return text
     return f"{text}; {size_text(event.photo_bytes)} of photos are cached, the others read again"
