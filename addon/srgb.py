@@ -2,6 +2,9 @@
 
 import numpy as np
 
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of linear Rec. 709 (ITU-R BT.709, section 3)."""
+
 
 def decode(values: np.ndarray) -> np.ndarray:
     """Linear light of sRGB values (IEC 61966-2-1), float32; values above 1 continue the curve."""

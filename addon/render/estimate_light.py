@@ -129,9 +129,7 @@ def _estimated(
         normals = _nearest(means, *surface, check)
     check()
     if light is not None:
-        turn = matrix[:3, :3] / np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
-        places = (means @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
-        return normals, light.white(places, normals @ turn.T.astype(np.float32))
+        return normals, light.white_of(means, normals, matrix)
     colors = decode(sh0_to_rgb(base[:, :3]))
     return normals, relight.captured_light(colors, normals, np.maximum(weights, 1e-30))
 

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..cameras.panorama import EQUIRECTANGULAR, Panorama
+from ..srgb import LUMINANCE
 from . import picture
 from .model import Model
 from .pass_renderer import PassRenderer
 from .relight import map_directions, map_solid_angles
 from .shutter_lens import View
 
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Weights of linear Rec. 709 (ITU-R BT.709, section 3)."""
 _NEAR = 0.02
 """Automatic near distance, in median distances of the splats."""
 _RADIUS = np.radians(20)
@@ -125,7 +124,7 @@ def strongest_light(found: LightProbe) -> Light | None:
     shown = found.alpha > 0.5
     if not shown.any():
         return None
-    brightness = np.where(shown, found.light @ _LUMINANCE, 0.0)
+    brightness = np.where(shown, found.light @ LUMINANCE, 0.0)
     smooth = _smoothed(brightness)
     median = float(np.median(smooth[shown]))
     peak = float(smooth.max())

@@ -13,14 +13,12 @@ from functools import cached_property
 import numpy as np
 
 from ..core import Splats, quat_to_rotmat, rgb_to_sh0, sh0_to_rgb, sh_basis
-from ..srgb import decode, encode
+from ..srgb import LUMINANCE, decode, encode
 from .shadow_maps import Casters, ShadowMaps, shadow_maps
 
 POINT, SUN = "POINT", "SUN"
 _WHITE = 0.8
 """Albedo that the brightest surfaces of a capture are assumed to have."""
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Weights of linear Rec. 709 (ITU-R BT.709, section 3)."""
 _BRIGHTEST = 95
 """Percentile of the colors that are these surfaces."""
 _DARKEST = 0.1
@@ -107,6 +105,18 @@ class SceneLight:
                 share *= maps.lit(places, normals)
             light += share[:, None] * np.float32(lamp.strength)
         return light
+
+    def white_of(self, means: np.ndarray, normals: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+        """`white` of surfaces in the space of an object.
+
+        Args:
+            means: Positions in that space [N, 3] float32.
+            normals: Unit vectors in it [N, 3] float32.
+            matrix: Object to world [4, 4], a similarity.
+        """
+        turn = matrix[:3, :3] / np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
+        turn, matrix = turn.astype(np.float32), matrix.astype(np.float32)
+        return self.white(means @ matrix[:3, :3].T + matrix[:3, 3], normals @ turn.T)
 
 
 _known: dict[tuple[bytes, str], ShadowMaps] = {}
@@ -207,13 +217,11 @@ def relit(splats: Splats, normals: np.ndarray, captured: np.ndarray, how: Religh
     """
     count, rest, _ = splats.shN.shape
     sh0, shN = np.empty((count, 3), np.float32), np.empty((count, rest * 3), np.float32)
-    turn = (how.matrix[:3, :3] / np.cbrt(abs(np.linalg.det(how.matrix[:3, :3])))).T
-    turn, matrix = turn.astype(np.float32), how.matrix.astype(np.float32)
 
     def work(at: int) -> None:
         part = slice(at, at + _BLOCK)
-        places = splats.means[part] @ matrix[:3, :3].T + matrix[:3, 3]
-        white, before = how.light.white(places, normals[part] @ turn), captured[part]
+        white = how.light.white_of(splats.means[part], normals[part], how.matrix)
+        before = captured[part]
         known = (before > 0).all(axis=1) & normals[part].any(axis=1)
         ratio = np.divide(white, before, out=np.ones_like(white), where=known[:, None])
         ratio = np.float32(1 - how.share) + np.float32(how.share) * np.minimum(ratio, _STRONGEST)
@@ -275,7 +283,7 @@ def captured_light(colors: np.ndarray, normals: np.ndarray, weights: np.ndarray)
         normals: Unit vectors [N, 3].
         weights: Weights of the splats [N].
     """
-    brightness = colors @ _LUMINANCE
+    brightness = colors @ LUMINANCE
     basis = harmonics(normals).astype(np.float64)
     rest = 1e-3 * weights.sum() * np.diag([0.0] + 8 * [1.0])  # unseen directions are as the mean
     normal = basis.T @ (basis * weights[:, None]) + rest

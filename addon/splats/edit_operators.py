@@ -14,6 +14,7 @@ from ..interface.base_operator import Condition, make_active
 from ..interface.blocks import with_uid
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Check, Steps, run_in_thread
+from ..srgb import LUMINANCE
 from . import edit, filters, objects, separate_join
 from .edit_guard import EditGuard
 from .operators import OnSplats, edit_vertices
@@ -32,8 +33,6 @@ from .replay import (
     volume_of,
 )
 
-_LUMA = np.array([0.2126, 0.7152, 0.0722])
-"""Luma weights of Rec. 709."""
 _BLOCK = 1 << 14
 """Splats per block, so that intermediate results stay in the cache."""
 
@@ -73,7 +72,7 @@ def _colors(sh0: np.ndarray, grade: Grade) -> np.ndarray:
     if (gamma != 1).any():
         colors = np.sign(colors) * np.abs(colors) ** (1 / gamma)
     colors *= gain
-    grey = (colors @ _LUMA)[:, None]
+    grey = (colors @ LUMINANCE)[:, None]
     return rgb_to_sh0(grey + (colors - grey) * grade.saturation)
 
 
