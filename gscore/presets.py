@@ -142,5 +142,5 @@ def published_3dgs(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 
 RECIPES = PRESETS | {"highest": highest, "3dgs": published_3dgs}
-"""Presets of `gscore train` and the benches: those that a user chooses from, one for graphics cards
-alone, and published recipes to compare with."""
+"""Presets of `gscore train` and the benches: those that a user chooses from, one for graphics
+cards, and published recipes to compare with."""

@@ -103,7 +103,6 @@ class TrainRequest:
             FormatError: the config file is invalid.
         """
         source, stored = self.source, self.config
-
         recipe = on_card if card else on_cpu
         if self.resume and not (self.config or (self.preset and source)):
             stored = self.output / "config.json"

@@ -111,11 +111,10 @@ def picture_terms(
     assert depth is not None
     assert picture.inverse_depth is not None
     height, width = alpha.shape
-    columns = (torch.arange(width, dtype=alpha.dtype, device=alpha.device) + 0.5 - K[0, 2]) / K[
-        0, 0
-    ]
-    rows = (torch.arange(height, dtype=alpha.dtype, device=alpha.device) + 0.5 - K[1, 2]) / K[1, 1]
-    places = torch.stack([depth * columns, depth * rows[:, None], depth], dim=-1)
+    x = torch.arange(width, dtype=alpha.dtype, device=alpha.device) + 0.5
+    y = torch.arange(height, dtype=alpha.dtype, device=alpha.device)[:, None] + 0.5
+    columns, rows = (x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1]
+    places = torch.stack([depth * columns, depth * rows, depth], dim=-1)
     across = places[1:-1, 2:] - places[1:-1, :-2]
     down = places[2:, 1:-1] - places[:-2, 1:-1]
     surface = normalize(torch.linalg.cross(down, across, dim=-1), dim=-1)
