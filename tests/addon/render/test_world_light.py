@@ -49,6 +49,19 @@ def lit(direction: tuple[float, float, float], level: float) -> Splats:
     return splats
 
 
+def add_white_plane(size: float) -> None:
+    """Add a level, white and diffuse square at the origin."""
+    bpy.ops.mesh.primitive_plane_add(size=size, location=(0, 0, 0))
+    white = bpy.data.materials.new("white")
+    compat.use_nodes(white)
+    white.node_tree.nodes.clear()
+    shader = white.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
+    shader.inputs["Color"].default_value = (1, 1, 1, 1)
+    out = white.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    white.node_tree.links.new(shader.outputs[0], out.inputs["Surface"])
+    bpy.context.object.data.materials.append(white)
+
+
 def test_world_is_the_panorama(scene, tmp_path):
     """The engine's panorama from a camera at the cursor equals Cycles' picture of the world, which
     is linear, bright above 1, and the former world's color where there are no splats."""
@@ -98,15 +111,7 @@ def test_light_on_a_mesh(scene, tmp_path):
     camera.location = (0, 0, 1)
     ob = lab.add(scene, shell((0.5, 0.4, 0.3)))
     assert bpy.ops.gscore.world_from_splats(width=64, near=0.1) == {"FINISHED"}
-    bpy.ops.mesh.primitive_plane_add(size=10, location=(0, 0, 0))
-    white = bpy.data.materials.new("white")
-    compat.use_nodes(white)
-    white.node_tree.nodes.clear()
-    shader = white.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
-    shader.inputs["Color"].default_value = (1, 1, 1, 1)
-    out = white.node_tree.nodes.new("ShaderNodeOutputMaterial")
-    white.node_tree.links.new(shader.outputs[0], out.inputs["Surface"])
-    bpy.context.object.data.materials.append(white)
+    add_white_plane(10)
     ob.hide_render = True
     path = tmp_path / "saved.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
@@ -222,15 +227,7 @@ def test_walls_of_a_proxy_shine(scene, tmp_path):
     assert bpy.ops.gscore.use_as_proxy() == {"FINISHED"}
     scene.cursor.location = (0.3, 0.2, 0.1)
     assert bpy.ops.gscore.world_from_splats(width=64, near=0.1) == {"FINISHED"}
-    bpy.ops.mesh.primitive_plane_add(size=1, location=(0, 0, 0))
-    white = bpy.data.materials.new("white")
-    compat.use_nodes(white)
-    white.node_tree.nodes.clear()
-    shader = white.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
-    shader.inputs["Color"].default_value = (1, 1, 1, 1)
-    out = white.node_tree.nodes.new("ShaderNodeOutputMaterial")
-    white.node_tree.links.new(shader.outputs[0], out.inputs["Surface"])
-    bpy.context.object.data.materials.append(white)
+    add_white_plane(1)
     camera.location.z = 0.5
     for name in (m.name for m in ob.modifiers):
         ob.modifiers[name].show_render = False
