@@ -151,10 +151,11 @@ GS_INLINE void stop_pixels(Ends ends, int at, int32_t index, const Vec *t, Vec *
     }
 }
 
-// Adds a splat with weights w to the pixels of a block, whose transmittance becomes `next`.
+// Adds a splat with weights w to the pixels of a block, whose transmittance becomes `next`; `median` is its value in
+// the median depth.
 template <class C>
-GS_INLINE void add_splat(Vec (&pixels)[C::kPlanes][kBlockVecs], const Projected &p, int third, const Vec *w,
-                         const Vec *next) {
+GS_INLINE void add_splat(Vec (&pixels)[C::kPlanes][kBlockVecs], const Projected &p, int third, float median,
+                         const Vec *w, const Vec *next) {
     for (int k = 0; k < kBlockVecs; ++k) {
         for (int c = 0; c < C::kChannels; ++c)
             pixels[1 + c][k] = fma(w[k], set1(p.channel[c < 3 ? c : third + c - 3]), pixels[1 + c][k]);
@@ -163,7 +164,7 @@ GS_INLINE void add_splat(Vec (&pixels)[C::kPlanes][kBlockVecs], const Projected 
         if constexpr (C::kMedian) {
             const Mask crossed = both(gt(pixels[0][k], set1(0.5f)), ge(set1(0.5f), next[k]));
             const Mask blended = gt(next[k], Vec{}); // not the one that stops the pixel
-            pixels[C::kMedianAt][k] += keep(both(crossed, blended), set1(p.channel[kChannelZ]));
+            pixels[C::kMedianAt][k] += keep(both(crossed, blended), set1(median));
         }
         pixels[0][k] = next[k];
     }
@@ -218,7 +219,9 @@ GS_INLINE int blend_block(C &canvas, Ends ends, const ForwardBatch &batch, int b
             if (outputs & GS_COUNT_USEFUL) [[unlikely]]
                 for (const Vec weight : w)
                     useful += __builtin_popcount(bits(gt(weight, Vec{})));
-            add_splat<C>(pixels, batch.splat[s], third, w, next);
+            const Projected &p = batch.splat[s];
+            const float median = outputs & GS_MEDIAN_SPLAT ? float(p.id) + 1 : p.channel[kChannelZ];
+            add_splat<C>(pixels, p, third, median, w, next);
         }
         if (complete == kAllPixels)
             break;

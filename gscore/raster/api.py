@@ -13,6 +13,7 @@ from ..scene import Cameras, moved_viewmats, offset_between
 from ..sh import rgb_to_sh0
 from ..shared_constants import EPS2D
 from ..splats import PARAMETERS, Splats
+from ..text_format import count_text, number
 from ..transforms import quat_to_rotmat
 from . import _native, arguments, header
 from .request import CancelFlag, Frustum, Settings
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 _NO_NORMAL = 1e-5
 """Length of a sum of normals that is only rounding: there is no splat, or normals cancel."""
+
+_MOST_ROWS = 1 << 24
+"""Largest whole number up to which float32 has all."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +48,8 @@ class Rendered:
     normal: np.ndarray | None = None
     """[H, W, 3], mean normal of the splats, unit length, camera axes (OpenCV), towards the camera;
     0 where alpha is 0. See `splat_normals`."""
+    median_splat: np.ndarray | None = None
+    """[H, W] int32, row of the splat of `median_depth`; -1 where that is 0."""
 
     def exposed(self, gain: np.ndarray, background: tuple[float, float, float]) -> "Rendered":
         """Return the picture with the splats multiplied by a gain, [3]; `background`, over which it
@@ -67,6 +73,7 @@ def render(
     antialias: bool = False,
     depths: bool = True,
     normals: bool = False,
+    median_splats: bool = False,
     orthographic: bool = False,
     window: tuple[int, int, int, int] | None = None,
     far_depths: np.ndarray | None = None,
@@ -92,6 +99,7 @@ def render(
         antialias: Compensate opacities for `eps2d`, as Mip-Splatting models expect.
         depths: Compute the three depths too; if False they are None, and it is a fifth faster.
         normals: Compute the normal too, by a second picture of the same splats.
+        median_splats: Compute the median splat too, by one more picture.
         orthographic: Parallel rays: K's focal lengths are pixels per world unit, x = fx X + cx,
             and the view direction of colours is the camera's +z.
         window: Left, top, width and height, px: only this part of the picture is drawn and
@@ -114,7 +122,8 @@ def render(
         The picture and its depths.
 
     Raises:
-        ShapeError: K, viewmat, size, window, far_depths, origin or degree cannot be used.
+        ShapeError: K, viewmat, size, window, far_depths, origin or degree cannot be used; or
+            median splats of more than 2^24 splats are requested.
         FormatError: The file has no readable splats.
         ConfigError: There is no such device.
         BackendError: The native library is missing or out of memory, or the device cannot draw.
@@ -162,6 +171,8 @@ def render(
             np.divide(depth, alpha, out=depth, where=alpha > 0)
     if normals:
         pictures["normal"] = _normals(device, arrays, view, settings)
+    if median_splats:
+        pictures["median_splat"] = _median_splats(device, arrays, view, settings)
     drawn = {name: picture[part] for name, picture in pictures.items()}
     return Rendered(**dict.fromkeys(header.DEPTH_OUTPUTS) | drawn, visible=visible)  # pyright: ignore
 
@@ -215,6 +226,27 @@ def _normals(
     lengths = np.linalg.norm(sums, axis=-1, keepdims=True)
     sums[lengths[..., 0] < _NO_NORMAL] = 0
     return np.divide(sums, lengths, out=sums, where=lengths >= _NO_NORMAL)
+
+
+def _median_splats(
+    device: "str | Chosen | RenderClient",
+    arrays: Sequence[np.ndarray],
+    view: Frustum,
+    settings: Settings,
+) -> np.ndarray:
+    """[H, W] int32, as in `Rendered`."""
+    count, shape = len(arrays[0]), (view.height, view.width)
+    if count > _MOST_ROWS:
+        raise ShapeError(
+            f"median_splats: {count_text(count, 'splat')} are more than the {number(_MOST_ROWS)} "
+            f"whose rows float32 values can tell apart. Draw fewer splats, or without their rows."
+        )
+    names = ("alpha", "median_depth")
+    pictures = {"rgb": np.zeros((*shape, 3), np.float32)}
+    pictures |= {name: np.zeros(shape, np.float32) for name in names}
+    plain = replace(settings, sh_degree=0, outputs=header.OUT_MEDIAN_DEPTH | header.MEDIAN_SPLAT)
+    _draw(device, arrays, view, plain, pictures, keep=False)
+    return pictures["median_depth"].astype(np.int32) - 1
 
 
 def _draw(

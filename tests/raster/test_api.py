@@ -2,6 +2,7 @@
 
 import ctypes
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ import torch
 
 import gscore
 from gscore.bench.synthetic import synthetic_scene
-from gscore.splats import Splats
+from gscore.raster.reference.rasterize import SplatTensors, project
+from gscore.raster.request import Frustum, Settings
+from gscore.splats import PARAMETERS, Splats
 
 
 def _view(splats: Splats, **options: object) -> gscore.Rendered:
@@ -202,3 +205,42 @@ def test_an_older_build_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_native.LIBRARY, "loaded", None)
     with pytest.raises(gscore.BackendError, match=r"another build.*gs_adam_step"):
         _native.library()
+
+
+@pytest.mark.parametrize("antialias", [False, True])
+def test_median_splats(antialias: bool) -> None:
+    """Oracle: brute force in float64, splat by splat, with the projected splats of the reference;
+    and the splat's own z. Splats at the same depth are blended in their order."""
+    splats, cameras = synthetic_scene(800, 60, 40)
+    splats = replace(splats, scales=splats.scales + 1.5, opacities=splats.opacities + 2)
+    K, viewmat = cameras.Ks[0], cameras.viewmats[0]
+    drawn = gscore.render(splats, K, viewmat, 60, 40, antialias=antialias, median_splats=True)
+    tensors = [torch.from_numpy(getattr(splats, n)).double() for n in PARAMETERS]
+    found = project(
+        SplatTensors(*tensors),
+        Frustum(torch.from_numpy(viewmat), torch.from_numpy(K), 60, 40),
+        Settings(antialias=antialias),
+    )
+    y, x = np.mgrid[:40, :60] + 0.5
+    light, wanted = np.ones((40, 60)), np.full((40, 60), -1)
+    for row, (mean, conic, opacity) in zip(
+        found.index.tolist(),
+        zip(*(t.numpy() for t in (found.means2d, found.conics, found.opacities)), strict=True),
+        strict=True,
+    ):
+        dx, dy = x - mean[0], y - mean[1]
+        power = conic[0] * dx * dx + 2 * conic[1] * dx * dy + conic[2] * dy * dy
+        alpha = np.minimum(opacity * np.exp(-power / 2), 0.99)
+        after = light * (1 - np.where(alpha >= 1 / 255, alpha, 0))
+        wanted[(light > 0.5) & (after <= 0.5)] = row
+        light = after
+    assert (wanted >= 0).mean() > 0.2
+    assert (drawn.median_splat != wanted).mean() < 0.002  # rounding of a transmittance of 0.5
+    z = splats.means @ viewmat[2, :3] + viewmat[2, 3]
+    np.testing.assert_allclose(
+        np.where(drawn.median_splat < 0, 0, z[drawn.median_splat]), drawn.median_depth, rtol=1e-6
+    )
+    same = gscore.render(
+        replace(splats, means=np.zeros_like(splats.means)), K, viewmat, 60, 40, median_splats=True
+    )
+    assert same.median_splat.max() < 10  # the first ones of those in the middle

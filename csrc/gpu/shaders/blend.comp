@@ -20,6 +20,7 @@ void main() {
 
     vec3 color = vec3(0.0);
     float transmittance = 1.0, cover = 0.0, inverse = 0.0, depth = 0.0, median = 0.0;
+    bool numbers = (frame.view.outputs & 32u) != 0; // GS_MEDIAN_SPLAT
     bool done = !inside;
     uint stop = 0x7FFFFFFFu;
     for (uint begin = tile.begin; begin < tile.end; begin += GS_GROUP) {
@@ -54,7 +55,7 @@ void main() {
                     inverse = fma(weight, c.w, inverse);
                     depth = fma(weight, batch_z[at], depth);
                     if (transmittance > 0.5 && next <= 0.5)
-                        median = batch_z[at];
+                        median = numbers ? float(frame.entry_rows.at[slot_of(begin + at)]) + 1.0 : batch_z[at];
                     transmittance = next;
                 }
             }

@@ -28,7 +28,9 @@ enum {
     GS_OUT_INVERSE_DEPTH = 1, /* sum of w / z, not divided by alpha */
     GS_OUT_DEPTH = 2,         /* sum of w * z, not divided by alpha */
     GS_OUT_MEDIAN_DEPTH = 4,  /* z of the splat at which transmittance falls to 0.5 or less; 0 where it never does */
-    GS_COUNT_USEFUL = 8       /* no output array: counts gs_stats.useful_pairs */
+    GS_COUNT_USEFUL = 8,      /* no output array: counts gs_stats.useful_pairs */
+    GS_MEDIAN_SPLAT = 32      /* no output array: median_depth gets the row of that splat plus 1, not its z; rows from
+                                 2^24 on are rounded */
 };
 
 /* Bits of gs_host.disable. Each disables an optimization that leaves the image bit-identical, for tests and

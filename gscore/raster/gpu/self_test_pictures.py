@@ -10,7 +10,7 @@ import numpy as np
 from ...splats import SH_REST_BY_DEGREE
 from ...text_format import count_text
 from .. import _native
-from ..header import DEPTH_OUTPUTS, TILE
+from ..header import DEPTH_OUTPUTS, MEDIAN_SPLAT, OUT_MEDIAN_DEPTH, TILE
 from ..request import Frustum, Settings
 from .gpu_raster import GpuRaster
 
@@ -82,6 +82,8 @@ def self_test_scenes() -> Iterator[SelfTestScene]:
     yield make(name="a lower degree", degree=3, settings=replace(usual, sh_degree=1))
     yield make(name="parallel rays", orthographic=True)
     yield make(name="colours alone", settings=replace(usual, outputs=0))
+    numbers = replace(usual, outputs=OUT_MEDIAN_DEPTH | MEDIAN_SPLAT)
+    yield make(name="median splats", settings=numbers)
     far = np.random.default_rng(1).uniform(1.5, 6.0, (45, 67)).astype(np.float32)
     far[::3] = np.nan
     yield make(name="depth limits", settings=replace(usual, far_depths=far))
