@@ -111,10 +111,20 @@ def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
     return scene.node_tree
 
 
-def index_pass_name() -> str:
-    """Name of the object index pass in Cycles; since 5.0 the same as in the panel."""
+def _pass_name(before: str, since: str) -> str:
+    """Name of a pass in Cycles, before Blender 5.0 and since; then it is that of the panel."""
     older = "node_tree" in bpy.types.Scene.bl_rna.properties  # the compositor's, gone in 5.0
-    return "IndexOB" if older else "Object Index"
+    return before if older else since
+
+
+def index_pass_name() -> str:
+    """Name of the object index pass."""
+    return _pass_name("IndexOB", "Object Index")
+
+
+def albedo_pass_name() -> str:
+    """Name of the pass of diffuse colors."""
+    return _pass_name("DiffCol", "Diffuse Color")
 
 
 def make_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:

@@ -196,7 +196,7 @@ def _synchronise(
     other.render.engine, other.world = NAME, None
     other.render.film_transparent = True
     _follow(scene, other)
-    for name in ("antialias", "blur_samples"):
+    for name in ("antialias", "blur_samples", "splat_index"):
         setattr(other.gscore_render, name, getattr(scene.gscore_render, name))
     other.view_layers[0].use_pass_z = True
     _follow_layer(scene, other)

@@ -7,7 +7,6 @@ because the difference would show as an edge.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -44,6 +43,9 @@ _INSIDE = (0.25, 0.75)
 """Positions of samples within a pixel, along each axis."""
 _NEAREST = 0.8
 """Near depth of a patch in units of distance: less than the depth of its corners."""
+SPLAT_INDEX = "Splat Index"
+_NEAREST_PIXEL = {"Depth": NOTHING, SPLAT_INDEX: -1}
+"""Passes that are not interpolated, and their values where there are no splats."""
 _AT_ONCE = 1 << 18
 """Pixels of the panorama that are sampled together."""
 
@@ -90,9 +92,10 @@ def unfold(
         draw: Returns the passes of a part of a picture, the bottom row first.
 
     Returns:
-        "Combined" [h, w, 4], "Normal" [h, w, 3] and further passes [h, w, 1], each the mean of
-        four bilinear samples per pixel; "Depth" [h, w], if it was drawn, the distance along the
-        middle of the pixel. The bottom row first; empty outside of the panorama's field of view.
+        "Combined" [h, w, 4] and further passes [h, w, C], each the mean of four bilinear samples
+        per pixel; if they were drawn "Depth" [h, w], the distance along the middle of the pixel,
+        and `SPLAT_INDEX` [h, w] there. The bottom row first; empty outside of the panorama's field
+        of view.
     """
     window = window or (0, 0, panorama.width, panorama.height)
     half = min(int(np.ceil(panorama.density * _DETAIL * _REACH)), _LARGEST // 2 - _EDGE)
@@ -114,8 +117,8 @@ def unfold(
         pictures[patch] = part, {name: values[::-1] for name, values in drawn.items()}
     passes = {}
     for name in {"Combined"}.union(*(drawn for _, drawn in pictures.values())):
-        if name == "Depth":
-            passes[name] = _distances(panorama, window, focal, side, pictures)
+        if name in _NEAREST_PIXEL:
+            passes[name] = _nearest(panorama, window, focal, side, pictures, name)
         else:
             passes[name] = _resampled(panorama, window, focal, side, pictures, name)
     return {name: np.ascontiguousarray(values[::-1]) for name, values in passes.items()}
@@ -126,10 +129,7 @@ def beyond(model: Model, panorama: Panorama) -> Model:
     to_camera = panorama.viewmat @ model.matrix
     places = model.splats.means @ to_camera[:3, :3].T + to_camera[:3, 3]
     far = np.linalg.norm(places, axis=1) > panorama.near
-    if far.all():
-        return model
-    shares = None if model.shares is None else model.shares.subset(far)
-    return replace(model, splats=model.splats.subset(far), shares=shares)
+    return model if far.all() else model.subset(far)
 
 
 _Pictures = dict[int, tuple[Window, dict[str, np.ndarray]]]
@@ -225,7 +225,7 @@ def _parts(panorama: Panorama, window: Window, focal: float, side: int) -> dict[
 def _resampled(
     panorama: Panorama, window: Window, focal: float, side: int, pictures: _Pictures, name: str
 ) -> np.ndarray:
-    channels = {"Combined": 4, "Normal": 3}.get(name, 1)
+    channels = max((drawn[name].shape[-1] for _, drawn in pictures.values()), default=4)
     out = np.zeros((window[3], window[2], channels), np.float32)
     for rows, inside in _every_look(window):
         band = out[rows]
@@ -248,12 +248,13 @@ def _between(picture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return upper * (1 - v) + lower * v
 
 
-def _distances(
-    panorama: Panorama, window: Window, focal: float, side: int, pictures: _Pictures
+def _nearest(
+    panorama: Panorama, window: Window, focal: float, side: int, pictures: _Pictures, name: str
 ) -> np.ndarray:
-    """Distances at the nearest pixel of the patch with the largest weight; not interpolated,
-    because a mean of two depths may be in empty space."""
-    out = np.full((window[3], window[2]), NOTHING, np.float32)
+    """A pass at the nearest pixel of the patch with the largest weight; not interpolated, because a
+    mean of two depths may be in empty space. Depths become distances."""
+    empty = _NEAREST_PIXEL[name]
+    out = np.full((window[3], window[2]), empty, np.float32)
     for rows in _bands(window):
         band = out[rows]
         largest = np.zeros(band.shape)
@@ -266,6 +267,7 @@ def _distances(
                 largest[where] = share[own]
                 column = np.clip((x - part[0]).astype(int), 0, part[2] - 1)
                 row = np.clip((y - part[1]).astype(int), 0, part[3] - 1)
-                depth = drawn["Depth"][row, column]
-                band[where] = np.where(depth < NOTHING, depth * far, NOTHING)
+                found = drawn[name][row, column]
+                scale = far if name == "Depth" else 1
+                band[where] = np.where(found == empty, empty, found * scale)
     return out

@@ -66,7 +66,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self, scene: bpy.types.Scene | None = None, renderlayer: Any = None
     ) -> None:
         """Register the passes of the render for the compositor."""
-        for one in requested_passes(renderlayer, main_scene(scene)).registered():
+        for one in requested_passes(scene, renderlayer, main_scene(scene)).registered():
             self.register_pass(scene, renderlayer, *one)
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
@@ -216,7 +216,7 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         main = main_scene(scene)
         camera = self._camera(scene, main)
         self._warn(unsupported_settings.Shown(scene=scene, layer=layer, camera=camera))
-        requested = requested_passes(layer, main)
+        requested = requested_passes(scene, layer, main)
         for view, eye in eyes_of(self, scene.render):
             self._render_view(depsgraph, camera, requested, view, eye)
 
@@ -248,8 +248,12 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
             to_scene=rec709_to_scene(),
             mattes=requested.mattes,
             holdouts=requested.holdout_depth,
+            values=requested.values,
         )
-        shutter_lens = ShutterLens(depsgraph, camera, size, final_cache, self.frame_set, eye)
+        shutter_lens = ShutterLens(
+            *(depsgraph, camera, size, final_cache, self.frame_set, eye),
+            values=tuple(requested.values),
+        )
         still = shutter_lens.view()
         owners = {owner for owner, _ in still.model.owners} - {None}
         if requested.vector and len(owners) > 1:
@@ -258,14 +262,15 @@ class SplatsRenderEngine(bpy.types.RenderEngine):
         self.update_stats("", f"Drawing {len(still.model.splats):,} splats")
         if shutter_lens.blurs:
             shot = self._mean(
-                pass_renderer.without(depths=True),
+                pass_renderer.without(at_frame=True),
                 shutter_lens,
                 scene.gscore_render.blur_samples,
             )
             # At the frame, through the lens's middle: mean depths are useless.
-            if pass_renderer.options.depths:
-                plain = pass_renderer.without(normals=True)
-                shot.passes["Depth"] = plain.render(still, self._stops)["Depth"]
+            if pass_renderer.at_frame:
+                plain = pass_renderer.without(surface=True)
+                found = plain.render(still, self._stops)
+                shot.passes.update((name, found[name]) for name in found if name not in shot.passes)
         else:
             shot = pass_renderer.expose(still, self._stops)
         passes = pass_renderer.completed(shot, still, self._stops)

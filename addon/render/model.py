@@ -1,7 +1,8 @@
 """Model of a render: all placed splat objects as one set of splats, cached; no bpy."""
 
 import threading
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -34,6 +35,18 @@ class Model:
     shares: Splats | None = None
     """The same splats with holdouts black and all others white; None: no holdouts. Their
     picture is the share of light that is not cut out."""
+    values: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Values of the splats for passes by the names of `splat_values`, [N, ...]."""
+
+    def subset(self, kept: np.ndarray) -> "Model":
+        """The splats of a mask [N]; without owners."""
+        return replace(
+            self,
+            splats=self.splats.subset(kept),
+            owners=(),
+            shares=None if self.shares is None else self.shares.subset(kept),
+            values={name: values[kept] for name, values in self.values.items()},
+        )
 
 
 class SplatCache:

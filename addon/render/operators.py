@@ -363,6 +363,11 @@ class RenderSettings(bpy.types.PropertyGroup):
         max=4096,
         soft_max=512,
     )
+    splat_index: bpy.props.BoolProperty(
+        name="Splat Index",
+        description="Pass with the index, in its object, of the splat at which half of the light "
+        "is blocked; -1 where less is. Object Index tells the object",
+    )
     live: bpy.props.BoolProperty(
         name="Live Viewport",
         description="In Rendered shading, draw splats with the graphics card until the exact "

@@ -90,6 +90,9 @@ class VIEWLAYER_PT_gscore_passes(_EnginePanel, bpy.types.Panel):  # noqa: N801 B
         column.prop(layer, "use_pass_normal", text="Normal")
         column.prop(layer, "use_pass_vector", text="Vector")
         column.prop(layer, "use_pass_object_index", text="Object Index")
+        column.prop(context.scene.gscore_render, "splat_index")
+        column.prop(layer, "use_pass_diffuse_color", text="Diffuse Color")
+        column.prop(layer, "use_pass_shadow", text="Shadow")
         if layer.use_pass_object_index:
             column.prop(layer, "pass_alpha_threshold", text="Alpha Threshold")
         column = layout.column(heading="Cryptomatte")

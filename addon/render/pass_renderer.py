@@ -7,15 +7,15 @@ splats; *Depth* is then that of the other splats. `HOLDOUT_EDGE` is the picture'
 part of a pixel that holdout meshes leave free.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ..cameras.panorama import Panorama
 from ..cameras.render_camera import RenderCamera
-from ..core import CancelFlag, Rendered
+from ..core import CancelFlag, Rendered, rgb_to_sh0
 from . import color, picture
 from .cube import beyond, unfold
 from .geometry_passes import normal_pass
@@ -24,6 +24,7 @@ from .model import HALF, Model
 from .picture import Window
 from .scene import Identity
 from .shutter_lens import View
+from .splat_values import NUMBER, SHADOW
 
 MESHES = "Holdout Meshes"
 """Pass with the coverage of a pixel by holdout meshes as seen through all splats; only made with
@@ -71,20 +72,35 @@ class PassRenderer:
     holdouts: bool = False
     """Whether `HOLDOUT_PASSES` are requested; with depths and a transparent film."""
 
-    def without(self, *, depths: bool = False, normals: bool = False) -> "PassRenderer":
-        """The same without the passes Depth or Normal, or both."""
+    values: Mapping[str, str] = field(default_factory=dict)
+    """Passes of values of the splats, by the names of `splat_values`; the models have these."""
+
+    @property
+    def at_frame(self) -> bool:
+        """Whether there are passes of which means are useless: Depth and numbers of splats."""
+        return self.options.depths or NUMBER in self.values
+
+    def without(self, *, at_frame: bool = False, surface: bool = False) -> "PassRenderer":
+        """The same without the passes of which means are useless, or without Normal and the other
+        values of splats, or both."""
         options = self.options
         kept = {
-            "depths": options.depths and not depths,
-            "normals": options.normals and not normals,
+            "depths": options.depths and not at_frame,
+            "normals": options.normals and not surface,
         }
-        return replace(self, options=replace(options, **kept))
+        values = {
+            name: made
+            for name, made in self.values.items()
+            if not (at_frame if name == NUMBER else surface)
+        }
+        return replace(self, options=replace(options, **kept), values=values)
 
     def render(
         self, view: View, stop: Stop, cancel: CancelFlag | None = None
     ) -> dict[str, np.ndarray]:
         """The passes by name, float32, the bottom row first: "Combined" [H, W, 4], "Depth" [H, W],
-        "Normal" [H, W, 3], `MESHES` and `SHARE` [H, W, 1].
+        "Normal" [H, W, 3], `MESHES` and `SHARE` [H, W, 1], and those of `values`: numbers [H, W],
+        -1 where nothing blocks half of the light; others [H, W, 3].
 
         Raises:
             As `picture.draw`.
@@ -96,12 +112,13 @@ class PassRenderer:
         def expose(model: Model, options: picture.Options) -> tuple[Rendered, np.ndarray | None]:
             return _exposed(model, view.camera, options, at, stop, cancel)
 
-        rendered, light = expose(view.model, self.options)
+        numbers = replace(self.options, median_splats=NUMBER in self.values)
+        plain = replace(self.options, depths=False, normals=False)
+        rendered, light = expose(view.model, numbers)
         share = None
         if view.model.shares is not None:
             # The background is not cut out either; a transparent film has none.
-            background = _BLACK if self.transparent else _WHITE
-            options = replace(self.options, background=background, depths=False, normals=False)
+            options = replace(plain, background=_BLACK if self.transparent else _WHITE)
             model = replace(view.model, splats=view.model.shares)
             share = expose(model, options)[0].rgb[..., 0]
         elif self.transparent:
@@ -120,6 +137,16 @@ class PassRenderer:
             passes["Depth"] = color.z_pass(rendered)
         if self.options.normals:
             passes["Normal"] = normal_pass(rendered, view.camera)
+        for name, made in self.values.items():
+            if name == NUMBER:
+                passes[made] = _numbers(rendered, view.model)
+                continue
+            shown = expose(_colored(view.model, name), replace(plain, background=_BLACK))[0]
+            if name == SHADOW:
+                found = shown.rgb + (1 - shown.alpha[..., None])
+            else:
+                found = shown.rgb @ self.to_scene.T.astype(np.float32)
+            passes[made] = np.ascontiguousarray(found[::-1])
         return passes
 
     def expose(self, view: View, stop: Stop) -> Shot:
@@ -130,7 +157,7 @@ class PassRenderer:
         if self.holdouts and view.model.shares is not None:
             whole = replace(view, model=replace(view.model, shares=None))
             shown = {HOLDOUT: _only(view, holdout=True), HOLDOUT_BEHIND: whole}
-            plain = self.without(depths=True, normals=True)
+            plain = self.without(at_frame=True, surface=True)
             blocked = {
                 n: plain.render(v, stop)["Combined"][..., 3].copy() for n, v in shown.items()
             }
@@ -152,7 +179,7 @@ class PassRenderer:
                     "Depth": _only(view, holdout=False),
                     HOLDOUT_DEPTH: _only(view, holdout=True),
                 }
-                plain = self.without(normals=True)
+                plain = replace(self.without(surface=True), values={})
                 found |= {name: plain.render(v, stop)["Depth"] for name, v in shown.items()}
             passes |= _holdout_passes(found, passes)
         else:
@@ -186,13 +213,18 @@ class PassRenderer:
         rgb = _exposed(model, view.camera, options, view.hidden, stop, None)[0].rgb
         return np.pad(np.clip(rgb, 0, 1)[::-1], ((0, 0), (0, 0), (0, 1)))
 
+    def _inverted_shadow(self, passes: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        made = self.values.get(SHADOW)
+        return passes | ({made: 1 - passes[made]} if made in passes else {})
+
     def _unfold(self, view: View, camera: Panorama, stop: Stop) -> dict[str, np.ndarray]:
         def side(camera: RenderCamera, window: Window) -> dict[str, np.ndarray]:
             pass_renderer = replace(self, options=replace(self.options, window=window))
-            return pass_renderer.render(replace(view, model=distant, camera=camera), stop)
+            found = pass_renderer.render(replace(view, model=distant, camera=camera), stop)
+            return self._inverted_shadow(found)  # 0 beyond the view
 
         distant = beyond(view.model, camera)
-        passes = unfold(camera, self.options.window, side)
+        passes = self._inverted_shadow(unfold(camera, self.options.window, side))
         if not (self.transparent or view.model.shares or view.holdouts):
             passes["Combined"][..., 3] = 1  # black outside of a fisheye's circle
         return passes
@@ -220,6 +252,21 @@ def _exposed(
     drawn, light = cut(before, free, part)
     rgb = drawn.rgb + light[..., None] * np.array(options.background, np.float32)
     return replace(drawn, rgb=rgb), light
+
+
+def _colored(model: Model, name: str) -> Model:
+    """A model whose colors are values of its splats."""
+    sh0 = rgb_to_sh0(model.values[name]).astype(np.float32)[:, None]
+    splats = replace(model.splats, sh0=sh0, shN=np.zeros_like(model.splats.shN[:, :0]))
+    return replace(model, splats=splats, shares=None)
+
+
+def _numbers(rendered: Rendered, model: Model) -> np.ndarray:
+    """Numbers of the median splats, [H, W] float32, the bottom row first; -1: there is none."""
+    rows = rendered.median_splat
+    assert rows is not None
+    numbers = np.append(model.values[NUMBER], -1)  # of row -1
+    return np.ascontiguousarray(numbers[rows][::-1], np.float32)
 
 
 def _one_hot(model: Model) -> Iterator[tuple[list[Identity], Model]]:
@@ -270,5 +317,4 @@ def _only(view: View, *, holdout: bool) -> View:
     """The view with holdout splats only, or without them."""
     owners, counts = zip(*view.model.owners, strict=True)
     cuts = np.repeat([owner is None for owner in owners], counts)
-    splats = view.model.splats.subset(cuts == holdout)
-    return replace(view, model=replace(view.model, splats=splats, shares=None, owners=()))
+    return replace(view, model=replace(view.model.subset(cuts == holdout), shares=None))

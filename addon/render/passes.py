@@ -12,9 +12,12 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ..compat import index_pass_name
+from ..compat import albedo_pass_name, index_pass_name
+from ..splats.objects import has_albedo, is_splats
+from .cube import SPLAT_INDEX
 from .pass_renderer import HOLDOUT_PASSES
 from .scene import Identity
+from .splat_values import ALBEDO, NUMBER, SHADOW
 
 _WORD = 0xFFFFFFFF
 _ROWS = 64
@@ -110,6 +113,7 @@ def metadata(layer: str, kind: str, names: list[str]) -> dict[str, str]:
 SWITCHES = {
     *("use_pass_combined", "use_pass_z", "use_pass_object_index"),
     *("use_pass_normal", "use_pass_position", "use_pass_vector"),
+    *("use_pass_diffuse_color", "use_pass_shadow"),
     *("use_pass_cryptomatte_object", "use_pass_cryptomatte_asset"),
 }
 """Switches of the passes that this engine makes."""
@@ -128,6 +132,10 @@ class RequestedPasses:
     normal: bool
     position: bool
     vector: bool
+    albedo: bool
+    shadow: bool
+    number: bool
+    """The index of a splat in its object."""
     holdout_depth: bool
     """Passes with which the compositor cuts meshes at holdout splats."""
     index: bool
@@ -143,6 +151,13 @@ class RequestedPasses:
         """Whether the passes need the coverage by each object."""
         return self.index or bool(self.kinds)
 
+    @property
+    def values(self) -> dict[str, str]:
+        """Passes of values of the splats, by the names of `splat_values`."""
+        made = {ALBEDO: albedo_pass_name(), SHADOW: "Shadow", NUMBER: SPLAT_INDEX}
+        wanted = {ALBEDO: self.albedo, SHADOW: self.shadow, NUMBER: self.number}
+        return {name: made[name] for name, on in wanted.items() if on}
+
     def registered(self) -> list[tuple[str, int, str, str]]:
         """All passes as Blender registers them: name, number of channels, their names, and type."""
         found = [("Combined", 4, "RGBA", "COLOR")]
@@ -153,6 +168,10 @@ class RequestedPasses:
                 found.append((name, 3, "XYZ", "VECTOR"))
         if self.vector:
             found.append(("Vector", 4, "XYZW", "VECTOR"))
+        kinds = {NUMBER: (1, "X", "VALUE")}
+        found += [
+            (made, *kinds.get(name, (3, "RGB", "COLOR"))) for name, made in self.values.items()
+        ]
         if self.holdout_depth:
             found += [(name, 1, "Z", "VALUE") for name in HOLDOUT_PASSES]
         if self.index:
@@ -192,10 +211,23 @@ _NAMES = {
 }
 
 
-def requested_passes(layer: bpy.types.ViewLayer, main: bpy.types.Scene | None) -> RequestedPasses:
+def splats_of(layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    """The rendered splat objects of a view layer, also those in instanced collections."""
+    found = {}
+    for ob in layer.objects:
+        if not ob.hide_render:
+            inside = ob.instance_collection
+            found |= dict.fromkeys([ob, *(() if inside is None else inside.all_objects)])
+    return [ob for ob in found if is_splats(ob)]
+
+
+def requested_passes(
+    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, main: bpy.types.Scene | None
+) -> RequestedPasses:
     """The passes that a view layer requests.
 
     Args:
+        scene: Its scene.
         layer: The view layer.
         main: The main scene, if this is a splat-only one, whose compositing needs more passes.
     """
@@ -208,6 +240,9 @@ def requested_passes(layer: bpy.types.ViewLayer, main: bpy.types.Scene | None) -
         normal=layer.use_pass_normal,
         position=layer.use_pass_position,
         vector=layer.use_pass_vector,
+        albedo=layer.use_pass_diffuse_color and any(map(has_albedo, splats_of(layer))),
+        shadow=layer.use_pass_shadow,
+        number=scene.gscore_render.splat_index,
         holdout_depth=layer.use_pass_z and main is not None,
         index=layer.use_pass_object_index,
         kinds=tuple(kind for kind, on in kinds.items() if on),

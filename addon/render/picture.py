@@ -31,6 +31,8 @@ class Options:
     """Whether to render depths too."""
     normals: bool = False
     """Whether to render normals too."""
+    median_splats: bool = False
+    """Whether to render median splats too."""
     antialias: str = AUTO
     """ON, OFF, or AUTO: as the objects were trained."""
     window: Window | None = None
@@ -106,6 +108,7 @@ def draw(
                     antialias=antialias,
                     depths=options.depths,
                     normals=options.normals,
+                    median_splats=options.median_splats,
                     orthographic=camera.orthographic,
                     window=options.window,
                     far_depths=far_depths,

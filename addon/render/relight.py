@@ -6,6 +6,7 @@ and proxies in place of splats, cast shadows; there are no reflections.
 """
 
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -218,13 +219,8 @@ def relit(splats: Splats, normals: np.ndarray, captured: np.ndarray, how: Religh
     count, rest, _ = splats.shN.shape
     sh0, shN = np.empty((count, 3), np.float32), np.empty((count, rest * 3), np.float32)
 
-    def work(at: int) -> None:
-        part = slice(at, at + _BLOCK)
-        white = how.light.white_of(splats.means[part], normals[part], how.matrix)
-        before = captured[part]
-        known = (before > 0).all(axis=1) & normals[part].any(axis=1)
-        ratio = np.divide(white, before, out=np.ones_like(white), where=known[:, None])
-        ratio = np.float32(1 - how.share) + np.float32(how.share) * np.minimum(ratio, _STRONGEST)
+    def work(part: slice) -> None:
+        ratio = _gain(splats.means[part], normals[part], captured[part], how)
         color = sh0_to_rgb(splats.sh0[part, 0])
         relit = encode(decode(color) * ratio) + np.minimum(color, 0)
         sh0[part] = rgb_to_sh0(relit)
@@ -234,10 +230,41 @@ def relit(splats: Splats, normals: np.ndarray, captured: np.ndarray, how: Religh
             own = splats.shN[part].reshape(-1, rest * 3)
             np.multiply(own, np.tile(gain, rest), out=shN[part])
 
-    _ = how.light.maps  # once, before the threads need them
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(work, range(0, count, _BLOCK)))
+    _in_blocks(work, count, how.light)
     return replace(splats, sh0=sh0[:, None], shN=shN.reshape(count, rest, 3))
+
+
+def shade(
+    means: np.ndarray, normals: np.ndarray, captured: np.ndarray, how: Relighting
+) -> np.ndarray:
+    """Factor of the colors of relit splats by shadows, [N, 3] float32; 1: none. Arguments as the
+    arrays of `relit`."""
+    out = np.ones((len(means), 3), np.float32)
+    bare = replace(how, light=replace(how.light, casters=Casters()))
+
+    def work(part: slice) -> None:
+        lit, dark = (_gain(means[part], normals[part], captured[part], one) for one in (bare, how))
+        np.divide(dark, lit, out=out[part], where=lit > 0)
+
+    _in_blocks(work, len(means), how.light)
+    return out
+
+
+def _gain(
+    means: np.ndarray, normals: np.ndarray, captured: np.ndarray, how: Relighting
+) -> np.ndarray:
+    """Factor of the linear colors of splats by relighting, [N, 3] float32."""
+    white = how.light.white_of(means, normals, how.matrix)
+    known = (captured > 0).all(axis=1) & normals.any(axis=1)
+    ratio = np.divide(white, captured, out=np.ones_like(white), where=known[:, None])
+    return np.float32(1 - how.share) + np.float32(how.share) * np.minimum(ratio, _STRONGEST)
+
+
+def _in_blocks(work: Callable[[slice], None], count: int, light: SceneLight) -> None:
+    """Do the work of blocks of splats in threads."""
+    _ = light.maps  # once, before the threads need them
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(work, (slice(at, at + _BLOCK) for at in range(0, count, _BLOCK))))
 
 
 def shortest_axes(quats: np.ndarray, scales: np.ndarray) -> np.ndarray:

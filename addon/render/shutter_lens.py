@@ -22,6 +22,7 @@ from .mesh_copies import Frozen
 from .model import Model, SplatCache
 from .samples import Aperture, Sample, Shutter, samples
 from .scene import NO_SPLATS, Placed, Source, place, sources
+from .splat_values import NUMBER, values_of
 
 _OPENINGS = {"START": 0.0, "CENTER": -0.5, "END": -1.0}
 """Opening time relative to the frame, in exposure times, by Blender's names."""
@@ -64,6 +65,7 @@ class ShutterLens:
         cache: Cache of decoded splats.
         frame_set: Evaluates the depsgraph at a frame and a fraction of one.
         eye: The eye of a stereo pair; None: a single picture.
+        values: Names of `splat_values` that the models have.
     """
 
     def __init__(
@@ -74,8 +76,9 @@ class ShutterLens:
         cache: SplatCache,
         frame_set: Callable[[int, float], None],
         eye: Eye | None = None,
+        values: tuple[str, ...] = (),
     ) -> None:
-        self._eye = eye
+        self._eye, self._values = eye, values
         self._depsgraph, self._camera, self._size = depsgraph, camera, size
         self._cache, self._frame_set = cache, frame_set
         self._frame = float(depsgraph.scene.frame_current_final)
@@ -156,7 +159,11 @@ class ShutterLens:
         placed = self._placed()
         if not placed:
             return None
-        return View(model=self._cache.model(placed), camera=camera, holdouts=self._holdouts())
+        model = self._cache.model(placed)
+        if self._values:
+            values = {name: values_of(name, placed) for name in self._values}
+            model = replace(model, values=values)
+        return View(model=model, camera=camera, holdouts=self._holdouts())
 
     def _placed(self) -> list[Placed]:
         """The visible objects at the current time; objects without motion blur as at the first
@@ -203,6 +210,9 @@ class ShutterLens:
 
     def _empty(self) -> View:
         nothing = Model(splats=attributes.NO_SPLATS, matrix=np.eye(4), antialias=(), plain=())
+        shapes = {NUMBER: (0,)}
+        values = {name: np.zeros(shapes.get(name, (0, 3))) for name in self._values}
+        nothing = replace(nothing, values=values)
         return View(model=nothing, camera=self._lens()[0], holdouts=self._holdouts())
 
     def _pinhole(self) -> RenderCamera | Panorama:

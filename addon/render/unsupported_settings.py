@@ -14,11 +14,11 @@ from ..compat import matrix_to_numpy
 from ..interface.blocks import first_few
 from ..nodes import display
 from ..splats import lag
-from ..splats.objects import is_native, is_splats
+from ..splats.objects import has_albedo, is_native, is_splats
 from .color import world_light, world_of
 from .compositing_scene import SPLAT_SCENE, main_scene
 from .holdout_meshes import is_holdout, may_hide, missing_holdouts
-from .passes import SWITCHES
+from .passes import SWITCHES, splats_of
 from .shutter_lens import has_depth_of_field, has_motion_blur
 from .stereo import refusal
 
@@ -117,6 +117,13 @@ def _passes(shown: Shown) -> str:
         if switch and name not in SWITCHES and getattr(shown.layer, name):
             missing.append(prop.name)
     return ", ".join(missing)
+
+
+def _without_albedo(shown: Shown) -> str:
+    """Splats whose albedo the requested pass needs."""
+    if not shown.layer.use_pass_diffuse_color:
+        return ""
+    return ", ".join(ob.name for ob in splats_of(shown.layer) if not has_albedo(ob))
 
 
 def _by_others(shown: Shown, *, catchers: bool) -> list[str]:
@@ -221,9 +228,14 @@ CHECKS = (
         lambda s: getattr(s.layer.material_override, "name", ""),
     ),
     Check(
-        "This engine has no pass {}. Its passes are Combined, Depth, Position, Normal, Object "
-        "Index, and Cryptomatte of objects and assets.",
+        "This engine has no pass {}. Its passes are Combined, Depth, Position, Normal, Vector, "
+        "Diffuse Color, Shadow, Object Index, Splat Index, and Cryptomatte of objects and assets.",
         _passes,
+    ),
+    Check(
+        "The pass Diffuse Color is left out or black for {}: press Relight Splats, which estimates "
+        "it.",
+        _without_albedo,
     ),
     Check("Freestyle has no effect.", lambda s: _if(s.scene.render.use_freestyle)),
     Check("Simplify has no effect on splats.", lambda s: _if(s.scene.render.use_simplify)),

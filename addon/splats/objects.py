@@ -161,7 +161,12 @@ def proxy_of(splats: bpy.types.Object) -> bpy.types.Object | None:
 
 def is_relit(ob: bpy.types.Object) -> bool:
     """True if the scene's light replaces the captured light of splats, see `render.relight`."""
-    return ob.gscore.light > 0 and bool(attributes.light_names(ob.data))
+    return ob.gscore.light > 0 and has_albedo(ob)
+
+
+def has_albedo(ob: bpy.types.Object) -> bool:
+    """True if the albedo of splats was estimated, see `render.estimate_light`."""
+    return bool(attributes.light_names(ob.original.data))
 
 
 def active_splats(context: bpy.types.Context) -> bpy.types.Object | None:

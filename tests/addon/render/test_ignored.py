@@ -100,6 +100,7 @@ WITHOUT_EFFECT = {
     "Shadow Catcher board is not drawn": catcher,
     "Material Override clay": override,
     "has no pass Mist": setting("layer.use_pass_mist", True),
+    "black for splats: press Relight Splats": setting("layer.use_pass_diffuse_color", True),
     "Freestyle": setting("render.use_freestyle", True),
     "Simplify": setting("render.use_simplify", True),
     "Threads": setting("render.threads_mode", "FIXED"),
