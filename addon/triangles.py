@@ -31,11 +31,17 @@ def triangles_of(ob: bpy.types.Object) -> Triangles:
 
 def triangles_of_mesh(mesh: bpy.types.Mesh) -> Triangles:
     """Triangles of an evaluated mesh."""
-    mesh.calc_loop_triangles()
     vertices = np.empty((len(mesh.vertices), 3), np.float32)
-    mesh.vertices.foreach_get("co", vertices.ravel())
-    triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
-    mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
+    # Attributes, which empty meshes lack, are copied as a whole, other collections bit by bit.
+    if len(vertices):
+        mesh.attributes["position"].data.foreach_get("vector", vertices.ravel())
+    if 0 < len(mesh.loops) == 3 * len(mesh.polygons):
+        triangles = np.empty((len(mesh.polygons), 3), np.int32)
+        mesh.attributes[".corner_vert"].data.foreach_get("value", triangles.ravel())
+    else:
+        mesh.calc_loop_triangles()
+        triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
+        mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
     return Triangles(vertices.astype(np.float64), triangles)
 
 

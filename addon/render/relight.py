@@ -37,6 +37,10 @@ _BANDS = np.array([1, *(3 * [2 / 3]), *(5 * [1 / 4])])
 (Ramamoorthi and Hanrahan 2001)."""
 
 
+_CONSTANT = float(sh_basis(0, np.array([0.0, 0.0, 1.0]))[0])
+"""The constant harmonic."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Lamp:
     """A small source of light in the world; a large one is several."""
@@ -98,13 +102,18 @@ class SceneLight:
             places: World positions [N, 3] float32.
             normals: Unit vectors [N, 3] float32.
         """
-        light = harmonics(normals) @ self.world.astype(np.float32)
-        np.maximum(light, 0, out=light)
+        if self.world[1:].any():
+            light = harmonics(normals) @ self.world.astype(np.float32)
+            np.maximum(light, 0, out=light)
+        else:  # from all directions
+            light = np.tile(np.float32(even_radiance(self.world)), (len(places), 1))
         for lamp, maps in zip(self.lamps, self.maps, strict=True):
             share = _falloff(lamp, places, normals)
             if maps is not None:
-                share *= maps.lit(places, normals)
-            light += share[:, None] * np.float32(lamp.strength)
+                rows = np.flatnonzero(share)
+                share[rows] *= maps.lit(places[rows], normals[rows])
+            for channel, strength in enumerate(lamp.strength):
+                light[:, channel] += share * np.float32(strength)
         return light
 
     def white_of(self, means: np.ndarray, normals: np.ndarray, matrix: np.ndarray) -> np.ndarray:
@@ -166,8 +175,13 @@ def map_solid_angles(height: int, width: int) -> np.ndarray:
 def even_world(light: np.ndarray) -> np.ndarray:
     """`SceneLight.world` of one radiance [3] from all directions."""
     found = np.zeros((9, 3))
-    found[0] = np.asarray(light) / harmonics(np.array([[0.0, 0.0, 1.0]]))[0, 0]
+    found[0] = np.asarray(light) / _CONSTANT
     return found
+
+
+def even_radiance(world: np.ndarray) -> np.ndarray:
+    """The radiance [3] of `even_world`."""
+    return np.maximum(world[0] * _CONSTANT, 0)
 
 
 def _falloff(lamp: Lamp, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -217,7 +231,7 @@ def relit(splats: Splats, normals: np.ndarray, captured: np.ndarray, how: Religh
         how: The light.
     """
     count, rest, _ = splats.shN.shape
-    sh0, shN = np.empty((count, 3), np.float32), np.empty((count, rest * 3), np.float32)
+    sh0, shN = np.empty((count, 3), np.float32), np.empty((count, rest, 3), np.float32)
 
     def work(part: slice) -> None:
         ratio = _gain(splats.means[part], normals[part], captured[part], how)
@@ -227,11 +241,12 @@ def relit(splats: Splats, normals: np.ndarray, captured: np.ndarray, how: Religh
         if rest:
             # View dependence is scaled as the color is; a black one has none of its own.
             gain = np.where(color > _DIM, relit / np.maximum(color, _DIM), 1).astype(np.float32)
-            own = splats.shN[part].reshape(-1, rest * 3)
-            np.multiply(own, np.tile(gain, rest), out=shN[part])
+            for channel in range(3):
+                own, out = splats.shN[part, :, channel], shN[part, :, channel]
+                np.multiply(own, gain[:, channel, None], out=out)
 
     _in_blocks(work, count, how.light)
-    return replace(splats, sh0=sh0[:, None], shN=shN.reshape(count, rest, 3))
+    return replace(splats, sh0=sh0[:, None], shN=shN)
 
 
 def shade(
@@ -255,7 +270,8 @@ def _gain(
 ) -> np.ndarray:
     """Factor of the linear colors of splats by relighting, [N, 3] float32."""
     white = how.light.white_of(means, normals, how.matrix)
-    known = (captured > 0).all(axis=1) & normals.any(axis=1)
+    (x, y, z), (r, g, b) = normals.T, captured.T  # reducing rows of three is slow
+    known = ((x != 0) | (y != 0) | (z != 0)) & (r > 0) & (g > 0) & (b > 0)
     ratio = np.divide(white, captured, out=np.ones_like(white), where=known[:, None])
     return np.float32(1 - how.share) + np.float32(how.share) * np.minimum(ratio, _STRONGEST)
 

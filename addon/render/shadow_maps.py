@@ -1,8 +1,10 @@
 """Shadow maps: which surfaces a lamp reaches past meshes; no bpy."""
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
+from itertools import product
 
 import numpy as np
 
@@ -13,10 +15,18 @@ _SIZE = 1024
 """Pixels along a side of a map."""
 _OUTSIDE = 1.3
 """Distance of a lamp from the middle of `Casters.ball`, in its radii, for a single map."""
+_PARTS = 4
+"""Most parts of a map."""
+_EDGES = 1 << 12
+"""Triangles of a proxy by which the length of its edges is judged."""
 _SLACK = 1.5
 """Distance by which proxies may be off the splats, in lengths of their edges."""
 _LEAST, _MOST = 0.002, 0.03
 """Limits of that distance, in radii of `Casters.ball`."""
+
+
+_SIDES = [sign * np.eye(3)[k] for k in range(3) for sign in (1.0, -1.0)]
+"""Axes of the maps of a lamp among the meshes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,61 +68,62 @@ class Casters:
         """Distance from a surface within which nothing shadows it, world units."""
         radius, edges = self.ball[1], [0.0]
         for triangles, matrix in self.proxies:
-            a, b = (triangles.vertices[triangles.triangles[:, k]] for k in (0, 1))
+            some = triangles.triangles[:: -(-len(triangles.triangles) // _EDGES)]
+            a, b = (triangles.vertices[some[:, k]] for k in (0, 1))
             edges.append(float(np.median(np.linalg.norm((a - b) @ matrix[:3, :3].T, axis=1))))
         return float(np.clip(_SLACK * max(edges), _LEAST * radius, _MOST * radius))
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Map:
-    """Depths of meshes as seen from a lamp."""
-
-    viewmat: np.ndarray
-    K: np.ndarray
-    parallel: bool
-    depth: np.ndarray
-    """[H, W] float32; infinite where there is no mesh."""
-
-    def lit(self, places: np.ndarray, slack: float) -> np.ndarray:
-        """Share of places [N, 3] that the lamp reaches, [N] float32: a mean of 2 x 2 pixels by the
-        distance to them; 1 outside of the map."""
-        seen = places @ self.viewmat[:3, :3].T.astype(np.float32) + self.viewmat[:3, 3]
-        z = seen[:, 2]
-        scale = 1.0 if self.parallel else np.maximum(z, 1e-9)
-        x = self.K[0, 0] * seen[:, 0] / scale + self.K[0, 2] - 0.5
-        y = self.K[1, 1] * seen[:, 1] / scale + self.K[1, 2] - 0.5
-        left, top = np.floor(x), np.floor(y)
-        inside = (left >= 0) & (top >= 0) & (left < _SIZE - 1) & (top < _SIZE - 1) & (z > 0)
-        column = np.where(inside, left, 0).astype(np.int64)
-        row = np.where(inside, top, 0).astype(np.int64)
-        u, v = np.where(inside, x - left, 0), np.where(inside, y - top, 0)
-        found = np.zeros(len(places))
-        for dy, wy in ((0, 1 - v), (1, v)):
-            for dx, wx in ((0, 1 - u), (1, u)):
-                found += (z - slack <= self.depth[row + dy, column + dx]) * wy * wx
-        return np.where(inside, found, 1).astype(np.float32)
-
-
-@dataclass(frozen=True, kw_only=True)
 class ShadowMaps:
-    """Shadows of one lamp."""
+    """Shadows of one lamp: depths of meshes as seen from it."""
 
-    maps: tuple[_Map, ...]
-    """Several look in different directions."""
+    viewmats: np.ndarray
+    """[V, 4, 4], world to lamp: one, or six along the axes of the world (`_SIDES`)."""
+    scale: float
+    """Pixels per unit aside, at depth 1 unless parallel."""
+    parallel: bool
+    inverse: np.ndarray
+    """[V * _SIZE * _SIZE] float32, 1 / z; 0 where there is no mesh."""
     slack: float
 
     def lit(self, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Share of the lamp that reaches surfaces, [N] float32.
+        """Share of the lamp that reaches surfaces, [N] float32: a mean of 2 x 2 pixels by the
+        distance to them; 1 outside of the maps.
 
         Args:
-            places: World positions [N, 3].
-            normals: Unit vectors [N, 3].
+            places: World positions [N, 3] float32.
+            normals: Unit vectors [N, 3] float32.
         """
-        places = places + normals * np.float32(self.slack)
-        found = np.ones(len(places), np.float32)
-        for one in self.maps:
-            found *= one.lit(places, self.slack)
-        return found
+        first, x, y, z = self._seen(places + normals * np.float32(self.slack))
+        scale = np.float32(self.scale)
+        if not self.parallel:
+            scale = scale / np.maximum(z, np.float32(1e-9))
+        x, y = (scale * one + np.float32(_SIZE / 2 - 0.5) for one in (x, y))
+        left, top = np.floor(x), np.floor(y)
+        inside = (left >= 0) & (top >= 0) & (left < _SIZE - 1) & (top < _SIZE - 1) & (z > 0)
+        pixel = np.where(inside, top * _SIZE + left, 0).astype(np.int32) + first
+        u, v, z = x - left, y - top, z - np.float32(self.slack)
+        rows = []
+        for row in (pixel, pixel + _SIZE):
+            near, far = (self.inverse[row + k] * z <= 1 for k in (0, 1))
+            rows.append(np.where(near, 1 - u, 0) + np.where(far, u, 0))
+        return np.where(inside, rows[0] + v * (rows[1] - rows[0]), 1).astype(np.float32)
+
+    def _seen(self, places: np.ndarray) -> tuple[np.ndarray | int, ...]:
+        """First pixel of the map that shows each place, and its coordinates in the map's axes."""
+        if len(self.viewmats) == 1:
+            turn, shift = self.viewmats[0, :3, :3], self.viewmats[0, :3, 3:]
+            return 0, *(np.float32(turn) @ places.T + np.float32(shift))
+        eye = -self.viewmats[0, :3, :3].T @ self.viewmats[0, :3, 3]
+        away = np.ascontiguousarray((places - np.float32(eye)).T)
+        every, count = away.ravel(), np.arange(away.shape[1])
+        axis = np.argmax(np.abs(away), axis=0)
+        side = 2 * axis + (every[axis * len(count) + count] < 0)
+        turns = self.viewmats[:, :3, :3]
+        rows, signs = np.abs(turns).argmax(-1), np.float32(turns.sum(-1))
+        own = (signs[side, k] * every[rows[side, k] * len(count) + count] for k in range(3))
+        return (side * _SIZE**2).astype(np.int32), *own
 
 
 def ball_of(places: np.ndarray) -> tuple[np.ndarray, float]:
@@ -133,37 +144,49 @@ def shadow_maps(casters: Casters, place: np.ndarray, axis: np.ndarray | None) ->
     if axis is not None:
         scale = _SIZE / (2.02 * radius)
         ahead = max(2 * radius, radius - float(((casters.mesh.vertices - center) @ axis).min()))
-        views = [(_turned(axis, center - ahead * axis), scale, True)]
+        views = [_turned(axis, center - ahead * axis)]
     else:
         away = center - place
         distance = float(np.linalg.norm(away))
         if distance > _OUTSIDE * radius:
             scale = _SIZE / 2 * np.sqrt(distance**2 - radius**2) / (1.01 * radius)
-            views = [(_turned(away / distance, place), scale, False)]
+            views = [_turned(away / distance, place)]
         else:
-            sides = [sign * np.eye(3)[k] for k in range(3) for sign in (1.0, -1.0)]
             # Wider by a pixel, so that no place is between two of them.
-            views = [(_turned(side, place), _SIZE / 2 - 1, False) for side in sides]
+            scale, views = _SIZE / 2 - 1, [_turned(side, place) for side in _SIDES]
+    K = np.array([[scale, 0, _SIZE / 2], [0, scale, _SIZE / 2], [0, 0, 1]])
+    mesh, parallel = casters.mesh, axis is not None
+    # A single map is drawn in parts at once.
+    parts = 1 if len(views) > 1 else min(os.cpu_count() or 1, _PARTS)
 
-    def draw(view: tuple[np.ndarray, float, bool]) -> _Map:
-        viewmat, scale, parallel = view
-        K = np.array([[scale, 0, _SIZE / 2], [0, scale, _SIZE / 2], [0, 0, 1]])
-        inverse = mesh_depth(
-            casters.mesh.vertices,
-            casters.mesh.triangles,
-            K,
-            viewmat,
-            _SIZE,
-            _SIZE,
-            near=1e-4 * radius,
-            orthographic=parallel,
-        )
-        depth = np.full_like(inverse, np.inf)
-        np.divide(1, inverse, out=depth, where=inverse > 0)
-        return _Map(viewmat=viewmat, K=K, parallel=parallel, depth=depth)
+    def draw(task: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        viewmat, triangles = task
+        if not parallel:
+            triangles = triangles[_in_view(mesh.vertices, triangles, viewmat, _SIZE / 2 / scale)]
+        how = {"near": 1e-4 * radius, "orthographic": parallel}
+        return mesh_depth(mesh.vertices, triangles, K, viewmat, _SIZE, _SIZE, **how)
 
-    with ThreadPoolExecutor(len(views)) as pool:
-        return ShadowMaps(maps=tuple(pool.map(draw, views)), slack=casters.slack)
+    with ThreadPoolExecutor(parts * len(views)) as pool:
+        drawn = list(pool.map(draw, product(views, np.array_split(mesh.triangles, parts))))
+    drawn = [reduce(np.maximum, drawn)] if len(views) == 1 else drawn
+    return ShadowMaps(
+        viewmats=np.stack(views),
+        scale=float(scale),
+        parallel=parallel,
+        inverse=np.concatenate(drawn).ravel(),
+        slack=casters.slack,
+    )
+
+
+def _in_view(
+    vertices: np.ndarray, triangles: np.ndarray, viewmat: np.ndarray, half: float
+) -> np.ndarray:
+    """Triangles that may be in a square view of half width `half` per unit forward, [T] bool."""
+    x, y, z = viewmat[:3, :3] @ vertices.T + viewmat[:3, 3:]
+    edge = half * z
+    beyond = (z <= 0) | (x > edge) << 1 | (x < -edge) << 2 | (y > edge) << 3 | (y < -edge) << 4
+    a, b, c = beyond.astype(np.uint8)[triangles.T]
+    return a & b & c == 0
 
 
 def _turned(axis: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -46,10 +46,12 @@ def mesh_depth(
     """
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise ShapeError(f"vertices must be [V, 3], got {list(vertices.shape)}.")
-    corners, farthest = projected_corners(vertices, K, viewmat), None
+    farthest = None
     if near > 0 or orthographic:
         corners, triangles = _before(near, vertices, triangles, viewmat)
         corners = corners @ np.asarray(K, np.float64).T
+    else:
+        corners = projected_corners(vertices, K, viewmat)
     if orthographic:
         corners, farthest = _linear(corners, K)
     mesh = header.MeshStruct(
