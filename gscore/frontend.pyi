@@ -31,6 +31,7 @@ from .edit import isolation_of as isolation_of
 from .edit import most_important as most_important
 from .edit import of_size as of_size
 from .edit import reached_from as reached_from
+from .edit.heal import heal as heal
 from .edit.pipeline import EditViews as EditViews
 from .edit.pipeline import apply_edits as apply_edits
 from .edit.request import EditRequest as EditRequest

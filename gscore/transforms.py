@@ -227,7 +227,7 @@ def transform_splats(splats: Splats, matrix: np.ndarray) -> Splats:
     return replace(
         splats,
         means=means,
-        quats=_quat_multiply(turn, splats.quats.astype(np.float64)).astype(np.float32),
+        quats=quat_multiply(turn, splats.quats.astype(np.float64)).astype(np.float32),
         scales=(splats.scales + np.float64(math.log(scale))).astype(np.float32),
         shN=_turn_harmonics(splats.shN, orthogonal),
     )
@@ -249,7 +249,7 @@ def _similarity_parts(linear: np.ndarray) -> tuple[float, np.ndarray]:
     return scale, u @ vt
 
 
-def _quat_multiply(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def quat_multiply(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Hamilton product of quaternions [..., 4] wxyz: the rotation `right`, then `left`."""
     a, b, c, d = np.moveaxis(left, -1, 0)
     w, x, y, z = np.moveaxis(right, -1, 0)

@@ -262,10 +262,7 @@ def _facts(
 
 
 def _summary(facts: dict[str, Any]) -> str:
-    lines = [
-        f"  {step['name']:13}{number(step['removed']):>12} removed,{number(step['left']):>12} left"
-        for step in facts["steps"]
-    ]
+    lines = [_step_text(step) for step in facts["steps"]]
     if lost := facts["error"]:
         lines.append(_error_text(lost))
     read = " + ".join(map(number, facts["splats_read"]))
@@ -278,6 +275,12 @@ def _summary(facts: dict[str, Any]) -> str:
     if facts["picture"]:
         lines.append(f"Before and after: {facts['picture']}")
     return "\n".join(lines)
+
+
+def _step_text(step: dict[str, Any]) -> str:
+    what = "removed" if step["removed"] >= 0 else "added"
+    count = f"{number(abs(step['removed'])):>12} {what},"
+    return f"  {step['name']:13}{count:21}{number(step['left']):>12} left"
 
 
 def _error_text(lost: dict[str, Any]) -> str:

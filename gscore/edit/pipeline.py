@@ -1,4 +1,4 @@
-"""Edit pipeline: all steps of a request in order, and the number of splats each removed."""
+"""Edit pipeline: all steps of a request in order, and the change of the number of splats."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -15,6 +15,7 @@ from ..text_format import count_text
 from ..transforms import transform_splats
 from .clusters import cluster_sizes
 from .crop import box_matrix, in_frustum, in_unit_shape, sphere_matrix
+from .heal import heal
 from .measures import at_least_opaque, contributions, isolation_of, of_size, similarity_matrix
 from .request import GAP, EditRequest
 
@@ -44,7 +45,7 @@ class Step:
 
     name: str
     removed: int
-    """Number of removed splats."""
+    """Number of removed splats; negative: splats were added."""
     left: int
     """Number of remaining splats."""
     seconds: float
@@ -59,7 +60,7 @@ class Edited:
     joined: Splats
     """Splats before any removal."""
     cropped: Splats
-    """Splats after the crop: the reference for measuring cleaning and thinning."""
+    """Splats after crop and healing: the reference for measuring cleaning and thinning."""
     kept: Splats
     """Splats after the last step that removes any, in the world of the cameras."""
     steps: list[Step] = field(default_factory=list)
@@ -79,7 +80,7 @@ def apply_edits(
     bytes_of: Callable[[Splats], int] | None = None,
     on_step: OnStep = lambda name: None,
 ) -> Edited:
-    """Join, crop, clean, thin and transform splats.
+    """Join, crop, heal, clean, thin and transform splats.
 
     Args:
         parts: Models of one world, at least one.
@@ -90,11 +91,12 @@ def apply_edits(
         on_step: Called before each step.
 
     Raises:
-        ConfigError: a step lacks its views, or leaves no splat.
+        ConfigError: a step lacks its views, leaves no splat, or finds no hole.
         ShapeError: a matrix is not a similarity.
     """
     work = _Work(joined(parts), views, on_step)
     work.crop(request)
+    work.heal(request)
     cropped = work.splats
     work.clean(request)
     work.narrow(request)
@@ -126,6 +128,14 @@ class _Work:
         """Keep the splats inside all shapes, or outside."""
         if request.crops:
             self._keep("crop", lambda s: _inside(s.means, request, self._views) != request.outside)
+
+    def heal(self, request: EditRequest) -> None:
+        """Fill a hole."""
+        if request.heal is not None:
+            x, y, z, radius = request.heal
+            ball = np.diag([radius, radius, radius, 1.0])
+            ball[:3, 3] = x, y, z
+            self._change("heal", lambda s: joined([s, heal(s, ball)]))
 
     def clean(self, request: EditRequest) -> None:
         """Remove faint, large, non-contributing or isolated splats."""

@@ -26,6 +26,8 @@ class EditRequest:
     """Keep splats in the picture of any of these cameras; indices."""
     outside: bool = False
     """Keep the splats outside these shapes instead."""
+    heal: Sequence[float] | None = None
+    """Fill the hole inside a sphere: x y z radius, world units; see `heal`."""
     min_opacity: float | None = None
     """Least opacity, in [0, 1]."""
     max_size: float | None = None
@@ -66,6 +68,8 @@ class EditRequest:
             )
         if self.sphere is not None and not self.sphere[3] > 0:
             raise ConfigError(f"The radius of a sphere must be above 0, got {self.sphere[3]:g}.")
+        if self.heal is not None and not self.heal[3] > 0:
+            raise ConfigError(f"The radius of a hole must be above 0, got {self.heal[3]:g}.")
         if self.outside and not self.crops:
             raise ConfigError("Outside needs a shape: give a box, sphere or frustum.")
         if self.gap is not None and self.min_cluster is None:

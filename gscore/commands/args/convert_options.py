@@ -60,6 +60,9 @@ def _add_join_and_crop(parser: argparse.ArgumentParser) -> None:
     option("--sphere X Y Z R", "centre and radius", _finite)
     option("--frustum VIEW...", "splats visible in any of these views, by name or number")
     option("--outside", "keep the splats outside instead")
+    option(
+        "--heal X Y Z R", "then fill the hole in this sphere with splats from around it", _finite
+    )
 
 
 def _add_clean(parser: argparse.ArgumentParser) -> None:
