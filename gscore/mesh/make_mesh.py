@@ -52,8 +52,9 @@ _NEARER = 0.25
 _FAR = 2.0
 """Farthest fused depth, multiples of that of the nearer surfaces: beyond it pixels are wider than
 voxels."""
-_COARSE = 4
-"""Divisor of the pictures by which blocks are allocated."""
+_COARSE = 2
+"""Divisor of the pictures by which blocks are allocated: with smaller ones, surfaces between thin
+parts have no pixel away from a silhouette, and no blocks."""
 _SAMPLED = 12
 """Views that choose the voxel size and the farthest depth."""
 _SPREAD = 2.0

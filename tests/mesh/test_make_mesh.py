@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from gscore.errors import Cancelled, ConfigError, DatasetError
 from gscore.formats.joined import joined
@@ -12,7 +13,7 @@ from gscore.mesh import MeshRequest, SurfaceMesh, make_mesh
 from gscore.mesh.clean import boundary_loops, vertex_normals
 from gscore.mesh.volume import BLOCK_BYTES
 from gscore.raster.api import render_camera
-from tests.mesh.shapes import RADIUS, around, box, from_box, sphere
+from tests.mesh.shapes import RADIUS, around, box, flat_splats, from_box, sphere
 
 VOXEL = 0.05
 
@@ -95,6 +96,19 @@ def test_what_no_camera_sees_is_open_or_closed_on_request() -> None:
     assert len(closed.colors) == len(closed.vertices)
     cosines = (vertex_normals(closed.vertices, closed.triangles) * closed.vertices).sum(axis=1)
     assert (cosines > 0).mean() > 0.95
+
+
+def test_surfaces_between_thin_parts_have_blocks() -> None:
+    """Oracle: a sphere in a cage, whose bars are near every pixel of small pictures."""
+    turn = np.repeat(np.arange(120) * (2 * np.pi / 120), 150)
+    out = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    bars = 2.2 * out + np.tile(np.linspace(-2, 2, 150), 120)[:, None] * [0, 0, 1.0]
+    scene = joined([sphere(), flat_splats(bars, out, 0.01, np.full_like(bars, 0.2))])
+    request = MeshRequest(voxel=0.025, holes="open", min_part=0)
+    mesh = make_mesh(scene, around(12, least=-0.3), request, threads=1)
+    near = np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS) < 0.025
+    distances = KDTree(mesh.vertices[near]).query(sphere(3000).means)[0]
+    assert (distances < 0.04).mean() > 0.85  # 0.45 without the pixels beside the bars
 
 
 def test_a_region_cuts() -> None:
