@@ -236,7 +236,7 @@ def snapshot(depsgraph: bpy.types.Depsgraph) -> Steps[list[Placed]]:
             frozen[uid] = yield from run_in_thread(
                 lambda check, of=(name, columns): FrozenMesh.of(*of), "Reading splats"
             )
-        return [replace(one, frozen=frozen[one.uid]) for one in placed]
+        return [replace(one, frozen=frozen[one.uid], relighting=None) for one in placed]
     finally:
         for _, taken in reads.values():
             taken.drop()

@@ -62,7 +62,7 @@ def _casters(
     """Meshes that cast shadows. Renders copy them anew: no handler has their changes, and they run
     in a thread of their own."""
     copies = {} if depsgraph.mode == "RENDER" else _copies
-    key, found = [], {True: [], False: []}
+    keys, found = {True: b"", False: b""}, {True: [], False: []}
     for ob in meshes:
         uid = ob.original.session_uid
         if uid not in copies:
@@ -72,15 +72,19 @@ def _casters(
         checksum, triangles = copies[uid]
         if len(triangles.triangles) and np.isfinite(triangles.vertices).all():
             matrix = matrix_to_numpy(ob.matrix_world)
-            key.append(checksum + matrix.tobytes())
+            keys[is_proxy(ob)] += checksum + matrix.tobytes()
             found[is_proxy(ob)].append((triangles, matrix))
-    ball = ball_of(np.concatenate(corners)) if corners else None
+    ball, place = ball_of(np.concatenate(corners)) if corners else None, b""
     if ball is not None and np.isfinite(ball[1]):
-        key.append(np.append(*ball).tobytes())
+        place = np.append(*ball).tobytes()
     else:
         ball = None
     return Casters(
-        key=b"".join(key), proxies=tuple(found[True]), meshes=tuple(found[False]), splats=ball
+        proxy_key=keys[True] + place,
+        mesh_key=keys[False] + place,
+        proxies=tuple(found[True]),
+        meshes=tuple(found[False]),
+        splats=ball,
     )
 
 

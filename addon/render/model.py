@@ -11,7 +11,7 @@ from .. import attributes
 from ..core import Splats, sh_basis, transform_splats
 from ..interface.option_labels import error_text
 from .mesh_copies import FrozenMesh, Trace, repainted_rows, trace_of
-from .relight import relit
+from .relight import relit, shortest_axes
 from .scene import Identity, Placed
 
 HALF = float(0.5 / sh_basis(0, np.array([0.0, 0.0, 1.0]))[0])
@@ -131,7 +131,7 @@ class SplatCache:
             return known[1]
         made = None if known is None else _repainted(*known, placed)
         if made is None:
-            made = _read(placed)
+            made = decoded(placed)
             self.decoded += 1
         self._parts[placed.captured] = made
         return made[1]
@@ -152,7 +152,7 @@ class SplatCache:
         return self._merged[1]
 
 
-def _read(placed: Placed) -> tuple[Trace, Splats]:
+def decoded(placed: Placed) -> tuple[Trace, Splats]:
     """The splats of an object that pass its filters, and the trace of its copy."""
     splats, kept = placed.frozen.read(), None
     if placed.filters is not None:
@@ -163,16 +163,24 @@ def _read(placed: Placed) -> tuple[Trace, Splats]:
 
 def _relit(captured: Splats, placed: Placed) -> Splats:
     """The splats of an object under the light of its scene."""
-    assert isinstance(placed.frozen, FrozenMesh)
-    columns = [placed.frozen.columns[name] for name in (attributes.NORMAL, attributes.CAPTURED)]
-    if placed.filters is not None:
-        kept = placed.frozen.kept(placed.filters)
-        columns = [column[kept] for column in columns]
-    return relit(captured, *columns, placed.relighting)
+    return relit(captured, *surface_of(placed, captured), placed.relighting)
+
+
+def surface_of(placed: Placed, captured: Splats) -> tuple[np.ndarray, np.ndarray | None]:
+    """Normals of the splats of an object, and the captured light if it was estimated, as `relit`
+    takes them."""
+    frozen = placed.frozen
+    if not (isinstance(frozen, FrozenMesh) and frozen.can_be_relit):
+        return shortest_axes(captured.quats, captured.scales), None
+    columns = (frozen.columns[name] for name in (attributes.NORMAL, attributes.CAPTURED))
+    if placed.filters is None:
+        return tuple(columns)
+    kept = frozen.kept(placed.filters)
+    return tuple(column[kept] for column in columns)
 
 
 def _repainted(before: Trace, splats: Splats, placed: Placed) -> tuple[Trace, Splats] | None:
-    """Like `_read`, if only colours and opacities have changed; all other arrays are shared with
+    """Like `decoded`, if only colours and opacities have changed; all other arrays are shared with
     `splats`.
 
     Args:

@@ -79,57 +79,85 @@ class SceneLight:
         return repr(self.lamps).encode() + self.world.tobytes() + self.casters.key
 
     @cached_property
-    def maps(self) -> tuple[ShadowMaps | None, ...]:
-        """The shadows of each lamp; None: it casts none, as those after the first `_MOST_MAPS`."""
-        if not self.casters:
-            return (None,) * len(self.lamps)
+    def maps(self) -> tuple[tuple[ShadowMaps, ...], ...]:
+        """The shadows of each lamp by proxies and by other meshes, in this order, without those
+        that are not there; none for lamps after the first `_MOST_MAPS`. They are kept apart, so
+        that those of proxies stay when a mesh moves."""
         casting = {_source(lamp): lamp for lamp in self.lamps if lamp.source is not None}
         before, found = dict(_known), {}
         for source, lamp in list(casting.items())[:_MOST_MAPS]:
-            key = self.casters.key, source
-            found[key] = before.get(key) or _maps_of(self.casters, lamp)
+            for key, kind in self._kinds(source).items():
+                found[key] = before.get(key) or _maps_of(kind, lamp, self.casters.slack)
         _known.clear()
         _known.update(found)
+        sources = (None if lamp.source is None else _source(lamp) for lamp in self.lamps)
         return tuple(
-            None if lamp.source is None else found.get((self.casters.key, _source(lamp)))
-            for lamp in self.lamps
+            tuple(found[key] for key in self._kinds(source) if key in found) for source in sources
         )
 
-    def white(self, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    def _kinds(self, source: str | None) -> dict[tuple[bytes, bytes, str], Casters]:
+        """Proxies and other meshes by their keys in `_known`; none without a source."""
+        kinds = (self.casters.only_proxies, self.casters.only_meshes)
+        slack = np.float64(self.casters.slack).tobytes() if self.casters else b""
+        there = () if source is None else (kind for kind in kinds if kind)
+        return {(kind.key, slack, source): kind for kind in there}
+
+    def white(
+        self,
+        places: np.ndarray,
+        normals: np.ndarray,
+        *,
+        meshes: bool = True,
+        two_sided: bool = False,
+    ) -> np.ndarray:
         """Radiance of white surfaces, linear Rec. 709, [N, 3] float32.
 
         Args:
             places: World positions [N, 3] float32.
             normals: Unit vectors [N, 3] float32.
+            meshes: Whether meshes other than proxies cast shadows.
+            two_sided: Whether it is unknown on which side of a surface its normal is: it is turned
+                to each lamp.
         """
-        if self.world[1:].any():
-            light = harmonics(normals) @ self.world.astype(np.float32)
+        world = self.world.copy()
+        if two_sided:
+            world[1:4] = 0  # of opposite sign on both sides
+        if world[1:].any():
+            light = harmonics(normals) @ world.astype(np.float32)
             np.maximum(light, 0, out=light)
         else:  # from all directions
-            light = np.tile(np.float32(even_radiance(self.world)), (len(places), 1))
-        for lamp, maps in zip(self.lamps, self.maps, strict=True):
+            light = np.tile(np.float32(even_radiance(world)), (len(places), 1))
+        left_out = () if meshes else self.casters.meshes
+        for lamp, found in zip(self.lamps, self.maps, strict=True):
             share = _falloff(lamp, places, normals)
-            if maps is not None:
-                rows = np.flatnonzero(share)
-                share[rows] *= maps.lit(places[rows], normals[rows])
+            own = normals
+            if two_sided:
+                own, share = np.where(share[:, None] < 0, -normals, normals), np.abs(share)
+            np.maximum(share, 0, out=share)
+            rows = np.flatnonzero(share)
+            for maps in found[:-1] if left_out else found:
+                share[rows] *= maps.lit(places[rows], own[rows])
             for channel, strength in enumerate(lamp.strength):
                 light[:, channel] += share * np.float32(strength)
         return light
 
-    def white_of(self, means: np.ndarray, normals: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    def white_of(
+        self, means: np.ndarray, normals: np.ndarray, matrix: np.ndarray, **how: bool
+    ) -> np.ndarray:
         """`white` of surfaces in the space of an object.
 
         Args:
             means: Positions in that space [N, 3] float32.
             normals: Unit vectors in it [N, 3] float32.
             matrix: Object to world [4, 4], a similarity.
+            **how: Other arguments of `white`.
         """
         turn = matrix[:3, :3] / np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
         turn, matrix = turn.astype(np.float32), matrix.astype(np.float32)
-        return self.white(means @ matrix[:3, :3].T + matrix[:3, 3], normals @ turn.T)
+        return self.white(means @ matrix[:3, :3].T + matrix[:3, 3], normals @ turn.T, **how)
 
 
-_known: dict[tuple[bytes, str], ShadowMaps] = {}
+_known: dict[tuple[bytes, bytes, str], ShadowMaps] = {}
 """Shadow maps of the last light by their meshes and lamp; those of a lamp in a room are 24 MB."""
 _MOST_MAPS = 32
 
@@ -139,9 +167,9 @@ def _source(lamp: Lamp) -> str:
     return repr(lamp.axis if lamp.kind == SUN else lamp.source)
 
 
-def _maps_of(casters: Casters, lamp: Lamp) -> ShadowMaps:
+def _maps_of(casters: Casters, lamp: Lamp, slack: float) -> ShadowMaps:
     axis = np.array(lamp.axis) if lamp.kind == SUN else None
-    return shadow_maps(casters, np.array(lamp.source), axis)
+    return shadow_maps(casters, np.array(lamp.source), axis, slack)
 
 
 def harmonics(normals: np.ndarray) -> np.ndarray:
@@ -185,14 +213,14 @@ def even_radiance(world: np.ndarray) -> np.ndarray:
 
 
 def _falloff(lamp: Lamp, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Share of a lamp's strength that arrives at surfaces, [N] float32."""
+    """Share of a lamp's strength that arrives at surfaces, [N] float32; below 0 on their back."""
     axis = np.float32(lamp.axis)
     if lamp.kind == SUN:
-        return np.maximum(normals @ -axis, 0)
+        return normals @ -axis
     towards = np.float32(lamp.place) - places
     squared = np.maximum(np.einsum("ij,ij->i", towards, towards), np.float32(1e-12))
     distance = np.sqrt(squared)
-    share = np.maximum(np.einsum("ij,ij->i", towards, normals), 0)
+    share = np.einsum("ij,ij->i", towards, normals)
     share /= distance * np.maximum(squared, np.float32(lamp.radius**2))
     edge, fade = lamp.cone
     if edge > -1 or lamp.is_surface:
@@ -211,6 +239,9 @@ class Relighting:
 
     share: float
     """0: the captured light; 1: the scene's."""
+    catches: bool = False
+    """Whether meshes that were not in the photos cast shadows in the captured light too, as those
+    lamps that the scene has."""
     light: SceneLight
     matrix: np.ndarray
     """[4, 4] float64, object to world."""
@@ -218,23 +249,28 @@ class Relighting:
     @cached_property
     def key(self) -> bytes:
         """Differs if the result differs."""
-        return np.float64(self.share).tobytes() + self.matrix.tobytes() + self.light.key
+        own = np.float64([self.share, self.catches]).tobytes()
+        return own + self.matrix.tobytes() + self.light.key
 
 
-def relit(splats: Splats, normals: np.ndarray, captured: np.ndarray, how: Relighting) -> Splats:
+def relit(
+    splats: Splats, normals: np.ndarray, captured: np.ndarray | None, how: Relighting
+) -> Splats:
     """Splats under the scene's light.
 
     Args:
         splats: Splats as captured, in the object's space.
         normals: Unit vectors in that space [N, 3]; zero: none, and the color stays.
-        captured: Radiance of white surfaces in the photos [N, 3], linear.
+        captured: Radiance of white surfaces in the photos [N, 3], linear; None: it is not known,
+            nor on which side of a splat its normal is, and `how.share` is 0.
         how: The light.
     """
     count, rest, _ = splats.shN.shape
     sh0, shN = np.empty((count, 3), np.float32), np.empty((count, rest, 3), np.float32)
 
     def work(part: slice) -> None:
-        ratio = _gain(splats.means[part], normals[part], captured[part], how)
+        before = None if captured is None else captured[part]
+        ratio = _gain(splats.means[part], normals[part], before, how)
         color = sh0_to_rgb(splats.sh0[part, 0])
         relit = encode(decode(color) * ratio) + np.minimum(color, 0)
         sh0[part] = rgb_to_sh0(relit)
@@ -250,7 +286,7 @@ def relit(splats: Splats, normals: np.ndarray, captured: np.ndarray, how: Religh
 
 
 def shade(
-    means: np.ndarray, normals: np.ndarray, captured: np.ndarray, how: Relighting
+    means: np.ndarray, normals: np.ndarray, captured: np.ndarray | None, how: Relighting
 ) -> np.ndarray:
     """Factor of the colors of relit splats by shadows, [N, 3] float32; 1: none. Arguments as the
     arrays of `relit`."""
@@ -258,7 +294,8 @@ def shade(
     bare = replace(how, light=replace(how.light, casters=Casters()))
 
     def work(part: slice) -> None:
-        lit, dark = (_gain(means[part], normals[part], captured[part], one) for one in (bare, how))
+        before = None if captured is None else captured[part]
+        lit, dark = (_gain(means[part], normals[part], before, one) for one in (bare, how))
         np.divide(dark, lit, out=out[part], where=lit > 0)
 
     _in_blocks(work, len(means), how.light)
@@ -266,14 +303,21 @@ def shade(
 
 
 def _gain(
-    means: np.ndarray, normals: np.ndarray, captured: np.ndarray, how: Relighting
+    means: np.ndarray, normals: np.ndarray, captured: np.ndarray | None, how: Relighting
 ) -> np.ndarray:
     """Factor of the linear colors of splats by relighting, [N, 3] float32."""
-    white = how.light.white_of(means, normals, how.matrix)
+    ratio = np.ones((len(means), 3), np.float32)
+    white = how.light.white_of(means, normals, how.matrix, two_sided=captured is None)
+    if how.catches and how.share < 1:
+        without = {"meshes": False, "two_sided": captured is None}
+        bare = how.light.white_of(means, normals, how.matrix, **without)
+        np.divide(white, bare, out=ratio, where=bare > 0)
+    if captured is None:
+        return ratio
     (x, y, z), (r, g, b) = normals.T, captured.T  # reducing rows of three is slow
     known = ((x != 0) | (y != 0) | (z != 0)) & (r > 0) & (g > 0) & (b > 0)
-    ratio = np.divide(white, captured, out=np.ones_like(white), where=known[:, None])
-    return np.float32(1 - how.share) + np.float32(how.share) * np.minimum(ratio, _STRONGEST)
+    lit = np.divide(white, captured, out=np.ones_like(white), where=known[:, None])
+    return np.float32(1 - how.share) * ratio + np.float32(how.share) * np.minimum(lit, _STRONGEST)
 
 
 def _in_blocks(work: Callable[[slice], None], count: int, light: SceneLight) -> None:

@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 
 from ..splats.filters import Filters, filters_of
-from ..splats.objects import ANTIALIAS, can_export, chain
+from ..splats.objects import ANTIALIAS, can_export, chain, proxy_of
 from ..timeline.frame_at import Moment, moment_of
 from . import compositing_scene
 from .instances import instances
@@ -219,8 +219,12 @@ def place(source: Source, frozen: Frozen | None = None, *, always_filtered: bool
     if filters is not None and not filters.leave_out_anything:
         filters = None
     relighting, share = None, 0.0 if settings is None else settings.light
-    if share > 0 and isinstance(frozen, FrozenMesh) and frozen.can_be_relit:
-        relighting = Relighting(share=share, light=source.light(), matrix=source.matrix)
+    share = share if isinstance(frozen, FrozenMesh) and frozen.can_be_relit else 0.0
+    catches = proxy_of(ob.original) is not None and bool(source.light().casters.meshes)
+    if share > 0 or catches:
+        relighting = Relighting(
+            share=share, catches=catches, light=source.light(), matrix=source.matrix
+        )
     return Placed(
         identity=source.identity,
         uid=source.uid,

@@ -33,8 +33,10 @@ _SIDES = [sign * np.eye(3)[k] for k in range(3) for sign in (1.0, -1.0)]
 class Casters:
     """Meshes that cast shadows on splats."""
 
-    key: bytes = b""
-    """Differs if the meshes differ."""
+    proxy_key: bytes = b""
+    """Differs if the proxies, or `splats`, differ."""
+    mesh_key: bytes = b""
+    """Differs if the other meshes, or `splats`, differ."""
     proxies: tuple[tuple[Triangles, np.ndarray], ...] = field(default=(), compare=False)
     """Proxies of splats, and their matrices to the world [4, 4]: they are on the splats' surface,
     but not exactly."""
@@ -44,9 +46,19 @@ class Casters:
     """Center [3] and radius of a ball around all splats; None: it is not known."""
 
     @property
+    def key(self) -> bytes:
+        """Differs if the meshes differ."""
+        return self.proxy_key + b"|" + self.mesh_key
+
+    @property
     def only_proxies(self) -> "Casters":
         """The proxies alone: what stood there when the photos were taken."""
-        return replace(self, key=self.key + b"proxies", meshes=())
+        return replace(self, mesh_key=b"", meshes=())
+
+    @property
+    def only_meshes(self) -> "Casters":
+        """The other meshes alone."""
+        return replace(self, proxy_key=b"", proxies=())
 
     def __bool__(self) -> bool:
         return bool(self.proxies or self.meshes)
@@ -132,13 +144,16 @@ def ball_of(places: np.ndarray) -> tuple[np.ndarray, float]:
     return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-9)
 
 
-def shadow_maps(casters: Casters, place: np.ndarray, axis: np.ndarray | None) -> ShadowMaps:
+def shadow_maps(
+    casters: Casters, place: np.ndarray, axis: np.ndarray | None, slack: float
+) -> ShadowMaps:
     """Draw the meshes from a lamp.
 
     Args:
         casters: At least one mesh.
         place: World position [3].
         axis: Unit vector along which it shines [3], if it is a sun.
+        slack: `Casters.slack` of all meshes.
     """
     center, radius = casters.ball
     if axis is not None:
@@ -174,7 +189,7 @@ def shadow_maps(casters: Casters, place: np.ndarray, axis: np.ndarray | None) ->
         scale=float(scale),
         parallel=parallel,
         inverse=np.concatenate(drawn).ravel(),
-        slack=casters.slack,
+        slack=slack,
     )
 
 

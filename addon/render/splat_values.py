@@ -8,6 +8,7 @@ from .. import attributes
 from ..core import sh0_to_rgb
 from ..srgb import decode
 from .mesh_copies import FrozenMesh
+from .model import decoded, surface_of
 from .relight import shade
 from .scene import Placed
 
@@ -55,8 +56,8 @@ def _shadow(placed: Placed) -> np.ndarray:
     how = placed.relighting
     if how is None or placed.holdout:
         return np.ones((len(_numbers(placed)), 3), np.float32)
-    names = (attributes.POSITION, attributes.NORMAL, attributes.CAPTURED)
-    return shade(*(_column(placed, name) for name in names), how)
+    captured = decoded(placed)[1]
+    return shade(captured.means, *surface_of(placed, captured), how)
 
 
 _VALUES: dict[str, Callable[[Placed], np.ndarray]] = {

@@ -11,7 +11,9 @@ from mathutils import Matrix
 from addon import attributes, compat
 from addon.panels.result import LightPanel
 from addon.render import compositor, lamps, relight
+from addon.render.model import SplatCache
 from addon.render.proxy import attach
+from addon.render.scene import place, sources
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -450,3 +452,74 @@ def test_many_lamps_and_none(lit, tmp_path):
     got = lab.render_exr(tmp_path, "many")[12, 12, :3]
     linear = ((np.array(COLOR) + 0.055) / 1.055) ** 2.4
     np.testing.assert_allclose(got, linear * 2 / np.pi, rtol=0.02)
+
+
+@pytest.mark.parametrize("kind", ["captured", "estimated"])
+def test_meshes_shadow_splats_with_the_captured_look(lit, tmp_path, kind):
+    """Of splats with a proxy: their picture times the light that Cycles renders on a plane with the
+    cube over that without, in linear light; the same bits without a mesh, and without a proxy. The
+    splats' shortest axes face away from the lamp, if no normals were estimated."""
+    (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
+    ob.gscore.light = 0.0
+    if kind == "captured":
+        for name in (attributes.NORMAL, attributes.CAPTURED):
+            ob.data.attributes.remove(ob.data.attributes[name])
+        ob.rotation_euler = (0, np.pi, 0)
+    lamp(lit, "SUN").data.energy = 3.0
+    world = compat.world_nodes(lit.world).nodes["Background"]
+    world.inputs[0].default_value = (0.3, 0.3, 0.3, 1)
+    plain = lab.render_exr(tmp_path, "plain")
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.1, 0, 0.5))
+    cube = bpy.context.object
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "no_proxy"), plain)
+    proxy = grid(-0.01)
+    attach(lit, ob, proxy)
+    got = lab.render_exr(tmp_path, "got")
+    cube.hide_render = True
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "no_mesh"), plain)
+    proxy.driver_remove("hide_render")
+    proxy.hide_render = True
+    lit.cycles.max_bounces = 0
+    without = by_cycles(lit, tmp_path)
+    cube.hide_render, cube.visible_camera = False, False
+    ratio = (lab.render_exr(tmp_path, "with")[..., :3] / without).mean(-1)
+    ours = (got[..., :3] / plain[..., :3]).mean(-1)
+    shadow = ratio < 0.5
+    assert shadow.sum() > 20
+    assert (shadow & (ours < 0.5)).sum() / (shadow | (ours < 0.5)).sum() > 0.7
+    np.testing.assert_allclose(np.median(ours[shadow]), np.median(ratio[shadow]), atol=0.12)
+    assert ours[~shadow & (ours > 0.5)].mean() > 0.97
+
+
+def test_shadows_of_meshes_in_viewports(lit):
+    """The splats of a viewport, exact and live, under and beside the cube; its own map alone is
+    drawn again when it moves."""
+    (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
+    ob.gscore.light = 0.0
+    sun = lamp(lit, "SUN")
+    sun.rotation_euler = (0, 0, 0)
+    attach(lit, ob, grid(-0.01))
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.5, 0, 0.6))
+    cube = bpy.context.object
+
+    def drawn_now() -> tuple[np.ndarray, np.ndarray, tuple, dict]:
+        """Colors, distances from the cube's middle, key, and maps."""
+        bpy.context.view_layer.update()
+        placed = [place(one) for one in sources(bpy.context.evaluated_depsgraph_get())]
+        cache = SplatCache()
+        (own,), exact = cache.parts(placed), cache.model(placed).splats
+        np.testing.assert_array_equal(own.sh0, exact.sh0)
+        color = own.sh0[:, 0].mean(1) * lab.SH_C0 + 0.5
+        away = np.abs(own.means[:, :2] - cube.location[:2]).max(1)
+        return color, away, placed[0].part, dict(relight._known)
+
+    color, away, before, maps = drawn_now()
+    bright = np.median(color[away > 0.4])
+    assert (color[away < 0.2] < 0.1 * bright).all()
+    np.testing.assert_allclose(color[away > 0.3], np.mean(COLOR), atol=1e-3)
+    cube.location.x = -0.5
+    color, away, after, moved = drawn_now()
+    assert (color[away < 0.2] < 0.1 * bright).all() and (color[away > 0.3] > 0.9 * bright).all()
+    assert before != after
+    kept = [one for one in moved if one in maps]
+    assert len(moved) == 2 and len(kept) == 1 and moved[kept[0]] is maps[kept[0]]
