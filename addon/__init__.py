@@ -20,6 +20,7 @@ MODULES: tuple[str, ...] = (
     "splats.operators",
     "splats.edit_operators",
     "splats.restore",
+    "splats.heal_operators",
     "splats.select_operators",
     "splats.mend_operators",
     "splats.edit_guard",

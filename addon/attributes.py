@@ -26,6 +26,8 @@ BASE, SH = "radiance:base", "radiance:sh_"
 NORMAL, CAPTURED = "gs_normal", "gs_captured"
 """Attributes of splats that can be relit: unit normal, and linear light of a white surface in the
 photos, see `render.relight`."""
+HEALED = "gs_healed"
+"""Attribute of splats that were added by Heal or Clone: true."""
 SH_COUNTS = (0, 3, 8, 15, 24)
 """Numbers of `radiance:sh_<k>` attributes of SH degrees 0 to 4."""
 NO_SPLATS = Splats(

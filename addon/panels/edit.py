@@ -14,6 +14,7 @@ from ..paint.session import STEP
 from ..paint.settings import BrushSettings
 from ..region_training import train_region
 from ..render.viewport_copies import EDITED_AT_ONCE
+from ..splats.heal_operators import has_added
 from ..splats.objects import active_splats
 from ..training.verb_job import VerbJob
 from .widgets import SplatsPanel, draw_verb, has_python, sentence
@@ -52,6 +53,11 @@ class EditPanel(SplatsPanel, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("gscore.restore_splats", text="Restore")
         row.operator("gscore.replay_edits", text="Replay Edits")
+        row = layout.row(align=True)
+        row.operator("gscore.heal_splats", text="Heal")
+        row.operator("gscore.clone_splats", text="Clone")
+        if has_added(context):
+            row.operator("gscore.remove_healing", text="Remove Healing")
 
 
 class PaintPanel(SplatsPanel, bpy.types.Panel):
@@ -177,14 +183,18 @@ class RegionPanel(SplatsPanel, bpy.types.Panel):
         if not context.scene.gscore.capture_path.strip():
             sentence(layout, "Choose the capture of these splats under Capture.", icon="INFO")
             return
-        if ob.gscore.crop_object is None:
+        has_box, added = ob.gscore.crop_object is not None, has_added(context)
+        if not has_box and not added:
             sentence(layout, "Put a crop box around the region to train.", icon="INFO")
             layout.operator("gscore.add_crop_box", icon="CUBE")
             return
         if not has_python(layout):
             return
         layout.prop(context.scene.gscore_steer, "region_steps")
-        layout.operator("gscore.train_region", icon="PLAY")
+        if has_box:
+            layout.operator("gscore.train_region", icon="PLAY")
+        if added:
+            layout.operator("gscore.train_healed", icon="PLAY")
 
 
 def region_text(job: VerbJob) -> str:

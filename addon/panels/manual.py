@@ -20,6 +20,7 @@ _SECTIONS = {
     "splats": "blender/splats.md#result",
     "splats.edit_operators": "blender/editing.md#edit",
     "splats.restore": "blender/editing.md#edit",
+    "splats.heal_operators": "blender/editing.md#heal-and-clone",
     "splats.select_operators": "blender/editing.md#edit",
     "paint": "blender/editing.md#paint",
     "error_maps": "blender/splats.md#error-maps",

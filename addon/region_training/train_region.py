@@ -22,6 +22,7 @@ from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats import objects, splat_files
 from ..splats.error_maps import is_map
 from ..splats.filters import SPHERE, crop_matrix, is_cropped
+from ..splats.heal_operators import has_added
 from ..splats.objects import active_splats, has_splats
 from ..splats.read_chunked import ChunkedRead
 from ..splats.splat_files import source_matrix_of_data
@@ -70,15 +71,22 @@ class _Options:
         return getattr(self._settings, name)
 
 
-def train_region(scene: bpy.types.Scene, ob: bpy.types.Object, *, wait: bool = False) -> VerbJob:
-    """Train the splats in an object's crop box again; all others are frozen.
+def train_region(
+    scene: bpy.types.Scene,
+    ob: bpy.types.Object,
+    *,
+    box_of: Callable[[bpy.types.Object], np.ndarray] | None = None,
+    wait: bool = False,
+) -> VerbJob:
+    """Train the splats in a box again, by default an object's crop; all others are frozen.
 
     The current splats, the box and all results are written to a new folder next to the scene's
     output folder, so that earlier runs are kept.
 
     Args:
         scene: Its settings are used.
-        ob: A splat object with a crop object.
+        ob: A splat object.
+        box_of: Its region, [4, 4] as from `region_of`, which is the default.
         wait: Return when the job has ended and its splats are imported.
 
     Raises:
@@ -91,7 +99,7 @@ def train_region(scene: bpy.types.Scene, ob: bpy.types.Object, *, wait: bool = F
         raise ValueError(f"{ob.name} shows errors, not splats; press Show Splats first.")
     check_replaceable(ob)
     objects.catch_up(ob)
-    box = region_of(ob)
+    box = (box_of or region_of)(ob)
     found = start_training.check_capture(scene)
     folder = output_folder(scene, preferences.get().output_folder)
     numbered = (folder.with_name(f"{folder.name}_region_{n}") for n in itertools.count(1))
@@ -257,6 +265,47 @@ class TrainRegion(Starting, bpy.types.Operator):
         """Start."""
         self.warn(start_training.unsaved(context.scene))
         return train_region(context.scene, active_splats(context), wait=self.wait)
+
+
+_MARGIN = 1.1
+"""Size of the box around added splats, in sizes of their extent."""
+
+
+def region_of_added(ob: bpy.types.Object) -> np.ndarray:
+    """Box around the splats that Heal and Clone added, as `region_of`.
+
+    Raises:
+        ValueError: there are none, or it is in Edit Mode.
+    """
+    marks = ob.data.attributes.get(attributes.HEALED)
+    if ob.mode == "EDIT":
+        raise ValueError(f"{ob.name} is in Edit Mode: leave it before training its splats.")
+    chosen = np.zeros(len(ob.data.vertices), bool)
+    if marks is not None and marks.data_type == "BOOLEAN" and len(marks.data) == len(chosen):
+        marks.data.foreach_get("value", chosen)
+    if not chosen.any():
+        raise ValueError(f"{ob.name} has no splats that Heal or Clone added.")
+    places = attributes.column(ob.data, attributes.POSITION)[chosen].astype(np.float64)
+    low, high = places.min(axis=0), places.max(axis=0)
+    half = _MARGIN * (high - low) / 2
+    matrix = np.diag([*np.maximum(half, (_MARGIN - 1) * half.max() + 1e-6), 1.0])
+    matrix[:3, 3] = (low + high) / 2
+    return source_matrix_of_data(ob) @ matrix
+
+
+class TrainHealed(Starting, bpy.types.Operator):
+    """Train the splats around what Heal and Clone added again, in the background, so that photos
+    correct it; all others are frozen. Undo restores the earlier splats"""
+
+    bl_idname = "gscore.train_healed"
+    bl_label = "Train Healed Region"
+    needs = Condition(has_added, "Select splats that Heal Splats or Clone Splats added to")
+
+    def start(self, context: bpy.types.Context) -> VerbJob:
+        """Start."""
+        self.warn(start_training.unsaved(context.scene))
+        ob = active_splats(context)
+        return train_region(context.scene, ob, box_of=region_of_added, wait=self.wait)
 
 
 class StopRegion(Cancelling, bpy.types.Operator):

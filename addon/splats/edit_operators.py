@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import bpy
@@ -9,21 +10,24 @@ import numpy as np
 from bpy.props import BoolProperty, FloatProperty, FloatVectorProperty
 
 from .. import attributes, stored_paths
-from ..core import rgb_to_sh0, sh0_to_rgb
+from ..core import ConfigError, rgb_to_sh0, sh0_to_rgb
 from ..interface.base_operator import Condition, make_active
 from ..interface.blocks import with_uid
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..srgb import LUMINANCE
-from . import edit, filters, objects, separate_join
+from . import edit, filters, objects, point_attributes, separate_join
 from .edit_guard import EditGuard
 from .operators import OnSplats, edit_vertices
+from .point_attributes import Column
 from .read_chunked import ChunkedRead, read_chunked
 from .replay import (
     DUE,
     KEY,
     Volume,
+    added_again,
     edits_of,
+    is_added,
     keeps,
     record_erased,
     record_filters,
@@ -300,7 +304,7 @@ def _earlier(context: bpy.types.Context) -> bpy.types.Object | None:
 
 class ReplayEdits(Editing, bpy.types.Operator):
     """Apply the recorded edits of earlier splats of the capture to the active ones: what Delete
-    Hidden Splats and Erase Splats removed, and Grade Splats"""
+    Hidden Splats and Erase Splats removed, Grade Splats, Heal Splats and Clone Splats"""
 
     bl_idname = "gscore.replay_edits"
     bl_label = "Replay Edits"
@@ -319,30 +323,54 @@ class ReplayEdits(Editing, bpy.types.Operator):
             raise ValueError(f"The edits of {name} have been replayed on {guard.name} already.")
         shifts = [shift_of(ob, one) for one in edits]
         table = yield from ChunkedRead(ob).table()
-        columns = {column.name: column.values for column in table}
-
-        def change(check: Check) -> np.ndarray:
-            kept, base = np.ones(len(table[0].values), bool), columns[attributes.BASE]
-            for one, shift in zip(edits, shifts, strict=True):
-                check()
-                kept &= keeps(one, columns, shift)
-                if "grade" in one:
-                    some = kept.copy()
-                    if one["volume"] is not None:
-                        places = columns[attributes.POSITION] + shift.astype(np.float32)
-                        some &= Volume.read(one["volume"]).contains(places)
-                    made = {key: _tuple(value) for key, value in one["grade"].items()}
-                    base[some] = graded(base[some], Grade(**made))
-            return np.flatnonzero(kept)
-
         before = len(ob.data.vertices)
-        rows = yield from run_in_thread(change, self.bl_label)
+        rows, unfilled = yield from run_in_thread(
+            partial(_replayed, table, list(zip(edits, shifts, strict=True)), guard.name),
+            self.bl_label,
+        )
         if not len(rows):
             raise ValueError(f"The edits of {name} would erase all splats of {guard.name}.")
+        own_left = np.count_nonzero(rows < before)
         ob = yield from separate_join.kept(guard, table, rows)
         store(ob, [*own, *edits])
         ob.pop(DUE, None)
-        return f"Replayed {len(edits)} edits of {name}: {before - len(rows):,} splats erased."
+        text = f"Replayed {len(edits)} edits of {name}: {before - own_left:,} splats erased"
+        if len(rows) > own_left:
+            text += f", {len(rows) - own_left:,} added"
+        return f"{text}." + (" A hole could not be filled in these splats." if unfilled else "")
+
+
+def _replayed(
+    table: list[Column], edits: list[tuple[dict[str, Any], np.ndarray]], name: str, check: Check
+) -> tuple[np.ndarray, bool]:
+    """Apply edits, each with its shift, to a table in place; added splats are appended.
+
+    Returns:
+        The rows [K] of the table to keep, and True if a hole could not be filled.
+    """
+    kept, unfilled = np.ones(len(table[0].values), bool), False
+    for one, shift in edits:
+        check()
+        if is_added(one):
+            now = point_attributes.picked(table, np.flatnonzero(kept))
+            try:
+                more = added_again(one, now, shift, name, check)
+            except ConfigError:
+                unfilled = True
+                continue
+            table[:] = point_attributes.joined([table, more])
+            kept = np.append(kept, np.ones(len(more[0].values), bool))
+            continue
+        columns = {column.name: column.values for column in table}
+        kept &= keeps(one, columns, shift)
+        if "grade" in one:
+            base, some = columns[attributes.BASE], kept.copy()
+            if one["volume"] is not None:
+                places = columns[attributes.POSITION] + shift.astype(np.float32)
+                some &= Volume.read(one["volume"]).contains(places)
+            made = {key: _tuple(value) for key, value in one["grade"].items()}
+            base[some] = graded(base[some], Grade(**made))
+    return np.flatnonzero(kept), unfilled
 
 
 def _due(edits: list[dict[str, Any]], done: list[dict[str, Any]]) -> list[dict[str, Any]]:

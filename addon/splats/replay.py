@@ -1,5 +1,5 @@
-"""Replayed edits: what was erased and graded, as volumes on the object, for new splats of the same
-capture.
+"""Replayed edits: what was erased, graded and added, as volumes on the object, for new splats of
+the same capture.
 """
 
 import base64
@@ -11,11 +11,14 @@ from typing import Any
 import bpy
 import numpy as np
 
+from .. import attributes
 from ..cameras.capture_transform import origin_of
 from ..core import offset_between
 from ..interface import editable_check
-from . import filters
+from ..process.incremental_tasks import Check
+from . import added, filters, point_attributes
 from .filters import Filters
+from .point_attributes import Column
 
 KEY = "gs_edits"
 """Custom property of an object: its edits in their order, JSON."""
@@ -34,6 +37,16 @@ class Volume:
     side: float
     keys: np.ndarray
     """[K] int64, sorted: the packed numbers of the cells."""
+
+    @property
+    def box(self) -> np.ndarray:
+        """[4, 4] float64, from the cube [-1, 1]^3 to the box around the cells."""
+        x, y, z = (self.keys >> 42), (self.keys >> 21), self.keys
+        cells = np.stack([x, y & (2 * _BIAS - 1), z & (2 * _BIAS - 1)], axis=1) - _BIAS
+        low, high = cells.min(axis=0) * self.side, (cells.max(axis=0) + 1) * self.side
+        matrix = np.diag([*(high - low) / 2, 1.0])
+        matrix[:3, 3] = (low + high) / 2
+        return matrix
 
     def contains(self, means: np.ndarray) -> np.ndarray:
         """Positions [N, 3] inside, [N] bool."""
@@ -125,6 +138,40 @@ def record_erased(ob: bpy.types.Object, volume: Volume) -> None:
 def record_grade(ob: bpy.types.Object, grade: dict[str, Any], volume: Volume | None) -> None:
     """Record a grade of the splats in a volume; None: of all."""
     _record(ob, {"grade": grade, "volume": None if volume is None else volume.stored()})
+
+
+def record_healed(ob: bpy.types.Object, region: np.ndarray, *, sphere: bool) -> None:
+    """Record that a hole was filled; arguments as `added.healed`."""
+    _record(ob, {"healed": region.tolist(), "sphere": sphere})
+
+
+def record_cloned(ob: bpy.types.Object, matrix: np.ndarray, volume: Volume) -> None:
+    """Record that the splats in a volume were copied; `matrix` as `added.cloned`."""
+    _record(ob, {"cloned": matrix.tolist(), "volume": volume.stored()})
+
+
+def is_added(edit: dict[str, Any]) -> bool:
+    """True if an edit added splats."""
+    return "healed" in edit or "cloned" in edit
+
+
+def added_again(
+    edit: dict[str, Any], table: list[Column], shift: np.ndarray, name: str, check: Check
+) -> list[Column]:
+    """The splats that an edit of `is_added` adds to others; `shift` as `shift_of`, the rest as
+    `added.cloned`.
+
+    Raises:
+        ValueError: the hole cannot be filled.
+    """
+    to_own, to_edit = np.eye(4), np.eye(4)
+    to_own[:3, 3], to_edit[:3, 3] = -shift, shift
+    if "healed" in edit:
+        region = to_own @ np.array(edit["healed"])
+        return added.healed(table, region, sphere=edit["sphere"], check=check)
+    places = point_attributes.of_splats(table)[attributes.POSITION] + shift.astype(np.float32)
+    chosen = Volume.read(edit["volume"]).contains(places)
+    return added.cloned(table, chosen, to_own @ np.array(edit["cloned"]) @ to_edit, name, check)
 
 
 def sparing(

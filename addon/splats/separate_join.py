@@ -78,7 +78,7 @@ def kept(guard: EditGuard, table: list[Column], rows: np.ndarray) -> Steps[bpy.t
 
     Args:
         guard: The object.
-        table: Table of its mesh, from `ChunkedRead.table`; emptied.
+        table: Table of its mesh, from `ChunkedRead.table`, possibly with more splats; emptied.
         rows: [K], indices of the splats to keep.
 
     Raises:
@@ -87,6 +87,8 @@ def kept(guard: EditGuard, table: list[Column], rows: np.ndarray) -> Steps[bpy.t
     points = yield from run_in_thread(partial(_picked, table, rows), "Deleting splats")
     [mesh] = yield from filled([ChunkedWrite(points, guard.emptied_mesh)], guard.to_change)
     ob = guard.there()
+    if len(rows) > len(ob.data.vertices) and not lag.problem(mesh):
+        lag.forget(mesh)  # else it would be taken for a Join
     swap(ob, mesh)
     return ob
 
@@ -95,6 +97,15 @@ def _picked(table: list[Column], rows: np.ndarray, check: Check) -> Points:
     points = points_of(point_attributes.picked(table, rows))
     _free(table)
     return points
+
+
+def check_follows(ob: bpy.types.Object) -> None:
+    """Raise ValueError if the shapes of an object's splats lag behind their positions."""
+    if lag.problem(ob.data):
+        raise ValueError(
+            f"Shapes and colors of {ob.name} do not match the positions: press Update Shapes and "
+            "Colors under Result first."
+        )
 
 
 def check_joinable(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None:

@@ -39,6 +39,8 @@ _FINEST = 4.0
 """Least radius of a patch, in spacings of splats."""
 _COVERED = 2.0
 """Distance to a splat, in spacings, up to which the surface is not a hole."""
+_SECTORS, _OPPOSITE = 16, 2
+"""Directions along the surface, and the least number of opposite pairs with splats."""
 _COLOR, _ANGLE, _AGAIN = 0.1, np.radians(45), 0.25
 """Differences of colour (sRGB values) and of normals (radians) between patch and donor that cost as
 much as a distance of the region's size, and the cost of each earlier use of a donor."""
@@ -153,7 +155,7 @@ class _Patches:
 
     def _open(self, region: _Region, means: np.ndarray, spacing: float, seed: int) -> np.ndarray:
         """Points [H, 3] of the surface in the region without splats, `means` [N, 3], that are
-        connected with splats."""
+        connected with splats and between them."""
         points = self._field.onto(region.sampled(_SAMPLES, seed), 0.0, _ROUNDS)
         values, slopes = self._field.slopes(points)
         on = np.abs(values) <= 0.1 * spacing * np.linalg.norm(slopes, axis=1)
@@ -163,12 +165,32 @@ class _Patches:
         both = np.concatenate([points, means])
         known = np.arange(len(both)) >= len(points)
         points = points[reached_from(both, known, 2 * spacing)[: len(points)]]
+        if len(points):
+            points = points[self._enclosed(points, means)]
         if len(points) < 3:
             raise ConfigError(
                 "There is no hole in the region: splats cover it, or no surface around it "
                 "continues into it."
             )
         return points
+
+    def _enclosed(self, points: np.ndarray, means: np.ndarray) -> np.ndarray:
+        """[H] bool of the points [H, 3] of the surface with splats on opposite sides, unlike those
+        beyond an edge of the surface."""
+        some = means[farthest_points(means, _CENTERS)]
+        normals = _unit(self._field.slopes(points)[1])
+        across = np.eye(3)[np.abs(normals).argmin(axis=1)]
+        first = _unit(np.cross(normals, across))
+        second = np.cross(normals, first)
+        off = some - points[:, None]
+        x, y = (np.einsum("hki,hi->hk", off, axis) for axis in (first, second))
+        near = np.abs(np.einsum("hki,hi->hk", off, normals)) <= 1
+        sectors = np.floor(np.arctan2(y, x) / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
+        taken = np.zeros((len(points), _SECTORS), bool)
+        rows = np.broadcast_to(np.arange(len(points))[:, None], near.shape)
+        taken[rows[near], sectors[near]] = True
+        half = _SECTORS // 2
+        return (taken[:, :half] & taken[:, half:]).sum(axis=1) >= _OPPOSITE
 
     def _chosen(self, places: np.ndarray, rough: np.ndarray) -> np.ndarray:
         """The donor place of each patch, [T, 3], of some on the surface [K, 3], where colours

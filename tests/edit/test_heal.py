@@ -96,6 +96,23 @@ def test_a_sphere(radius: float) -> None:
     assert 0.7 < len(new) / len(gone) < 1.4
 
 
+def test_a_wave() -> None:
+    """Between crest and trough, whose curvature differs from that of the donors: on the wave, and
+    turned with it."""
+    places = np.random.default_rng(5).uniform(-1, 1, (5000, 3))
+    places[:, 2] = 0.1 * np.sin(4 * places[:, 0])
+
+    def normals(x: np.ndarray) -> np.ndarray:
+        found = np.stack([-0.4 * np.cos(4 * x), 0 * x, 1 + 0 * x], axis=1)
+        return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+    around, _ = cut(discs(places, normals(places[:, 0])), ball := ball_of((0.1, 0, 0), 0.3))
+    new = heal(around, ball)
+    x, _, z = new.means.astype(np.float64).T
+    np.testing.assert_allclose(z, 0.1 * np.sin(4 * x), atol=0.005)
+    assert tilt(new, normals(x)) < 2
+
+
 def test_two_borders_of_a_tube() -> None:
     """The surface joins them: at the radius of the tube, on all sides."""
     rng = np.random.default_rng(3)
@@ -141,11 +158,13 @@ Change = Callable[[Splats], tuple[Splats, np.ndarray]]
     [
         (lambda s: (s, ball_of((0.0, 0, 0), 0.3)), "There is no hole"),
         (lambda s: (s, ball_of((0.0, 0, 5), 0.3)), "0 splats around the hole"),
+        (lambda s: (s, ball_of((1.0, 0, 0), 0.3)), "There is no hole"),
+        (lambda s: (s, ball_of((1.0, 1, 0), 0.3)), "There is no hole"),
         (lambda s: (s, ball_of((0.0, 0, 0), 0.0)), "no volume"),
         (lambda s: (s, np.full((4, 4), np.nan)), "no volume"),
         (lambda s: (s.subset(slice(0)), ball_of((0.0, 0, 0), 0.3)), "0 splats around"),
     ],
-    ids=["covered", "in the air", "flat", "not finite", "no splats"],
+    ids=["covered", "edge", "corner", "in the air", "flat", "not finite", "no splats"],
 )
 def test_refusals(change: Change, problem: str) -> None:
     """A sentence with the reason."""

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from addon import preferences
+from addon import attributes, preferences
 from addon.core import read_splats, write_splats
 from addon.panels.edit import RegionPanel
 from addon.process import poll_timer
@@ -357,3 +357,34 @@ def test_a_real_training_of_a_region(studio: bpy.types.Scene, tmp_path: Path) ->
         assert np.allclose(new[:count], getattr(before, name)[outside], rtol=1e-5, atol=1e-6)
     assert after.means[:count].tobytes() == before.means[outside].tobytes()
     assert after.means[count:].tobytes() != before.means[~outside].tobytes()
+
+
+def test_the_region_of_what_was_added(studio: bpy.types.Scene, tmp_path: Path, play: Play) -> None:
+    """Oracle: by Blender's own matrices, the box holds the marked splats and a tenth around them;
+    the start has all splats. Without a crop box; refused without marked splats."""
+    write_splats(tmp_path / "a.ply", splats(500))
+    reported = play({"say": STARTED}, {"follow": 600})
+    root = next(ob for ob in studio.objects if ob.get("gs_kind") == "capture")
+    ob = import_splats(bpy.context, tmp_path / "a.ply", parent=root)
+    bpy.context.view_layer.objects.active = ob
+    ob.location = (1, 2, 3)
+    bpy.context.view_layer.update()
+    assert not bpy.ops.gscore.train_healed.poll()
+    assert "Train Healed Region" not in drawn(RegionPanel)
+    marks = ob.data.attributes.new(attributes.HEALED, "BOOLEAN", "POINT")
+    with pytest.raises(RuntimeError, match="no splats that Heal or Clone added"):
+        bpy.ops.gscore.train_healed()
+    places = positions(ob)
+    chosen = np.linalg.norm(places - places[7], axis=1) < np.ptp(places, axis=0).max() / 4
+    marks.data.foreach_set("value", chosen)
+    assert "Train Healed Region" in drawn(RegionPanel)
+    assert bpy.ops.gscore.train_healed() == {"FINISHED"}
+    until(reported.exists)
+    words = json.loads(reported.read_text())
+    given = {flag: words[words.index(flag) + 1] for flag in ("--start-splats", "--region")}
+    start = read_splats(given["--start-splats"])
+    assert len(start) == 500
+    box = np.array(json.loads(Path(given["--region"]).read_text())["box"])
+    local = (start.means - box[:3, 3]) @ np.linalg.inv(box[:3, :3]).T
+    assert 3 < chosen.sum() < 400
+    np.testing.assert_allclose(np.abs(local[chosen]).max(axis=0), 1 / 1.1, rtol=1e-4)

@@ -1,0 +1,64 @@
+"""Splats added to a table: the filling of a hole, and copies of splats; no bpy."""
+
+import numpy as np
+
+from .. import attributes
+from ..core import heal
+from ..process.incremental_tasks import Check
+from . import point_attributes
+from .point_attributes import Column
+from .rotation import moved
+
+
+def healed(table: list[Column], region: np.ndarray, *, sphere: bool, check: Check) -> list[Column]:
+    """Splats that fill a hole, from `heal`, marked as added.
+
+    Args:
+        table: All splats of an object.
+        region: [4, 4] from the cube [-1, 1]^3 to the box that contains the hole, in their space.
+        sphere: Fill only the ellipsoid in the box.
+        check: Raises after cancellation.
+
+    Raises:
+        ValueError: values are not finite, there is no hole, or too few splats are around it.
+    """
+    columns = {name: values.copy() for name, values in point_attributes.of_splats(table).items()}
+    splats = heal(attributes.as_splats(columns), region, sphere=sphere, check=check)
+    made = [
+        Column(name, kind, values.reshape(len(splats), -1))
+        for name, kind, values in attributes.columns(splats)
+    ]
+    return [*made, _mark(len(splats))]
+
+
+def cloned(
+    table: list[Column], chosen: np.ndarray, matrix: np.ndarray, name: str, check: Check
+) -> list[Column]:
+    """Copies of splats with all their attributes, transformed and marked as added.
+
+    Args:
+        table: All splats of an object.
+        chosen: [N] bool.
+        matrix: [4, 4], a similarity of their space.
+        name: Name of the object in messages.
+        check: Raises after cancellation.
+
+    Raises:
+        ValueError: values are not finite.
+    """
+    rows = np.flatnonzero(chosen)
+    named = (attributes.HEALED, attributes.SELECTION)
+    copies = [one for one in point_attributes.picked(table, rows) if one.name not in named]
+    moved(copies, matrix, name, check)
+    return [*copies, _mark(len(rows))]
+
+
+def appended(table: list[Column], more: list[Column]) -> list[Column]:
+    """A table with more splats, of which alone those are selected."""
+    chosen = np.ones((len(more[0].values), 1), bool)
+    selection = Column(attributes.SELECTION, "BOOLEAN", chosen)
+    return point_attributes.joined([point_attributes.without_selection(table), [*more, selection]])
+
+
+def _mark(count: int) -> Column:
+    return Column(attributes.HEALED, "BOOLEAN", np.ones((count, 1), bool))
