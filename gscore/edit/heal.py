@@ -25,6 +25,10 @@ _LARGEST = 0.5
 """Largest standard deviation of splats that are used, in sizes of the region."""
 _FEWEST = 50
 """Least number of splats around a hole."""
+_MOST = 500_000
+"""Largest number of splats around a hole: a minute of one core."""
+_ESTIMATED = 20_000
+"""Splats from which densities are estimated, at most."""
 _CENTERS = 600
 """Splats that define the surface, at most."""
 _SMOOTHED = 16
@@ -72,8 +76,8 @@ def heal(
         The new splats only, as dense as those around.
 
     Raises:
-        ConfigError: the region has no volume, too few splats are around it, or the surface does not
-            continue into it, or is covered there.
+        ConfigError: the region has no volume, too few or too many splats are around it, or the
+            surface does not continue into it, or is covered there.
     """
     region = _Region(np.asarray(from_unit, np.float64), sphere=sphere)
     patches = _Patches(_surroundings(splats, region), region, seed, check)
@@ -128,6 +132,10 @@ def _surroundings(splats: Splats, region: _Region) -> Splats:
             f"Only {count_text(count, 'splat')} around the hole, and filling it takes {_FEWEST}: "
             "choose a region whose border is on a surface, or a larger one."
         )
+    if count > _MOST:
+        raise ConfigError(
+            f"{count_text(count, 'splat')} around the hole are too many: choose a smaller region."
+        )
     return found
 
 
@@ -149,8 +157,7 @@ class _Patches:
         rows = farthest_points(self._hole, len(self._hole), gap=self._radius)
         self.centers = self._hole[rows]
         self._owners = nearest(self._hole, self.centers)[1][:, 0]
-        sampled = float(np.median(nearest(self._hole, self._hole, 2)[0].max(axis=1)))
-        self._within = max(_COVERED * spacing, 2 * sampled)
+        self._within = max(_COVERED * spacing, _between_samples(self._hole))
         self._donors = self._chosen(self._field.onto(means[some], 0.0, 3), rough)
 
     def _open(self, region: _Region, means: np.ndarray, spacing: float, seed: int) -> np.ndarray:
@@ -162,9 +169,10 @@ class _Patches:
         points = points[on & (region.depths(points) <= 1)]
         if len(points):
             points = points[nearest(points, means)[0][:, 0] > _COVERED * spacing]
+        gap = 2 * max(spacing, _between_samples(points))
         both = np.concatenate([points, means])
         known = np.arange(len(both)) >= len(points)
-        points = points[reached_from(both, known, 2 * spacing)[: len(points)]]
+        points = points[reached_from(both, known, gap)[: len(points)]]
         if len(points):
             points = points[self._enclosed(points, means)]
         if len(points) < 3:
@@ -218,10 +226,11 @@ class _Patches:
         return np.array(chosen)
 
     def _covers(self, places: np.ndarray) -> np.ndarray:
-        """[K], importance of the splats near each place [K, 3]."""
-        weights = importance_of(self._splats)
-        beside = np.linalg.norm(places[:, None] - self._means, axis=2) <= self._radius
-        return beside @ weights
+        """[K], importance of the splats near each place [K, 3], estimated from some of them."""
+        some = slice(None, None, -(-len(self._means) // _ESTIMATED))
+        weights, means = importance_of(self._splats)[some], self._means[some]
+        squares = [((means - place) ** 2).sum(axis=1) for place in places]
+        return np.array([weights[row <= self._radius**2].sum() for row in squares])
 
     def filled(self, number: int) -> Splats:
         """The splats of a patch: those of its donor, rotated, bent onto the surface and with other
@@ -254,6 +263,14 @@ class _Patches:
     def _color(self, points: np.ndarray) -> np.ndarray:
         """[N, 3], low frequencies of sh0 at points [N, 3]."""
         return np.clip(self._colors(points), *self._bounds)
+
+
+def _between_samples(points: np.ndarray) -> float:
+    """Distance between neighbours of random points [N, 3] on a surface, 0 for fewer than two; the
+    median to the nearest is half of it."""
+    if len(points) < 2:
+        return 0.0
+    return 2 * float(np.median(nearest(points, points, 2)[0].max(axis=1)))
 
 
 def _colors_of(

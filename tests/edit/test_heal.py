@@ -96,6 +96,16 @@ def test_a_sphere(radius: float) -> None:
     assert 0.7 < len(new) / len(gone) < 1.4
 
 
+def test_many_splats() -> None:
+    """Far denser than the points that sample the surface: as many as before, everywhere."""
+    around, gone = cut(plane(60_000), ball := ball_of((0.1, 0, 0), 0.45))
+    new = heal(around, ball)
+    assert 0.75 < len(new) / len(gone) < 1.25
+    place = ball[:2, 3] + np.array([[0, 0], [0.2, 0.2], [-0.3, 0]])
+    off = np.linalg.norm(new.means[:, :2] - place[:, None], axis=2)
+    assert (off.min(axis=1) < 0.03).all()
+
+
 def test_a_wave() -> None:
     """Between crest and trough, whose curvature differs from that of the donors: on the wave, and
     turned with it."""
@@ -171,6 +181,13 @@ def test_refusals(change: Change, problem: str) -> None:
     splats, region = change(plane())
     with pytest.raises(ConfigError, match=problem):
         heal(splats, region)
+
+
+def test_too_many_splats(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refused, with their number."""
+    monkeypatch.setattr("gscore.edit.heal._MOST", 1000)
+    with pytest.raises(ConfigError, match=r"splats around the hole are too many"):
+        heal(plane(), ball_of((0.0, 0, 0), 0.6))
 
 
 def test_cancelling() -> None:
