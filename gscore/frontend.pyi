@@ -117,6 +117,7 @@ from .options import Option as Option
 from .options import options_of as options_of
 from .raster.gpu.absence import no_automatic_card as no_automatic_card
 from .raster.mesh import mesh_depth as mesh_depth
+from .raster.mesh import mesh_nearness as mesh_nearness
 from .raster.render_client import RenderClient as RenderClient
 from .raster.render_client import find_devices as find_devices
 from .raster.render_messages import NoDeviceError as NoDeviceError

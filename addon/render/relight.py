@@ -87,7 +87,7 @@ class SceneLight:
         before, found = dict(_known), {}
         for source, lamp in list(casting.items())[:_MOST_MAPS]:
             for key, kind in self._kinds(source).items():
-                found[key] = before.get(key) or _maps_of(kind, lamp, self.casters.slack)
+                found[key] = before.get(key) or _maps_of(kind, lamp)
         _known.clear()
         _known.update(found)
         sources = (None if lamp.source is None else _source(lamp) for lamp in self.lamps)
@@ -95,12 +95,10 @@ class SceneLight:
             tuple(found[key] for key in self._kinds(source) if key in found) for source in sources
         )
 
-    def _kinds(self, source: str | None) -> dict[tuple[bytes, bytes, str], Casters]:
+    def _kinds(self, source: str | None) -> dict[tuple[bytes, str], Casters]:
         """Proxies and other meshes by their keys in `_known`; none without a source."""
         kinds = (self.casters.only_proxies, self.casters.only_meshes)
-        slack = np.float64(self.casters.slack).tobytes() if self.casters else b""
-        there = () if source is None else (kind for kind in kinds if kind)
-        return {(kind.key, slack, source): kind for kind in there}
+        return {(kind.key, source): kind for kind in kinds if kind and source is not None}
 
     def white(
         self,
@@ -135,8 +133,11 @@ class SceneLight:
                 own, share = np.where(share[:, None] < 0, -normals, normals), np.abs(share)
             np.maximum(share, 0, out=share)
             rows = np.flatnonzero(share)
-            for maps in found[:-1] if left_out else found:
-                share[rows] *= maps.lit(places[rows], own[rows])
+            if kept := found[:-1] if left_out else found:
+                slack = self.casters.slack
+                beside = places[rows] + own[rows] * np.float32(slack)
+                for maps in kept:
+                    share[rows] *= maps.lit(beside, slack)
             for channel, strength in enumerate(lamp.strength):
                 light[:, channel] += share * np.float32(strength)
         return light
@@ -157,7 +158,7 @@ class SceneLight:
         return self.white(means @ matrix[:3, :3].T + matrix[:3, 3], normals @ turn.T, **how)
 
 
-_known: dict[tuple[bytes, bytes, str], ShadowMaps] = {}
+_known: dict[tuple[bytes, str], ShadowMaps] = {}
 """Shadow maps of the last light by their meshes and lamp; those of a lamp in a room are 24 MB."""
 _MOST_MAPS = 32
 
@@ -167,9 +168,9 @@ def _source(lamp: Lamp) -> str:
     return repr(lamp.axis if lamp.kind == SUN else lamp.source)
 
 
-def _maps_of(casters: Casters, lamp: Lamp, slack: float) -> ShadowMaps:
+def _maps_of(casters: Casters, lamp: Lamp) -> ShadowMaps:
     axis = np.array(lamp.axis) if lamp.kind == SUN else None
-    return shadow_maps(casters, np.array(lamp.source), axis, slack)
+    return shadow_maps(casters, np.array(lamp.source), axis)
 
 
 def harmonics(normals: np.ndarray) -> np.ndarray:

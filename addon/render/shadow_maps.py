@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from ..core import mesh_depth
+from ..core import mesh_depth, mesh_nearness
 from ..triangles import Triangles, joined, repeated
 
 _SIZE = 1024
@@ -95,31 +95,35 @@ class ShadowMaps:
     scale: float
     """Pixels per unit aside, at depth 1 unless parallel."""
     parallel: bool
-    inverse: np.ndarray
-    """[V * _SIZE * _SIZE] float32, 1 / z; 0 where there is no mesh."""
-    slack: float
+    depths: np.ndarray
+    """[V * _SIZE * _SIZE] float32, 1 / z, if parallel distances in front of `farthest`; 0 where
+    there is no mesh."""
+    farthest: float
 
-    def lit(self, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Share of the lamp that reaches surfaces, [N] float32: a mean of 2 x 2 pixels by the
+    def lit(self, places: np.ndarray, slack: float) -> np.ndarray:
+        """Share of the lamp that reaches places, [N] float32: a mean of 2 x 2 pixels by the
         distance to them; 1 outside of the maps.
 
         Args:
             places: World positions [N, 3] float32.
-            normals: Unit vectors [N, 3] float32.
+            slack: `Casters.slack`.
         """
-        first, x, y, z = self._seen(places + normals * np.float32(self.slack))
-        scale = np.float32(self.scale)
-        if not self.parallel:
+        first, x, y, z = self._seen(places)
+        scale, before = np.float32(self.scale), z - np.float32(slack)
+        if self.parallel:
+            most = np.float32(self.farthest) - before
+        else:
             scale = scale / np.maximum(z, np.float32(1e-9))
+            most = 1 / np.maximum(before, np.float32(1e-30))
         x, y = (scale * one + np.float32(_SIZE / 2 - 0.5) for one in (x, y))
         left, top = np.floor(x), np.floor(y)
         inside = (left >= 0) & (top >= 0) & (left < _SIZE - 1) & (top < _SIZE - 1) & (z > 0)
         pixel = np.where(inside, top * _SIZE + left, 0).astype(np.int32) + first
-        u, v, z = x - left, y - top, z - np.float32(self.slack)
+        u, v = x - left, y - top
         rows = []
         for row in (pixel, pixel + _SIZE):
-            near, far = (self.inverse[row + k] * z <= 1 for k in (0, 1))
-            rows.append(np.where(near, 1 - u, 0) + np.where(far, u, 0))
+            near, far = (self.depths[row + k] <= most for k in (0, 1))
+            rows.append(near + u * (far.astype(np.float32) - near))
         return np.where(inside, rows[0] + v * (rows[1] - rows[0]), 1).astype(np.float32)
 
     def _seen(self, places: np.ndarray) -> tuple[np.ndarray | int, ...]:
@@ -144,16 +148,13 @@ def ball_of(places: np.ndarray) -> tuple[np.ndarray, float]:
     return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-9)
 
 
-def shadow_maps(
-    casters: Casters, place: np.ndarray, axis: np.ndarray | None, slack: float
-) -> ShadowMaps:
+def shadow_maps(casters: Casters, place: np.ndarray, axis: np.ndarray | None) -> ShadowMaps:
     """Draw the meshes from a lamp.
 
     Args:
         casters: At least one mesh.
         place: World position [3].
         axis: Unit vector along which it shines [3], if it is a sun.
-        slack: `Casters.slack` of all meshes.
     """
     center, radius = casters.ball
     if axis is not None:
@@ -174,22 +175,23 @@ def shadow_maps(
     # A single map is drawn in parts at once.
     parts = 1 if len(views) > 1 else min(os.cpu_count() or 1, _PARTS)
 
-    def draw(task: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    def draw(task: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, float]:
         viewmat, triangles = task
-        if not parallel:
-            triangles = triangles[_in_view(mesh.vertices, triangles, viewmat, _SIZE / 2 / scale)]
-        how = {"near": 1e-4 * radius, "orthographic": parallel}
-        return mesh_depth(mesh.vertices, triangles, K, viewmat, _SIZE, _SIZE, **how)
+        if parallel:  # all meshes are in front
+            return mesh_nearness(mesh.vertices, triangles, K, viewmat, _SIZE, _SIZE)
+        triangles = triangles[_in_view(mesh.vertices, triangles, viewmat, _SIZE / 2 / scale)]
+        near = 1e-4 * radius
+        return mesh_depth(mesh.vertices, triangles, K, viewmat, _SIZE, _SIZE, near=near), 0.0
 
     with ThreadPoolExecutor(parts * len(views)) as pool:
-        drawn = list(pool.map(draw, product(views, np.array_split(mesh.triangles, parts))))
-    drawn = [reduce(np.maximum, drawn)] if len(views) == 1 else drawn
+        tasks = product(views, np.array_split(mesh.triangles, parts))
+        drawn, farthest = zip(*pool.map(draw, tasks), strict=True)
     return ShadowMaps(
         viewmats=np.stack(views),
         scale=float(scale),
         parallel=parallel,
-        inverse=np.concatenate(drawn).ravel(),
-        slack=slack,
+        depths=np.concatenate(drawn if len(views) > 1 else [reduce(np.maximum, drawn)]).ravel(),
+        farthest=farthest[0],
     )
 
 

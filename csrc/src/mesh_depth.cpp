@@ -64,11 +64,11 @@ struct Span {
           last(int32_t(std::clamp(std::ceil(high + 1), 0.0, double(size)))) {}
 };
 
-// Columns of a row that no edge clearly excludes.
-Span columns_of(const Linear edges[3], double y, const Bounds &bounds, int32_t width) {
+// Columns of a row that no edge clearly excludes; `per_u` is 1 / u of each edge.
+Span columns_of(const Linear edges[3], const double per_u[3], double y, const Bounds &bounds, int32_t width) {
     double low = bounds.low[0], high = bounds.high[0];
     for (int i = 0; i < 3; ++i) {
-        const double at = -(edges[i].v * y + edges[i].rest) / edges[i].u;
+        const double at = -(edges[i].v * y + edges[i].rest) * per_u[i];
         if (edges[i].u > 0)
             low = std::max(low, at);
         else if (edges[i].u < 0)
@@ -100,16 +100,20 @@ void draw(const double *const corners[3], int32_t width, int32_t height, float *
     const double side = volume > 0 ? 1 : -1, per = 1 / std::fabs(volume);
     for (Linear &e : edges)
         e = {side * e.u, side * e.v, side * e.rest};
+    const double per_u[3] = {1 / edges[0].u, 1 / edges[1].u, 1 / edges[2].u};
     const Range range(corners);
     const Span rows(bounds.low[1], bounds.high[1], height);
     for (int32_t row = rows.first; row < rows.last; ++row) {
         const double y = row + 0.5;
-        const Span columns = columns_of(edges, y, bounds, width);
+        const Span columns = columns_of(edges, per_u, y, bounds, width);
         float *const line = inverse_depth + int64_t(row) * width;
+        // Without branches, so that compilers make vectors of it; inverse depths are above 0.
         for (int32_t column = columns.first; column < columns.last; ++column) {
             const double x = column + 0.5, a = edges[0].at(x, y), b = edges[1].at(x, y), c = edges[2].at(x, y);
-            if (a >= 0 && b >= 0 && c >= 0)
-                line[column] = std::max(line[column], float(std::clamp((a + b + c) * per, range.low, range.high)));
+            const double sum = (a + b + c) * per, above = sum < range.low ? range.low : sum;
+            const double value = above > range.high ? range.high : above;
+            const float hit = (a >= 0) & (b >= 0) & (c >= 0) ? float(value) : 0.0f;
+            line[column] = line[column] < hit ? hit : line[column];
         }
     }
 }

@@ -44,30 +44,62 @@ def mesh_depth(
             out of range.
         BackendError: the native library is missing.
     """
-    if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise ShapeError(f"vertices must be [V, 3], got {list(vertices.shape)}.")
-    farthest = None
-    if near > 0 or orthographic:
+    if orthographic:
+        out, farthest = mesh_nearness(vertices, triangles, K, viewmat, width, height, near=near)
+        np.divide(1, np.float64(farthest) - out, out=out, where=out > 0)
+        return out
+    _check(vertices)
+    if near > 0:
         corners, triangles = _before(near, vertices, triangles, viewmat)
         corners = corners @ np.asarray(K, np.float64).T
     else:
         corners = projected_corners(vertices, K, viewmat)
-    if orthographic:
-        corners, farthest = _linear(corners, K)
+    return _drawn(corners, triangles, width, height)
+
+
+def mesh_nearness(
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    K: np.ndarray,
+    viewmat: np.ndarray,
+    width: int,
+    height: int,
+    *,
+    near: float = 0.0,
+) -> tuple[np.ndarray, float]:
+    """Distance of the nearest triangle in front of a plane behind all, with parallel rays.
+
+    Arguments and errors as for `mesh_depth`. The plane depends on the vertices alone if all are
+    beyond `near`.
+
+    Returns:
+        [H, W] float32, world units; 0 where there is no triangle; and z of the plane.
+    """
+    _check(vertices)
+    corners, triangles = _before(near, vertices, triangles, viewmat)
+    corners, farthest = _linear(corners @ np.asarray(K, np.float64).T, K)
+    return _drawn(corners, triangles, width, height), farthest
+
+
+def _check(vertices: np.ndarray) -> None:
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise ShapeError(f"vertices must be [V, 3], got {list(vertices.shape)}.")
+
+
+def _drawn(corners: np.ndarray, triangles: np.ndarray, width: int, height: int) -> np.ndarray:
+    """gs_mesh_depth of corners [V, 3] and triangles [T, 3]."""
     mesh = header.MeshStruct(
         corner_count=len(corners),
         corners=address("corners", corners, corners.shape, FLOAT64),
         triangle_count=len(triangles),
         triangles=address("triangles", triangles, (len(triangles), 3), INT32),
     )
-    out = np.zeros((height, width), np.float32)
+    out = np.empty((height, width), np.float32)
     _native.raise_status(
         _native.library().gs_mesh_depth(
             ct.byref(mesh), width, height, address("inverse_depth", out, (height, width))
         )
     )
-    if farthest is not None:
-        np.divide(1, np.float64(farthest) - out, out=out, where=out > 0)
     return out
 
 
