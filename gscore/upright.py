@@ -14,6 +14,8 @@ _PRIOR = 0.003
 _STEEP = 0.35
 """Sine of the angle between optical axis and up (20 degrees) below which a picture has no top."""
 _ROUNDS = 15
+_NEAR = np.cos(np.radians(15))
+"""Least cosine between up and an axis that is meant to be up."""
 
 _X, _Y = np.eye(2)
 _SHOWN = {
@@ -66,6 +68,15 @@ def find_up(viewmats: np.ndarray, orientations: Sequence[int] | None = None) -> 
 def up_of(cameras: Cameras) -> np.ndarray:
     """[3] float64, unit: up in the world, as the capture states it, else as `find_up` estimates."""
     return find_up(cameras.viewmats) if cameras.up is None else cameras.up
+
+
+def up_axis(cameras: Cameras) -> str:
+    """The axis of the world that is up, X to -Z, by `up_of`; empty if none is within `_NEAR`."""
+    up = up_of(cameras)
+    axis = int(np.abs(up).argmax())
+    if abs(up[axis]) < _NEAR:
+        return ""
+    return ("-" if up[axis] < 0 else "") + "XYZ"[axis]
 
 
 def upright_turns(cameras: Cameras) -> np.ndarray:

@@ -17,12 +17,14 @@ from ..errors import ConfigError
 from ..formats import WrittenFile, files_of, format_to_write, read_splats, write_splat_file
 from ..io.files import read_bytes
 from ..io.lod_file import is_lod_file
-from ..io.ply.comments import UP_NOTE, near_comment, stated_near, stated_up
+from ..io.mesh.files import read_mesh
+from ..io.ply.comments import UP_AXIS, UP_NOTE, near_comment, stated_near, stated_up
 from ..lod.read import LOD_FORMAT, read_lod
 from ..quoting import brief
 from ..scene import splat_near
 from ..splats import Splats
 from ..text_format import count_text, number, size_text
+from ..upright import up_axis
 from .args.convert_options import SPZ_VERSION
 from .args.convert_options import add_arguments as add_arguments
 from .args.model_argument import ModelArgument, find_splats, open_model
@@ -35,6 +37,8 @@ _EXACT = "ply"
 """The lossless format."""
 _VISIBLE = 30.0
 """PSNR between pictures, dB, below which missing splats are clearly visible."""
+_USUAL_UP = "-Y"
+"""Up axis of splats that state none."""
 _MARK = "gscore convert"
 """Comment in formats with comments; such files may be replaced."""
 
@@ -86,7 +90,7 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
         _pictured(args, views)
     count = sum(len(model.splats) for model in models)
     request = _with_views(request, args, views, count)
-    write = _writer(models, request, args.spz_version)
+    write = _writer(args, models, request, views)
     edited = apply_edits(
         [model.splats for model in models],
         request,
@@ -169,12 +173,27 @@ def _with_views(
 _Write = Callable[[Path, Splats], WrittenFile]
 
 
-def _writer(models: list[ModelArgument], request: EditRequest, spz_version: int) -> _Write:
-    """Function that writes splats in the format of a file's name. It keeps the stated up axis of
-    the first model, unless the splats were moved, and its stated near plane."""
+def _writer(
+    args: argparse.Namespace,
+    models: list[ModelArgument],
+    request: EditRequest,
+    views: EditViews | None,
+) -> _Write:
+    """Function that writes splats in the format of a file's name. It keeps the up axis of the first
+    model, stated or of its cameras, unless the splats were moved, and its stated near plane."""
     given, comments = models[0].file.comments, [_MARK]
-    if not request.moves and (up := stated_up(given)):
-        comments.append(f"{UP_NOTE}{up}")
+    up = stated_up(given) or ("" if views is None else up_axis(views.cameras))
+    if not request.moves and up not in ("", _USUAL_UP):
+        is_noted = any(line.startswith(UP_NOTE) for line in given)
+        comments.append(f"{UP_NOTE if is_noted else UP_AXIS}{up}")
+    proxy = None
+    if args.proxy is not None:
+        if request.moves:
+            raise ConfigError(
+                "`--proxy` is not moved with the splats: move them first, make the mesh of the "
+                "result, and convert both."
+            )
+        proxy = read_mesh(args.proxy)
     if (near := stated_near(given)) is not None:
         comments.append(near_comment(near * (request.scale or 1.0)))
 
@@ -185,7 +204,8 @@ def _writer(models: list[ModelArgument], request: EditRequest, spz_version: int)
             antialiased=models[0].antialias,
             origin=models[0].origin,
             comments=tuple(comments),
-            spz_version=spz_version,
+            spz_version=args.spz_version,
+            proxy=proxy,
         )
 
     return write

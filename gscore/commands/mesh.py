@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..errors import Cancelled, ConfigError
 from ..events import MeshDone, MeshPlanned, MeshProgress, Show, Warn
+from ..io.ply.comments import stated_up
 from ..io.region_file import box_of_corners, read_region
 from ..mesh.make_mesh import HOLES, SMALL_HOLE, MeshRequest, make_mesh
 from ..mesh.surface_mesh import (
@@ -25,6 +27,7 @@ from ..mesh.texture import Photo
 from ..quoting import brief
 from ..scene import Cameras
 from ..text_format import count_text
+from ..upright import up_axis
 from .args.data_options import add_data_options
 from .args.device_option import add_device_option, device_of
 from .args.model_argument import (
@@ -153,7 +156,8 @@ def _mesh(args: argparse.Namespace, show: Show, control: Control) -> dict[str, A
     if control.stopping:
         raise Cancelled(_STOPPED)
     show(MeshProgress(phase="writing", done=0, total=0))
-    write_surface(output, mesh)
+    up = stated_up(model.file.comments) or up_axis(cameras)
+    write_surface(output, replace(mesh, up=up))
     return _result(output, model, mesh, mode, show)
 
 

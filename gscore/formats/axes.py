@@ -10,6 +10,16 @@ from ..splats import Splats
 X, Z = 0, 2
 """Axes of rotation. A 3DGS PLY is right-down-front, as COLMAP's cameras: a half turn about x gives
 right-up-back (SPZ, OpenGL, USD), one about z left-up-front (glTF)."""
+_HALF = 0.5**0.5
+UPRIGHT = {
+    "-Y": (0.0, 0.0, 0.0, 1.0),
+    "Y": (0.0, 0.0, 1.0, 0.0),
+    "Z": (-_HALF, 0.0, 0.0, _HALF),
+    "-Z": (_HALF, 0.0, 0.0, _HALF),
+    "X": (0.0, 0.0, -_HALF, _HALF),
+    "-X": (0.0, 0.0, _HALF, _HALF),
+}
+"""Quaternions, xyzw, that turn numbers in left-up-front to y up, by the up axis of the splats."""
 _DIRECTION = np.array([0.36, 0.48, 0.8])
 """A unit vector at which no basis function is zero."""
 

@@ -10,6 +10,7 @@ import os
 import re
 import string
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -19,6 +20,7 @@ from ..errors import ConfigError, DatasetError, FormatError
 from ..io.files import read_bytes
 from ..json_text import parse_json
 from ..quoting import quoted
+from .axes import UPRIGHT
 from .parts import check_part
 
 GLB_MAGIC = b"glTF"
@@ -239,6 +241,40 @@ class GltfBuffer:
         self._chunks.append(piece)
         self.size += size + -size % 4
         return len(self.views) - 1
+
+
+TO_GLTF = np.array([-1.0, -1, 1])
+"""Signs of positions between right-down-front, as of splats, and glTF's left-up-front."""
+UP = "up"
+"""Key in the extras of a node: up axis of the splats' world, to which its rotation belongs."""
+
+
+def upright_node(up: str, place: np.ndarray | None = None) -> dict[str, Any]:
+    """Properties of a node whose numbers are in left-up-front, so that y is up in the file.
+
+    Args:
+        up: Up axis of the splats' world, X to -Z; empty: as -Y.
+        place: [3], position of the node in the splats' world; None: its origin.
+    """
+    node: dict[str, Any] = {}
+    if up in UPRIGHT and up != "-Y":
+        node = {"rotation": list(UPRIGHT[up]), "extras": {UP: up}}
+    if place is not None:
+        turn = node_matrix(UPRIGHT.get(up, UPRIGHT["-Y"]))
+        node["translation"] = (turn @ (place * TO_GLTF)).tolist()
+    return node
+
+
+def node_matrix(rotation: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Rotation [3, 3] of a quaternion of a node, xyzw, for column vectors."""
+    x, y, z, w = rotation
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def write_glb(file: BinaryIO, content: dict[str, Any], buffer: GltfBuffer) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import FormatError, ShapeError
 from ..io.file_sample import FileSample
+from ..io.ply.comments import UP_AXIS
 from ..io.splat_rows import drawable, log_scales, logits
 from ..quoting import quoted
 from ..sh import rgb_to_sh0
@@ -19,8 +20,8 @@ from ..splats import SH_REST_BY_DEGREE, Splats
 from ..text_format import number
 from ..transforms import transform_splats
 from . import spz
-from .axes import X, Z, half_turn
-from .gltf import GLB_MAGIC, Gltf, as_object
+from .axes import UPRIGHT, X, Z, half_turn
+from .gltf import GLB_MAGIC, UP, Gltf, as_object, node_matrix
 from .gltf_writing import (
     EXTENSION,
     GLTF_MARK,
@@ -43,6 +44,8 @@ _MOST_DEPTH = 256
 _MOST_SPLATS_A_BYTE, _SLACK = 1, 1 << 16
 """Most splats per byte of a file with several nodes of splats, and the slack. A splat takes 30
 bytes as numbers and about ten in SPZ."""
+_DIGITS = 12
+"""Digits of a rotation without its rounding errors."""
 _NEAR_BOUNDS = 0.05
 """Largest distance of positions from their stated bounds, as a share of the largest bound."""
 
@@ -58,9 +61,9 @@ def _is_gltf(path: Path, sample: FileSample) -> bool:
 def _read(path: Path) -> Decoded:
     file = Gltf(path)
     _check_required(file)
-    parts, layouts, marks, origins = [], [], [], []
+    parts, layouts, marks, origins, ups = [], [], [], [], []
     count = 0
-    for matrix, primitive in _primitives(file):
+    for matrix, up, primitive in _primitives(file):
         splats, layout, flagged = _splats(file, primitive)
         count += len(splats)
         _check_repeated(file, count, len(parts) + 1)
@@ -69,13 +72,16 @@ def _read(path: Path) -> Decoded:
         extras = as_object(primitive.get("extras"))
         marks.append(flagged or extras.get(GLTF_MARK) is True)
         origins.append(origin_in(extras, file.damaged))
+        ups.append(up)
     if not parts:
         meshes = len(file.listed(file.content, "meshes"))
         raise FormatError(
             f"{path} is a glTF file without splats: none of its {meshes} meshes has the extension "
             f"{EXTENSION}. Give the file of a trained model."
         )
-    facts = {"layout": layouts[0], "antialiased": all(marks)}
+    facts: dict[str, Any] = {"layout": layouts[0], "antialiased": all(marks)}
+    if ups[0]:
+        facts["comments"] = (f"{UP_AXIS}{ups[0]}",)
     pairs = zip(parts, origins, strict=True)
     return joined_files([Decoded(splats=part, origin=origin, **facts) for part, origin in pairs])
 
@@ -117,13 +123,13 @@ def _check_required(file: Gltf) -> None:
         )
 
 
-def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
-    """Matrices [4, 4] and primitives of splats, of the scene's nodes, or of all meshes without a
-    scene."""
+def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, str, dict[str, Any]]]:
+    """Matrices [4, 4], up axes and primitives of splats, of the scene's nodes, or of all meshes
+    without a scene. The rotation by which the writer turned a world upright is undone."""
     scenes = file.listed(file.content, "scenes")
     if not scenes:
         for index in range(len(file.listed(file.content, "meshes"))):
-            yield from ((np.eye(4), found) for found in _of_mesh(file, index))
+            yield from ((np.eye(4), "", found) for found in _of_mesh(file, index))
         return
     scene = file.entry("scenes", file.content.get("scene", 0))
     left = [(node, np.eye(4), 0) for node in file.listed(scene, "nodes")]
@@ -136,7 +142,13 @@ def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, dict[str, Any]]]:
         visited.add(index)
         matrix = above @ _matrix(file, node)
         if "mesh" in node:
-            yield from ((matrix, found) for found in _of_mesh(file, node["mesh"]))
+            own, up = matrix, as_object(node.get("extras")).get(UP)
+            if not isinstance(up, str) or up not in UPRIGHT:
+                up = ""
+            else:
+                own = own.copy()
+                own[:3, :3] = np.round(own[:3, :3] @ node_matrix(UPRIGHT[up]).T, _DIGITS)
+            yield from ((own, up, found) for found in _of_mesh(file, node["mesh"]))
         left += [(child, matrix, depth + 1) for child in file.listed(node, "children")]
 
 
@@ -154,14 +166,7 @@ def _matrix(file: Gltf, node: dict[str, Any]) -> np.ndarray:
     """Matrix [4, 4] of a node, for column vectors."""
     if "matrix" in node:
         return _numbers(file, node, "matrix", np.eye(4).ravel()).reshape(4, 4).T
-    x, y, z, w = _numbers(file, node, "rotation", np.array([0.0, 0, 0, 1]))
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    turn = node_matrix(_numbers(file, node, "rotation", np.array([0.0, 0, 0, 1])))
     out = np.eye(4)
     out[:3, :3] = turn * _numbers(file, node, "scale", np.ones(3))
     out[:3, 3] = _numbers(file, node, "translation", np.zeros(3))
@@ -317,6 +322,7 @@ GLTF = SplatFormat(
     read=_read,
     write=write_gltf,
     part_files=buffer_of,
+    keeps_proxy=True,
 )
 GLTF_SPZ = SplatFormat(
     key="gltf-spz",
@@ -326,4 +332,5 @@ GLTF_SPZ = SplatFormat(
     read=_read,
     write=write_packed_gltf,
     part_files=buffer_of,
+    keeps_proxy=True,
 )

@@ -11,13 +11,14 @@ import numpy as np
 
 from .._version import __version__
 from ..io.files import atomic_write
+from ..io.ply.comments import stated_up
 from ..io.splat_rows import linear_scales, opacities_of
 from ..sh import sh0_to_rgb
 from ..splats import Splats
 from ..transforms import unit_quats
 from . import spz
 from .axes import Z, half_turn
-from .gltf import CHECK, GltfBuffer, buffers_in, escaped, write_glb
+from .gltf import CHECK, TO_GLTF, GltfBuffer, buffers_in, escaped, upright_node, write_glb
 from .parts import parts_of, write_parts
 from .splat_file import ORIGIN, WriteOptions
 
@@ -33,8 +34,9 @@ _PROPERTIES = {
 }
 GLTF_MARK = "antialiased"
 """Key in the extras of a primitive, because the extension has none for it."""
-_TURN = np.array([-1, -1, 1], np.float32)
-"""Signs of positions between left-up-front and right-down-front."""
+_HIDDEN = "KHR_node_visibility"
+PROXY = "proxy"
+"""Name of the node of a proxy, and key in its extras."""
 
 
 def harmonic(degree: int, index: int) -> str:
@@ -71,9 +73,10 @@ def write_packed_gltf(path: Path, splats: Splats, options: WriteOptions) -> list
     for attribute, kind in kinds:  # without bufferViews: the data are in the SPZ
         attributes[attribute] = len(buffer.accessors)
         buffer.accessors.append({"componentType": 5126, "count": len(splats), "type": kind})
-    buffer.accessors[0] |= _bounds(means * _TURN)
+    buffer.accessors[0] |= _bounds(means * TO_GLTF.astype(np.float32))
     content = _content(attributes, packed, options, buffer)
-    content["extensionsUsed"] = content["extensionsRequired"] = [EXTENSION, name]
+    content["extensionsUsed"].append(name)
+    content["extensionsRequired"] = [EXTENSION, name]
     _write_file(path, content, buffer)
     return notes
 
@@ -114,7 +117,7 @@ def _content(
     options: WriteOptions,
     buffer: GltfBuffer,
 ) -> dict[str, Any]:
-    """JSON of a file with one node, without the URI of its buffer."""
+    """JSON of a file with one node, and a hidden one for a proxy, without the URI of its buffer."""
     primitive: dict[str, Any] = {
         "attributes": attributes,
         "mode": POINTS_MODE,
@@ -124,17 +127,39 @@ def _content(
     extras |= {} if options.origin is None else {ORIGIN: options.origin.tolist()}
     if extras:
         primitive["extras"] = extras
+    placed = upright_node(stated_up(options.comments))
+    nodes: list[dict[str, Any]] = [{"mesh": 0, **placed}]
+    meshes, used = [{"primitives": [primitive]}], [EXTENSION]
+    if options.proxy is not None:
+        meshes.append({"primitives": [_proxy(options, buffer)]})
+        hidden = {
+            "mesh": 1,
+            "name": PROXY,
+            "extras": {PROXY: True, **placed.get("extras", {})},
+            "extensions": {_HIDDEN: {"visible": False}},
+        }
+        nodes.append({**placed, **hidden})
+        used.append(_HIDDEN)
     return {
         "asset": {"version": "2.0", "generator": f"gscore {__version__}"},
-        "extensionsUsed": [EXTENSION],
+        "extensionsUsed": used,
         "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
+        "scenes": [{"nodes": list(range(len(nodes)))}],
+        "nodes": nodes,
+        "meshes": meshes,
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
         "buffers": [{"byteLength": buffer.size}],
     }
+
+
+def _proxy(options: WriteOptions, buffer: GltfBuffer) -> dict[str, Any]:
+    """Primitive of the proxy, in the world of the splats."""
+    assert options.proxy is not None
+    places = (options.proxy_vertices * TO_GLTF).astype(np.float32)
+    corners = np.ascontiguousarray(options.proxy.triangles, np.uint32).ravel()
+    position = buffer.add(places, "VEC3", **_bounds(places))
+    return {"attributes": {"POSITION": position}, "indices": buffer.add(corners, "SCALAR")}
 
 
 def _write_file(path: Path, content: dict[str, Any], buffer: GltfBuffer) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import ConfigError, DatasetError, FormatError
 from ..io.file_sample import FileSample, sample_file
 from ..io.files import is_file, reason
+from ..io.mesh.files import TriangleMesh
 from ..io.splat_rows import drawable_rows
 from ..io.unsupported_formats import describe_unsupported
 from ..quoting import brief
@@ -131,6 +132,7 @@ def write_splat_file(
     sh_degree: int | None = None,
     comments: tuple[str, ...] = (),
     spz_version: int = 3,
+    proxy: TriangleMesh | None = None,
 ) -> WrittenFile:
     """Write a model in the format of the file's ending, completely or not at all.
 
@@ -142,6 +144,8 @@ def write_splat_file(
         sh_degree: Highest SH degree to write; None: that of the model, limited by the format.
         comments: Comments, for formats that support them.
         spz_version: Version of SPZ: 3, which every reader supports, or 4, with zstd.
+        proxy: Mesh in the coordinates of the capture, written hidden into glTF and USD, for shadows
+            and collisions in other programs; None: none.
 
     Returns:
         The written file, with notes on data that the format cannot store.
@@ -156,6 +160,11 @@ def write_splat_file(
     found = format_to_write(path)
     if sh_degree is not None and sh_degree not in SH_REST_BY_DEGREE:
         raise ConfigError(f"The SH degree must be 0 to {MAX_DEGREE}, got {sh_degree!r}.")
+    if proxy is not None and not found.keeps_proxy:
+        endings = ", ".join(end for one in FORMATS if one.keeps_proxy for end in one.endings)
+        raise ConfigError(
+            f"{brief(path)}: {found.name} has no meshes, so a proxy needs one of {endings}."
+        )
     notes: list[str] = []
     most = min(splats.sh_degree, found.most_degree)
     kept = _drawable(splats, notes)
@@ -184,7 +193,11 @@ def write_splat_file(
                 f"positions to get the coordinates of the capture."
             )
     options = WriteOptions(
-        antialiased=antialiased, origin=origin, comments=tuple(comments), spz_version=spz_version
+        antialiased=antialiased,
+        origin=origin,
+        comments=tuple(comments),
+        spz_version=spz_version,
+        proxy=proxy,
     )
     assert found.write is not None
     notes += found.write(path, kept, options)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..io.file_sample import FileSample
+from ..io.mesh.files import TriangleMesh
 from ..scene import are_relative_to, checked_origin, offset_between, origin_text
 from ..sh import sh0_to_rgb
 from ..splats import Splats
@@ -87,6 +88,14 @@ class WriteOptions:
     """Version of SPZ: 3 or 4."""
     origin: np.ndarray | None = None
     """[3] float64, local origin of the means; None: none."""
+    proxy: TriangleMesh | None = None
+    """Mesh to write with the splats, hidden; None: none."""
+
+    @property
+    def proxy_vertices(self) -> np.ndarray:
+        """[V, 3] float64, the vertices of the proxy, from the local origin of the means."""
+        assert self.proxy is not None
+        return self.proxy.vertices + offset_between(None, self.origin)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,3 +184,5 @@ class SplatFormat:
     """True if it can mark splats as trained with antialias compensation."""
     keeps_origin: bool = True
     """True if it can store the local origin of the means."""
+    keeps_proxy: bool = False
+    """True if it can store a mesh with the splats."""

@@ -106,13 +106,18 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
 
 
 def _stage(splats: Splats, options: WriteOptions) -> Any:
-    """A stage with one prim, Y up."""
+    """A stage with one prim, Y up, or with a scene of splats and their proxy."""
     Usd, UsdGeom, Vt = (need(f"pxr.{name}", "USD") for name in ("Usd", "UsdGeom", "Vt"))
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    prim = getattr(usd_library(), TYPE).Define(stage, "/Splats")
-    stage.SetDefaultPrim(prim.GetPrim())
+    above = "" if options.proxy is None else "/Scene"
+    if above:
+        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, above).GetPrim())
+        _add_proxy(stage, f"{above}/Proxy", options)
+    prim = getattr(usd_library(), TYPE).Define(stage, f"{above}/Splats")
+    if not above:
+        stage.SetDefaultPrim(prim.GetPrim())
     vectors = Vt.Vec3fArray.FromNumpy
     # SH coefficients take the most memory: they are converted first and freed before other copies.
     prim.CreateRadianceSphericalHarmonicsDegreeAttr(splats.sh_degree)
@@ -131,6 +136,23 @@ def _stage(splats: Splats, options: WriteOptions) -> Any:
         stated = need("pxr.Gf", "USD").Vec3d(*options.origin.tolist())
         prim.GetPrim().SetCustomDataByKey(ORIGIN, stated)
     return stage
+
+
+def _add_proxy(stage: Any, path: str, options: WriteOptions) -> None:
+    """A mesh with the purpose of a guide, which programs draw on request only."""
+    UsdGeom, Vt = need("pxr.UsdGeom", "USD"), need("pxr.Vt", "USD")
+    assert options.proxy is not None
+    mesh = UsdGeom.Mesh.Define(stage, path)
+    places = (options.proxy_vertices * [1, -1, -1]).astype(np.float32)
+    corners = np.ascontiguousarray(options.proxy.triangles, np.int32)
+    mesh.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(places))
+    mesh.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners.ravel()))
+    mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(corners), 3, np.int32)))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    if len(places):
+        ends = np.stack([places.min(axis=0), places.max(axis=0)])
+        mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(ends))
 
 
 def _turned_harmonics(splats: Splats) -> np.ndarray:
@@ -159,4 +181,5 @@ USD = SplatFormat(
     read=_read,
     write=_write,
     most_degree=4,
+    keeps_proxy=True,
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from .._version import __version__
 from ..errors import ConfigError, FormatError
-from ..formats.gltf import GltfBuffer, write_glb
+from ..formats.gltf import TO_GLTF, GltfBuffer, upright_node, write_glb
 from ..io.files import atomic_write
 from ..io.images.png import SIGNED, png_bytes, write_png
 from ..io.mesh.files import read_written_mesh, write_mesh
@@ -40,6 +40,8 @@ class SurfaceMesh:
     """[S, S, 3] uint8, sRGB; None: the colours are those of the vertices."""
     origin: np.ndarray | None = None
     """[3] float64, local origin in the coordinates of the capture; None: zero."""
+    up: str = ""
+    """Up axis of the world, X to -Z; empty: unknown, taken as -Y by a .glb."""
     facts: dict[str, Any] = field(default_factory=dict)
     """Figures of its making, as JSON values."""
 
@@ -69,9 +71,8 @@ def write_surface(path: str | Path, mesh: SurfaceMesh) -> None:
     """Write a mesh by the ending of its name, completely or not at all.
 
     PLY and OBJ have the coordinates of the capture and colours of 8 bits or as fractions. GLB has
-    y up if the capture's world has y down, as the splats' GLB, linear colours and the local origin
-    as the place of its node. A texture is a part of the GLB; an OBJ has it in a .png with a .mtl
-    beside it.
+    y up, as the splats' GLB, linear colours and the local origin as the place of its node. A
+    texture is a part of the GLB; an OBJ has it in a .png with a .mtl beside it.
 
     Args:
         path: A .ply, .obj or .glb file.
@@ -144,13 +145,13 @@ def _write_obj(path: Path, mesh: SurfaceMesh) -> None:
 
 def _write_glb(path: Path, mesh: SurfaceMesh) -> None:
     buffer = GltfBuffer()
-    places = mesh.vertices.astype(np.float32)
+    places = (mesh.vertices * TO_GLTF).astype(np.float32)
     bounds = {}
     if len(places):
         bounds = {"min": places.min(axis=0).tolist(), "max": places.max(axis=0).tolist()}
     attributes = {
         "POSITION": buffer.add(places, "VEC3", **bounds),
-        "NORMAL": buffer.add(vertex_normals(mesh.vertices, mesh.triangles), "VEC3"),
+        "NORMAL": buffer.add(vertex_normals(places, mesh.triangles), "VEC3"),
     }
     surface: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
     pictures: dict[str, Any] = {}
@@ -167,10 +168,7 @@ def _write_glb(path: Path, mesh: SurfaceMesh) -> None:
         }
     faces = np.ascontiguousarray(mesh.triangles, np.uint32).reshape(-1)
     indices = buffer.add(faces, "SCALAR")
-    # A half turn about z, from right-down-front to glTF's left-up-front.
-    node: dict[str, Any] = {"mesh": 0, "name": path.stem, "rotation": [0, 0, 1, 0]}
-    if mesh.origin is not None:
-        node["translation"] = (mesh.origin * [-1, -1, 1]).tolist()
+    node = {"mesh": 0, "name": path.stem, **upright_node(mesh.up, mesh.origin)}
     content = {
         "asset": {"version": "2.0", "generator": f"gscore {__version__}"},
         "scene": 0,

@@ -10,6 +10,8 @@ from PIL import Image
 
 from gscore.edit import contributions, most_important
 from gscore.formats import read_splats as read_any
+from gscore.formats.gltf import Gltf
+from gscore.io.mesh.files import write_mesh
 from gscore.io.ply.splats import MIP_COMMENT, header_comments, read_ply, write_splats
 from gscore.metrics.image import psnr
 from gscore.raster.api import render
@@ -39,14 +41,39 @@ def test_without_options_nothing_changes(gscore, ply, tmp_path, splats):
     same(read_ply(out), splats)
 
 
-@pytest.mark.parametrize("line", ["gscore up Z", "Vertical Axis: z"])
-def test_the_axis_that_points_up_is_kept(gscore, ply, tmp_path, splats, line):
+@pytest.mark.parametrize(
+    ("line", "kept"), [("gscore up Z", "gscore up Z"), ("Vertical Axis: z", "up axis: Z")]
+)
+def test_the_axis_that_points_up_is_kept(gscore, ply, tmp_path, splats, line, kept):
     """Oracle: the comment of the input file; none once the splats were turned."""
     write_splats(ply, splats, comments=(line,))
     out = tmp_path / "out.ply"
-    assert gscore("convert", ply, out)[0] == 0 and "gscore up Z" in header_comments(out)
+    assert gscore("convert", ply, out)[0] == 0 and kept in header_comments(out)
     assert gscore("convert", ply, out, "--rotate", "90", "0", "0", "--overwrite")[0] == 0
     assert not any("up" in line for line in header_comments(out))
+
+
+def test_a_proxy_goes_along(gscore, ply, tmp_path):
+    """Oracle: the splats of a file without it to the bit, the vertices in glTF's axes; refusals
+    write nothing."""
+    mesh, out = tmp_path / "mesh.ply", tmp_path / "out.glb"
+    vertices, corners = np.eye(3), np.array([[0, 1, 2]])
+    write_mesh(mesh, vertices, corners)
+    assert gscore("convert", ply, out, "--proxy", mesh)[0] == 0
+    assert gscore("convert", ply, tmp_path / "without.glb")[0] == 0
+    same(read_any(out), read_any(tmp_path / "without.glb"))
+    file = Gltf(out)
+    proxy = file.content["meshes"][1]["primitives"][0]
+    places = file.numbers(proxy["attributes"]["POSITION"], "VEC3")
+    np.testing.assert_array_equal(places, vertices * [-1, -1, 1])
+    for name, more, words in (
+        ("a.spz", (), "has no meshes"),
+        ("a.glb", ("--scale", "2"), "not moved with the splats"),
+        ("a.glb", ("--proxy", tmp_path / "none.ply"), "none.ply"),
+    ):
+        code, _, said = gscore("convert", ply, tmp_path / name, "--proxy", mesh, *more)
+        assert code != 0 and words in said
+        assert not (tmp_path / name).exists()
 
 
 def with_harmonics(splats, rest):

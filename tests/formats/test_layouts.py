@@ -12,10 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 import gscore
 from gscore.errors import FormatError
 from gscore.formats import read_splat_file, write_splat_file
+from gscore.formats.axes import UPRIGHT
+from gscore.formats.gltf import Gltf
+from gscore.io.mesh.files import TriangleMesh
+from gscore.io.ply.comments import stated_up
 from gscore.sh import SH_C0
 from gscore.splats import Splats
 from gscore.transforms import transform_splats
@@ -521,6 +526,55 @@ def test_gltf_as_written(tmp_path: Path) -> None:
     assert values("KHR_gaussian_splatting:ROTATION", 4) == (0, 0, 0, 1)
     assert values("KHR_gaussian_splatting:SCALE", 3) == (1, 1, 1)
     assert values("KHR_gaussian_splatting:OPACITY", 1) == (0.5,)
+
+
+@pytest.mark.parametrize("up", UPRIGHT)
+def test_gltf_is_upright(tmp_path: Path, up: str) -> None:
+    """Oracle: the splat's place, by the node's rotation worked out by scipy, is along y; the splat
+    is read back to the bit, with its up axis."""
+    axis = np.zeros(3)
+    axis["XYZ".index(up[-1])] = -1 if up.startswith("-") else 1
+    rng = np.random.default_rng(1)
+    splats = _one(means=axis, quats=[0.5, 0.5, -0.5, 0.5], shN=rng.standard_normal((3, 3)))
+    proxy = TriangleMesh(vertices=np.stack([axis] * 3) + 5, triangles=np.array([[0, 1, 2]]))
+    more = {"comments": (f"up axis: {up}",), "proxy": proxy, "origin": np.full(3, 5.0)}
+    write_splat_file(tmp_path / "a.glb", splats, **more)
+    file = Gltf(tmp_path / "a.glb")
+    for node in file.content["nodes"]:
+        attributes = file.content["meshes"][node["mesh"]]["primitives"][0]["attributes"]
+        place = file.numbers(attributes["POSITION"], "VEC3")[0]
+        turned = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).apply(place)
+        np.testing.assert_allclose(turned, [0, 1, 0], atol=1e-6)
+    found = read_splat_file(tmp_path / "a.glb")
+    for name in ("means", "quats", "shN"):
+        np.testing.assert_array_equal(getattr(found.splats, name), getattr(splats, name))
+    assert stated_up(found.comments) == (up if up != "-Y" else "")
+
+
+def test_a_proxy_is_hidden(tmp_path: Path) -> None:
+    """Oracle: KHR_node_visibility of Khronos; the purposes of OpenUSD, of which guides are drawn on
+    request only."""
+    proxy = TriangleMesh(vertices=np.eye(3), triangles=np.array([[0, 1, 2]]))
+    for name in ("a.glb", "a.spz.glb"):
+        write_splat_file(tmp_path / name, _one(), proxy=proxy)
+        file = Gltf(tmp_path / name)
+        node = file.content["nodes"][1]
+        assert node["extensions"] == {"KHR_node_visibility": {"visible": False}}
+        assert node["name"] == "proxy" and node["extras"] == {"proxy": True}
+        assert "KHR_node_visibility" in file.content["extensionsUsed"]
+        assert len(read_splat_file(tmp_path / name).splats) == 1
+    pytest.importorskip("pxr.UsdVol")
+    from pxr import Usd, UsdGeom
+
+    splats = _one(means=[1, 2, 3])
+    write_splat_file(tmp_path / "a.usda", splats, proxy=proxy)
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/Scene/Proxy"))
+    assert mesh.GetPurposeAttr().Get() == "guide"
+    np.testing.assert_array_equal(mesh.GetPointsAttr().Get(), np.eye(3) * [1, -1, -1])
+    np.testing.assert_array_equal(mesh.GetFaceVertexIndicesAttr().Get(), [0, 1, 2])
+    assert stage.GetDefaultPrim().GetPath() == "/Scene"
+    np.testing.assert_array_equal(read_splat_file(tmp_path / "a.usda").splats.means, splats.means)
 
 
 def test_usd(tmp_path: Path) -> None:

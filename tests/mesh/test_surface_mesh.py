@@ -1,11 +1,13 @@
 """Mesh files. Oracles: other readers (plyfile, gscore's of OBJ and glTF), the formats."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import plyfile
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gscore.commands.terminal.output import is_ours
 from gscore.errors import ConfigError, FormatError
@@ -78,13 +80,13 @@ def test_an_obj_has_normals_and_colours(tmp_path: Path) -> None:
 
 
 def test_a_glb_has_the_axes_and_colours_of_gltf(tmp_path: Path) -> None:
-    """Oracle: the accessors, read by gscore's reader; IEC 61966-2-1; y up, from y down."""
+    """Oracle: the accessors, read by gscore's reader; IEC 61966-2-1; y up, from y down or z up."""
     path = tmp_path / "a.glb"
     write_surface(path, MESH)
     file = Gltf(path)
     primitive = file.content["meshes"][0]["primitives"][0]
     places = file.numbers(primitive["attributes"]["POSITION"], "VEC3")
-    np.testing.assert_array_equal(places, MESH.vertices)
+    np.testing.assert_array_equal(places, MESH.vertices * [-1, -1, 1])
     colors = file.numbers(primitive["attributes"]["COLOR_0"], "VEC3")
     np.testing.assert_allclose(colors[0], [0, 0.21404, 1], atol=1e-4)
     np.testing.assert_allclose(colors[2], [0.02 / 12.92, 0.03310, 0.60383], atol=1e-4)
@@ -93,8 +95,13 @@ def test_a_glb_has_the_axes_and_colours_of_gltf(tmp_path: Path) -> None:
     indices = np.frombuffer(file.view(accessor["bufferView"]), np.uint32)
     np.testing.assert_array_equal(indices.reshape(-1, 3), MESH.triangles)
     node = file.content["nodes"][0]
-    assert node["rotation"] == [0, 0, 1, 0]
+    assert "rotation" not in node
     np.testing.assert_allclose(node["translation"], ORIGIN * [-1, -1, 1])
+    write_surface(path, replace(MESH, up="Z"))
+    node = Gltf(path).content["nodes"][0]
+    turn = Rotation.from_quat(node["rotation"])
+    np.testing.assert_allclose(turn.apply(places[3]), [0, 1, 0], atol=1e-12)  # z
+    np.testing.assert_allclose(node["translation"], ORIGIN[[0, 2, 1]] * [-1, 1, 1], atol=1e-6)
     assert is_ours(path)
     json.dumps(file.content, allow_nan=False)
 

@@ -4,6 +4,7 @@ import base64
 import json
 import sys
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -22,8 +23,9 @@ from gscore.datasets import load_dataset
 from gscore.io.images.read_image import read_image
 from gscore.report.plan import plan_axes
 from gscore.scene import Cameras
-from gscore.upright import turn_cameras, upright_turns
+from gscore.upright import turn_cameras, up_axis, upright_turns
 
+from ..mesh.shapes import around
 from ..upright_photos import SIZE, upright_capture
 
 HELD = {
@@ -165,3 +167,15 @@ def _photo(uri: str, folder: Path) -> np.ndarray:
     path = folder / "shown.jpg"
     path.write_bytes(base64.b64decode(uri.split(",", 1)[1]))
     return read_image(path)
+
+
+@pytest.mark.parametrize(("tilt", "axis"), [(0, "Z"), (10, "Z"), (30, ""), (90, "Y"), (180, "-Z")])
+def test_the_axis_that_is_up(tilt: float, axis: str) -> None:
+    """Oracle: level cameras in a world with z up, tilted about x from z to y."""
+    turn = np.eye(4)
+    c, s = np.cos(np.radians(tilt)), np.sin(np.radians(tilt))
+    turn[1:3, 1:3] = [[c, s], [-s, c]]
+    cameras = around(12, least=0.3)
+    cameras = replace(cameras, viewmats=cameras.viewmats @ np.linalg.inv(turn))
+    assert up_axis(cameras) == axis
+    assert up_axis(replace(cameras, up=np.array([-1.0, 0, 0]))) == "-X"

@@ -33,6 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=(3, 4),
         default=SPZ_VERSION,
     )
+    option(
+        "--proxy MESH", "mesh to write along, hidden, into glTF and USD, as of gscore mesh", Path
+    )
     add_threads_option(parser)
     add_result_options(parser, replaced="files")
     _add_join_and_crop(parser)

@@ -42,6 +42,9 @@ def _positive(line: str) -> float:
 
 UP_NOTE = "gscore up "
 """Start of gscore's own comment, followed by an axis: X, Y or Z, or one of them after a minus."""
+UP_AXIS = "up axis: "
+"""Start of a comment with the up axis of a capture's world. `UP_NOTE` with Z is that of Blender's
+world, whose splats keep their place beside a capture."""
 _STATED = re.compile(
     r"(?:^|[,;.|()\[\]-])\s*(vertical|up)[ _-]?axis\s*[:=]?\s*([+-]?)([xyz])\b", re.IGNORECASE
 )
