@@ -18,6 +18,9 @@ _GROWTH = 0.5
 _LATER_GROWTH = 2.2e-4
 """Expected growth at the first refinement, times `grow_grad`; at the k-th it is k^-1.15 of that.
 Fitted to trainings with all presets (docs/benchmarks.md, "Captures")."""
+_SURFACE = 2.3
+"""Time of a step with the surface term, which draws a second picture, relative to one without:
+drafts of the studio take 173 instead of 110 s of processor time, with the term in 30 % of steps."""
 _SAMPLES = 64
 """Most steps that are evaluated to predict the rest of a run."""
 
@@ -50,7 +53,8 @@ class Cost:
         """
         plan = self.plan
         drawn = plan.pixels / plan.factor_at(step) ** 2
-        return self.model.seconds(splats, plan.sh_degree_at(step), drawn, plan.models)
+        one = self.model.seconds(splats, plan.sh_degree_at(step), drawn, plan.models)
+        return _SURFACE * one if step > plan.surface_after else one
 
     def seconds_after(self, step: int, splats: int) -> float:
         """Seconds of the steps after `step`, which ends with `splats`, on the reference machine."""

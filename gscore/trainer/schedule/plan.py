@@ -76,6 +76,8 @@ class Plan:
     """Share of splats that a refinement of `mcmc` adds; 0 with `default`, which uses gradients."""
     kept: float
     """Share of the splats kept after the last refinement."""
+    surface_after: float
+    """Last step without the surface term; infinite without it."""
 
     @classmethod
     def of(
@@ -166,6 +168,7 @@ class Plan:
             grow_grad=config.grow_grad or threshold,
             mcmc_growth=(config.mcmc_growth or min(growth, 1.0)) if mcmc else 0.0,
             kept=1.0 - config.prune_share,
+            surface_after=config.surface_from * n if config.surface_weight > 0 else math.inf,
         )
 
     def means_lr_at(self, step: int) -> float:

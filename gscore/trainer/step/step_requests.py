@@ -166,7 +166,7 @@ class StepRequests:
             noise=strategy.noise_at(means_lr),
             terms=self.terms.terms,
             picture_term=self.terms.picture_term(training_view.index, step),
-            surface=config.surface_weight if step > config.surface_from * plan.iterations else 0.0,
+            surface=config.surface_weight if step > plan.surface_after else 0.0,
             opacity_reg=strategy.opacity_reg,
             scale_reg=strategy.scale_reg,
             observe=strategy.counters if strategy.observes_at(step) else (),

@@ -61,3 +61,13 @@ def test_splats_to_expect_are_those_of_each_refinement(options: dict[str, Any]) 
                 k = refinements.index(step) + 1
                 growth = plan.mcmc_growth or min(0.5, 2.2e-4 / plan.grow_grad * k**-1.15)
                 splats = min(splats * (1 + growth), 60_000)
+
+
+def test_steps_with_the_surface_term_take_longer() -> None:
+    """Oracle: the same step without the term; its share of the run."""
+    config = TrainConfig(iterations=1000, surface_weight=1.0, surface_from=0.6)
+    plain, cost = Cost(plan_of(replace(config, surface_weight=0.0))), Cost(plan_of(config))
+    for step in (1, 600):
+        assert cost.seconds_at(step, 9000) == plain.seconds_at(step, 9000)
+    for step in (601, 1000):
+        assert cost.seconds_at(step, 9000) > 2 * plain.seconds_at(step, 9000)
