@@ -45,7 +45,7 @@ _COVERED = 2.0
 """Distance to a splat, in spacings, up to which the surface is not a hole."""
 _SECTORS, _OPPOSITE = 16, 2
 """Directions along the surface, and the least number of opposite pairs with splats."""
-_COLOR, _ANGLE, _AGAIN = 0.1, np.radians(45), 0.25
+_COLOR, _ANGLE, _AGAIN = 0.03, np.radians(45), 0.25
 """Differences of colour (sRGB values) and of normals (radians) between patch and donor that cost as
 much as a distance of the region's size, and the cost of each earlier use of a donor."""
 
