@@ -3,10 +3,12 @@
 python tools/measure/surface.py MESH.ply... --truth FIGURE.ply --cameras CAPTURE
 python tools/measure/surface.py MESH.ply... --cameras CAPTURE
 python tools/measure/surface.py MESH.ply... --silhouettes LEGO
+python tools/measure/surface.py --poisson RUN --cameras CAPTURE  # needs pymeshlab
 
 CAPTURE is made by examples/make_studio.py, FIGURE.ply in the same run with --surface; without it
 the surface is that of the exact depths. Only what cameras see counts, so the body below the clothes
-does not. LEGO has transforms_test.json, whose pictures have alpha.
+does not. LEGO has transforms_test.json, whose pictures have alpha. --poisson compares the surfaces
+that screened Poisson reconstruction makes of the splats of a RUN, and of the points of its depths.
 """
 
 import argparse
@@ -19,9 +21,12 @@ import numpy as np
 from PIL import Image
 from scipy.spatial import KDTree
 
+from gscore import read_splat_file
 from gscore.io.mesh.files import TriangleMesh, read_mesh
-from gscore.mesh.surface_view import pixel_rays
+from gscore.mesh.surface_view import pixel_rays, surface_view
+from gscore.raster.api import render, splat_normals
 from gscore.raster.mesh import mesh_depth
+from gscore.splats import Splats
 
 SAMPLES = 300_000
 """Points by which a mesh is compared."""
@@ -31,6 +36,11 @@ TOLERANCE = 0.001
 """Depth behind the true surface at which a camera still sees a point, metres."""
 DEPTH_STEPS = 65536 / 4
 """Value of the exact depths times depth in metres."""
+OCTREE, TRIMMED = 10, 0.01
+"""Depth of the octree of Poisson reconstruction, and largest distance of its surface from the
+points, metres."""
+SPREAD = 0.035
+"""Largest difference of mean and median depth that `gscore mesh` fuses, metres."""
 STEP = 0.03
 """Change of depth over two pixels beyond which they are on different surfaces, metres."""
 
@@ -130,6 +140,47 @@ def views_of(capture: Path) -> Iterator[tuple[str, np.ndarray, np.ndarray, int, 
             yield Path(view["name"]).stem, np.array(found["K"]), np.array(view["viewmat"]), *size
 
 
+def poisson_points(splats: Splats, capture: Path) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Name, points [N, 3] and unit normals of the solid splats, turned to the camera that faces
+    them most of those that see them, and of every second pixel of the depths that `gscore mesh`
+    fuses."""
+    solid = splats.subset(np.flatnonzero(splats.opacities > 0))
+    best, normals = np.full(len(solid), -1.0), np.zeros((len(solid), 3))
+    points, facing = [], []
+    for _, K, viewmat, width, height in views_of(capture):
+        drawn = render(splats, K, viewmat, width, height, depths=True, normals=True)
+        turned = splat_normals(solid.means, solid.quats, solid.scales, viewmat)
+        at = solid.means @ viewmat[:3, :3].T + viewmat[:3, 3]
+        u, v = np.clip((at @ K.T / at[:, 2:])[:, :2].T, 0, [[width - 1], [height - 1]]).astype(int)
+        cosine = -(turned * at).sum(axis=1) / np.linalg.norm(at, axis=1)
+        better = (cosine > best) & (at[:, 2] < drawn.median_depth[v, u] + SPREAD)
+        best[better], normals[better] = cosine[better], (turned @ viewmat[:3, :3])[better]
+        view = surface_view(drawn, K, viewmat, spread=SPREAD, far=np.inf)
+        seen = (view.weight > 0) & np.isfinite(view.depth)
+        seen[1::2] = seen[:, 1::2] = False
+        places = pixel_rays(K, height, width)[seen] * view.depth[seen, None]
+        points.append((places - viewmat[:3, 3]) @ viewmat[:3, :3])
+        facing.append(view.planes[seen, :3] @ viewmat[:3, :3])
+    shown = best > 0
+    yield "Poisson, splats", solid.means[shown].astype(np.float64), normals[shown]
+    yield "Poisson, points of depths", np.concatenate(points), np.concatenate(facing)
+
+
+def poisson(points: np.ndarray, normals: np.ndarray) -> TriangleMesh:
+    """Screened Poisson reconstruction (Kazhdan and Hoppe 2013), cut `TRIMMED` from the points."""
+    try:
+        import pymeshlab as meshes
+    except ImportError as error:
+        raise SystemExit("--poisson needs pymeshlab: pip install pymeshlab") from error
+    made = meshes.MeshSet()
+    made.add_mesh(meshes.Mesh(vertex_matrix=points, v_normals_matrix=normals))
+    made.generate_surface_reconstruction_screened_poisson(depth=OCTREE)
+    found = made.current_mesh()
+    vertices, triangles = found.vertex_matrix(), found.face_matrix()
+    near = KDTree(points).query(vertices, workers=-1)[0] < TRIMMED
+    return TriangleMesh(vertices=vertices, triangles=triangles[near[triangles].all(axis=1)])
+
+
 def _most(distances: np.ndarray) -> float:
     return float(np.quantile(distances, 0.95))
 
@@ -152,7 +203,8 @@ def overlap(mesh: TriangleMesh, scene: Path, every: int) -> str:
 def main() -> int:
     """Print a row per mesh."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("meshes", type=Path, nargs="+")
+    parser.add_argument("meshes", type=Path, nargs="*")
+    parser.add_argument("--poisson", type=Path, metavar="RUN", help="with --cameras")
     parser.add_argument("--truth", type=Path, metavar="FILE.ply")
     parser.add_argument("--cameras", type=Path, metavar="CAPTURE")
     parser.add_argument("--silhouettes", type=Path, metavar="FOLDER")
@@ -164,6 +216,11 @@ def main() -> int:
         print("|---|---|---|---|---|---|---|", flush=True)
     else:
         print("| mesh | triangles | IoU | lowest |\n|---|---|---|---|", flush=True)
+    if args.poisson:
+        splats = read_splat_file(args.poisson / "point_cloud.ply").splats
+        for name, points, normals in poisson_points(splats, args.cameras):
+            mesh = poisson(points, normals)
+            print(f"| {name} | {len(mesh):,} | {truth.row(mesh)} |", flush=True)
     for path in args.meshes:
         mesh = read_mesh(path)
         row = truth.row(mesh) if args.cameras else overlap(mesh, args.silhouettes, args.every)
