@@ -56,17 +56,17 @@ def high(source: Path) -> tuple[DataConfig, TrainConfig]:
     return DataConfig(source=source, max_width=1600), train
 
 
-PRESETS: dict[str, Callable[[Path], tuple[DataConfig, TrainConfig]]] = {
-    f.__name__: f for f in (preview, draft, normal, high)
-}
-
-
 def highest(source: Path) -> tuple[DataConfig, TrainConfig]:
     """For graphics cards, as CPUs take hours to days: photos of up to 4K."""
     train = replace(
         _LONG, iterations=30_000, max_splats=5_000_000, splats_a_photo=20_000, ensemble=3
     )
     return DataConfig(source=source, max_width=3840), train
+
+
+PRESETS: dict[str, Callable[[Path], tuple[DataConfig, TrainConfig]]] = {
+    f.__name__: f for f in (preview, draft, normal, high, highest)
+}
 
 
 _ON_CARD: dict[str, tuple[int, dict[str, int]]] = {
@@ -141,6 +141,6 @@ def published_3dgs(source: Path) -> tuple[DataConfig, TrainConfig]:
     return DataConfig(source=source, max_width=1600), train
 
 
-RECIPES = PRESETS | {"highest": highest, "3dgs": published_3dgs}
-"""Presets of `gscore train` and the benches: those that a user chooses from, one for graphics
-cards, and published recipes to compare with."""
+RECIPES = PRESETS | {"3dgs": published_3dgs}
+"""Presets of `gscore train` and the benches: those that a user chooses from, and published recipes to
+compare with."""

@@ -277,7 +277,11 @@ def test_which_presets_train_several() -> None:
     """Oracle: the presets with stereo, without which the condition is never met."""
     found = {name: make(Path())[1] for name, make in PRESETS.items()}
     models = {name: (config.ensemble, config.ensemble_below) for name, config in found.items()}
-    assert models == {"preview": (1, 0), "draft": (1, 0), "normal": (2, 0.35), "high": (3, 0.35)}
+    assert models == dict.fromkeys(("preview", "draft"), (1, 0)) | {
+        "normal": (2, 0.35),
+        "high": (3, 0.35),
+        "highest": (3, 0.35),
+    }
 
 
 def test_given_splats_are_one_model(photos: Any) -> None:

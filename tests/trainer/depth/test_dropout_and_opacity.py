@@ -52,7 +52,7 @@ def test_which_presets_leave_splats_out() -> None:
     """Oracle: the presets with stereo, without which the condition is never met."""
     for name, make in PRESETS.items():
         config = make(Path())[1]
-        longer = name in ("normal", "high")
+        longer = name in ("normal", "high", "highest")
         assert (config.drop_rate, config.drop_below) == ((0.1, 0.35) if longer else (0, 0))
 
 

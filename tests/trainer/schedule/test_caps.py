@@ -83,11 +83,11 @@ def test_where_all_are_taken(config: TrainConfig, mask_mode: str) -> None:
 
 
 def test_which_presets_have_the_limit() -> None:
-    """Oracle: all but previews, `high` for splats too."""
+    """Oracle: all but previews, from `high` on for splats too."""
     limits = {name: make(Path())[1].steps_a_photo for name, make in PRESETS.items()}
-    assert limits == {"preview": 0, "draft": 68, "normal": 80, "high": 80}
+    assert limits == {"preview": 0, "draft": 68, "normal": 80, "high": 80, "highest": 80}
     limits = {name: make(Path())[1].splats_a_photo for name, make in PRESETS.items()}
-    assert limits == {"preview": 0, "draft": 0, "normal": 0, "high": 6000}
+    assert limits == {"preview": 0, "draft": 0, "normal": 0, "high": 6000, "highest": 20_000}
 
 
 def test_each_model_may_have_as_many_splats_as_one_alone() -> None:

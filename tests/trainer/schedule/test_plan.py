@@ -210,9 +210,9 @@ def test_a_rate_of_zero_stays_zero() -> None:
 
 
 def test_presets_spend_more_each_time(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Oracle: steps, splats and photo width rise from preview to high."""
+    """Oracle: steps, splats and photo width rise from preview to highest."""
     made = [preset(tmp_path_factory.getbasetemp()) for preset in PRESETS.values()]
-    assert list(PRESETS) == ["preview", "draft", "normal", "high"]
+    assert list(PRESETS) == ["preview", "draft", "normal", "high", "highest"]
     for (data, train), (more_data, more_train) in pairwise(made):
         assert train.iterations < more_train.iterations
         assert train.max_splats < more_train.max_splats
