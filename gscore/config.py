@@ -370,10 +370,10 @@ class TrainConfig:
         auto=0,
         when="points",
     )
-    sky: bool = _start_option(
-        False,
-        "Add a distant sphere of splats for outdoor scenes, in background colours. It hides the "
-        "scene from outside, and opacity resets then need an explicit `reset_every`.",
+    sky: Switch = _start_option(
+        Switch.AUTO,
+        "Add distant splats for the sky: `auto`: where photos show it; `on`: all around, which "
+        "hides the scene from outside. Opacity resets then need an explicit `reset_every`.",
         when="points",
     )
     stereo: Stereo = _start_option(

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 from ._version import __version__
-from .config import DataConfig, TrainConfig
+from .config import DataConfig, Switch, TrainConfig
 from .errors import ConfigError
 from .json_text import parse_json
 from .options import options_of
@@ -143,6 +143,8 @@ def to_json(value: Any) -> Any:
 def _from_json(value: Any, kind: Any, where: str) -> Any:
     """`value` as the annotated type `kind`, or ConfigError."""
     options = get_args(kind)
+    if kind is Switch and isinstance(value, bool):  # some switches had no `auto` before
+        return Switch.ON if value else Switch.OFF
     if type(None) in options:
         return None if value is None else _from_json(value, options[0], where)
     if options and isinstance(value, list):  # tuple[int, ...]

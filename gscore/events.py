@@ -38,6 +38,7 @@ TOPICS = {
     "masks": "Masks",
     "enough": "Caps",
     "stereo": "Stereo",
+    "sky": "Sky",
     "opacity": "Opacity",
     "drops": "Dropout",
     "ensemble": "Ensemble",

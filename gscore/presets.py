@@ -124,6 +124,7 @@ def published_3dgs(source: Path) -> tuple[DataConfig, TrainConfig]:
         stereo=Stereo.OFF,
         depth_mode=Switch.OFF,
         exposure=Switch.OFF,
+        sky=Switch.OFF,
         refine_poses=Switch.OFF,
         coarse_factor=1,
         grow_with_photos=False,

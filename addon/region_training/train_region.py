@@ -14,7 +14,15 @@ from mathutils import Matrix
 
 from .. import attributes, preferences
 from ..cameras.capture_transform import box_of_capture, origin_of
-from ..core import Done, Progress, TrainConfig, headline_psnr, write_region, write_splat_file
+from ..core import (
+    Done,
+    Progress,
+    Switch,
+    TrainConfig,
+    headline_psnr,
+    write_region,
+    write_splat_file,
+)
 from ..interface.base_operator import Condition
 from ..interface.windows import push_undo
 from ..paths import capture_folder, output_folder
@@ -61,7 +69,8 @@ class _Options:
         self._settings = settings
         self.iterations = steps
         self.time_budget = self.target_psnr = 0.0
-        self.early_stop = self.sky = False  # a region starts from existing splats
+        self.early_stop = False
+        self.sky = Switch.AUTO  # a region starts from existing splats, which have the sky
         self.max_splats = max(settings.max_splats, 2 * len(ob.data.vertices))
         degree = attributes.SH_COUNTS.index(attributes.sh_count(ob.data))
         self.sh_degree = max(settings.sh_degree, degree)

@@ -54,7 +54,7 @@ def new_run(
     """
     data, train = PRESETS[settings.preset](source)
     arguments = ["train", str(source), "-o", str(output), "--preset", settings.preset]
-    for name in ("iterations", "max_splats", "sh_degree", "strategy", "background", "seed"):
+    for name in ("iterations", "max_splats", "sh_degree", "strategy", "background", "sky", "seed"):
         value = getattr(settings, name)
         if name == "iterations" and settings.time_budget:
             continue  # a time budget determines the number of steps
@@ -64,7 +64,7 @@ def new_run(
         value = getattr(settings, name)  # single precision
         if abs(value - getattr(train, name)) > 1e-5 * value:
             arguments += [_flag(name), f"{value:g}"]
-    for name in ("antialias", "sky", "early_stop"):
+    for name in ("antialias", "early_stop"):
         if getattr(settings, name) != getattr(train, name):
             arguments.append(_flag(name if getattr(settings, name) else f"no_{name}"))
     arguments.append("--eval" if settings.eval else "--no-eval")

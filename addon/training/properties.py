@@ -101,6 +101,11 @@ _DEPTH_MODES = {
     Switch.ON: ("Always", "Use all depth maps"),
     Switch.OFF: ("Never", "Train from the photos alone"),
 }
+_SKIES = {
+    Switch.AUTO: ("Automatic", "Add distant splats where the photos show the sky"),
+    Switch.ON: ("Sphere", "Add distant splats all around, which hide the scene from outside"),
+    Switch.OFF: ("None", "Add no distant splats"),
+}
 _DEPTH_REPORTS = (
     ("MAPS", "Maps", "The current depth maps, and their agreement with the SfM points"),
     ("RUN", "Training", "Use of the depth maps in the training of the output folder"),
@@ -207,7 +212,7 @@ class SceneSettings(run_links.LinkProperties, bpy.types.PropertyGroup):
     strategy: declared(_TRAIN, "strategy", "Strategy", items=_items(Strategy, _STRATEGIES))
     background: declared(_TRAIN, "background", "Background", items=_items(Background, _BACKGROUNDS))
     antialias: declared(_TRAIN, "antialias", "Anti-Aliasing")
-    sky: declared(_TRAIN, "sky", "Sky")
+    sky: declared(_TRAIN, "sky", "Sky", items=_items(Switch, _SKIES))
     finest: declared(_TRAIN, "finest", "Finest Detail")
     free_space: declared(_TRAIN, "free_space", "Free Space")
     seed: declared(_TRAIN, "seed", "Seed")

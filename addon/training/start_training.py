@@ -15,7 +15,7 @@ from .. import preferences, run_links
 from ..cameras.capture_transform import box_of_capture
 from ..cameras.lookup import panel_root
 from ..capture.inspection import ShownFacts
-from ..core import GUIDES, read_course, write_region
+from ..core import GUIDES, Switch, read_course, write_region
 from ..nodes import display as display_nodes
 from ..paths import absolute, capture_folder, output_folder, relative
 from ..process import poll_timer
@@ -295,11 +295,11 @@ def box_problem(settings: Any) -> str:
             f"Masks used as opacity already cut out the subject, so {ob.name} cannot limit it: set "
             "Mask Mode to Ignore Masked, or clear Limit to Object."
         )
-    if not settings.sky:
+    if settings.sky != Switch.ON:
         return ""
     return (
-        f"Only the inside of {ob.name} is trained, so there is no sky: turn Sky off, or "
-        "clear Limit to Object."
+        f"Only the inside of {ob.name} is trained, so there is no sky: set Sky to Automatic, "
+        "or clear Limit to Object."
     )
 
 

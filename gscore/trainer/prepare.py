@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..config import LIFTED_BY, DataConfig, TrainConfig
+from ..config import LIFTED_BY, DataConfig, Switch, TrainConfig
 from ..control import Control
 from ..datasets import load_dataset
 from ..datasets.dataset import Dataset
@@ -32,6 +32,8 @@ from .distributed.process_group import ProcessGroup
 from .distributed_trainer import DistributedTrainer
 from .guide.setup import GuideSetup, prepare_guide
 from .model.training_frame import TrainingFrame, checkpoint_origin
+from .photos.sky import check_sky
+from .photos.sky_search import decide_sky
 from .region.region_photos import RegionBox, RegionPhotos
 from .schedule.caps import cap_by_photos, expected_points
 from .schedule.lacking_options import lacking_options, refuse
@@ -107,6 +109,8 @@ class Prepared:
     depth: DepthSetup = field(default_factory=DepthSetup)
     guide: GuideSetup = field(default_factory=GuideSetup)
     stereo: StereoStart = field(default_factory=StereoStart)
+    sky: Decision | None = None
+    """Where the sky gets splats; None: nowhere."""
     exposure: Exposure = field(default_factory=Exposure)
     pose_check: PoseCheck = field(default_factory=PoseCheck)
 
@@ -125,6 +129,7 @@ class Prepared:
             *self.trainer.rules.decisions(**counts),
             self.caps,
             _MASKS.get(self.mask_mode),
+            self.sky,
         ]
         found += [rule.decision for rule in rules]
         by_topic = {one.topic: one for one in found if one is not None}
@@ -213,6 +218,10 @@ def prepare(
             added = stereo_start(config, photos, points, on_view=progress("depth of photos"))
             config, caps = limited(known=added.known, compared=True)
         block = read_block(photos.source)
+        is_part = block is not None or region is not None
+        if config.sky is Switch.ON:
+            check_sky(photos, region=region is not None)
+        sky, sky_decision = decide_sky(config, photos, facts.cells, is_part=is_part)
         analysis = Analysis(
             photos=photos,
             frame=resumed,
@@ -225,7 +234,8 @@ def prepare(
             region=region,
             # Start splats already cover the surroundings of a cell; merging blocks drops those.
             block=block if splats is not None and region is None else None,
-            is_part=block is not None or region is not None,
+            is_part=is_part,
+            sky=sky,
             photo_cache=photo_cache,
         )
         exposure, pose_check = decide_exposure(config, analysis), check_poses(config, analysis)
@@ -244,6 +254,7 @@ def prepare(
         depth=depth,
         guide=guide,
         stereo=added,
+        sky=sky_decision,
         exposure=exposure,
         pose_check=pose_check,
     )

@@ -45,6 +45,10 @@ _CROWDED = (
     "Many splats are closer to a camera, or to a place between two, than the points of the capture "
     "suggest. They are kept, as with `--free-space 0`."
 )
+_CLOUDED = (
+    "More than a fifth of the splats are in front of what seems to be the sky, so they are kept. "
+    "If the photos show no sky there, train with `--sky off`."
+)
 _FILLED = (
     "More than a fifth of the splats are in front of the mesh of `--guide-free`, so they are kept. "
     "The mesh may be in the wrong place, or behind objects that should stay; `--guide-surface` "
@@ -276,7 +280,12 @@ class Session:
         group = self._trainer.group
         if group and self._waits and (slow := self._waits.straggler_message(group.accounts[:, 1])):
             self.warn(slow, "slow_rank")
-        crowds = (pruner.around, _CROWDED), (pruner.path, _CROWDED), (pruner.guided, _FILLED)
+        crowds = (
+            (pruner.around, _CROWDED),
+            (pruner.path, _CROWDED),
+            (pruner.sky, _CLOUDED),
+            (pruner.guided, _FILLED),
+        )
         for emptied, text in crowds:
             if emptied.crowded and text not in self._warnings:
                 self.warn(text, "crowded")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from gscore.config import Background, Stereo, Strategy, TrainConfig
+from gscore.config import Background, Stereo, Strategy, Switch, TrainConfig
 from gscore.engine.cpu import loss as step_loss
 from gscore.engine.ensemble import divide_opacities
 from gscore.events import Decision
@@ -22,6 +22,7 @@ from gscore.trainer.analysis import photo_rules
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.estimate.cost import Cost
 from gscore.trainer.model.ensemble_member import count_members
+from gscore.trainer.photos.sky_search import cells_of, decide_sky, sky_views
 from gscore.trainer.photos.view_sampler import ViewSampler
 from gscore.trainer.schedule.caps import expected_model_count, model_count
 from gscore.trainer.trainer import Trainer
@@ -307,12 +308,14 @@ def test_models_share_the_splats_and_cost_more(photos: Any) -> None:
     assert two.splat_count < grown <= 400
 
 
-@pytest.mark.parametrize("sky", [False, True])
-def test_no_more_splats_start_than_are_allowed(photos: Any, sky: bool) -> None:
+@pytest.mark.parametrize("sky", [Switch.OFF, Switch.ON])
+def test_no_more_splats_start_than_are_allowed(photos: Any, sky: Switch) -> None:
     """Oracle: 150 points; the limit, shared by the models."""
     for models, most in ((2, 60), (3, 60), (2, 5)):
         config = replace(TWO, ensemble=models, max_splats=most, sky=sky)
-        trainer = Trainer(config, Analysis(photos=photos))
+        cells = {view: cells_of(photos.image(view), None) for view in sky_views(config, photos)}
+        found, _ = decide_sky(config, photos, cells, is_part=False)
+        trainer = Trainer(config, Analysis(photos=photos, sky=found))
         assert models <= trainer.splat_count <= max(most, models)
 
 

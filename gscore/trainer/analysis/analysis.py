@@ -8,6 +8,7 @@ from ...splats import Splats
 from ..depth.targets import DepthTargets
 from ..guide.setup import GuideSetup
 from ..model.training_frame import TrainingFrame
+from ..photos.sky_search import Sky
 from ..photos.view_sampler import Photos
 from ..region.region_photos import RegionBox
 from ..views.photo_gains import PhotoGains
@@ -37,6 +38,8 @@ class Analysis:
     """Checked training cameras."""
     depth: DepthTargets | None = None
     """Targets of depth supervision; None: no depth supervision."""
+    sky: Sky | None = None
+    """The sky of the photos, which gets splats; None: none."""
     guide: GuideSetup = field(default_factory=GuideSetup)
     """Guide meshes."""
     region: RegionBox | None = None

@@ -40,6 +40,8 @@ class PhotoRules:
     """Dropout rate at the last step."""
     opaque_weight: float = 0.0
     """Weight of transmittance in the loss."""
+    sky: bool = False
+    """The sky gets splats."""
     models: int = 1
     """Number of models that are trained in parallel."""
     by_photos: tuple[Decision, ...] = ()
@@ -62,6 +64,7 @@ class PhotoRules:
             pixels=int((cameras.widths * cameras.heights)[list(photos.train)].mean()),
             subject=photos.mask_mode == "composite",
             drops=self.drop_rate > 0,
+            sky=self.sky,
             models=self.models,
         )
 
@@ -129,6 +132,7 @@ def photo_rules(config: TrainConfig, analysis: Analysis) -> PhotoRules:
         block=analysis.block is not None,
         known=analysis.known,
         backdrop=analysis.facts.backdrop,
+        sky=analysis.sky is not None and start is None,
     ).decided(config, photos)
     cloud = photos.scene.points if analysis.points is None else analysis.points
     points = min(len(cloud), max_splats_per_model(config, rules.models))

@@ -1,6 +1,7 @@
 """Photo facts: EXIF exposures, track colours and masks of all photos, read in one pass."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from ...datasets.dataset import map_threads
 from ...datasets.tracks import Tracks, tracks_of
 from ...io.images.pillow_images import opened_picture
 from ...io.images.read_image import resize
+from ..photos.sky_search import Cells, cells_of, sky_views
 
 _EXIF, _TIME, _APERTURE, _SPEED = 0x8769, 0x829A, 0x829D, 0x8827
 """Tags: Exif directory, exposure time in s, f-number, ISO speed."""
@@ -134,6 +136,8 @@ class PhotoFacts:
     backdrop: float = 0.0
     """Mean share of the counted pixels that have the training's background colour; 0: not needed,
     or the background is random."""
+    cells: Mapping[int, Cells] = field(default_factory=dict)
+    """Photos divided into cells for the search of a sky, by view; empty: not needed."""
     stops: np.ndarray | None = None
     """[V] float64, exposures of all photos by EXIF, stops; NaN: unknown for a held-out photo; None:
     not needed, or unknown for some training photo."""
@@ -143,7 +147,8 @@ def visit_photos(config: TrainConfig, photos: Dataset) -> PhotoFacts:
     """Read the facts that the options need. Each photo is decoded once, if at all.
 
     Args:
-        config: Options `background`, `exposure`, `opaque_weight`, `refine_poses` and `guide_*`.
+        config: Options `background`, `exposure`, `opaque_weight`, `refine_poses`, `sky`,
+            `guide_surface` and `guide_free`.
         photos: The capture.
 
     Raises:
@@ -160,22 +165,33 @@ def visit_photos(config: TrainConfig, photos: Dataset) -> PhotoFacts:
     if not config.opaque_weight or photos.mask_mode == "composite":
         level = None
 
-    def visit(index: int) -> tuple[int, float, tuple[np.ndarray, np.ndarray] | None]:
+    searched = frozenset(sky_views(config, photos))
+
+    def visit(index: int) -> tuple[int, float, Cells | None, tuple[np.ndarray, np.ndarray] | None]:
         mask = photos.mask(index) if masked else None
-        image = None if colored is None and level is None else photos.image(index)
+        is_needed = colored is not None or level is not None or index in searched
+        image = photos.image(index) if is_needed else None
+        cells = None
+        if index in searched and image is not None:
+            cells = cells_of(image, mask)
         share = 0.0 if level is None or image is None else backdrop_share(image, mask, level)
         colors = None
         if colored is not None and image is not None:
             colors = colors_in_view(photos, colored, index, image, mask)
-        return 255 if mask is None else int(mask.max()), share, colors
+        return 255 if mask is None else int(mask.max()), share, cells, colors
 
-    needed = masked or colored or level is not None
+    needed = masked or colored or level is not None or searched
     seen = list(map_threads(visit, train, threads=config.threads)) if needed else []
     return PhotoFacts(
         tracks=tracks,
-        brightest=[brightest for brightest, _, _ in seen] if masked else [],
+        brightest=[brightest for brightest, *_ in seen] if masked else [],
         colors=joined_colors([one for *_, one in seen if one is not None]) if colored else None,
-        backdrop=float(np.mean([share for _, share, _ in seen])) if seen else 0.0,
+        backdrop=float(np.mean([share for _, share, *_ in seen])) if seen else 0.0,
+        cells={
+            view: one for view, (_, _, one, _) in zip(train, seen, strict=True) if one is not None
+        }
+        if seen
+        else {},
         stops=_stated_stops(photos, train, config.threads) if exposes else None,
     )
 

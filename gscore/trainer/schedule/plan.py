@@ -90,6 +90,7 @@ class Plan:
         pixels: int,
         subject: bool = False,
         drops: bool = False,
+        sky: bool = False,
         models: int = 1,
     ) -> "Plan":
         """Resolve `config` for a capture.
@@ -102,6 +103,7 @@ class Plan:
             pixels: Mean number of pixels of a photo.
             subject: Whether masks are opacity, so that only a subject is trained.
             drops: Whether dropout is used.
+            sky: Whether there are splats for a sky.
             models: Number of models trained in parallel, which share `max_splats`.
         """
         n, most = config.iterations, max_splats_per_model(config, models)
@@ -114,8 +116,7 @@ class Plan:
         # 1.1 dB on held-out views in 1,000 steps and 0.7 dB in 3000.
         boost = config.lr_boost or min(max((_PAPER_STEPS / n) ** 0.35, 1.0), 4.0)
         root = math.sqrt(boost)
-        # Sky splats are large, and large splats are pruned after a reset. Start splats get no sky.
-        sky = config.sky and not config.start_splats
+        # Sky splats are large, and large splats are pruned after a reset.
         reset = config.reset_every or (3000 if n >= 6000 and not sky else -1)
         # Start splats already have detail, which coarse photos would remove. On a video of
         # 240 x 320 px, 500 steps from the previous frame ended 1.1 dB higher at full size.
@@ -240,6 +241,11 @@ class Plan:
         """Return whether free space is pruned and minimum scales are applied after `step`: as often
         as refinements but in the whole run, because splats keep moving."""
         return step % self.refine_every == 0 or step == self.iterations
+
+    def prunes_free_sky_at(self, step: int) -> bool:
+        """Return whether splats in front of the sky are removed after `step`: at every eighth
+        refinement, because all are projected into many photos, and at the end."""
+        return step % (8 * self.refine_every) == 0 or step == self.iterations
 
     def prunes_masked_at(self, step: int) -> bool:
         """Return whether masked splats are pruned after `step`: at the first refinement step of the

@@ -12,10 +12,11 @@ from ..guide.mesh_views import MeshFreeSpace
 from ..model.initial_splats import splats_from_points, splats_from_start
 from ..model.nearest_points import NearestPoints
 from ..model.training_frame import TrainingFrame
-from ..photos.sky import sky_splats
+from ..photos.sky import sky_radius, sky_splats
 from ..region.frozen_splats import FrozenSplats, split_frozen
 from ..schedule.plan import Plan
 from ..strategy.free_path import FreePath, FreeSpace
+from ..strategy.free_sky import FreeSky
 from ..strategy.pruning import Pruner
 
 
@@ -64,10 +65,14 @@ def training_start(
     surfaces, train = None if cloud.made_up else near, list(photos.train)
     around = FreeSpace(cameras.centers[train], surfaces, share=config.free_space)
     path = FreePath(cameras, train, surfaces, share=config.free_space)
+    # The capture's own points, because a resumed run has no others.
+    far = sky_radius(
+        cameras, train, frame.similarity.points_to_training(photos.scene.points.points)
+    )
     if start is not None:
         first = splats_from_start(start, config, frame)
     else:
-        sky = sky_splats(config, photos, cameras, cloud.points)
+        sky = None if analysis.sky is None else sky_splats(config, analysis.sky, cameras, *far)
         first = splats_from_points(
             cloud,
             extent=frame.extent,
@@ -81,6 +86,9 @@ def training_start(
     guided = None
     if analysis.guide.free:
         guided = MeshFreeSpace(analysis.guide.free, photos.scene.cameras, frame.similarity)
-    pruner = Pruner(config, around, path, masks_hide=photos.mask_mode == "ignore", guided=guided)
+    behind = FreeSky(analysis.sky, cameras, *far)
+    pruner = Pruner(
+        config, around, path, behind, masks_hide=photos.mask_mode == "ignore", guided=guided
+    )
     cut_degree = max(0 if start is None else start.sh_degree, first.sh_degree)
     return TrainingStart(first, frozen, pruner, cut_degree)

@@ -64,6 +64,7 @@ class Pruner:
         config: TrainConfig,
         around: Space,
         path: Space,
+        sky: Space,
         *,
         masks_hide: bool,
         guided: Space | None = None,
@@ -74,6 +75,7 @@ class Pruner:
             config: The options.
             around: Free space around cameras.
             path: Free space between cameras.
+            sky: Free space in front of the sky.
             masks_hide: Whether masks exclude pixels from the loss.
             guided: Free space of a guide mesh.
         """
@@ -83,14 +85,16 @@ class Pruner:
         """Free space around cameras."""
         self.path = Emptied(path)
         """Free space between cameras."""
+        self.sky = Emptied(sky)
+        """Free space in front of the sky."""
         self.guided = Emptied(guided)
         """Free space in front of a guide mesh."""
 
     def prune_free_space(self, read: Read, plan: Plan, step: int) -> Iterator[RowEdit]:
-        """Remove splats in free space: at and between cameras, in front of a guide mesh."""
-        if not plan.prunes_free_space_at(step):
-            return
-        for space in (self.around, self.path, self.guided):
+        """Remove splats in free space: at and between cameras, in front of a guide mesh and of the
+        sky."""
+        spaces = (self.around, self.path, self.guided) if plan.prunes_free_space_at(step) else ()
+        for space in (*spaces, *([self.sky] if plan.prunes_free_sky_at(step) else [])):
             rows = space.due(torch.from_numpy(read("means")))
             if rows is not None:
                 yield RowEdit(keep=np.flatnonzero(~rows.numpy()))
@@ -136,6 +140,8 @@ class Pruner:
             "crowded": self.around.crowded,
             "path_cleared": self.path.count,
             "path_crowded": self.path.crowded,
+            "sky_cleared": self.sky.count,
+            "sky_crowded": self.sky.crowded,
             "guide_cleared": self.guided.count,
             "guide_crowded": self.guided.crowded,
         }
@@ -148,6 +154,7 @@ class Pruner:
         """
         self.around.restore(state, "cleared", "crowded")
         self.path.restore(state, "path_cleared", "path_crowded")
+        self.sky.restore(state, "sky_cleared", "sky_crowded")
         self.guided.restore(state, "guide_cleared", "guide_crowded")
 
 

@@ -71,7 +71,7 @@ def test_trainer_input_and_result(studio: bpy.types.Scene, tmp_path: Path, play:
     inside = in_box(ob, positions(ob))
     assert 3 < inside.sum() < 497
     assert "(Train Region)" in drawn(RegionPanel)
-    studio.gscore.sky = True  # which a region cannot represent
+    studio.gscore.sky = "on"  # which a region cannot represent
 
     assert bpy.ops.gscore.train_region() == {"FINISHED"}
     job = train_region.job_of(studio)

@@ -78,9 +78,9 @@ def test_there_is_no_sky_within_an_object(studio: bpy.types.Scene, tmp_path: Pat
     begins, and nothing is written."""
     import_capture(bpy.context.scene, STUDIO)
     around(studio, (1, 1, 1))
-    said = "inside of subject is trained, so there is no sky: turn Sky off, or clear Limit"
+    said = "inside of subject is trained, so there is no sky: set Sky to Automatic, or clear"
     assert said not in drawn(TrainPanel)
-    studio.gscore.sky = True
+    studio.gscore.sky = "on"
     assert said in drawn(TrainPanel)
     with pytest.raises(RuntimeError, match=said):
         bpy.ops.gscore.train()

@@ -99,7 +99,7 @@ def test_texts_are_those_of_gscore(scene: bpy.types.Scene) -> None:
         == "Degree of view-dependent color, 0 to 3; 0: no view dependence"
     )
     assert found["mask_mode"].description == "Meaning of masks"
-    for name in (*NUMBERS, "eval", "invert_masks", "images", "antialias", "sky", "early_stop"):
+    for name in (*NUMBERS, "eval", "invert_masks", "images", "antialias", "early_stop"):
         text = found[name].description
         assert text and "`" not in text and "--" not in text and not text.endswith("."), text
 
@@ -160,7 +160,7 @@ def test_every_option_arrives(scene: bpy.types.Scene, tmp_path: Path) -> None:
     settings, network = scene.gscore, tmp_path / "lpips.onnx"
     values = {"iterations": 123, "max_splats": 4567, "sh_degree": 1, "seed": 9, "antialias": True}
     values |= {"strategy": "mcmc", "background": "white", "early_stop": True}
-    values |= {"sky": True, "target_psnr": 27.3, "free_space": 0.25, "finest": 0.5}
+    values |= {"sky": "on", "target_psnr": 27.3, "free_space": 0.25, "finest": 0.5}
     for name, value in values.items():
         setattr(settings, name, value)  # numbers become single precision
     settings.eval, settings.test_every, settings.images = True, 5, "photos 2"

@@ -101,5 +101,6 @@ def test_nothing_is_read_that_no_option_needs(
     """Oracle: a capture whose photos cannot be decoded, without masks."""
     photos = load_dataset(DataConfig(source=capture))
     monkeypatch.setattr(Dataset, "_decoded", lambda *_: pytest.fail("decoded"))
-    facts = visit_photos(TrainConfig(exposure=Switch.OFF, refine_poses=Switch.OFF), photos)
+    config = TrainConfig(exposure=Switch.OFF, refine_poses=Switch.OFF, sky=Switch.OFF)
+    facts = visit_photos(config, photos)
     assert (facts.tracks, facts.brightest, facts.colors, facts.stops) == (None, [], None, None)

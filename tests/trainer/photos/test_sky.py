@@ -2,22 +2,24 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
-from gscore.config import TrainConfig
+from gscore.config import Switch, TrainConfig
 from gscore.errors import ConfigError
-from gscore.scene import Cameras
+from gscore.scene import Cameras, PointCloud
 from gscore.splats import Splats
-from gscore.stress.capture import SIZE
+from gscore.stress.capture import SIZE, VIEWS
 from gscore.trainer.analysis.analysis import Analysis
-from gscore.trainer.photos.sky import sky_splats
+from gscore.trainer.photos.sky import check_sky, sky_radius, sky_splats
+from gscore.trainer.photos.sky_search import Sky, cells_of, decide_sky, sky_views
+from gscore.trainer.strategy.free_sky import FreeSky
 from gscore.trainer.trainer import Trainer
 
-CONFIG = TrainConfig(iterations=6, max_splats=4000, sh_degree=0, coarse_factor=1, sky=True)
+CONFIG = TrainConfig(iterations=6, max_splats=4000, sh_degree=0, coarse_factor=1, sky=Switch.ON)
 
 
 def color_of(ahead: np.ndarray) -> np.ndarray:
@@ -47,10 +49,24 @@ def looking_out(make_photos: Callable[..., Any], views: int = 8) -> Any:
     return photos
 
 
+def found_sky(photos: Any, config: TrainConfig = CONFIG) -> Sky | None:
+    masked = photos.mask_mode != "none"
+    views = sky_views(config, photos)
+    cells = {v: cells_of(photos.image(v), photos.mask(v) if masked else None) for v in views}
+    return decide_sky(config, photos, cells, is_part=False)[0]
+
+
+def analysis_of(photos: Any, config: TrainConfig = CONFIG) -> Analysis:
+    return Analysis(photos=photos, sky=found_sky(photos, config))
+
+
 def sky_of(photos: Any, config: TrainConfig = CONFIG) -> Splats:
-    found = sky_splats(config, photos, photos.scene.cameras, photos.scene.points.points)
+    found, cameras = found_sky(photos, config), photos.scene.cameras
     assert found is not None
-    return found
+    far = sky_radius(cameras, list(photos.train), photos.scene.points.points)
+    splats = sky_splats(config, found, cameras, *far)
+    assert splats is not None
+    return splats
 
 
 def shown(cameras: Cameras, means: np.ndarray, views: list[int]) -> np.ndarray:
@@ -111,24 +127,27 @@ def test_masked_pixels_do_not_colour_the_sky(make_photos: Callable[..., Any]) ->
     np.testing.assert_allclose(sky_of(photos).sh0, 0, atol=1e-6)
 
 
-def test_there_is_none_unless_asked_for_or_where_nothing_has_a_size(
+def test_there_is_none_unless_requested_or_where_nothing_has_a_size(
     make_photos: Callable[..., Any],
 ) -> None:
     photos = looking_out(make_photos)
-    cameras, points = photos.scene.cameras, photos.scene.points.points
-    assert sky_splats(replace(CONFIG, sky=False), photos, cameras, points) is None
-    assert sky_splats(CONFIG, photos, cameras, 0 * points) is None
-    assert sky_splats(replace(CONFIG, max_splats=9), photos, cameras, points) is None
+    cameras = photos.scene.cameras
+    assert found_sky(photos, replace(CONFIG, sky=Switch.OFF)) is None
+    sky = found_sky(photos)
+    assert sky is not None
+    assert sky_splats(CONFIG, sky, cameras, np.zeros(3), 0.0) is None
+    assert sky_splats(replace(CONFIG, max_splats=9), sky, cameras, np.zeros(3), 1.0) is None
 
 
 def test_a_training_starts_with_it_and_keeps_its_cap(make_photos: Callable[..., Any]) -> None:
     """Oracle: the splats of a start without a sky; a cap that points alone would fill."""
     photos = looking_out(make_photos)
-    plain = Trainer(replace(CONFIG, sky=False), Analysis(photos=photos)).splats()
-    found = Trainer(CONFIG, Analysis(photos=photos)).splats()
+    plain = Trainer(replace(CONFIG, sky=Switch.OFF), Analysis(photos=photos)).splats()
+    found = Trainer(CONFIG, analysis_of(photos)).splats()
     assert len(found) == len(plain) + 400
     np.testing.assert_array_equal(found.means[: len(plain)], plain.means)
-    full = Trainer(replace(CONFIG, max_splats=100), Analysis(photos=photos)).splats()
+    few = replace(CONFIG, max_splats=100)
+    full = Trainer(few, analysis_of(photos, few)).splats()
     assert len(full) == 100
     away = np.linalg.norm(full.means, axis=1)
     assert (away > 2 * np.linalg.norm(plain.means, axis=1).max()).sum() == 10
@@ -138,28 +157,157 @@ def test_large_splats_stay_since_opacities_are_not_reset(make_photos: Callable[.
     """Oracle: the plans of both runs; an interval set by the option is kept."""
     photos = looking_out(make_photos)
     long = replace(CONFIG, iterations=7000)
-    assert Trainer(replace(long, sky=False), Analysis(photos=photos)).plan.reset_every == 3000
-    assert Trainer(long, Analysis(photos=photos)).plan.reset_every == 0
-    assert Trainer(replace(long, reset_every=500), Analysis(photos=photos)).plan.reset_every == 500
+    analysis = analysis_of(photos)
+    assert Trainer(long, Analysis(photos=photos)).plan.reset_every == 3000
+    assert Trainer(long, analysis).plan.reset_every == 0
+    assert Trainer(replace(long, reset_every=500), analysis).plan.reset_every == 500
 
 
 def test_given_splats_have_the_last_word(make_photos: Callable[..., Any]) -> None:
     """Oracle: the given splats."""
     photos = looking_out(make_photos)
-    start = Trainer(replace(CONFIG, sky=False), Analysis(photos=photos)).splats()
+    start = Trainer(replace(CONFIG, sky=Switch.OFF), Analysis(photos=photos)).splats()
     np.testing.assert_array_equal(
-        Trainer(CONFIG, Analysis(photos=photos, start=start)).splats().means, start.means
+        Trainer(CONFIG, replace(analysis_of(photos), start=start)).splats().means, start.means
     )
 
 
-def test_there_is_no_sky_behind_a_subject_or_a_region(
-    make_photos: Callable[..., Any], tmp_path: Path
-) -> None:
-    """Oracle: sentences with the reason."""
+def test_there_is_no_sky_behind_a_subject_or_a_region(make_photos: Callable[..., Any]) -> None:
+    """Oracle: sentences with the reason; no search of a subject."""
     photos = looking_out(make_photos)
+    with pytest.raises(ConfigError, match=r"region.*leave out `--sky on`"):
+        check_sky(photos, region=True)
     photos.mask_mode = "composite"
-    with pytest.raises(ConfigError, match=r"composite.*leave out `--sky`"):
-        Trainer(CONFIG, Analysis(photos=photos))
-    photos.mask_mode = "none"
-    with pytest.raises(ConfigError, match=r"region.*leave out `--sky`"):
-        Trainer(replace(CONFIG, region=tmp_path / "box.json"), Analysis(photos=photos))
+    with pytest.raises(ConfigError, match=r"composite.*leave out `--sky on`"):
+        check_sky(photos, region=False)
+    assert found_sky(photos, AUTO) is None
+
+
+SIDE, GROUND = 192, 3.0
+"""Side of the photos of `outside`, px, and distance of the cameras from the ground."""
+AUTO = replace(CONFIG, sky=Switch.AUTO)
+
+
+def outside(
+    make_photos: Callable[..., Any],
+    color: tuple[float, float, float] = (0.9, 0.92, 0.95),
+    *,
+    noise: float = 0.0,
+    places: int = 8,
+) -> Any:
+    """Photos of a textured plane below an even sky, from a circle, looking outwards and up a bit;
+    SfM points on the plane. World y is down."""
+    rng, photos = np.random.default_rng(0), make_photos()
+    viewmats, images = [], []
+    K = np.array([[150.0, 0, SIDE / 2], [0, 150.0, SIDE / 2], [0, 0, 1]])
+    v, u = np.mgrid[:SIDE, :SIDE] + 0.5
+    for k in range(VIEWS):
+        turn = 0.15 * k
+        z = np.array([np.sin(turn), -0.25, np.cos(turn)])
+        z /= np.linalg.norm(z)
+        x = np.cross([0.0, 1.0, 0.0], z)
+        x /= np.linalg.norm(x)
+        R = np.stack([x, np.cross(z, x), z])
+        center = np.array([2.0 * (k % places), 0, 0])
+        viewmats.append(np.eye(4))
+        viewmats[-1][:3, :3], viewmats[-1][:3, 3] = R, -R @ center
+        rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(K).T @ R
+        picture = np.clip(color + noise * rng.normal(size=(SIDE, SIDE, 3)), 0, 1)
+        below = rays[..., 1] > 0
+        picture[below] = rng.uniform(0.1, 0.9, (int(below.sum()), 3))
+        images.append(np.round(255 * picture).astype(np.uint8))
+    points = np.column_stack([rng.uniform(-40, 40, (4000, 2)), np.full(4000, GROUND)])[:, [0, 2, 1]]
+    cameras = replace(
+        photos.scene.cameras,
+        viewmats=np.stack(viewmats),
+        Ks=np.repeat(K[None], VIEWS, axis=0),
+        widths=np.full(VIEWS, SIDE),
+        heights=np.full(VIEWS, SIDE),
+    )
+    cloud = PointCloud(points=points, colors=np.full((4000, 3), 128, np.uint8))
+    photos.scene = replace(photos.scene, cameras=cameras, points=cloud)
+    photos.images, photos.masks, photos.train = images, [None] * VIEWS, list(range(VIEWS))
+    return photos
+
+
+@pytest.mark.parametrize("color", [(0.9, 0.92, 0.95), (0.35, 0.5, 0.8)], ids=["white", "blue"])
+def test_the_sky_is_found_above_the_horizon(
+    make_photos: Callable[..., Any], color: tuple[float, float, float]
+) -> None:
+    """Oracle: the horizon of each photo; the sky gets splats in its colour there, none below."""
+    photos = outside(make_photos, color)
+    sky = found_sky(photos, AUTO)
+    assert sky is not None and not sky.everywhere
+    horizon = SIDE / 2 + 150 * 0.25
+    lowest = [np.flatnonzero(shown.any(axis=1)).max() for shown in sky.shown.values()]
+    assert min(shown.mean() for shown in sky.shown.values()) > 0.3
+    assert horizon - 24 < 4 * (max(lowest) + 1) <= horizon
+    splats = sky_of(photos, AUTO)
+    assert 20 < len(splats) < 200  # of 400 around
+    np.testing.assert_allclose(
+        0.5 + 0.28209479 * splats.sh0[:, 0], [color] * len(splats), atol=0.01
+    )
+    assert (splats.means[:, 1] < 0.25 * np.linalg.norm(splats.means, axis=1)).all()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"color": (0.5, 0.5, 0.5)},
+        {"color": (0.95, 0.9, 0.8)},
+        {"noise": 0.08},
+    ],
+    ids=["grey", "yellow", "texture"],
+)
+def test_walls_are_no_sky(make_photos: Callable[..., Any], change: dict[str, Any]) -> None:
+    assert found_sky(outside(make_photos, **change), AUTO) is None
+
+
+def test_points_and_masks_exclude_a_sky(make_photos: Callable[..., Any]) -> None:
+    """Oracle: a dome of points; masks of everything; random points; a block."""
+    photos = outside(make_photos)
+    assert found_sky(photos, AUTO) is not None
+    cells = {v: cells_of(photos.image(v), None) for v in photos.train}
+    assert decide_sky(AUTO, photos, cells, is_part=True) == (None, None)
+    cloud, rng = photos.scene.points, np.random.default_rng(1)
+    dome = rng.normal(size=(40_000, 3))
+    dome *= 60 / np.linalg.norm(dome, axis=1, keepdims=True)
+    more = PointCloud(points=dome, colors=np.zeros((40_000, 3), np.uint8))
+    for changed in (cloud.with_more(more), replace(cloud, made_up=True)):
+        photos.scene = replace(photos.scene, points=changed)
+        assert found_sky(photos, AUTO) is None
+    photos.scene = replace(photos.scene, points=cloud)
+    photos.mask_mode, photos.masks = "ignore", [np.zeros((SIDE, SIDE), np.uint8)] * VIEWS
+    assert found_sky(photos, AUTO) is None
+
+
+def test_a_decision_names_the_photos_with_sky(make_photos: Callable[..., Any]) -> None:
+    photos = outside(make_photos)
+    for view in range(3):
+        photos.images[view][:] = 40
+    cells = {v: cells_of(photos.image(v), None) for v in photos.train}
+    decision = decide_sky(AUTO, photos, cells, is_part=False)[1]
+    assert decision is not None and decision.topic == "sky"
+    assert decision.text.startswith("5 of 8 photos show the sky")
+    for view in range(3, 6):
+        photos.images[view][:] = 40
+    cells = {v: cells_of(photos.image(v), None) for v in photos.train}
+    assert decide_sky(AUTO, photos, cells, is_part=False) == (None, None)
+
+
+def test_splats_in_front_of_the_sky_of_two_photos_are_removed(
+    make_photos: Callable[..., Any],
+) -> None:
+    """Oracle: a place above the horizon, in front of all photos; on the plane; at the sky; behind
+    the cameras."""
+    photos = outside(make_photos)
+    sky, cameras = found_sky(photos, AUTO), photos.scene.cameras
+    middle, radius = sky_radius(cameras, photos.train, photos.scene.points.points)
+    space = FreeSky(sky, cameras, middle, radius)
+    ahead = np.array([0.5, -0.4, 1.0]) / np.linalg.norm([0.5, -0.4, 1.0])
+    places = np.stack(
+        [middle + 10 * ahead, [5, GROUND, 15], middle + radius * ahead, middle - 10 * ahead]
+    )
+    inside = space.contains(torch.from_numpy(places.astype(np.float32)))
+    assert inside.tolist() == [True, False, False, False]
+    assert not FreeSky(None, cameras, middle, radius).contains(torch.zeros(2, 3)).any()

@@ -194,13 +194,19 @@ def test_options_win_over_what_is_derived() -> None:
     assert not any(plan.resets_at(s) for s in range(1, 101))
 
 
-def test_opacities_are_not_reset_before_a_sky(tmp_path: Path) -> None:
-    """Oracle: the paper's 3,000 steps; none with a sky, which given splats do not get."""
-    sky = TrainConfig(iterations=9000, sky=True)
-    assert plan_of(replace(sky, sky=False)).reset_every == 3000
-    assert plan_of(sky).reset_every == 0
-    assert plan_of(replace(sky, reset_every=500)).reset_every == 500
-    assert plan_of(replace(sky, start_splats=tmp_path / "splats.ply")).reset_every == 3000
+def test_opacities_are_not_reset_before_a_sky() -> None:
+    """Oracle: the paper's 3,000 steps; none with a sky, unless requested."""
+    config, facts = TrainConfig(iterations=9000), {"extent": 2.0, "points": 9, "pixels": 90_000}
+    resets = [Plan.of(config, side=300, sky=sky, **facts).reset_every for sky in (False, True)]
+    assert resets == [3000, 0]
+    asked = replace(config, reset_every=500)
+    assert Plan.of(asked, side=300, sky=True, **facts).reset_every == 500
+
+
+def test_splats_in_front_of_the_sky_are_removed_now_and_then() -> None:
+    """Oracle: every eighth refinement step, and the last step."""
+    plan = plan_of(TrainConfig(iterations=230, refine_every=10))
+    assert [s for s in range(1, 231) if plan.prunes_free_sky_at(s)] == [80, 160, 230]
 
 
 def test_a_rate_of_zero_stays_zero() -> None:

@@ -57,7 +57,7 @@ ABSENT = {
     "ensemble": 1,
     "ensemble_below": 0,
     "antialias": False,
-    "sky": False,
+    "sky": Switch.OFF,
     "stereo": Stereo.OFF,
     "depth_mode": Switch.OFF,
     "exposure": Switch.OFF,
