@@ -143,5 +143,5 @@ def published_3dgs(source: Path) -> tuple[DataConfig, TrainConfig]:
 
 
 RECIPES = PRESETS | {"3dgs": published_3dgs}
-"""Presets of `gscore train` and the benches: those that a user chooses from, and published recipes to
-compare with."""
+"""Presets of `gscore train` and the benches: those that a user chooses from, and published recipes
+to compare with."""
