@@ -42,10 +42,13 @@ def instances(
         path: Path to `ob`, if it is in a collection.
     """
     # Not through depsgraph.object_instances, which yields every ellipsoid of a display.
-    matrix = matrix_to_numpy(ob.matrix_world) if matrix is None else matrix
-    if accepts(ob):
-        yield ob, matrix, path
     collection = ob.instance_collection if ob.instance_type == "COLLECTION" else None
+    taken = accepts(ob)
+    if not taken and collection is None:
+        return  # most objects: their matrices take long to copy
+    matrix = matrix_to_numpy(ob.matrix_world) if matrix is None else matrix
+    if taken:
+        yield ob, matrix, path
     if collection is None or len(path) > DEEPEST:
         return
     for number, inner, place in inside(collection, depsgraph):

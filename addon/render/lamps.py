@@ -52,8 +52,9 @@ def scene_light(depsgraph: bpy.types.Depsgraph) -> SceneLight:
     return SceneLight(lamps=tuple(lamps), world=light_of_world(world), casters=casters)
 
 
-_copies: dict[int, tuple[bytes, Triangles]] = {}
-"""Checksum and triangles of each mesh object of the viewport, by session uid."""
+_copies: dict[int, tuple[bytes, Triangles] | None] = {}
+"""Checksum and triangles of each mesh object of the viewport, by session uid; None: it has none, or
+vertices that are not finite."""
 
 
 def _casters(
@@ -62,17 +63,20 @@ def _casters(
     """Meshes that cast shadows. Renders copy them anew: no handler has their changes, and they run
     in a thread of their own."""
     copies = {} if depsgraph.mode == "RENDER" else _copies
-    keys, found = {True: b"", False: b""}, {True: [], False: []}
+    keys: dict[bool, list[bytes]] = {True: [], False: []}
+    found: dict[bool, list[tuple[Triangles, np.ndarray]]] = {True: [], False: []}
     for ob in meshes:
         uid = ob.original.session_uid
         if uid not in copies:
             copy = triangles_of(ob)
             sums = (zlib.crc32(np.ascontiguousarray(values)) for values in copy)
-            copies[uid] = b"".join(one.to_bytes(4) for one in sums), copy
-        checksum, triangles = copies[uid]
-        if len(triangles.triangles) and np.isfinite(triangles.vertices).all():
+            checksum = b"".join(one.to_bytes(4) for one in sums)
+            usable = len(copy.triangles) and np.isfinite(copy.vertices).all()
+            copies[uid] = (checksum, copy) if usable else None
+        if copies[uid] is not None:
+            checksum, triangles = copies[uid]
             matrix = matrix_to_numpy(ob.matrix_world)
-            keys[is_proxy(ob)] += checksum + matrix.tobytes()
+            keys[is_proxy(ob)].append(checksum + matrix.tobytes())
             found[is_proxy(ob)].append((triangles, matrix))
     ball, place = ball_of(np.concatenate(corners)) if corners else None, b""
     if ball is not None and np.isfinite(ball[1]):
@@ -80,8 +84,8 @@ def _casters(
     else:
         ball = None
     return Casters(
-        proxy_key=keys[True] + place,
-        mesh_key=keys[False] + place,
+        proxy_key=b"".join(keys[True]) + place,
+        mesh_key=b"".join(keys[False]) + place,
         proxies=tuple(found[True]),
         meshes=tuple(found[False]),
         splats=ball,
@@ -104,12 +108,18 @@ def _forget(*_: object) -> None:
     _known.clear()
 
 
+@bpy.app.handlers.persistent
+def _loaded(*_: object) -> None:
+    _forget()
+    relight.forget_maps()
+
+
 HANDLERS = {
     "depsgraph_update_post": _after_update,
     "frame_change_post": _after_update,
     "undo_post": _forget,
     "redo_post": _forget,
-    "load_post": _forget,
+    "load_post": _loaded,
 }
 
 

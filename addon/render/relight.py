@@ -84,11 +84,15 @@ class SceneLight:
         that are not there; none for lamps after the first `_MOST_MAPS`. They are kept apart, so
         that those of proxies stay when a mesh moves."""
         casting = {_source(lamp): lamp for lamp in self.lamps if lamp.source is not None}
-        before, found = dict(_known), {}
-        for source, lamp in list(casting.items())[:_MOST_MAPS]:
-            for key, kind in self._kinds(source).items():
-                found[key] = before.get(key) or _maps_of(kind, lamp)
-        _known.clear()
+        wanted = {
+            key: (kind, lamp)
+            for source, lamp in list(casting.items())[:_MOST_MAPS]
+            for key, kind in self._kinds(source).items()
+        }
+        found = {key: maps for key in wanted if (maps := _known.get(key))}
+        forget_maps()  # the others are freed before more are drawn
+        for key, (kind, lamp) in wanted.items():
+            found[key] = found.get(key) or _maps_of(kind, lamp)
         _known.update(found)
         sources = (None if lamp.source is None else _source(lamp) for lamp in self.lamps)
         return tuple(
@@ -159,8 +163,14 @@ class SceneLight:
 
 
 _known: dict[tuple[bytes, str], ShadowMaps] = {}
-"""Shadow maps of the last light by their meshes and lamp; those of a lamp in a room are 24 MB."""
+"""Shadow maps of the last light by their meshes and lamp; those of a lamp in a room are 24 MB for
+proxies, and as much for other meshes."""
 _MOST_MAPS = 32
+
+
+def forget_maps() -> None:
+    """Free the shadow maps."""
+    _known.clear()
 
 
 def _source(lamp: Lamp) -> str:

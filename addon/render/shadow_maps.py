@@ -50,12 +50,12 @@ class Casters:
         """Differs if the meshes differ."""
         return self.proxy_key + b"|" + self.mesh_key
 
-    @property
+    @cached_property
     def only_proxies(self) -> "Casters":
         """The proxies alone: what stood there when the photos were taken."""
         return replace(self, mesh_key=b"", meshes=())
 
-    @property
+    @cached_property
     def only_meshes(self) -> "Casters":
         """The other meshes alone."""
         return replace(self, proxy_key=b"", proxies=())

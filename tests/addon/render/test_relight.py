@@ -493,7 +493,7 @@ def test_meshes_shadow_splats_with_the_captured_look(lit, tmp_path, kind):
 
 def test_shadows_of_meshes_in_viewports(lit):
     """The splats of a viewport, exact and live, under and beside the cube; its own map alone is
-    drawn again when it moves."""
+    drawn again when it moves; another file frees both."""
     (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
     ob.gscore.light = 0.0
     sun = lamp(lit, "SUN")
@@ -523,3 +523,5 @@ def test_shadows_of_meshes_in_viewports(lit):
     assert before != after
     kept = [one for one in moved if one in maps]
     assert len(moved) == 2 and len(kept) == 1 and moved[kept[0]] is maps[kept[0]]
+    lamps.HANDLERS["load_post"]()
+    assert not relight._known
