@@ -3,6 +3,7 @@ operators and settings.
 """
 
 import itertools
+import shutil
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -12,9 +13,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from .. import attributes, preferences
+from .. import attributes, preferences, stored_paths
 from ..cameras.capture_transform import box_of_capture, origin_of
 from ..core import (
+    EXPOSURE_FILE,
     Done,
     Progress,
     Switch,
@@ -113,7 +115,7 @@ def train_region(
     folder = output_folder(scene, preferences.get().output_folder)
     numbered = (folder.with_name(f"{folder.name}_region_{n}") for n in itertools.count(1))
     output = next(path for path in numbered if not path.exists())
-    start_file, region_file = output / "start.ply", output / "region.json"
+    start_file, region_file = output / "start" / "start.ply", output / "region.json"
     settings = _Options(scene.gscore, ob, scene.gscore_steer.region_steps)
     line = options.new_run(
         settings,
@@ -212,7 +214,7 @@ def start_files(
     ob: bpy.types.Object, box: np.ndarray, *, splats_file: Path, region_file: Path
 ) -> Steps[None]:
     """Write the current splats of an object and a box: read in chunks, then transformed into their
-    capture's world and written in a thread.
+    capture's world and written in a thread, with the exposures of the photos in their run.
 
     Args:
         ob: The splat object.
@@ -231,12 +233,15 @@ def start_files(
     more = {"antialiased": bool(ob.get(objects.ANTIALIAS)), "origin": origin}
     write: Callable[[attributes.Splats], object] = partial(write_splat_file, splats_file, **more)
     box = box_of_capture(box, ob)
+    exposures = Path(stored_paths.read(ob, stored_paths.RUN)) / EXPOSURE_FILE
     columns = yield from ChunkedRead(ob).read()
 
     def written(check: Check) -> None:
         splats = objects.moved(attributes.as_splats(columns), matrix, name)
         check()
         write(splats)
+        if exposures.is_file():  # without them the region would have another brightness
+            shutil.copyfile(exposures, splats_file.with_name(EXPOSURE_FILE))
         write_region(region_file, box)
 
     yield from run_in_thread(written, "Writing the region's splats")

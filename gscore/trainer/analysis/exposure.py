@@ -7,12 +7,17 @@ import numpy as np
 
 from ...config import Switch, TrainConfig
 from ...events import Decision
+from ...io.exposure_json import read_gains
 from ..views.photo_gains import STOP, PhotoGains
 from .analysis import Analysis
 from .photo_visit import TrackColors
 
 _NEIGHBOURS = 4
 """Number of nearest photos that a photo is compared with."""
+_OF_START = (
+    "Photos keep the exposures of the run of the start splats (exposure.json beside them), so that "
+    "this part of the capture matches its surroundings. `--exposure off` uses colours unchanged."
+)
 _SHARED = 20
 """Least observations of the median photo for a measurement by points."""
 
@@ -31,10 +36,24 @@ class Exposure:
 
 def decide_exposure(config: TrainConfig, analysis: Analysis) -> Exposure:
     """Fit the exposures of the training photos, and decide whether gains are optimised: always,
-    unless disabled or for a single photo (docs/experiments/2026-11-exposure.md)."""
+    unless disabled or for a single photo (docs/experiments/2026-11-exposure.md).
+
+    Raises:
+        FormatError: the exposures beside the start splats of a part are damaged.
+    """
     if config.exposure is Switch.OFF:
         return Exposure()
     cameras, train = analysis.photos.scene.cameras, list(analysis.photos.train)
+    if analysis.is_part and config.exposure is Switch.AUTO and config.start_splats is not None:
+        given = read_gains(config.start_splats.parent)
+        if given and all(cameras.names[i] in given for i in train):
+            log_gains = np.zeros((len(cameras), 3))
+            log_gains[train] = np.log([given[cameras.names[i]] for i in train])
+            return Exposure(
+                gains=PhotoGains(train, log_gains, fixed=True),
+                decision=Decision("exposure", _OF_START),
+                numbers={"learnt": False, "why": _OF_START, "stops_apart": 0.0, "known_by": None},
+            )
     colors, stops = analysis.facts.colors, analysis.facts.stops
     measured = (
         colors is not None and np.median(np.bincount(colors.view, minlength=len(train))) >= _SHARED

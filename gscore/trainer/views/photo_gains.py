@@ -33,9 +33,16 @@ class PhotoGains:
     become darker and all gains larger, and the exposure of new views would be undefined.
     """
 
-    def __init__(self, train: Sequence[int], log_gains: np.ndarray) -> None:
-        """`log_gains`, [V, 3] float64: initial ln gain of R, G, B of all views; only those of
-        `train` are used."""
+    def __init__(self, train: Sequence[int], log_gains: np.ndarray, *, fixed: bool = False) -> None:
+        """Create the gains.
+
+        Args:
+            train: Training views.
+            log_gains: [V, 3] float64, initial ln gain of R, G, B of all views; only those of
+                `train` are used.
+            fixed: Whether the gains stay as they are; their mean is then that of another run.
+        """
+        self.fixed = fixed
         self.train = list(train)
         """Training views."""
         self._trained = frozenset(train)
@@ -66,7 +73,7 @@ class PhotoGains:
             rate: Learning rate.
         """
         grad = _BASIS @ np.asarray(v_log_gain, np.float64)
-        if np.isfinite(grad).all():
+        if np.isfinite(grad).all() and not self.fixed:
             self._value[index] += self._adam.step(index, grad, rate)
             self._centre()
 
@@ -81,19 +88,26 @@ class PhotoGains:
 
     @classmethod
     def restored(
-        cls, train: Sequence[int], views: int, tensors: dict[str, torch.Tensor]
+        cls,
+        train: Sequence[int],
+        views: int,
+        tensors: dict[str, torch.Tensor],
+        *,
+        fixed: bool = False,
     ) -> "PhotoGains":
         """Restore the gains of `views` photos from the tensors of a checkpoint.
 
         Raises:
             ValueError, KeyError: the tensors are invalid.
         """
-        out = cls(train, np.zeros((views, 3)))
+        out = cls(train, np.zeros((views, 3)), fixed=fixed)
         out._value = checked_tensor(f"{_NAME}/value", tensors, (views, 3))
         out._adam.restore(_NAME, tensors)
         return out
 
     def _centre(self) -> None:
+        if self.fixed:
+            return
         self._value[self.train] -= self._value[self.train].mean(axis=0)
 
 

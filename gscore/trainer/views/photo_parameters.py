@@ -97,7 +97,8 @@ class PhotoParameters:
             ValueError, KeyError: the tensors are invalid.
         """
         found = PhotoGains.are_in(tensors)
-        self.gains = PhotoGains.restored(train, views, tensors) if found else None
+        fixed = self.gains is not None and self.gains.fixed
+        self.gains = PhotoGains.restored(train, views, tensors, fixed=fixed) if found else None
         found = PhotoPoses.are_in(tensors)
         self.poses = PhotoPoses.restored(train, views, tensors) if found else None
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from addon import attributes, preferences
+from addon import attributes, preferences, stored_paths
 from addon.core import read_splats, write_splats
 from addon.panels.edit import RegionPanel
 from addon.process import poll_timer
@@ -28,7 +28,7 @@ from tests.addon.trainings import positions, splats, until
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
 needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names no Python")
 Play = Callable[..., Path]
-FILES = "start", "point_cloud"
+FILES = "start/start", "point_cloud"
 
 
 @pytest.fixture
@@ -118,6 +118,20 @@ def test_undo_brings_the_earlier_splats_back(
     assert np.array_equal(positions(bpy.data.objects[name]), after)
 
 
+def test_the_exposures_of_the_run_are_beside_the_start_splats(
+    studio: bpy.types.Scene, tmp_path: Path, play: Play
+) -> None:
+    """Oracle: the file of the run of the splats."""
+    run = tmp_path / "run"
+    write_splats(run / "a.ply", splats(50))
+    (run / "exposure.json").write_text("{}")
+    ob = cropped(studio, run / "a.ply")
+    stored_paths.write(ob, stored_paths.RUN, run)
+    play({"say": STARTED}, {"say": done(40, "finished", str(run / "a.ply"))})
+    bpy.ops.gscore.train_region(wait=True)
+    assert (tmp_path / "out_region_1" / "start" / "exposure.json").read_text() == "{}"
+
+
 def test_a_moved_object_stays_where_it_is_seen(
     studio: bpy.types.Scene, tmp_path: Path, play: Play
 ) -> None:
@@ -126,7 +140,7 @@ def test_a_moved_object_stays_where_it_is_seen(
     ob = cropped(studio, tmp_path / "a.ply")
     ob.location, ob.rotation_euler, ob.scale = (1, 2, 3), (0.5, 0, 0.3), (1.5, 1.5, 1.5)
     bpy.context.view_layer.update()
-    start = tmp_path / "out_region_1" / "start.ply"
+    start = tmp_path / "out_region_1" / "start" / "start.ply"
     play({"say": STARTED}, {"say": done(40, "finished", str(start))})
     placed = [ob.matrix_world @ v.co for v in ob.data.vertices]
     box = ob.gscore.crop_object.matrix_world.copy()
@@ -153,7 +167,7 @@ def test_splats_that_were_edited_meanwhile_are_kept(
     job._process.send("go")
     until(lambda: job.ended and not job.awaits_import)
     assert np.array_equal(positions(ob), edited)
-    start = read_splats(tmp_path / "out_region_1/start.ply")
+    start = read_splats(tmp_path / "out_region_1/start/start.ply")
     assert np.array_equal(start.means, read_splats(tmp_path / "a.ply").means)
     others = [o for o in studio.objects if objects.is_splats(o) and o != ob]
     assert [len(o.data.vertices) for o in others] == [70]
@@ -238,7 +252,7 @@ def test_no_step_of_the_start_is_long(
         assert len(read) <= before + 1
     assert len(read) == 7 and writers != [threading.main_thread()]
     assert len(bpy.data.meshes) == meshes
-    found = read_splats(tmp_path / "out_region_1/start.ply")
+    found = read_splats(tmp_path / "out_region_1/start/start.ply")
     for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
         assert getattr(found, name).tobytes() == getattr(expected, name).tobytes()
 

@@ -13,6 +13,7 @@ from PIL import Image
 from gscore.config import DataConfig, Switch, TrainConfig
 from gscore.datasets import Dataset, load_dataset
 from gscore.events import Started
+from gscore.io.exposure_json import write_exposures
 from gscore.io.images.read_image import read_image
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.analysis.exposure import (
@@ -22,6 +23,7 @@ from gscore.trainer.analysis.exposure import (
 )
 from gscore.trainer.analysis.photo_visit import PhotoFacts, stated_exposure, visit_photos
 from gscore.trainer.run import train
+from gscore.trainer.views.photo_gains import PhotoGains
 
 STUDIO = Path(__file__).parents[3] / "examples" / "studio"
 STOP = np.log(2) / 2.2
@@ -222,3 +224,26 @@ def test_exposed_photos_are_measured_as_photos(capture: Path, tmp_path: Path) ->
     ).psnr
     assert photo_parameters is not None and plain is not None
     assert photo_parameters > plain + 2
+
+
+def test_a_part_keeps_the_exposures_of_its_surroundings(photos: Any, tmp_path: Path) -> None:
+    """Oracle: the gains in the file beside the start splats, after a step of learning and a
+    restart too; none if the file lacks a training photo, and for a whole capture."""
+    cameras, rng = photos.scene.cameras, np.random.default_rng(0)
+    config = TrainConfig(start_splats=tmp_path / "point_cloud.ply")
+    analysis = Analysis(photos=photos, facts=PhotoFacts(), is_part=True)
+    assert decide_exposure(config, analysis).gains is None
+    given = {name: rng.uniform(0.8, 1.2, 3) for name in cameras.names}
+    write_exposures(tmp_path / "exposure.json", given)
+    gains = decide_exposure(config, analysis).gains
+    assert gains is not None
+    expected = np.log([given[cameras.names[i]] for i in photos.train])
+    for _ in range(2):
+        np.testing.assert_allclose(gains.log_gains[photos.train], expected, atol=1e-12)
+        gains.learn(photos.train[0], (1.0, -2.0, 3.0), 0.1)
+        gains = PhotoGains.restored(photos.train, len(cameras), gains.tensors(), fixed=True)
+    del given[cameras.names[photos.train[1]]]
+    write_exposures(tmp_path / "exposure.json", given)
+    assert decide_exposure(config, analysis).gains is None
+    whole = decide_exposure(config, replace(analysis, is_part=False)).gains
+    assert whole is not None and not whole.fixed
