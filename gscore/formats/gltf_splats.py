@@ -46,6 +46,8 @@ _MOST_SPLATS_A_BYTE, _SLACK = 1, 1 << 16
 bytes as numbers and about ten in SPZ."""
 _DIGITS = 12
 """Digits of a rotation without its rounding errors."""
+_TURNED = 1e-5
+"""Largest difference of a rotation, by its matrix, from that of the writer."""
 _NEAR_BOUNDS = 0.05
 """Largest distance of positions from their stated bounds, as a share of the largest bound."""
 
@@ -142,10 +144,8 @@ def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, str, dict[str, Any]]]:
         visited.add(index)
         matrix = above @ _matrix(file, node)
         if "mesh" in node:
-            own, up = matrix, as_object(node.get("extras")).get(UP)
-            if not isinstance(up, str) or up not in UPRIGHT:
-                up = ""
-            else:
+            own, up = matrix, _up_of(file, node)
+            if up:
                 own = own.copy()
                 own[:3, :3] = np.round(own[:3, :3] @ node_matrix(UPRIGHT[up]).T, _DIGITS)
             yield from ((own, up, found) for found in _of_mesh(file, node["mesh"]))
@@ -171,6 +171,16 @@ def _matrix(file: Gltf, node: dict[str, Any]) -> np.ndarray:
     out[:3, :3] = turn * _numbers(file, node, "scale", np.ones(3))
     out[:3, 3] = _numbers(file, node, "translation", np.zeros(3))
     return out
+
+
+def _up_of(file: Gltf, node: dict[str, Any]) -> str:
+    """The up axis by which the writer turned a node; empty: none, or other programs have used the
+    key in their own sense, or changed the rotation."""
+    up = as_object(node.get("extras")).get(UP)
+    if not isinstance(up, str) or up not in UPRIGHT:
+        return ""
+    is_ours = np.allclose(_matrix(file, node)[:3, :3], node_matrix(UPRIGHT[up]), atol=_TURNED)
+    return up if is_ours else ""
 
 
 def _numbers(file: Gltf, node: dict[str, Any], key: str, default: np.ndarray) -> np.ndarray:

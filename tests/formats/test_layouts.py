@@ -551,6 +551,23 @@ def test_gltf_is_upright(tmp_path: Path, up: str) -> None:
     assert stated_up(found.comments) == (up if up != "-Y" else "")
 
 
+@pytest.mark.parametrize("rotation", [None, [0.0, 0.0, 1.0, 0.0]], ids=["none", "another"])
+def test_a_changed_rotation_counts(tmp_path: Path, rotation: list[float] | None) -> None:
+    """Oracle: the place by the rotation of a node whose extras name an up axis that is not that of
+    the rotation, as those of other programs."""
+    path = tmp_path / "a.gltf"
+    write_splat_file(path, _one(means=[1, 2, 3]), comments=("up axis: Z",))
+    content = json.loads(path.read_text())
+    node = content["nodes"][0]
+    assert node["extras"] == {"up": "Z"} and node.pop("rotation")
+    node |= {} if rotation is None else {"rotation": rotation}
+    path.write_text(json.dumps(content))
+    found = read_splat_file(path)
+    half_turn = [1, 1, 1] if rotation is None else [-1, -1, 1]
+    np.testing.assert_allclose(found.splats.means[0], np.array([1, 2, 3]) * half_turn, atol=1e-6)
+    assert stated_up(found.comments) == ""
+
+
 def test_a_proxy_is_hidden(tmp_path: Path) -> None:
     """Oracle: KHR_node_visibility of Khronos; the purposes of OpenUSD, of which guides are drawn on
     request only."""
