@@ -314,17 +314,19 @@ class ReplayEdits(Editing, bpy.types.Operator):
     )
 
     def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
-        """Erase and grade in the order of the edits."""
+        """Apply the edits in their order."""
         ob, other = guard.there(), _earlier(context)
         guard.check_only_points()
         name, own = other.name, [] if ob == other else edits_of(ob)
         edits = _due(edits_of(other), own)
         if not edits:
             raise ValueError(f"The edits of {name} have been replayed on {guard.name} already.")
+        if any(map(is_added, edits)):
+            separate_join.check_follow([ob])
         shifts = [shift_of(ob, one) for one in edits]
         table = yield from ChunkedRead(ob).table()
         before = len(ob.data.vertices)
-        rows, unfilled = yield from run_in_thread(
+        rows, vain = yield from run_in_thread(
             partial(_replayed, table, list(zip(edits, shifts, strict=True)), guard.name),
             self.bl_label,
         )
@@ -337,18 +339,20 @@ class ReplayEdits(Editing, bpy.types.Operator):
         text = f"Replayed {len(edits)} edits of {name}: {before - own_left:,} splats erased"
         if len(rows) > own_left:
             text += f", {len(rows) - own_left:,} added"
-        return f"{text}." + (" A hole could not be filled in these splats." if unfilled else "")
+        more = f" {vain} of the edits found no hole to fill, or nothing to copy." if vain else ""
+        return f"{text}.{more}"
 
 
 def _replayed(
     table: list[Column], edits: list[tuple[dict[str, Any], np.ndarray]], name: str, check: Check
-) -> tuple[np.ndarray, bool]:
+) -> tuple[np.ndarray, int]:
     """Apply edits, each with its shift, to a table in place; added splats are appended.
 
     Returns:
-        The rows [K] of the table to keep, and True if a hole could not be filled.
+        The rows [K] of the table to keep, and the number of edits that should add splats and found
+        no hole, or nothing to copy.
     """
-    kept, unfilled = np.ones(len(table[0].values), bool), False
+    kept, vain = np.ones(len(table[0].values), bool), 0
     for one, shift in edits:
         check()
         if is_added(one):
@@ -356,7 +360,9 @@ def _replayed(
             try:
                 more = added_again(one, now, shift, name, check)
             except ConfigError:
-                unfilled = True
+                more = []
+            if not more or not len(more[0].values):
+                vain += 1
                 continue
             table[:] = point_attributes.joined([table, more])
             kept = np.append(kept, np.ones(len(more[0].values), bool))
@@ -370,7 +376,7 @@ def _replayed(
                 some &= Volume.read(one["volume"]).contains(places)
             made = {key: _tuple(value) for key, value in one["grade"].items()}
             base[some] = graded(base[some], Grade(**made))
-    return np.flatnonzero(kept), unfilled
+    return np.flatnonzero(kept), vain
 
 
 def _due(edits: list[dict[str, Any]], done: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -39,7 +39,7 @@ class HealSplats(Editing, bpy.types.Operator):
         """Fill."""
         ob = guard.there()
         guard.check_only_points()
-        separate_join.check_follows(ob)
+        separate_join.check_follow([ob])
         region, sphere = _hole(ob)
         table = yield from ChunkedRead(ob).table()
 
@@ -68,13 +68,15 @@ def _hole(ob: bpy.types.Object) -> tuple[np.ndarray, bool]:
         if not abs(np.linalg.det(limits.crop[:3, :3])) > 0:
             raise ValueError(f"{ob.gscore.crop_object.name} has no volume; scale it up.")
         return np.linalg.inv(limits.crop), limits.crop_shape == filters.SPHERE
-    erased = [one for one in edits_of(ob) if "erased" in one]
+    erased = [(one, Volume.read(one["erased"])) for one in edits_of(ob) if "erased" in one]
+    erased = [pair for pair in erased if len(pair[1].keys)]  # of some all was restored
     if not erased:
         raise ValueError(
             f"Where is the hole of {ob.name}? Put a crop box around it, or remove splats by Erase."
         )
-    region = Volume.read(erased[-1]["erased"]).box
-    region[:3, 3] -= shift_of(ob, erased[-1])
+    edit, volume = erased[-1]
+    region = volume.box
+    region[:3, 3] -= shift_of(ob, edit)
     return region, False
 
 
@@ -100,7 +102,7 @@ class CloneSplats(Editing, bpy.types.Operator):
         """Copy."""
         ob = guard.there()
         guard.check_only_points()
-        separate_join.check_follows(ob)
+        separate_join.check_follow([ob])
         chosen = attributes.selected(ob.data)
         if not chosen.any():
             raise ValueError(f"{guard.name}: select the splats to clone.")

@@ -99,11 +99,12 @@ def _picked(table: list[Column], rows: np.ndarray, check: Check) -> Points:
     return points
 
 
-def check_follows(ob: bpy.types.Object) -> None:
-    """Raise ValueError if the shapes of an object's splats lag behind their positions."""
-    if lag.problem(ob.data):
+def check_follow(obs: list[bpy.types.Object]) -> None:
+    """Raise ValueError if the shapes of the splats of any object lag behind their positions."""
+    behind = ", ".join(ob.name for ob in obs if lag.problem(ob.data))
+    if behind:
         raise ValueError(
-            f"Shapes and colors of {ob.name} do not match the positions: press Update Shapes and "
+            f"Shapes and colors of {behind} do not match the positions: press Update Shapes and "
             "Colors under Result first."
         )
 
@@ -118,12 +119,7 @@ def check_joinable(ob: bpy.types.Object, others: list[bpy.types.Object]) -> None
         objects.check_writable(one)
     if len({bool(one.get(objects.ANTIALIAS)) for one in parts}) > 1:
         raise ValueError("Splats trained with and without anti-aliasing cannot be joined.")
-    behind = ", ".join(one.name for one in parts if lag.problem(one.data))
-    if behind:
-        raise ValueError(
-            f"Shapes and colors of {behind} do not match the positions: press Update Shapes and "
-            "Colors under Result first."
-        )
+    check_follow(parts)
 
 
 def joined(guard: EditGuard, others: list[EditGuard]) -> Steps[bpy.types.Object]:
