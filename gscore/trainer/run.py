@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig, TrainConfig
-from ..config_file import to_dict
+from ..config_file import load_config, to_dict
 from ..control import Control
 from ..datasets import load_dataset
 from ..engine.base import Engine
@@ -90,6 +90,8 @@ def train(
         group=group,
         agent=agent,
     )
+    if resume and on_card is not None and _width_of(output) == on_card[0].max_width:
+        data, config = on_card  # the CPU may have taken over from a card that is gone
     before = set(_checkpoints(output))
     start = {"resume": resume, "overwrite": overwrite, "start_checkpoint": start_checkpoint}
     try:
@@ -107,6 +109,15 @@ def train(
         else:
             start["overwrite"] = True
         return run(replace(config, device="cpu"), data, output, **start)
+
+
+def _width_of(output: Path) -> int | None:
+    """The width limit of the run in a folder, which tells the presets of CPU and cards apart; None:
+    no config.json can be read."""
+    try:
+        return load_config(output / "config.json")[0].max_width
+    except GsError:
+        return None
 
 
 def _checkpoints(output: Path) -> Iterator[tuple[Path, int]]:

@@ -94,6 +94,23 @@ def test_options_of_a_card_are_used_where_one_trains(
         assert len(started) == 1 + (name == "lost")
 
 
+def test_a_run_that_the_cpu_took_over_is_resumed_with_the_options_of_the_card(
+    as_card, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the size of the photos and the steps, where the CPU is now faster."""
+    monkeypatch.setattr(Device, "is_software", False)
+    as_card(lambda *_, **__: 1e-6)
+    monkeypatch.setenv("GSCORE_GPU_FAULT", "lost:s2")
+    photos = DataConfig(source=capture, max_width=20)
+    _train(capture, tmp_path, on_card=(photos, replace(CONFIG, iterations=3)))
+    monkeypatch.delenv("GSCORE_GPU_FAULT")
+    as_card(lambda *_, **__: 1e3)
+    more = photos, replace(CONFIG, iterations=6)
+    done, events = _train(capture, tmp_path, on_card=more, resume=True)
+    (started,) = (one for one in events if isinstance(one, Started))
+    assert (started.device, started.width, done.steps) == ("cpu", 20, 6)
+
+
 def test_a_resumed_run_keeps_the_options_of_a_card_that_fails(
     as_card, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
