@@ -212,7 +212,7 @@ def store(kind: str, png: bytes, camera: str) -> bpy.types.Image:
 
 
 def snapshot(depsgraph: bpy.types.Depsgraph) -> Steps[list[Placed]]:
-    """The splats of a depsgraph at the first step, unaffected by later changes.
+    """The splats of a depsgraph as captured, at the first step, unaffected by later changes.
 
     Raises:
         ValueError: there is nothing to draw, attributes are missing or not finite, or a copy was
@@ -223,7 +223,7 @@ def snapshot(depsgraph: bpy.types.Depsgraph) -> Steps[list[Placed]]:
     reads: dict[int, tuple[str, ChunkedRead]] = {}
     try:
         for source in sources(depsgraph):
-            placed.append(place(source, FrozenMesh(source.ob.name, {}, {})))
+            placed.append(place(source, FrozenMesh(source.ob.name, {}, {}), captured=True))
             if source.moment is not None:
                 frozen[source.uid] = source.frozen()
             elif source.uid not in reads:
@@ -236,7 +236,7 @@ def snapshot(depsgraph: bpy.types.Depsgraph) -> Steps[list[Placed]]:
             frozen[uid] = yield from run_in_thread(
                 lambda check, of=(name, columns): FrozenMesh.of(*of), "Reading splats"
             )
-        return [replace(one, frozen=frozen[one.uid], relighting=None) for one in placed]
+        return [replace(one, frozen=frozen[one.uid]) for one in placed]
     finally:
         for _, taken in reads.values():
             taken.drop()

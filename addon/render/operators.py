@@ -340,6 +340,12 @@ def _of_run(context: bpy.types.Context, ob: bpy.types.Object) -> list[bpy.types.
     return [other for other in (*splats, *maps) if other.name in context.view_layer.objects]
 
 
+def _passes_changed(settings: "RenderSettings", context: bpy.types.Context) -> None:
+    """Give the compositor's nodes the sockets of the passes, as Blender's own switches do."""
+    for layer in settings.id_data.view_layers:
+        layer.update_render_passes()
+
+
 class RenderSettings(bpy.types.PropertyGroup):
     """`Scene.gscore_render`: settings of the engine."""
 
@@ -366,7 +372,8 @@ class RenderSettings(bpy.types.PropertyGroup):
     splat_index: bpy.props.BoolProperty(
         name="Splat Index",
         description="Pass with the index, in its object, of the splat at which half of the light "
-        "is blocked; -1 where less is. Object Index tells the object",
+        "is blocked; -1 where less is. The object is that of the pass Object Index",
+        update=_passes_changed,
     )
     live: bpy.props.BoolProperty(
         name="Live Viewport",

@@ -90,17 +90,17 @@ class VIEWLAYER_PT_gscore_passes(_EnginePanel, bpy.types.Panel):  # noqa: N801 B
         column.prop(layer, "use_pass_normal", text="Normal")
         column.prop(layer, "use_pass_vector", text="Vector")
         column.prop(layer, "use_pass_object_index", text="Object Index")
+        if layer.use_pass_object_index:
+            column.prop(layer, "pass_alpha_threshold", text="Alpha Threshold")
         column.prop(context.scene.gscore_render, "splat_index")
         column.prop(layer, "use_pass_diffuse_color", text="Diffuse Color")
         column.prop(layer, "use_pass_shadow", text="Shadow")
-        if layer.use_pass_object_index:
-            column.prop(layer, "pass_alpha_threshold", text="Alpha Threshold")
         column = layout.column(heading="Cryptomatte")
         column.prop(layer, "use_pass_cryptomatte_object", text="Object")
         column.prop(layer, "use_pass_cryptomatte_asset", text="Asset")
         if layer.use_pass_cryptomatte_object or layer.use_pass_cryptomatte_asset:
             column.prop(layer, "pass_cryptomatte_depth", text="Levels")
-        wrapped(layout, "Splats have no materials, so there are no material passes.", icon="INFO")
+        wrapped(layout, "Splats have no materials, so there are no other passes.", icon="INFO")
 
 
 class DATA_PT_gscore_panorama(_EnginePanel, bpy.types.Panel):  # noqa: N801 Blender's rule

@@ -200,13 +200,20 @@ def _source(
     )
 
 
-def place(source: Source, frozen: Frozen | None = None, *, always_filtered: bool = False) -> Placed:
+def place(
+    source: Source,
+    frozen: Frozen | None = None,
+    *,
+    always_filtered: bool = False,
+    captured: bool = False,
+) -> Placed:
     """Copy the data of an object that rendering needs.
 
     Args:
         source: The object.
         frozen: Its attributes, if they have been copied already.
         always_filtered: Apply its filters even if they are off for renders.
+        captured: Leave out the light of the scene.
 
     Raises:
         ValueError: attributes are missing; they are named.
@@ -218,13 +225,7 @@ def place(source: Source, frozen: Frozen | None = None, *, always_filtered: bool
     filters = filters_of(ob) if filtered else None
     if filters is not None and not filters.leave_out_anything:
         filters = None
-    relighting, share = None, 0.0 if settings is None else settings.light
-    share = share if isinstance(frozen, FrozenMesh) and frozen.can_be_relit else 0.0
-    catches = proxy_of(ob.original) is not None and bool(source.light().casters.meshes)
-    if share > 0 or catches:
-        relighting = Relighting(
-            share=share, catches=catches, light=source.light(), matrix=source.matrix
-        )
+    relighting = None if captured else _relighting(source, frozen)
     return Placed(
         identity=source.identity,
         uid=source.uid,
@@ -236,3 +237,14 @@ def place(source: Source, frozen: Frozen | None = None, *, always_filtered: bool
         holdout=source.is_holdout,
         relighting=relighting,
     )
+
+
+def _relighting(source: Source, frozen: Frozen) -> Relighting | None:
+    """`Placed.relighting` of an object, by its attributes."""
+    settings = getattr(source.ob, "gscore", None)
+    share = 0.0 if settings is None else settings.light
+    share = share if isinstance(frozen, FrozenMesh) and frozen.can_be_relit else 0.0
+    catches = proxy_of(source.ob.original) is not None and bool(source.light().casters.meshes)
+    if not (share > 0 or catches):
+        return None
+    return Relighting(share=share, catches=catches, light=source.light(), matrix=source.matrix)

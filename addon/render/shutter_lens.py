@@ -79,6 +79,8 @@ class ShutterLens:
         values: tuple[str, ...] = (),
     ) -> None:
         self._eye, self._values = eye, values
+        self._valued: Model | None = None
+        """The last model with its values."""
         self._depsgraph, self._camera, self._size = depsgraph, camera, size
         self._cache, self._frame_set = cache, frame_set
         self._frame = float(depsgraph.scene.frame_current_final)
@@ -161,8 +163,10 @@ class ShutterLens:
             return None
         model = self._cache.model(placed)
         if self._values:
-            values = {name: values_of(name, placed) for name in self._values}
-            model = replace(model, values=values)
+            if self._valued is None or self._valued.splats is not model.splats:
+                values = {name: values_of(name, placed) for name in self._values}
+                self._valued = replace(model, values=values)
+            model = replace(model, values=self._valued.values)
         return View(model=model, camera=camera, holdouts=self._holdouts())
 
     def _placed(self) -> list[Placed]:

@@ -256,3 +256,14 @@ def test_other_passes_keep_their_bits(two, tmp_path):
     assert set(every) - set(fewer) == {compat.albedo_pass_name(), "Shadow", "Splat Index"}
     for name, picture in fewer.items():
         np.testing.assert_array_equal(picture, every[name])
+
+
+def test_the_compositor_has_a_socket_of_the_switch(scene):
+    """Of the index of splats, at once, as of Blender's own switches."""
+    lab.prepare(scene, SIZE)
+    tree = compat.make_compositor_tree(scene)
+    (layers,) = (node for node in tree.nodes if node.type == "R_LAYERS")
+    scene.gscore_render.splat_index = True
+    assert "Splat Index" in [one.name for one in layers.outputs if one.enabled]
+    scene.gscore_render.splat_index = False
+    assert "Splat Index" not in [one.name for one in layers.outputs if one.enabled]
