@@ -82,15 +82,19 @@ def help_text(one: Option) -> str:
     first = plain(one.text).partition(_SENTENCE_END)[0].removesuffix(".")
     if not first[1:2].isupper():  # CPU, PLY
         first = first[0].lower() + first[1:]
-    shown = preset_values(one) or one.default_text
+    shown = preset_values(one, most="high") or one.default_text
     return (f"{first} ({shown})" if shown else first).replace("%", "%%")
 
 
-def preset_values(one: Option) -> str:
-    """The values of an option in the presets; empty if all are equal."""
+def preset_values(one: Option, *, most: str = "") -> str:
+    """The values of an option in the presets, up to the preset `most`; empty if all are equal."""
     if one.name not in options_of(TrainConfig):
         return ""
-    found = {name: getattr(train, one.name) for name, train in _preset_options().items()}
+    found = {}
+    for name, train in _preset_options().items():
+        found[name] = getattr(train, one.name)
+        if name == most:
+            break
     if len(set(found.values())) == 1:
         return ""
     return ", ".join(f"{name} {_shown(value)}" for name, value in found.items())
