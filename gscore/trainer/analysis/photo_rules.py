@@ -9,6 +9,7 @@ from ...errors import DatasetError
 from ...events import Decision
 from ...text_format import count_text, number
 from ..model.checkpoint_schema import as_float
+from ..photos.sky import has_sky
 from ..photos.view_sampler import Photos
 from ..schedule.caps import drop_rate_of, max_splats_per_model, model_count, opaque_weight_of
 from ..schedule.plan import Plan
@@ -41,7 +42,7 @@ class PhotoRules:
     opaque_weight: float = 0.0
     """Weight of transmittance in the loss."""
     sky: bool = False
-    """The sky gets splats."""
+    """There are splats for a sky."""
     models: int = 1
     """Number of models that are trained in parallel."""
     by_photos: tuple[Decision, ...] = ()
@@ -118,6 +119,16 @@ class PhotoRules:
         return [*([Decision("region", text)] if text else []), *self.by_photos]
 
 
+def _with_sky(analysis: Analysis) -> bool:
+    """Whether the trained splats include a sky, found in the photos or given."""
+    photos, start = analysis.photos, analysis.start
+    if start is None:
+        return analysis.sky is not None
+    if analysis.region is not None:  # outside which splats are frozen
+        return False
+    return has_sky(start, photos.scene.cameras, list(photos.train), photos.scene.points.points)
+
+
 def photo_rules(config: TrainConfig, analysis: Analysis) -> PhotoRules:
     """Decide on a training; DatasetError if it has no photos."""
     photos, start = analysis.photos, analysis.start
@@ -132,7 +143,7 @@ def photo_rules(config: TrainConfig, analysis: Analysis) -> PhotoRules:
         block=analysis.block is not None,
         known=analysis.known,
         backdrop=analysis.facts.backdrop,
-        sky=analysis.sky is not None and start is None,
+        sky=_with_sky(analysis),
     ).decided(config, photos)
     cloud = photos.scene.points if analysis.points is None else analysis.points
     points = min(len(cloud), max_splats_per_model(config, rules.models))

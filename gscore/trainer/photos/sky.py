@@ -26,6 +26,10 @@ _SIZE = 0.6
 _BESIDE = np.cos(np.radians(12))
 """Cosine between a direction and a sky cell up to which it belongs to the sky: views between the
 photos show a bit more of it."""
+BEYOND = 0.7
+"""Distance from the middle, in radii of the sphere, beyond which splats belong to the sky."""
+_LEAST = 10
+"""Least number of opaque splats beyond it of a model with a sky."""
 _NEIGHBOURS = 8
 """Nearest directions averaged for a direction that no photo shows."""
 
@@ -50,6 +54,14 @@ def sky_radius(cameras: Cameras, views: list[int], points: np.ndarray) -> tuple[
     away = distances(points, middle)
     reach = float(np.quantile(away[np.isfinite(away)], 1 - _FEW)) if np.isfinite(away).any() else 0
     return middle, _FAR * max(reach, float(distances(cameras.centers[views], middle).max()))
+
+
+def has_sky(splats: Splats, cameras: Cameras, views: list[int], points: np.ndarray) -> bool:
+    """Return whether given splats include a sky, or another background as far away; the other
+    arguments are those of `sky_radius`, in the world of the splats."""
+    middle, radius = sky_radius(cameras, views, points)
+    opaque = splats.means[splats.opacities > 0]
+    return int((distances(opaque, middle) > BEYOND * radius).sum()) >= _LEAST
 
 
 def sky_splats(
