@@ -111,6 +111,8 @@ class Prepared:
     stereo: StereoStart = field(default_factory=StereoStart)
     sky: Decision | None = None
     """Where the sky gets splats; None: nowhere."""
+    sky_digest: int = 0
+    """Hash of the parts of photos that show the sky."""
     exposure: Exposure = field(default_factory=Exposure)
     pose_check: PoseCheck = field(default_factory=PoseCheck)
 
@@ -148,6 +150,7 @@ class Prepared:
             "the dropout rate": trainer.rules.drop_rate,
             "the number of models": len(trainer.models.members),
             "the guide meshes": trainer.guide_digest,
+            "the sky": self.sky_digest,
             "the initial splats": crc_of(trainer.tensors()),
         }
 
@@ -191,6 +194,8 @@ def prepare(
     )
     config, caps = limited()
     check(photos)
+    if config.sky is Switch.ON:
+        check_sky(photos, region=region is not None)
     if engine is not None:
         refuse(engine.info, lacking_options(config, engine.info.features, engine.info.skips))
     resumed = start.training_frame
@@ -219,8 +224,6 @@ def prepare(
             config, caps = limited(known=added.known, compared=True)
         block = read_block(photos.source)
         is_part = block is not None or region is not None
-        if config.sky is Switch.ON:
-            check_sky(photos, region=region is not None)
         sky, sky_decision = decide_sky(config, photos, facts.cells, is_part=is_part)
         analysis = Analysis(
             photos=photos,
@@ -255,6 +258,7 @@ def prepare(
         guide=guide,
         stereo=added,
         sky=sky_decision,
+        sky_digest=0 if sky is None else sky.digest(),
         exposure=exposure,
         pose_check=pose_check,
     )

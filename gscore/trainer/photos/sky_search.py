@@ -5,6 +5,7 @@ little texture and no SfM points in or next to it, and most cells around it are 
 several photos have such a cell in that direction: a white wall has another direction in each photo.
 """
 
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -81,10 +82,15 @@ class Sky:
     everywhere: bool = False
     """Whether the sky is a whole sphere, in the colours of all cells; else where it was found."""
 
+    def digest(self) -> int:
+        """Hash of the sky cells."""
+        return zlib.crc32(b"".join(self.shown[view].tobytes() for view in sorted(self.shown)))
+
 
 def sky_views(config: TrainConfig, photos: Photos) -> list[int]:
     """Return the views that a search needs; none where the options exclude a sky."""
-    if config.sky is Switch.OFF or config.start_splats or photos.mask_mode == "composite":
+    given = config.start_splats or config.region
+    if config.sky is Switch.OFF or given or photos.mask_mode == "composite":
         return []
     return evenly_spaced(list(photos.train), _MOST_PHOTOS)
 
@@ -122,7 +128,7 @@ def decide_sky(
         config: The options.
         photos: The capture.
         cells: Photos of `sky_views`.
-        is_part: A block or a region is trained, whose surroundings are other splats.
+        is_part: A block is trained, whose surroundings are other splats.
     """
     if not cells:
         return None, None
@@ -199,4 +205,5 @@ def _around(cells: np.ndarray) -> np.ndarray:
     """Return [h, w]: how many of `cells`, [h, w] bool, are true of the nine around each."""
     height, width = cells.shape
     padded = np.pad(cells.astype(np.int64), 1)
-    return sum(padded[i : i + height, j : j + width] for i in range(3) for j in range(3))
+    parts = [padded[i : i + height, j : j + width] for i in range(3) for j in range(3)]
+    return np.sum(parts, axis=0)

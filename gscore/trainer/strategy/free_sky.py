@@ -9,6 +9,7 @@ import torch
 
 from ...raster.memory import zeros
 from ...scene import Cameras
+from ..photos.sky import BEYOND
 from ..photos.sky_search import Sky
 from ..photos.view_sampler import evenly_spaced
 
@@ -16,8 +17,6 @@ _FEWEST = 2
 """Least photos whose sky a splat covers, as single ones may be wrong."""
 _MOST_PHOTOS = 30
 """Most photos with sky that are used, evenly spaced: a splat there is in front of many."""
-_FAR = 0.7
-"""Distance from the middle, in radii of the sky, beyond which splats belong to it."""
 
 
 class FreeSky:
@@ -32,7 +31,7 @@ class FreeSky:
             middle: [3] float64 centre of the splats of the sky.
             radius: Their distance from it.
         """
-        self._middle, self._farthest = torch.from_numpy(middle).float(), _FAR * radius
+        self._middle, self._farthest = middle.tolist(), BEYOND * radius
         self._maps: list[tuple[torch.Tensor, torch.Tensor]] = []
         """[3, 4] projections of positions to cells, and [h, w] uint8 sky cells, of some photos."""
         shown = {} if sky is None else {v: one for v, one in sky.shown.items() if one.any()}
@@ -59,4 +58,6 @@ class FreeSky:
             places = ((down[rows] / ahead).long().clamp_(max=height - 1)) * width
             places += (across[rows] / ahead).long().clamp_(max=width - 1)
             photos[rows] += cells.view(-1)[places]
-        return (photos >= _FEWEST) & ((means - self._middle).norm(dim=1) < self._farthest)
+        a, b, c = self._middle
+        near = (x - a).square() + (y - b).square() + (z - c).square() < self._farthest**2
+        return near & (photos >= _FEWEST)

@@ -44,6 +44,8 @@ def test_photos_that_are_not_kept_are_decoded_once(
     assert decoded == Counter(dict.fromkeys(photos.train, 1))
     assert facts.brightest == [255 - i for i in photos.train]
     assert facts.colors is not None and facts.colors.views == len(photos.train)
+    assert list(facts.cells) == photos.train
+    assert not facts.cells[photos.train[1]].counted.any()  # masks are below 255
 
 
 def test_backdrops_are_counted_inside_the_masks() -> None:

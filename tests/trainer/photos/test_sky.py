@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -172,15 +173,56 @@ def test_given_splats_have_the_last_word(make_photos: Callable[..., Any]) -> Non
     )
 
 
+def test_a_given_sky_stays_since_opacities_are_not_reset(make_photos: Callable[..., Any]) -> None:
+    """Oracle: start splats with and without a sky; the paper's interval for the latter."""
+    photos = looking_out(make_photos)
+    with_sky = Trainer(CONFIG, analysis_of(photos)).splats()
+    plain = Trainer(replace(CONFIG, sky=Switch.OFF), Analysis(photos=photos)).splats()
+    faint = replace(with_sky, opacities=np.full_like(with_sky.opacities, -1))
+    long = replace(CONFIG, iterations=7000)
+    found = [
+        Trainer(long, Analysis(photos=photos, start=start)).plan.reset_every
+        for start in (with_sky, plain, faint)
+    ]
+    assert found == [0, 3000, 3000]
+
+
+def test_a_resumed_run_has_the_same_bits(make_photos: Callable[..., Any]) -> None:
+    """Oracle: the run without a break, in which splats in front of the sky are removed later; the
+    sky is found anew."""
+    config = replace(AUTO, iterations=16, refine_every=1, threads=1)
+    photos = outside(make_photos)
+    cloud = photos.scene.points
+    air = np.random.default_rng(3).uniform(-1, 1, (300, 3)) + np.array([5, -4, 9])
+    more = PointCloud(points=air, colors=np.full((300, 3), 128, np.uint8))
+    analysis = replace(analysis_of(photos, config), points=cloud.with_more(more))
+    whole = Trainer(config, analysis)
+    while whole.steps < 7:
+        whole.step()
+    assert not whole.state()["sky_cleared"]
+    begun = whole.state(), {name: t.clone() for name, t in whole.tensors().items()}
+    resumed = Trainer(config, analysis_of(outside(make_photos), config))  # without these points
+    resumed.restore(*begun)
+    for trainer in (whole, resumed):
+        while trainer.steps < 16:
+            trainer.step()
+    assert resumed.state() == whole.state()
+    after = resumed.tensors()
+    for name, tensor in whole.tensors().items():
+        assert torch.equal(after[name], tensor), name
+    assert whole.state()["sky_cleared"]
+
+
 def test_there_is_no_sky_behind_a_subject_or_a_region(make_photos: Callable[..., Any]) -> None:
     """Oracle: sentences with the reason; no search of a subject."""
     photos = looking_out(make_photos)
     with pytest.raises(ConfigError, match=r"region.*leave out `--sky on`"):
         check_sky(photos, region=True)
+    assert sky_views(replace(AUTO, region=Path("box.json")), photos) == []
     photos.mask_mode = "composite"
     with pytest.raises(ConfigError, match=r"composite.*leave out `--sky on`"):
         check_sky(photos, region=False)
-    assert found_sky(photos, AUTO) is None
+    assert sky_views(AUTO, photos) == []
 
 
 SIDE, GROUND = 192, 3.0
@@ -310,4 +352,7 @@ def test_splats_in_front_of_the_sky_of_two_photos_are_removed(
     )
     inside = space.contains(torch.from_numpy(places.astype(np.float32)))
     assert inside.tolist() == [True, False, False, False]
+    alone = replace(sky, shown={view: sky.shown[view] for view in photos.train[:1]})
+    one = FreeSky(alone, cameras, middle, radius)
+    assert not one.contains(torch.from_numpy(places.astype(np.float32))).any()
     assert not FreeSky(None, cameras, middle, radius).contains(torch.zeros(2, 3)).any()
