@@ -151,16 +151,20 @@ def poisson_points(splats: Splats, capture: Path) -> Iterator[tuple[str, np.ndar
         drawn = render(splats, K, viewmat, width, height, depths=True, normals=True)
         turned = splat_normals(solid.means, solid.quats, solid.scales, viewmat)
         at = solid.means @ viewmat[:3, :3].T + viewmat[:3, 3]
-        u, v = np.clip((at @ K.T / at[:, 2:])[:, :2].T, 0, [[width - 1], [height - 1]]).astype(int)
+        ahead = np.maximum(at[:, 2:], 1e-6)
+        u, v = np.floor((at @ K.T / ahead)[:, :2].T)
+        seen = (at[:, 2] > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        rows, columns = np.where(seen, v, 0).astype(int), np.where(seen, u, 0).astype(int)
+        seen &= at[:, 2] < drawn.median_depth[rows, columns] + SPREAD
         cosine = -(turned * at).sum(axis=1) / np.linalg.norm(at, axis=1)
-        better = (cosine > best) & (at[:, 2] < drawn.median_depth[v, u] + SPREAD)
+        better = seen & (cosine > best)
         best[better], normals[better] = cosine[better], (turned @ viewmat[:3, :3])[better]
         view = surface_view(drawn, K, viewmat, spread=SPREAD, far=np.inf)
-        seen = (view.weight > 0) & np.isfinite(view.depth)
-        seen[1::2] = seen[:, 1::2] = False
-        places = pixel_rays(K, height, width)[seen] * view.depth[seen, None]
+        fused = (view.weight > 0) & np.isfinite(view.depth)
+        fused[1::2] = fused[:, 1::2] = False
+        places = pixel_rays(K, height, width)[fused] * view.depth[fused, None]
         points.append((places - viewmat[:3, 3]) @ viewmat[:3, :3])
-        facing.append(view.planes[seen, :3] @ viewmat[:3, :3])
+        facing.append(view.planes[fused, :3] @ viewmat[:3, :3])
     shown = best > 0
     yield "Poisson, splats", solid.means[shown].astype(np.float64), normals[shown]
     yield "Poisson, points of depths", np.concatenate(points), np.concatenate(facing)
@@ -210,6 +214,8 @@ def main() -> int:
     parser.add_argument("--silhouettes", type=Path, metavar="FOLDER")
     parser.add_argument("--every", type=int, default=4, help="use every n-th test view")
     args = parser.parse_args()
+    if not args.cameras and (args.poisson or not args.silhouettes):
+        parser.error("give --cameras, or --silhouettes for meshes alone")
     if args.cameras:
         truth = of_surface(args.truth, args.cameras) if args.truth else of_depths(args.cameras)
         print("| mesh | triangles | to truth, % | 95 % | from truth, % | 95 % | normals, deg |")
