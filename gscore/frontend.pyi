@@ -65,6 +65,7 @@ from .events import Warn as Warn
 from .events import from_line as from_line
 from .formats import SPLAT_ENDINGS as SPLAT_ENDINGS
 from .formats import SplatFile as SplatFile
+from .formats import format_to_write as format_to_write
 from .formats import is_antialiased as is_antialiased
 from .formats.joined import joined
 from .glsl import glsl_defines as glsl_defines
@@ -91,6 +92,7 @@ from .io.images.resample import downscale as downscale
 from .io.lock import FolderLock as FolderLock
 from .io.lod_file import LOD_ENDING as LOD_ENDING
 from .io.lod_file import is_lod_file as is_lod_file
+from .io.mesh.files import TriangleMesh as TriangleMesh
 from .io.mesh.files import write_mesh as write_mesh
 from .io.ply.comments import UP_NOTE as UP_NOTE
 from .io.ply.comments import stated_up as stated_up

@@ -16,9 +16,11 @@ from ..core import (
     GsError,
     SplatFile,
     Splats,
+    SurfaceMesh,
     atomic_write,
     read_splat_file,
     write_splat_file,
+    write_surface,
 )
 from ..process.child_program import Process
 from ..process.incremental_tasks import Check
@@ -74,6 +76,7 @@ def write(
     *,
     antialiased: bool,
     origin: np.ndarray | None,
+    proxy: SurfaceMesh | None,
     missing: BackendError,
 ) -> Sequence[str]:
     """Write a file by another Python, completely or not at all; in any thread.
@@ -85,6 +88,7 @@ def write(
         check: As in `read`; `path` is then unchanged.
         antialiased: As in `write_splat_file`.
         origin: As in `write_splat_file`.
+        proxy: Mesh to write hidden into the file, with the same local origin; None: none.
         missing: Error of this Python.
 
     Returns:
@@ -96,9 +100,13 @@ def write(
     with tempfile.TemporaryDirectory(prefix="gscore-", dir=by.folder) as folder:
         whole = Path(folder, "splats.ply")
         write_splat_file(whole, splats, antialiased=antialiased, origin=origin)
+        more: list[str | Path] = []
+        if proxy is not None:
+            more = ["--proxy", Path(folder, "proxy.ply")]
+            write_surface(more[1], proxy)
         made = Path(folder, "made", path.name)
         made.parent.mkdir()
-        notes = _convert(whole, made, by.python, check, missing)
+        notes = _convert(whole, made, by.python, check, missing, more)
         # Referenced files first.
         for part in sorted(made.parent.iterdir(), key=lambda one: one.name == path.name):
             with part.open("rb") as source:
@@ -108,15 +116,21 @@ def write(
 
 
 def _convert(
-    source: Path, target: Path, python: Path | None, check: Check, missing: BackendError
+    source: Path,
+    target: Path,
+    python: Path | None,
+    check: Check,
+    missing: BackendError,
+    more: Sequence[str | Path] = (),
 ) -> list[str]:
-    """Convert a file by another Python; returns the warnings of `gscore convert`."""
+    """Convert a file by another Python, with more arguments; returns the warnings of `gscore
+    convert`."""
     if python is None:
         raise GsError(
             f"{missing} Or set up a Python for training that has it: press Find or Make "
             "Environment in the add-on's preferences."
         ) from missing
-    command = [python, "-m", "gscore", "convert", source, target, "--json"]
+    command = [python, "-m", "gscore", "convert", source, target, *more, "--json"]
     try:
         process = Process([str(word) for word in command])
     except OSError as error:

@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -17,7 +18,9 @@ from ..core import (
     GsError,
     Splats,
     SurfaceMesh,
+    TriangleMesh,
     file_errors,
+    format_to_write,
     join_splats,
     write_splat_file,
     write_surface,
@@ -75,7 +78,8 @@ def exporting(
         world: SOURCE for the world of the first object's photos (or of its file), BLENDER for the
             scene's.
         filtered: Leave out splats that the display filters hide.
-        proxies: Also write the objects' proxies as one mesh, NAME.proxy.ply.
+        proxies: Also write the objects' proxies as one mesh: hidden in the same file if its format
+            has meshes (glTF and USD), else as NAME.proxy.ply.
 
     Raises:
         ValueError: no objects, no splats, or a matrix that is not a similarity; nothing is written.
@@ -88,10 +92,9 @@ def exporting(
     antialiased = all(ob.get(objects.ANTIALIAS) for ob in obs)
     comments = note_of_up(obs[0], world)
     origin = None if world == BLENDER else origin_of(obs[0])
-    surfaces = _surfaces(obs, parts) if proxies else []
-    if proxies and not surfaces:
-        raise ValueError("The splats have no proxy to export: make one, or turn Proxies off.")
-    if surfaces:
+    mesh = replace(_surface(obs, parts), origin=origin) if proxies else None
+    inside = mesh is not None and format_to_write(path).keeps_proxy
+    if mesh is not None and not inside:
         _check_replaceable(proxy_path(path))
     taken: list[ChunkedRead] = []
     try:
@@ -105,26 +108,14 @@ def exporting(
             one.drop()
 
     how = {"antialiased": antialiased, "comments": comments, "origin": origin}
-
-    def write(check: Check) -> Sequence[str]:
-        with file_errors(check):
-            return write_splat_file(path, splats, **how).notes
-
     try:
         splats, total = yield from run_in_thread(partial(_same_file, parts, read), "Collecting")
-        try:
-            notes = yield from run_in_thread(write, f"Writing {path.name}")
-        except BackendError as error:
-            options = {"antialiased": antialiased, "origin": origin, "missing": error}
-            convert = partial(conversion.write, path, splats, conversion.other_python(), **options)
-            name = f"Writing {path.name} in the trainer's Python"
-            notes = yield from run_in_thread(convert, name)
+        notes = yield from _written(path, splats, mesh if inside else None, how)
     except MemoryError as error:
         raise GsError(
             "The splats do not fit into memory twice; close other programs and export again."
         ) from error
-    if surfaces:
-        mesh = replace(_joined(surfaces), origin=origin)
+    if mesh is not None and not inside:
         write_mesh = partial(_write_surface, proxy_path(path), mesh)
         yield from run_in_thread(write_mesh, "Writing the proxies")
     hidden = total - len(splats)
@@ -132,13 +123,43 @@ def exporting(
     return len(splats), (*notes, *left)
 
 
+def _written(
+    path: Path, splats: Splats, proxy: SurfaceMesh | None, how: dict[str, Any]
+) -> Steps[Sequence[str]]:
+    """Write a file, if need be by the trainer's Python; returns its notes.
+
+    Args:
+        path: The file.
+        splats: All its splats.
+        proxy: Mesh for the same file.
+        how: Other arguments of `write_splat_file`.
+    """
+    mesh = None
+    if proxy is not None:
+        triangles = proxy.triangles.astype(np.int32)
+        mesh = TriangleMesh(vertices=proxy.in_capture, triangles=triangles)
+
+    def write(check: Check) -> Sequence[str]:
+        with file_errors(check):
+            return write_splat_file(path, splats, proxy=mesh, **how).notes
+
+    try:
+        return (yield from run_in_thread(write, f"Writing {path.name}"))
+    except BackendError as error:
+        options = {one: how[one] for one in ("antialiased", "origin")}
+        options |= {"proxy": proxy, "missing": error}
+        convert = partial(conversion.write, path, splats, conversion.other_python(), **options)
+        name = f"Writing {path.name} in the trainer's Python"
+        return (yield from run_in_thread(convert, name))
+
+
 def proxy_path(path: Path) -> Path:
     """The file of the proxies of a splat file."""
     return path.with_name(f"{path.stem}.proxy.ply")
 
 
-def _surfaces(obs: Sequence[bpy.types.Object], parts: list[_Part]) -> list[SurfaceMesh]:
-    """The proxies of objects in the space of the file."""
+def _surface(obs: Sequence[bpy.types.Object], parts: list[_Part]) -> SurfaceMesh:
+    """The proxies of objects as one mesh in the space of the file; ValueError without any."""
     found = []
     for ob, part in zip(obs, parts, strict=True):
         if (proxy := objects.proxy_of(ob)) is None:
@@ -156,7 +177,9 @@ def _surfaces(obs: Sequence[bpy.types.Object], parts: list[_Part]) -> list[Surfa
                 colors=np.clip(colors[:, :3], 0, 1),
             )
         )
-    return found
+    if not found:
+        raise ValueError("The splats have no proxy to export: make one, or turn Proxies off.")
+    return _joined(found)
 
 
 def _check_replaceable(path: Path) -> None:

@@ -194,8 +194,8 @@ class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):
     )
     proxies: BoolProperty(
         name="Proxies",
-        description="Write the proxies of the splats beside the file, as NAME.proxy.ply, a mesh "
-        "with colors at their place",
+        description="Write the proxies of the splats too: hidden in a glTF or USD, else beside the "
+        "file, as NAME.proxy.ply, a mesh with colors at their place",
         default=False,
     )
     collection: StringProperty(

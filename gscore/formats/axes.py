@@ -14,12 +14,13 @@ _HALF = 0.5**0.5
 UPRIGHT = {
     "-Y": (0.0, 0.0, 0.0, 1.0),
     "Y": (0.0, 0.0, 1.0, 0.0),
-    "Z": (-_HALF, 0.0, 0.0, _HALF),
+    "Z": (0.0, _HALF, _HALF, 0.0),
     "-Z": (_HALF, 0.0, 0.0, _HALF),
     "X": (0.0, 0.0, -_HALF, _HALF),
     "-X": (0.0, 0.0, _HALF, _HALF),
 }
-"""Quaternions, xyzw, that turn numbers in left-up-front to y up, by the up axis of the splats."""
+"""Quaternions, xyzw, that turn numbers in left-up-front to y up, by the up axis of the splats. Of Z
+up, which is Blender's, (x, z, -y) results, as in Blender's own glTF files."""
 _DIRECTION = np.array([0.36, 0.48, 0.8])
 """A unit vector at which no basis function is zero."""
 

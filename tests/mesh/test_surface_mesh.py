@@ -101,7 +101,7 @@ def test_a_glb_has_the_axes_and_colours_of_gltf(tmp_path: Path) -> None:
     node = Gltf(path).content["nodes"][0]
     turn = Rotation.from_quat(node["rotation"])
     np.testing.assert_allclose(turn.apply(places[3]), [0, 1, 0], atol=1e-12)  # z
-    np.testing.assert_allclose(node["translation"], ORIGIN[[0, 2, 1]] * [-1, 1, 1], atol=1e-6)
+    np.testing.assert_allclose(node["translation"], ORIGIN[[0, 2, 1]] * [1, 1, -1], atol=1e-6)
     assert is_ours(path)
     json.dumps(file.content, allow_nan=False)
 

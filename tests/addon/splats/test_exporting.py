@@ -1,5 +1,9 @@
 """Incremental exports; oracle: the same export in one call, byte by byte."""
 
+import json
+import os
+import re
+import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -8,8 +12,9 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
+from mathutils import Quaternion, Vector
 
-from addon import attributes
+from addon import attributes, preferences
 from addon.core import GsError, Splats, read_splats, read_surface
 from addon.process.incremental_tasks import TaskRunner, run_blocking
 from addon.render.proxy import attach
@@ -160,17 +165,16 @@ def test_refuses(obs: list, tmp_path: Path) -> None:
     nothing_left(tmp_path, "out.ply")
 
 
-def test_proxies_are_written_beside(obs: list[bpy.types.Object], tmp_path: Path) -> None:
-    """Oracle: their vertices in the coordinates of the file, both objects' as one mesh, with
-    colors; a file of another program stays, and without a proxy nothing is written."""
-    out = tmp_path / "a.ply"
-    export = {"world": "BLENDER", "filtered": False, "proxies": True}
-    with pytest.raises(ValueError, match="no proxy"):
-        run_blocking(exporting.exporting(obs, out, **export))
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+PLACES = np.concatenate([CORNERS, 2 * (CORNERS + 1) + [5, 0, 0]])
+"""Vertices of the proxies of `obs` in Blender's world."""
+
+
+def give_proxies(obs: list[bpy.types.Object]) -> None:
+    """Give two objects a triangle each, with colors."""
     for number, ob in enumerate(obs):
         mesh = bpy.data.meshes.new("proxy")
-        mesh.from_pydata((corners + number).tolist(), [], [(0, 1, 2)])
+        mesh.from_pydata((CORNERS + number).tolist(), [], [(0, 1, 2)])
         colors = mesh.color_attributes.new("Color", "BYTE_COLOR", "POINT")
         colors.data.foreach_set("color_srgb", np.float32([0.2, 0.4, 0.6, 1] * 3))
         mesh.color_attributes.active_color = colors
@@ -179,6 +183,16 @@ def test_proxies_are_written_beside(obs: list[bpy.types.Object], tmp_path: Path)
         proxy.matrix_world = ob.matrix_world
         bpy.context.view_layer.update()
         attach(bpy.context.scene, ob, proxy)
+
+
+def test_proxies_are_written_beside(obs: list[bpy.types.Object], tmp_path: Path) -> None:
+    """Oracle: their vertices in the coordinates of the file, both objects' as one mesh, with
+    colors; a file of another program stays, and without a proxy nothing is written."""
+    out = tmp_path / "a.ply"
+    export = {"world": "BLENDER", "filtered": False, "proxies": True}
+    with pytest.raises(ValueError, match="no proxy"):
+        run_blocking(exporting.exporting(obs, out, **export))
+    give_proxies(obs)
     beside = tmp_path / "a.proxy.ply"
     beside.write_text("mine")
     with pytest.raises(ValueError, match="another program"):
@@ -188,11 +202,46 @@ def test_proxies_are_written_beside(obs: list[bpy.types.Object], tmp_path: Path)
     for _ in range(2):  # its own file is replaced
         run_blocking(exporting.exporting(obs, out, **export))
     written = read_surface(beside)
-    np.testing.assert_allclose(written.vertices[:3], corners, atol=1e-6)
-    np.testing.assert_allclose(written.vertices[3:], 2 * (corners + 1) + [5, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(written.vertices, PLACES, atol=1e-6)
     np.testing.assert_array_equal(written.triangles, [[0, 1, 2], [3, 4, 5]])
     np.testing.assert_allclose(written.colors, [[0.2, 0.4, 0.6]] * 6, atol=1 / 255)
     run_blocking(exporting.exporting(obs, tmp_path / "a.proxy.ply", **export))
     assert len(read_surface(tmp_path / "a.proxy.proxy.ply").vertices) == 6
     run_blocking(exporting.exporting(obs, tmp_path / "a.v2.ply", **export))
     assert (tmp_path / "a.v2.proxy.ply").exists()
+
+
+@pytest.mark.parametrize("ending", [".glb", ".usda"])
+def test_proxies_are_in_files_that_have_meshes(
+    obs: list[bpy.types.Object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str
+) -> None:
+    """One hidden mesh, y up beside the splats, and nothing else in the folder; of USD by the
+    trainer's Python. Oracle: the JSON and numbers of the file."""
+    give_proxies(obs)
+    out = tmp_path / f"a{ending}"
+    if ending == ".usda":
+        preferences.get().python_path = os.environ["GSCORE_TRAINER_PYTHON"]
+        for name in ("pxr", "pxr.UsdVol"):
+            monkeypatch.setitem(sys.modules, name, None)
+    run_blocking(exporting.exporting(obs, out, world="BLENDER", filtered=False, proxies=True))
+    assert list(tmp_path.iterdir()) == [out]
+    if ending == ".usda":
+        block = out.read_text().split('def Mesh "Proxy"')[1]
+        (row,) = re.findall(r"point3f\[\] points = \[(.*)\]", block)
+        places = np.array(re.findall(r"[-+.\de]+", row), np.float64).reshape(-1, 3)
+        assert 'purpose = "guide"' in block
+        np.testing.assert_allclose(places, PLACES * [1, -1, -1], atol=1e-5)
+        return
+    data = out.read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    content, packed = json.loads(data[20 : 20 + size]), data[28 + size :]
+    splats, proxy = content["nodes"]
+    assert proxy["extensions"] == {"KHR_node_visibility": {"visible": False}}
+    (primitive,) = content["meshes"][proxy["mesh"]]["primitives"]
+    accessor = content["accessors"][primitive["attributes"]["POSITION"]]
+    at = content["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+    places = np.frombuffer(packed, np.float32, 3 * accessor["count"], at).reshape(-1, 3)
+    x, y, z, w = proxy["rotation"]
+    turned = np.array([Quaternion((w, x, y, z)) @ Vector(one) for one in places.tolist()])
+    np.testing.assert_allclose(turned, PLACES[:, [0, 2, 1]] * [1, 1, -1], atol=1e-5)
+    assert splats["rotation"] == proxy["rotation"]
