@@ -213,11 +213,13 @@ _NAMES = {
 
 def splats_of(layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
     """The rendered splat objects of a view layer, also those in instanced collections."""
-    found = {}
-    for ob in layer.objects:
-        if not ob.hide_render:
-            inside = ob.instance_collection
-            found |= dict.fromkeys([ob, *(() if inside is None else inside.all_objects)])
+    every, found = list(layer.objects), {}
+    for ob in every:  # grows meanwhile
+        if ob.hide_render or ob in found:
+            continue
+        found[ob] = None
+        if ob.instance_type == "COLLECTION" and ob.instance_collection is not None:
+            every += ob.instance_collection.all_objects
     return [ob for ob in found if is_splats(ob)]
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from addon import attributes, compat
 from addon.core import quat_to_rotmat
+from addon.render import passes
 from addon.render.proxy import attach
 from tests.addon import splat_scenes as lab
 from tests.addon.render import test_blur as blur
@@ -267,3 +268,24 @@ def test_the_compositor_has_a_socket_of_the_switch(scene):
     assert "Splat Index" in [one.name for one in layers.outputs if one.enabled]
     scene.gscore_render.splat_index = False
     assert "Splat Index" not in [one.name for one in layers.outputs if one.enabled]
+
+
+def test_albedo_of_nested_instances(scene):
+    """Splats in a collection that an instanced collection instances count; hidden ones do not."""
+    lab.prepare(scene, SIZE)
+    ob = lab.add(scene, lab.blob(20))
+    know_light(ob)
+    scene.collection.objects.unlink(ob)
+    inside = ob
+    for level in range(2):
+        collection = bpy.data.collections.new(f"level {level}")
+        collection.objects.link(inside)
+        inside = bpy.data.objects.new(f"instance {level}", None)
+        inside.instance_type, inside.instance_collection = "COLLECTION", collection
+    scene.collection.objects.link(inside)
+    layer = scene.view_layers[0]
+    layer.use_pass_diffuse_color = True
+    layer.update()
+    assert passes.requested_passes(scene, layer, None).albedo
+    ob.hide_render = True
+    assert not passes.requested_passes(scene, layer, None).albedo
