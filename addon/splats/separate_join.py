@@ -74,7 +74,7 @@ def split_off(ob: bpy.types.Object, mesh: bpy.types.Mesh) -> bpy.types.Object:
 
 
 def kept(guard: EditGuard, table: list[Column], rows: np.ndarray) -> Steps[bpy.types.Object]:
-    """Delete all splats of an object except some, whose attributes stay bit-identical.
+    """Delete all splats of an object except some, whose attributes stay bit-identical, or add some.
 
     Args:
         guard: The object.
@@ -84,10 +84,12 @@ def kept(guard: EditGuard, table: list[Column], rows: np.ndarray) -> Steps[bpy.t
     Raises:
         ValueError: as `EditGuard.to_change`; nothing is changed then.
     """
-    points = yield from run_in_thread(partial(_picked, table, rows), "Deleting splats")
+    adds = len(rows) > len(guard.there().data.vertices)
+    name = "Adding splats" if adds else "Deleting splats"
+    points = yield from run_in_thread(partial(_picked, table, rows), name)
     [mesh] = yield from filled([ChunkedWrite(points, guard.emptied_mesh)], guard.to_change)
     ob = guard.there()
-    if len(rows) > len(ob.data.vertices) and not lag.problem(mesh):
+    if adds and not lag.problem(mesh):
         lag.forget(mesh)  # else it would be taken for a Join
     swap(ob, mesh)
     return ob
