@@ -32,8 +32,8 @@
 #include "gscore/random.h"
 #include "gscore/raster.h"
 
-/* Changes whenever a struct or a signature of this header changes. */
-#define GS_GPU_ABI_VERSION 4
+/* Changes whenever a struct, a signature or a value of this header or of gscore/raster.h changes. */
+#define GS_GPU_ABI_VERSION 5
 
 /* Further values of gs_status. */
 enum {

@@ -18,8 +18,8 @@
 #define GS_API GS_C __attribute__((visibility("default")))
 #endif
 
-/* Changes whenever a struct or a signature of these headers changes. */
-#define GS_ABI_VERSION 11
+/* Changes whenever a struct, a signature or a value of these headers changes. */
+#define GS_ABI_VERSION 12
 
 /* Maximum number of threads of a call. */
 #define GS_THREADS_MAX 1024
