@@ -110,7 +110,7 @@ class Prepared:
     guide: GuideSetup = field(default_factory=GuideSetup)
     stereo: StereoStart = field(default_factory=StereoStart)
     sky: Decision | None = None
-    """Where the sky gets splats; None: nowhere."""
+    """Decision on the splats of a sky; None: there are none."""
     sky_digest: int = 0
     """Hash of the parts of photos that show the sky."""
     exposure: Exposure = field(default_factory=Exposure)

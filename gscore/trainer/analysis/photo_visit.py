@@ -15,7 +15,7 @@ from ...datasets.dataset import map_threads
 from ...datasets.tracks import Tracks, tracks_of
 from ...io.images.pillow_images import opened_picture
 from ...io.images.read_image import resize
-from ..photos.sky_search import Cells, cells_of, sky_views
+from ..photos.sky_search import PhotoCells, cells_of, sky_views
 
 _EXIF, _TIME, _APERTURE, _SPEED = 0x8769, 0x829A, 0x829D, 0x8827
 """Tags: Exif directory, exposure time in s, f-number, ISO speed."""
@@ -136,7 +136,7 @@ class PhotoFacts:
     backdrop: float = 0.0
     """Mean share of the counted pixels that have the training's background colour; 0: not needed,
     or the background is random."""
-    cells: Mapping[int, Cells] = field(default_factory=dict)
+    cells: Mapping[int, PhotoCells] = field(default_factory=dict)
     """Photos divided into cells for the search of a sky, by view; empty: not needed."""
     stops: np.ndarray | None = None
     """[V] float64, exposures of all photos by EXIF, stops; NaN: unknown for a held-out photo; None:
@@ -167,7 +167,9 @@ def visit_photos(config: TrainConfig, photos: Dataset) -> PhotoFacts:
 
     searched = frozenset(sky_views(config, photos))
 
-    def visit(index: int) -> tuple[int, float, Cells | None, tuple[np.ndarray, np.ndarray] | None]:
+    def visit(
+        index: int,
+    ) -> tuple[int, float, PhotoCells | None, tuple[np.ndarray, np.ndarray] | None]:
         mask = photos.mask(index) if masked else None
         is_needed = colored is not None or level is not None or index in searched
         image = photos.image(index) if is_needed else None

@@ -23,7 +23,7 @@ _FEW = 0.01
 _OPACITY = 0.9
 _SIZE = 0.6
 """Standard deviation in distances between neighbours: the sphere then has no gaps."""
-_BESIDE = np.cos(np.radians(12))
+_MARGIN = np.cos(np.radians(12))
 """Cosine between a direction and a sky cell up to which it belongs to the sky: views between the
 photos show a bit more of it."""
 BEYOND = 0.7
@@ -82,7 +82,7 @@ def sky_splats(
         return None
     colors, hits = _colors(sky, cameras, middle + radius * ahead)
     if not sky.everywhere:
-        near = ((ahead @ ahead[hits > 0].T) >= _BESIDE).any(axis=1)
+        near = ((ahead @ ahead[hits > 0].T) >= _MARGIN).any(axis=1)
         ahead, colors, hits = ahead[near], colors[near], hits[near]
     quats = np.zeros((len(ahead), 4), np.float32)
     quats[:, 0] = 1

@@ -1,8 +1,8 @@
 """Sky search: cells of photos that show the sky, found by colour, texture and SfM points.
 
 Photos are divided into square cells. A sky cell is above the horizon, bright and white or blue, has
-little texture and no SfM points in or next to it, and most cells around it are alike. It counts if
-several photos have such a cell in that direction: a white wall has another direction in each photo.
+little texture and no SfM points in or next to it, and most cells around it are similar. It counts
+if several photos have such a cell in that direction: a white wall has another direction in each photo.
 """
 
 import zlib
@@ -30,13 +30,13 @@ _TEXTURE = 0.035
 _HORIZON = 0.02
 """Least sine of the elevation of a sky cell."""
 _WHITE, _OF_WHITEST, _NEUTRAL = 0.7, 0.8, 0.93
-"""Of a white sky: smallest channel, the same relative to the brightest cells of the photo, and
-smallest ratio of blue to red, because walls in lamplight are yellow."""
+"""Limits of a white sky: smallest channel, the same relative to the brightest cells of the photo,
+and smallest ratio of blue to red, because walls in lamplight are yellow."""
 _BLUE, _OF_BRIGHTEST = 1.12, 0.55
-"""Of a blue sky: least ratio of blue to red, and blue relative to the brightest cells."""
+"""Limits of a blue sky: least ratio of blue to red, and blue relative to the brightest cells."""
 _BRIGHTEST = 0.98
 """Quantile of brightness of the brightest cells of a photo."""
-_ALIKE = 6
+_LEAST_SIMILAR = 6
 """Least sky cells among the nine around and including one."""
 _FEWEST = 3
 """Least photos with sky cells in the same direction, and least photos that show the sky."""
@@ -47,7 +47,7 @@ _AREA, _SHARE = 0.01, 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cells:
+class PhotoCells:
     """A photo divided into h x w square cells, without its incomplete ones."""
 
     side: int
@@ -75,7 +75,7 @@ class Cells:
 class Sky:
     """Sky of a capture, as its photos show it."""
 
-    cells: Mapping[int, Cells]
+    cells: Mapping[int, PhotoCells]
     """Photos by view."""
     shown: Mapping[int, np.ndarray]
     """[h, w] bool, sky cells of these photos."""
@@ -95,7 +95,7 @@ def sky_views(config: TrainConfig, photos: Photos) -> list[int]:
     return evenly_spaced(list(photos.train), _MOST_PHOTOS)
 
 
-def cells_of(image: np.ndarray, mask: np.ndarray | None) -> Cells:
+def cells_of(image: np.ndarray, mask: np.ndarray | None) -> PhotoCells:
     """Divide a photo, [H, W, 3] uint8; `mask`, [H, W] uint8, is 255 where it counts."""
     photo = Image.fromarray(image)
     step = max(1, max(photo.size) // (_ACROSS * _SAMPLES))
@@ -107,7 +107,7 @@ def cells_of(image: np.ndarray, mask: np.ndarray | None) -> Cells:
     if mask is not None:
         small = np.asarray(Image.fromarray(mask).reduce(step))[: len(whole), : whole.shape[1]]
         counted = (small.reshape(parts.shape[:4]) == 255).all(axis=(1, 3))
-    return Cells(
+    return PhotoCells(
         side=step * _SAMPLES,
         colors=parts.mean(axis=(1, 3)),
         texture=parts.std(axis=(1, 3)).mean(axis=-1),
@@ -118,7 +118,7 @@ def cells_of(image: np.ndarray, mask: np.ndarray | None) -> Cells:
 def decide_sky(
     config: TrainConfig,
     photos: Photos,
-    cells: Mapping[int, Cells],
+    cells: Mapping[int, PhotoCells],
     *,
     is_part: bool,
 ) -> tuple[Sky | None, Decision | None]:
@@ -154,7 +154,7 @@ def sphere(count: int) -> np.ndarray:
 
 
 def _sky_cells(
-    cameras: Cameras, cloud: PointCloud, cells: Mapping[int, Cells]
+    cameras: Cameras, cloud: PointCloud, cells: Mapping[int, PhotoCells]
 ) -> dict[int, np.ndarray]:
     """Return [h, w] bool by view: cells that show the sky; none without SfM points, which make the
     difference to walls."""
@@ -164,21 +164,21 @@ def _sky_cells(
         return {view: np.zeros_like(one.counted) for view, one in cells.items()}
     points = cloud.points[:: -(-max(len(cloud), 1) // _MOST_POINTS)]
     up, ahead = up_of(cameras), KDTree(sphere(_DIRECTIONS))
-    alike, nearest, photos = {}, {}, np.zeros(_DIRECTIONS, np.int64)
+    similar, nearest, photos = {}, {}, np.zeros(_DIRECTIONS, np.int64)
     for view, one in cells.items():
         rays = _rays(cameras, view, one)
-        alike[view] = _alike(cameras, view, one, points) & (rays @ up > _HORIZON)
-        alike[view] &= _around(alike[view]) >= _ALIKE
-        nearest[view] = ahead.query(rays[alike[view]])[1]
+        similar[view] = _similar(cameras, view, one, points) & (rays @ up > _HORIZON)
+        similar[view] &= _around(similar[view]) >= _LEAST_SIMILAR
+        nearest[view] = ahead.query(rays[similar[view]])[1]
         photos[np.unique(nearest[view])] += 1
     shown = {}
-    for view, found in alike.items():
+    for view, found in similar.items():
         shown[view] = np.zeros_like(found)
         shown[view][found] = photos[nearest[view]] >= _FEWEST
     return shown
 
 
-def _alike(cameras: Cameras, view: int, cells: Cells, points: np.ndarray) -> np.ndarray:
+def _similar(cameras: Cameras, view: int, cells: PhotoCells, points: np.ndarray) -> np.ndarray:
     """Return [h, w] bool: cells with the colour and texture of a sky, away from points."""
     occupied = np.zeros_like(cells.counted)
     _, down, across = cells.at(cameras, view, points)
@@ -192,7 +192,7 @@ def _alike(cameras: Cameras, view: int, cells: Cells, points: np.ndarray) -> np.
     return smooth & (_around(occupied) == 0) & (is_white | is_blue)
 
 
-def _rays(cameras: Cameras, view: int, cells: Cells) -> np.ndarray:
+def _rays(cameras: Cameras, view: int, cells: PhotoCells) -> np.ndarray:
     """Return [h, w, 3] unit vectors in the world from the camera through the middle of cells."""
     height, width = cells.counted.shape
     v, u = (np.mgrid[:height, :width] + 0.5) * cells.side
