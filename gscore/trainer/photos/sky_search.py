@@ -2,7 +2,8 @@
 
 Photos are divided into square cells. A sky cell is above the horizon, bright and white or blue, has
 little texture and no SfM points in or next to it, and most cells around it are similar. It counts
-if several photos have such a cell in that direction: a white wall has another direction in each photo.
+if several photos have such a cell in that direction: a white wall has another direction in each
+photo.
 """
 
 import zlib
