@@ -43,6 +43,8 @@ _FINEST = 4.0
 """Least radius of a patch, in spacings of splats."""
 _COVERED = 2.0
 """Distance to a splat, in spacings, up to which the surface is not a hole."""
+_HOLLOW = 0.01
+"""Least share of the surface in the region at twice that distance: less are gaps between splats."""
 _SECTORS, _OPPOSITE = 16, 2
 """Directions along the surface, and the least number of opposite pairs with splats."""
 _COLOR, _ANGLE, _AGAIN = 0.03, np.radians(45), 0.25
@@ -168,7 +170,9 @@ class _Patches:
         on = np.abs(values) <= 0.1 * spacing * np.linalg.norm(slopes, axis=1)
         points = points[on & (region.depths(points) <= 1)]
         if len(points):
-            points = points[nearest(points, means)[0][:, 0] > _COVERED * spacing]
+            distances = nearest(points, means)[0][:, 0]
+            is_hole = (distances > 2 * _COVERED * spacing).mean() >= _HOLLOW
+            points = points[(distances > _COVERED * spacing) & is_hole]
         gap = 2 * max(spacing, _between_samples(points))
         both = np.concatenate([points, means])
         known = np.arange(len(both)) >= len(points)

@@ -327,6 +327,11 @@ def _coarser(
             f"`--voxel {request.voxel:g}` is too small: {why}. Give {2 * scale.voxel:g} or more, a "
             "smaller `--region`, or leave it out."
         )
+    if 2 * scale.voxel > scale.far:
+        raise ConfigError(
+            f"No voxel fits: {why}. Give more `--memory`, a smaller `--region`, or a shorter "
+            "`--far`."
+        )
     return of_double_voxels(keys), replace(scale, voxel=2 * scale.voxel)
 
 
@@ -378,7 +383,7 @@ def _surface(volume: Volume, request: MeshRequest, steps: _Steps) -> SurfaceMesh
     steps.begin("cleaning")
     triangles = without_small_parts(vertices, triangles, request.min_part)
     if not len(triangles):
-        raise DatasetError("No surface was found: give a larger `--voxel`, or check the region.")
+        raise DatasetError("No surface was found: give another `--voxel`, or check the region.")
     rows, triangles = used(vertices, triangles)
     vertices, colors = vertices[rows], colors[rows]
     if request.holes != "open":

@@ -38,6 +38,13 @@ def plane(count: int = 4000) -> Splats:
     return discs(places, np.tile([0.0, 0, 1], (count, 1)))
 
 
+def with_gaps(splats: Splats) -> Splats:
+    """The plane without 60 discs of two to three spacings between its splats."""
+    middles = np.random.default_rng(3).uniform(-1, 1, (60, 2))
+    away = np.linalg.norm(splats.means[:, None, :2] - middles, axis=2)
+    return splats.subset((away > 0.06).all(axis=1))
+
+
 def ball_of(center: tuple[float, float, float], radius: float) -> np.ndarray:
     """The cube around a sphere, [4, 4]."""
     matrix = np.diag([radius, radius, radius, 1.0])
@@ -167,6 +174,7 @@ Change = Callable[[Splats], tuple[Splats, np.ndarray]]
     ("change", "problem"),
     [
         (lambda s: (s, ball_of((0.0, 0, 0), 0.3)), "There is no hole"),
+        (lambda s: (with_gaps(s), ball_of((0.0, 0, 0), 0.6)), "There is no hole"),
         (lambda s: (s, ball_of((0.0, 0, 5), 0.3)), "0 splats around the hole"),
         (lambda s: (s, ball_of((1.0, 0, 0), 0.3)), "There is no hole"),
         (lambda s: (s, ball_of((1.0, 1, 0), 0.3)), "There is no hole"),
@@ -174,7 +182,7 @@ Change = Callable[[Splats], tuple[Splats, np.ndarray]]
         (lambda s: (s, np.full((4, 4), np.nan)), "no volume"),
         (lambda s: (s.subset(slice(0)), ball_of((0.0, 0, 0), 0.3)), "0 splats around"),
     ],
-    ids=["covered", "edge", "corner", "in the air", "flat", "not finite", "no splats"],
+    ids=["covered", "gaps", "edge", "corner", "in the air", "flat", "not finite", "no splats"],
 )
 def test_refusals(change: Change, problem: str) -> None:
     """A sentence with the reason."""

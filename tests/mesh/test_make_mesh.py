@@ -154,6 +154,8 @@ def test_memory_limits_the_volume(ball: SurfaceMesh) -> None:
     limit = ball.facts["volume_bytes"] / 2
     with pytest.raises(ConfigError, match=r"--voxel 0\.05"):
         _mesh(memory=limit)
+    with pytest.raises(ConfigError, match="No voxel fits"):
+        make_mesh(sphere(), around(), MeshRequest(memory=1000.0), threads=1)
     request = MeshRequest(memory=limit)
     mesh = make_mesh(sphere(), around(), request, threads=1)
     assert mesh.facts["volume_bytes"] <= limit

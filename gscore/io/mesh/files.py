@@ -114,8 +114,8 @@ def read_mesh(path: str | Path) -> TriangleMesh:
     if path.suffix.lower() == ".obj":
         return read_mesh_obj(path)
     raise FormatError(
-        f"{path} is neither a PLY nor an OBJ file. Export the mesh as one of these, in the world "
-        "of the capture."
+        f"{path} is neither a PLY nor an OBJ file. Write the mesh as one of these "
+        "(`gscore mesh RUN -o mesh.ply` does), in the world of the capture."
     )
 
 
