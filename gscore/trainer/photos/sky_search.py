@@ -25,7 +25,7 @@ _MOST_PHOTOS = 120
 _ACROSS, _SAMPLES = 48, 4
 """Cells along the longer side of a photo, and samples along the side of a cell."""
 _MOST_POINTS = 200_000
-"""Most SfM points, evenly spaced by row, that are projected into the photos."""
+"""Most SfM points, evenly spaced by row, that are used."""
 _TEXTURE = 0.035
 """Largest standard deviation of colours in a sky cell, of 1: clouds have 0.02, a far roof 0.1."""
 _HORIZON = 0.02
@@ -146,6 +146,11 @@ def decide_sky(
     return Sky(cells=cells, shown=shown), Decision("sky", text)
 
 
+def thinned(points: np.ndarray) -> np.ndarray:
+    """Return at most 200,000 evenly spaced rows of `points`, [P, 3], in any frame."""
+    return points[:: -(-max(len(points), 1) // _MOST_POINTS)]
+
+
 def sphere(count: int) -> np.ndarray:
     """Return [count, 3] evenly distributed unit vectors, on a spiral with the golden angle."""
     place = np.arange(count)
@@ -163,7 +168,7 @@ def _sky_cells(
 
     if cloud.made_up:
         return {view: np.zeros_like(one.counted) for view, one in cells.items()}
-    points = cloud.points[:: -(-max(len(cloud), 1) // _MOST_POINTS)]
+    points = thinned(cloud.points)
     up, ahead = up_of(cameras), KDTree(sphere(_DIRECTIONS))
     similar, nearest, photos = {}, {}, np.zeros(_DIRECTIONS, np.int64)
     for view, one in cells.items():

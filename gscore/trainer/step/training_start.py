@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from ...config import TrainConfig
 from ...formats.joined import joined
 from ...scene import Cameras
@@ -13,6 +15,7 @@ from ..model.initial_splats import splats_from_points, splats_from_start
 from ..model.nearest_points import NearestPoints
 from ..model.training_frame import TrainingFrame
 from ..photos.sky import sky_radius, sky_splats
+from ..photos.sky_search import thinned
 from ..region.frozen_splats import FrozenSplats, split_frozen
 from ..schedule.plan import Plan
 from ..strategy.free_path import FreePath, FreeSpace
@@ -65,10 +68,11 @@ def training_start(
     surfaces, train = None if cloud.made_up else near, list(photos.train)
     around = FreeSpace(cameras.centers[train], surfaces, share=config.free_space)
     path = FreePath(cameras, train, surfaces, share=config.free_space)
-    # The capture's own points, because a resumed run has no others.
-    far = sky_radius(
-        cameras, train, frame.similarity.points_to_training(photos.scene.points.points)
-    )
+    far = np.zeros(3), 0.0
+    if analysis.sky is not None:
+        # The capture's own points, because a resumed run has no others.
+        points = thinned(photos.scene.points.points)
+        far = sky_radius(cameras, train, frame.similarity.points_to_training(points))
     if start is not None:
         first = splats_from_start(start, config, frame)
     else:
