@@ -10,6 +10,7 @@ from ...events import Decision
 from ...text_format import count_text, number
 from ..model.checkpoint_schema import as_float
 from ..photos.sky import has_sky
+from ..photos.sky_search import thinned
 from ..photos.view_sampler import Photos
 from ..schedule.caps import drop_rate_of, max_splats_per_model, model_count, opaque_weight_of
 from ..schedule.plan import Plan
@@ -126,7 +127,8 @@ def _with_sky(analysis: Analysis) -> bool:
         return analysis.sky is not None
     if analysis.region is not None:  # outside which splats are frozen
         return False
-    return has_sky(start, photos.scene.cameras, list(photos.train), photos.scene.points.points)
+    points = thinned(photos.scene.points.points)
+    return has_sky(start, photos.scene.cameras, list(photos.train), points)
 
 
 def photo_rules(config: TrainConfig, analysis: Analysis) -> PhotoRules:

@@ -3,8 +3,6 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-
 from ...config import TrainConfig
 from ...formats.joined import joined
 from ...scene import Cameras
@@ -68,15 +66,16 @@ def training_start(
     surfaces, train = None if cloud.made_up else near, list(photos.train)
     around = FreeSpace(cameras.centers[train], surfaces, share=config.free_space)
     path = FreePath(cameras, train, surfaces, share=config.free_space)
-    far = np.zeros(3), 0.0
+    sky = behind = None
     if analysis.sky is not None:
         # The capture's own points, because a resumed run has no others.
         points = thinned(photos.scene.points.points)
         far = sky_radius(cameras, train, frame.similarity.points_to_training(points))
+        behind = FreeSky(analysis.sky, cameras, *far)
+        sky = sky_splats(config, analysis.sky, cameras, *far) if start is None else None
     if start is not None:
         first = splats_from_start(start, config, frame)
     else:
-        sky = None if analysis.sky is None else sky_splats(config, analysis.sky, cameras, *far)
         first = splats_from_points(
             cloud,
             extent=frame.extent,
@@ -90,9 +89,7 @@ def training_start(
     guided = None
     if analysis.guide.free:
         guided = MeshFreeSpace(analysis.guide.free, photos.scene.cameras, frame.similarity)
-    behind = FreeSky(analysis.sky, cameras, *far)
-    pruner = Pruner(
-        config, around, path, behind, masks_hide=photos.mask_mode == "ignore", guided=guided
-    )
+    masks_hide = photos.mask_mode == "ignore"
+    pruner = Pruner(config, around, path, masks_hide=masks_hide, sky=behind, guided=guided)
     cut_degree = max(0 if start is None else start.sh_degree, first.sh_degree)
     return TrainingStart(first, frozen, pruner, cut_degree)

@@ -22,11 +22,11 @@ _MOST_PHOTOS = 30
 class FreeSky:
     """Positions that lie in front of the sky in several photos."""
 
-    def __init__(self, sky: Sky | None, cameras: Cameras, middle: np.ndarray, radius: float):
+    def __init__(self, sky: Sky, cameras: Cameras, middle: np.ndarray, radius: float):
         """Create the space.
 
         Args:
-            sky: The sky of the capture; None: the space is empty.
+            sky: The sky of the capture.
             cameras: Cameras of the capture, training frame.
             middle: [3] float64 centre of the splats of the sky.
             radius: Their distance from it.
@@ -34,9 +34,8 @@ class FreeSky:
         self._middle, self._farthest = middle.tolist(), BEYOND * radius
         self._maps: list[tuple[torch.Tensor, torch.Tensor]] = []
         """[3, 4] projections of positions to cells, and [h, w] uint8 sky cells, of some photos."""
-        shown = {} if sky is None else {v: one for v, one in sky.shown.items() if one.any()}
+        shown = {v: one for v, one in sky.shown.items() if one.any()}
         for view in evenly_spaced(list(shown), _MOST_PHOTOS):
-            assert sky is not None
             onto = cameras.Ks[view] @ cameras.viewmats[view, :3] / sky.cells[view].side
             onto[2] *= sky.cells[view].side
             cells = torch.from_numpy(shown[view].astype(np.uint8))
@@ -44,8 +43,6 @@ class FreeSky:
 
     def contains(self, means: torch.Tensor) -> torch.Tensor:
         """Return [N] bool: `means`, [N, 3], in the space."""
-        if not self._maps:
-            return zeros(len(means), dtype=torch.bool)
         x, y, z = means.T.contiguous()
         photos = zeros(len(means), dtype=torch.uint8)
         for onto, cells in self._maps:

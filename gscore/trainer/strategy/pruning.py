@@ -64,9 +64,9 @@ class Pruner:
         config: TrainConfig,
         around: Space,
         path: Space,
-        sky: Space,
         *,
         masks_hide: bool,
+        sky: Space | None = None,
         guided: Space | None = None,
     ) -> None:
         """Create a pruner.
@@ -75,8 +75,8 @@ class Pruner:
             config: The options.
             around: Free space around cameras.
             path: Free space between cameras.
-            sky: Free space in front of the sky.
             masks_hide: Whether masks exclude pixels from the loss.
+            sky: Free space in front of the sky.
             guided: Free space of a guide mesh.
         """
         self._config = config
