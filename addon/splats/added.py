@@ -9,9 +9,14 @@ from . import point_attributes
 from .point_attributes import Column
 from .rotation import moved
 
+_KNOWN = 0.5
+"""Least share of splats around a place with normal and captured light, for one there to have them
+too."""
+
 
 def healed(table: list[Column], region: np.ndarray, *, sphere: bool, check: Check) -> list[Column]:
-    """Splats that fill a hole, from `heal`, marked as added.
+    """Splats that fill a hole, from `heal`, marked as added; if splats can be relit, with
+    normals and captured light interpolated from the border too.
 
     Args:
         table: All splats of an object.
@@ -23,11 +28,30 @@ def healed(table: list[Column], region: np.ndarray, *, sphere: bool, check: Chec
         ValueError: values are not finite, there is no hole, or too few splats are around it.
     """
     columns = {name: values.copy() for name, values in point_attributes.of_splats(table).items()}
-    splats = heal(attributes.as_splats(columns), region, sphere=sphere, check=check)
+    lights = [one for one in table if one.name in (attributes.NORMAL, attributes.CAPTURED)]
+    around = [one.values for one in lights]
+    if lights:  # the share of splats that have them, in the last column
+        known = np.any([values.any(axis=1) for values in around], axis=0)
+        around.append(known[:, None])
+    splats, found = heal(
+        attributes.as_splats(columns),
+        region,
+        sphere=sphere,
+        values=np.concatenate(around, axis=1).astype(np.float64) if lights else None,
+        check=check,
+    )
     made = [
         Column(name, kind, values.reshape(len(splats), -1))
         for name, kind, values in attributes.columns(splats)
     ]
+    for number, light in enumerate(lights):
+        values = found[:, 3 * number : 3 * number + 3]
+        scale = found[:, -1:]
+        if light.name == attributes.NORMAL:
+            scale = np.linalg.norm(values, axis=1, keepdims=True)
+        there = (found[:, -1:] > _KNOWN) & (scale > 0)
+        values = np.divide(values, scale, out=np.zeros_like(values), where=there)
+        made.append(Column(light.name, light.kind, values.astype(np.float32)))
     return [*made, _mark(len(splats))]
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,14 +53,24 @@ _COLOR, _ANGLE, _AGAIN = 0.03, np.radians(45), 0.25
 much as a distance of the region's size, and the cost of each earlier use of a donor."""
 
 
+class Healed(NamedTuple):
+    """What fills a hole."""
+
+    splats: Splats
+    values: np.ndarray
+    """[N, C] float64, the given values at the new splats: interpolated from the border as colours
+    are, within the least and the largest one there."""
+
+
 def heal(
     splats: Splats,
     from_unit: np.ndarray,
     *,
     sphere: bool = True,
     seed: int = 0,
+    values: np.ndarray | None = None,
     check: Callable[[], None] = lambda: None,
-) -> Splats:
+) -> Healed:
     """Splats that fill a hole.
 
     A smooth surface is laid through the splats around the hole; it may join several borders.
@@ -72,6 +83,7 @@ def heal(
         from_unit: [4, 4] float64, from the cube [-1, 1]^3 to the box that contains the hole.
         sphere: Fill only the ellipsoid inscribed in the box.
         seed: Of the points that sample the surface.
+        values: [N, C], any values of the splats; None: none.
         check: Called between steps; may raise, to cancel.
 
     Returns:
@@ -82,7 +94,9 @@ def heal(
             surface does not continue into it, or is covered there.
     """
     region = _Region(np.asarray(from_unit, np.float64), sphere=sphere)
-    patches = _Patches(_surroundings(splats, region), region, seed, check)
+    if values is None:
+        values = np.zeros((len(splats), 0))
+    patches = _Patches(*_surroundings(splats, values, region), region, seed, check)
     made = []
     for number in range(len(patches.centers)):
         check()
@@ -90,11 +104,13 @@ def heal(
     filled = joined(made)
     if not len(filled):
         raise ConfigError("The splats around the hole are too sparse to fill it: enlarge it.")
-    return replace(
+    around = patches.values(filled.means.astype(np.float64))
+    filled = replace(
         filled,
         means=(filled.means * region.size + region.middle).astype(np.float32),
         scales=filled.scales + np.float32(np.log(region.size)),
     )
+    return Healed(filled, around)
 
 
 class _Region:
@@ -120,8 +136,9 @@ class _Region:
         return points[self.depths(points) <= 1]
 
 
-def _surroundings(splats: Splats, region: _Region) -> Splats:
-    """The splats in and near a region, in its unit, without faint and very large ones."""
+def _surroundings(splats: Splats, values: np.ndarray, region: _Region) -> tuple[Splats, np.ndarray]:
+    """The splats in and near a region, in its unit, without faint and very large ones; and their
+    values, of [N, C]."""
     means = (splats.means - region.middle) / region.size
     scales = splats.scales - np.float32(np.log(region.size))
     near = region.depths(means) <= _AROUND
@@ -138,21 +155,27 @@ def _surroundings(splats: Splats, region: _Region) -> Splats:
         raise ConfigError(
             f"{count_text(count, 'splat')} around the hole are too many: choose a smaller region."
         )
-    return found
+    return found, values[near]
 
 
 class _Patches:
     """Patches of a hole, and donors for them."""
 
     def __init__(
-        self, splats: Splats, region: _Region, seed: int, check: Callable[[], None]
+        self,
+        splats: Splats,
+        values: np.ndarray,
+        region: _Region,
+        seed: int,
+        check: Callable[[], None],
     ) -> None:
         self._splats, self._means = splats, splats.means.astype(np.float64)
-        opaque = splats.subset(sigmoid(splats.opacities) >= _OPAQUE)
+        is_opaque = sigmoid(splats.opacities) >= _OPAQUE
+        opaque = splats.subset(is_opaque)
         means = opaque.means.astype(np.float64)
         self._field, some, spacing = surface_through(opaque, centers=_CENTERS)
         check()
-        self._colors, self._bounds, rough = _colors_of(opaque, some)
+        self._smooth = _Smooth(opaque, values[is_opaque], some)
         self._hole = self._open(region, means, spacing, seed)
         check()
         self._radius = max(_PATCH, _FINEST * spacing)
@@ -160,7 +183,7 @@ class _Patches:
         self.centers = self._hole[rows]
         self._owners = nearest(self._hole, self.centers)[1][:, 0]
         self._within = max(_COVERED * spacing, _between_samples(self._hole))
-        self._donors = self._chosen(self._field.onto(means[some], 0.0, 3), rough)
+        self._donors = self._chosen(self._field.onto(means[some], 0.0, 3), self._smooth.rough)
 
     def _open(self, region: _Region, means: np.ndarray, spacing: float, seed: int) -> np.ndarray:
         """Points [H, 3] of the surface in the region without splats, `means` [N, 3], that are
@@ -266,7 +289,11 @@ class _Patches:
 
     def _color(self, points: np.ndarray) -> np.ndarray:
         """[N, 3], low frequencies of sh0 at points [N, 3]."""
-        return np.clip(self._colors(points), *self._bounds)
+        return self._smooth(points)[:, :3]
+
+    def values(self, points: np.ndarray) -> np.ndarray:
+        """[N, C], low frequencies of the values at points [N, 3]."""
+        return self._smooth(points)[:, 3:]
 
 
 def _between_samples(points: np.ndarray) -> float:
@@ -277,20 +304,32 @@ def _between_samples(points: np.ndarray) -> float:
     return 2 * float(np.median(nearest(points, points, 2)[0].max(axis=1)))
 
 
-def _colors_of(
-    splats: Splats, some: np.ndarray
-) -> tuple[Field, tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Low frequencies of sh0 by the splats around `some` [K]; their least and largest values; and
-    how much the means around each place differ from them, [K]."""
-    means = splats.means.astype(np.float64)
-    near = nearest(means[some], means, _SMOOTHED)[1]
-    weights = sigmoid(splats.opacities)[near].astype(np.float64)
-    weights /= weights.sum(axis=1, keepdims=True)
-    values = np.einsum("kn,knc->kc", weights, splats.sh0[near, 0].astype(np.float64))
-    places = np.einsum("kn,kni->ki", weights, means[near])
-    field = Field(places, values, power=1)
-    rough = np.linalg.norm(values - field(places), axis=1) * SH_C0
-    return field, (values.min(axis=0), values.max(axis=0)), rough
+class _Smooth:
+    """Low frequencies of sh0 and of other values of splats."""
+
+    def __init__(self, splats: Splats, values: np.ndarray, some: np.ndarray) -> None:
+        """Fit.
+
+        Args:
+            splats: Opaque splats.
+            values: [N, C] of them.
+            some: Indices [K] of splats; each gives the mean of those around it.
+        """
+        means = splats.means.astype(np.float64)
+        near = nearest(means[some], means, _SMOOTHED)[1]
+        weights = sigmoid(splats.opacities)[near].astype(np.float64)
+        weights /= weights.sum(axis=1, keepdims=True)
+        every = np.concatenate([splats.sh0[:, 0].astype(np.float64), values], axis=1)
+        local = np.einsum("kn,knc->kc", weights, every[near])
+        places = np.einsum("kn,kni->ki", weights, means[near])
+        self._field = Field(places, local, power=1)
+        self._bounds = local.min(axis=0), local.max(axis=0)
+        self.rough = np.linalg.norm((local - self._field(places))[:, :3], axis=1) * SH_C0
+        """[K], how much the mean colours around each place differ from low frequencies."""
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """[N, 3 + C] at points [N, 3]: sh0, then the values."""
+        return np.clip(self._field(points), *self._bounds)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

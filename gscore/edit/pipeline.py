@@ -135,7 +135,7 @@ class _Work:
             x, y, z, radius = request.heal
             ball = np.diag([radius, radius, radius, 1.0])
             ball[:3, 3] = x, y, z
-            self._change("heal", lambda s: joined([s, heal(s, ball)]))
+            self._change("heal", lambda s: joined([s, heal(s, ball).splats]))
 
     def clean(self, request: EditRequest) -> None:
         """Remove faint, large, non-contributing or isolated splats."""

@@ -68,23 +68,23 @@ def test_a_plane_with_a_gradient() -> None:
     """On the plane, flat on it, of the colour of their place, as many as before within a quarter,
     and everywhere."""
     around, gone = cut(plane(), ball := ball_of((0.1, 0, 0), 0.3))
-    new = heal(around, ball)
+    new = heal(around, ball).splats
     assert np.abs(new.means[:, 2]).max() < 1e-4
     assert tilt(new, np.array([[0.0, 0, 1]])) < 0.1
     np.testing.assert_allclose(new.sh0[:, 0], new.means @ COLORS, atol=1e-4)
     assert 0.75 < len(new) / len(gone) < 1.25
     off = np.linalg.norm(gone.means[:, None] - new.means, axis=2)
     assert off.min(axis=1).max() < 0.1
-    np.testing.assert_array_equal(new.means, heal(around, ball).means)
+    np.testing.assert_array_equal(new.means, heal(around, ball).splats.means)
 
 
 def test_units_do_not_matter() -> None:
     """The same plane a thousand times as large and far away."""
     around, _ = cut(plane(), ball := ball_of((0.1, 0, 0), 0.3))
-    new = heal(around, ball)
+    new = heal(around, ball).splats
     scale = np.float32(np.log(1000))
     far = replace(around, means=around.means * 1000 + 5000, scales=around.scales + scale)
-    moved = heal(far, ball_of((5100, 5000, 5000), 300))
+    moved = heal(far, ball_of((5100, 5000, 5000), 300)).splats
     assert abs(len(moved) - len(new)) < 0.1 * len(new)
     assert np.abs(moved.means[:, 2] - 5000).max() < 0.1
     np.testing.assert_allclose(np.median(moved.scales) - np.median(new.scales), scale, atol=0.1)
@@ -96,17 +96,19 @@ def test_a_sphere(radius: float) -> None:
     unit = np.random.default_rng(2).normal(size=(6000, 3))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     around, gone = cut(discs(unit, unit), ball := ball_of((0.0, 0, 1), radius))
-    new = heal(around, ball)
+    new, normals = heal(around, ball, values=around.means)
     distances = np.linalg.norm(new.means, axis=1)
     np.testing.assert_allclose(distances, 1, atol=0.02)
     assert tilt(new, new.means / distances[:, None]) < 5
+    cosines = (normals * new.means).sum(axis=1) / np.linalg.norm(normals, axis=1) / distances
+    assert np.degrees(np.arccos(np.clip(cosines, -1, 1))).max() < 10
     assert 0.7 < len(new) / len(gone) < 1.4
 
 
 def test_many_splats() -> None:
     """Far denser than the points that sample the surface: as many as before, everywhere."""
     around, gone = cut(plane(60_000), ball := ball_of((0.1, 0, 0), 0.45))
-    new = heal(around, ball)
+    new = heal(around, ball).splats
     assert 0.75 < len(new) / len(gone) < 1.25
     place = ball[:2, 3] + np.array([[0, 0], [0.2, 0.2], [-0.3, 0]])
     off = np.linalg.norm(new.means[:, :2] - place[:, None], axis=2)
@@ -124,7 +126,7 @@ def test_a_wave() -> None:
         return found / np.linalg.norm(found, axis=1, keepdims=True)
 
     around, _ = cut(discs(places, normals(places[:, 0])), ball := ball_of((0.1, 0, 0), 0.3))
-    new = heal(around, ball)
+    new = heal(around, ball).splats
     x, _, z = new.means.astype(np.float64).T
     np.testing.assert_allclose(z, 0.1 * np.sin(4 * x), atol=0.005)
     assert tilt(new, normals(x)) < 2
@@ -137,7 +139,7 @@ def test_two_borders_of_a_tube() -> None:
     normals = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
     places = 0.3 * normals + np.outer(rng.uniform(-1.5, 1.5, 6000), [0, 0, 1])
     around, gone = cut(discs(places, normals), ball := ball_of((0.0, 0, 0), 0.5))
-    new = heal(around, ball)
+    new = heal(around, ball).splats
     np.testing.assert_allclose(np.linalg.norm(new.means[:, :2], axis=1), 0.3, rtol=0.1)
     middle = np.abs(new.means[:, 2]) < 0.1
     assert (np.histogram(np.arctan2(*new.means[middle, :2].T), 8)[0] > 5).all()
@@ -149,7 +151,7 @@ def test_only_what_is_open_in_a_box() -> None:
     around, _ = cut(plane(), ball_of((0.0, 0, 0), 0.25))
     box = ball_of((0.0, 0, 0), 0.6)
     box[:2, :2] = 0.6 * np.array([[0.8, -0.6], [0.6, 0.8]])
-    new = heal(around, box, sphere=False)
+    new = heal(around, box, sphere=False).splats
     assert len(new) > 50
     assert np.linalg.norm(new.means, axis=1).max() < 0.25 + 0.1
 
@@ -162,7 +164,7 @@ def test_view_dependence_turns_with_the_surface() -> None:
     band = np.stack([-unit[:, 1], unit[:, 2], -unit[:, 0]], axis=1)  # of the basis y, z, x
     splats = replace(splats, shN=np.repeat(band[:, :, None], 3, axis=2).astype(np.float32))
     around, _ = cut(splats, ball := ball_of((0.0, 0, 1), 0.4))
-    new = heal(around, ball)
+    new = heal(around, ball).splats
     along = np.stack([-new.shN[:, 2, 0], -new.shN[:, 0, 0], new.shN[:, 1, 0]], axis=1)
     assert np.degrees(np.arccos(np.clip((along * new.means).sum(axis=1), -1, 1))).max() < 15
 

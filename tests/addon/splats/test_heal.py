@@ -73,6 +73,26 @@ def test_what_was_erased_is_filled_and_removed_again(ob) -> None:
     assert not bpy.ops.gscore.remove_healing.poll()
 
 
+def test_what_fills_a_hole_can_be_relit(ob) -> None:
+    """With the normal of the wall and the captured light of the place, of which a tenth of the
+    splats, such as restored ones, know nothing."""
+    count = len(ob.data.vertices)
+    known = np.arange(count) % 10 > 0
+    light = np.outer(0.5 + 0.2 * positions(ob)[:, 0], [1, 0.8, 0.6]) * known[:, None]
+    normals = np.outer(known, [0, 0, 1])
+    for name, values in ((attributes.NORMAL, normals), (attributes.CAPTURED, light)):
+        attributes.declare(ob.data, name, "FLOAT_VECTOR")
+        values = np.ascontiguousarray(values, np.float32).ravel()
+        attributes.fill(ob.data, name, "FLOAT_VECTOR", values)
+    assert bpy.ops.gscore.erase_splats() == {"FINISHED"}
+    assert bpy.ops.gscore.heal_splats() == {"FINISHED"}
+    added = marks(ob)
+    found = [attributes.column(ob.data, n)[added] for n in (attributes.NORMAL, attributes.CAPTURED)]
+    np.testing.assert_allclose(found[0], np.tile([0, 0, 1], (len(found[0]), 1)), atol=1e-5)
+    wanted = np.outer(0.5 + 0.2 * positions(ob)[added, 0], [1, 0.8, 0.6])
+    np.testing.assert_allclose(found[1], wanted, atol=0.01)
+
+
 def test_the_hole_in_a_crop(ob) -> None:
     """An ellipsoid around a part of the disc: only that is filled, in the object's own space; in
     Edit Mode too; inverted and flat crops are refused."""
