@@ -6,7 +6,7 @@ import numpy as np
 
 from ..core import rgb_to_sh0
 
-COLOR, OPACITY, SELECT = "COLOR", "OPACITY", "SELECT"
+COLOR, OPACITY, SELECT, CLONE = "COLOR", "OPACITY", "SELECT", "CLONE"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,9 +16,11 @@ class Brush:
     radius: float
     """Radius in pixels of the painted view, or in world units for points in space."""
     does: str = COLOR
-    """COLOR, OPACITY or SELECT: the changed attribute; SELECT changes the selection only."""
+    """COLOR, OPACITY or SELECT: the changed attribute; SELECT changes the selection only, CLONE
+    copies splats."""
     strength: float = 1.0
-    """Blending weight of the target in the centre of the brush, per stroke, 0 to 1."""
+    """Blending weight of the target in the centre of the brush, per stroke, 0 to 1; of CLONE the
+    opacity of copies, in that of their sources."""
     hardness: float = 0.5
     """Share of the radius with full weight, 0 to 1."""
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)

@@ -32,13 +32,15 @@ class Cursor:
         """Pixels."""
         self.hardness = 0.0
         """Share of the radius of the second circle, where the falloff begins."""
+        self.to_source: tuple[float, float] | None = None
+        """From the cursor to a further circle, pixels; None: there is none."""
         space = bpy.types.SpaceView3D
         self._handle = space.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
 
     @property
     def state(self) -> tuple[object, ...]:
         """Values that determine the drawing."""
-        return self.region, self.place, self.radius, self.hardness
+        return self.region, self.place, self.radius, self.hardness, self.to_source
 
     def close(self) -> None:
         """Stop drawing; may be called twice."""
@@ -49,3 +51,6 @@ class Cursor:
     def _draw(self) -> None:
         if bpy.context.region.as_pointer() == self.region:
             draw_circle(self.place, self.radius, self.hardness)
+            if self.to_source is not None:
+                (x, y), (right, up) = self.place, self.to_source
+                draw_circle((x + right, y + up), self.radius, 1.0)

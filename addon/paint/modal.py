@@ -57,8 +57,8 @@ RUNNING = Running()
 
 
 class PaintSplats(OnSplats, bpy.types.Operator):
-    """Paint colors, opacities or the selection of splats with a brush in the 3D view. Press again
-    to end painting"""
+    """Paint colors, opacities or the selection of splats, or copies, with a brush in the 3D view.
+    Press again to end painting"""
 
     bl_idname = "gscore.paint_splats"
     bl_label = "Paint Splats"
@@ -122,7 +122,7 @@ class PaintSplats(OnSplats, bpy.types.Operator):
         except BaseException:
             RUNNING.end()
             raise
-        if self.once and not RUNNING.session.painting:
+        if self.once and not RUNNING.session.busy:
             answer = Answer.ENDED
         if answer is Answer.ENDED:
             RUNNING.end()
@@ -211,6 +211,7 @@ class PaintStroke(BrushProperties, Editing, bpy.types.Operator):
             [self._point(point, view) for point in self.stroke],
             self.brush(inverted=self.inverted),
             view,
+            source=np.array(context.scene.cursor.location, np.float64),
             front_only=self.front_only and view is not None,
             only_selected=self.only_selected,
         )

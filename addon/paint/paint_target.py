@@ -4,7 +4,7 @@ Blender's mesh is written once, at the end of a stroke, because each write makes
 the object and its displays. Until then only the live display gets the changes.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from functools import partial
 
 import bpy
@@ -18,7 +18,8 @@ from ..render import viewport_copies
 from ..render.mesh_copies import HIDDEN, SELECTED, read_marks
 from ..splats import live_display, objects
 from ..timeline.settings import plays
-from .brush import SELECT, Brush, Stroke
+from .brush import CLONE, SELECT, Brush, Stroke
+from .clone_stroke import CloneStroke, begin_clone
 from .visible_splats import VisibleSplats, copy_visible
 
 
@@ -27,16 +28,20 @@ def begin_stroke(
     brush: Brush,
     view: RenderCamera | None,
     *,
+    start: np.ndarray | None = None,
+    source: np.ndarray | None = None,
     front_only: bool = False,
     only_selected: bool = False,
-) -> "Steps[PaintedObject]":
-    """Collect the splats that a stroke can paint, without hidden and filtered ones.
+) -> "Steps[PaintedObject | CloneStroke]":
+    """Collect the splats that a stroke can paint or copy, without hidden and filtered ones.
 
     Args:
         ob: A splat object in Object Mode, whose matrix is up to date.
         brush: The brush.
         view: The painted view; points are in pixels from its top left. None: points are positions
             in Blender's world.
+        start: First point of a stroke of CLONE.
+        source: Position in Blender's world, [3], around which that copies.
         front_only: Leave out splats behind the visible surface.
         only_selected: Leave out unselected splats.
 
@@ -55,6 +60,10 @@ def begin_stroke(
         may &= (marks & SELECTED) != 0
         if not may.any():
             raise ValueError(f"{ob.name}: select some splats, or turn Only Selected off.")
+    if brush.does == CLONE:
+        assert start is not None and source is not None
+        where = {"start": start, "source": source, "front_only": front_only}
+        return (yield from begin_clone(ob, brush, view, may, **where))
     uid, name, follows = ob.data.session_uid, ob.name, live_display.SESSION.works and not plays(ob)
     shows_live = ob.gscore.display == "SPLATS" and follows
     splats = yield from copy_visible(ob, view, drawn=front_only)
@@ -138,12 +147,13 @@ class PaintedObject:
         elif self._follows and self._touched:
             self._write(self._after, self._selected)
 
-    def finish(self) -> int:
-        """Write the stroke to the mesh; return the number of splats it reached.
+    def finish(self) -> Steps[int]:
+        """Write the stroke to the mesh in one step; return the number of splats it reached.
 
         Raises:
             ValueError: the splats were replaced meanwhile; nothing is changed.
         """
+        yield from ()
         if not self._touched:
             return 0
         if self._live:
@@ -188,10 +198,11 @@ class PaintedObject:
 
 def paint(
     ob: bpy.types.Object,
-    points: Iterable[np.ndarray],
+    points: Sequence[np.ndarray],
     brush: Brush,
     view: RenderCamera | None,
     *,
+    source: np.ndarray | None = None,
     front_only: bool = False,
     only_selected: bool = False,
 ) -> Steps[int]:
@@ -199,17 +210,18 @@ def paint(
 
     Args:
         ob: A splat object.
-        points: The path, each point [2] pixels of the view or [3] in the world.
+        points: The path, each point [2] pixels of the view or [3] in the world; at least one.
         brush: The brush.
         view: The painted view, or None.
+        source: As in `begin_stroke`.
         front_only: Leave out splats behind the visible surface.
         only_selected: Leave out unselected splats.
     """
     how = {"front_only": front_only, "only_selected": only_selected}
-    painted = yield from begin_stroke(ob, brush, view, **how)
+    painted = yield from begin_stroke(ob, brush, view, start=points[0], source=source, **how)
     for point in points:
         painted.to(point)
-    return painted.finish()
+    return (yield from painted.finish())
 
 
 def show_as_kept(ob: bpy.types.Object) -> None:

@@ -1,5 +1,6 @@
 """Paint session in 3D views: its mouse and key events from start to end."""
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -18,7 +19,8 @@ from ..render.viewport import view_camera
 from ..splats import objects
 from ..splats.operators import check_shown
 from . import paint_target, visible_splats
-from .brush import OPACITY, SELECT
+from .brush import CLONE, OPACITY, SELECT
+from .clone_stroke import CloneStroke
 from .cursor import Cursor
 from .settings import LARGEST_RADIUS, BrushSettings
 
@@ -94,12 +96,13 @@ class Spot:
 
 
 class _Search(TaskRunner):
-    """Search for splats at the start of a stroke or a color pick, while the mouse moves on."""
+    """Work at the start or end of a stroke, or for a click, while the mouse moves on."""
 
     def __init__(
         self,
         context: bpy.types.Context,
         steps: Steps[Any],
+        then: "Callable[[_Search], None]",
         *,
         way: list[np.ndarray] | None = None,
     ) -> None:
@@ -108,10 +111,11 @@ class _Search(TaskRunner):
         Args:
             context: Context of the event.
             steps: The search, in steps.
-            way: The mouse path of a stroke so far; None: a color pick.
+            then: Called with the finished search.
+            way: The mouse path of a stroke so far; None: it is no stroke.
         """
         super().__init__(steps)
-        self.way, self.is_released = way, False
+        self.then, self.way, self.is_released = then, way, False
         self._manager, self._timer = context.window_manager, None
         if not bpy.app.background:  # so that events arrive even if the mouse rests
             self._timer = self._manager.event_timer_add(INTERVAL, window=context.window)
@@ -131,7 +135,7 @@ class Session:
         self.ended = False
         """Set to end painting at the next event."""
         self.cursor = Cursor()
-        self._stroke: paint_target.PaintedObject | None = None
+        self._stroke: paint_target.PaintedObject | CloneStroke | None = None
         self._stroke_region = 0
         self._search: _Search | None = None
         self._sizing: tuple[float, float] | None = None
@@ -140,9 +144,14 @@ class Session:
 
     @property
     def painting(self) -> bool:
-        """True during a stroke."""
+        """True during a stroke, from its search to its end."""
         collects = self._search is not None and self._search.way is not None
         return self._stroke is not None or collects
+
+    @property
+    def busy(self) -> bool:
+        """True during a stroke or another search."""
+        return self._stroke is not None or self._search is not None
 
     def close(self) -> None:
         """End the session; a running stroke is cancelled."""
@@ -196,11 +205,13 @@ class Session:
             return Answer.ENDED
         if key == "LEFTMOUSE" and pressed:
             if event.shift:
-                self._pick(context, spot, brush)
+                self._click(context, spot, visible_splats.color_at, _set_color)
+            elif event.ctrl and brush.does == CLONE:
+                self._click(context, spot, visible_splats.place_at, _set_source)
             else:
                 self._begin_stroke(context, spot, brush, inverted=event.ctrl)
         elif key == "S" and pressed:
-            self._pick(context, spot, brush)
+            self._click(context, spot, visible_splats.color_at, _set_color)
         elif key == "F" and pressed:
             self._sizing = brush.radius, event.mouse_x
         elif key in {"LEFT_BRACKET", "RIGHT_BRACKET"} and pressed:
@@ -221,11 +232,16 @@ class Session:
             paintable(context),
             brush.brush(inverted=inverted),
             spot.view,
+            start=spot.point,
+            source=np.array(context.scene.cursor.location, np.float64),
             front_only=brush.front_only,
             only_selected=brush.only_selected,
         )
         self._stroke_region = spot.region.as_pointer()
-        self._search = _Search(context, steps, way=[spot.point])
+        self._begin_search(context, steps, self._go, way=[spot.point])
+
+    def _begin_search(self, *work: Any, way: list[np.ndarray] | None = None) -> None:
+        self._search = _Search(*work, way=way)
         self._step_search(wait=bpy.app.background)
 
     def _step_search(self, *, wait: bool = False) -> None:
@@ -246,10 +262,10 @@ class Session:
         if not done:
             return
         self._end_search()
-        if search.way is None:
-            bpy.context.window_manager.gscore_paint.color = search.result
-            redraw_views()
-            return
+        search.then(search)
+
+    def _go(self, search: _Search) -> None:
+        """Begin the stroke that was searched for."""
         self._stroke = search.result
         for point in search.way:
             self._stroke.to(point)
@@ -265,8 +281,7 @@ class Session:
 
     def _finish(self) -> None:
         stroke, self._stroke = self._stroke, None
-        if stroke.finish():
-            push_undo(UNDO)
+        self._begin_search(bpy.context, stroke.finish(), _push, way=[])
 
     def _go_on(self, spot: Spot | None, event: bpy.types.Event) -> Answer:
         """Handle an event during a stroke."""
@@ -310,11 +325,17 @@ class Session:
             brush.radius = min(max(radius + event.mouse_x - x, 1), LARGEST_RADIUS)
         return Answer.TAKEN
 
-    def _pick(self, context: bpy.types.Context, spot: Spot, brush: BrushSettings) -> None:
+    def _click(
+        self,
+        context: bpy.types.Context,
+        spot: Spot,
+        found_at: Callable[..., Steps[Any]],
+        then: Callable[[_Search], None],
+    ) -> None:
+        """Search for something of the splats under the mouse."""
         self._step_search(wait=True)
-        steps = visible_splats.color_at(paintable(context), spot.view, spot.point)
-        self._search = _Search(context, steps)
-        self._step_search(wait=bpy.app.background)
+        steps = found_at(paintable(context), spot.view, spot.point)
+        self._begin_search(context, steps, then)
 
     def _place_cursor(self, spot: Spot | None, brush: BrushSettings) -> None:
         before = self.cursor.state
@@ -323,6 +344,10 @@ class Session:
             place = (0.0, 0.0) if spot is None else (spot.x, spot.y)
             self.cursor.region, self.cursor.place = region, place
         self.cursor.radius, self.cursor.hardness = brush.radius, brush.hardness
+        self.cursor.to_source = None
+        if isinstance(self._stroke, CloneStroke) and self._stroke.to_source is not None:
+            x, y = self._stroke.to_source.tolist()
+            self.cursor.to_source = x, -y
         if self.cursor.state != before:
             redraw_views()
 
@@ -337,11 +362,30 @@ class Session:
             keys.append("Ctrl for the opposite")
         elif brush.does == SELECT:
             keys.append("Ctrl to deselect")
+        elif brush.does == CLONE:
+            keys = ["drag to copy", "Ctrl click to set the source, the 3D cursor"]
         else:
             keys.append("S or Shift click to pick the color under the cursor")
         keys += ["F or [ ] for the radius", "Ctrl Z to undo", "Enter or Esc to end"]
         label = brush.bl_rna.properties["does"].enum_items[brush.does].name
         return f"{label}, {brush.radius:.0f} px   |   {', '.join(keys)}"
+
+
+def _push(search: _Search) -> None:
+    """Make the end of a stroke that reached any splats an undo step."""
+    if search.result:
+        push_undo(UNDO)
+        redraw_views()
+
+
+def _set_color(search: _Search) -> None:
+    bpy.context.window_manager.gscore_paint.color = search.result
+    redraw_views()
+
+
+def _set_source(search: _Search) -> None:
+    bpy.context.scene.cursor.location = search.result
+    redraw_views()
 
 
 def _navigates(key: str, *, ctrl: bool) -> bool:

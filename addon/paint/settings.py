@@ -9,7 +9,7 @@ from bpy.props import (
     PointerProperty,
 )
 
-from .brush import COLOR, OPACITY, SELECT, Brush
+from .brush import CLONE, COLOR, OPACITY, SELECT, Brush
 
 LARGEST_RADIUS = 2000.0
 """Pixels."""
@@ -19,6 +19,7 @@ _DOES = [
     (COLOR, "Color", "Paint a color; view-dependent colors are kept", "BRUSH_DATA", 0),
     (OPACITY, "Opacity", "Paint an opacity; 0 erases", "MOD_OPACITY", 1),
     (SELECT, "Select", "Select or deselect splats", "RESTRICT_SELECT_OFF", 2),
+    (CLONE, "Clone", "Copy splats from around the 3D cursor", "DUPLICATE", 3),
 ]
 
 
@@ -28,7 +29,7 @@ class BrushProperties:
     does: EnumProperty(name="Brush", description="Effect of the brush", items=_DOES)
     strength: FloatProperty(
         name="Strength",
-        description="Blending weight of the color or opacity in one stroke",
+        description="Blending weight of the color or opacity in one stroke; opacity of copies",
         subtype="FACTOR",
         min=0.0,
         max=1.0,

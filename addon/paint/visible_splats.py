@@ -48,8 +48,11 @@ class VisibleSplats:
             return np.ones(len(self.columns[attributes.BASE]), bool)
         return filters.passing(self.columns, self.limits)
 
-    def pixels(self) -> tuple[np.ndarray, np.ndarray]:
+    def pixels(self, shift: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Projected means.
+
+        Args:
+            shift: [3] added to them, in the object's space.
 
         Returns:
             [N, 2] float32, pixels from the top left, and [N] bool: those beyond the view's near
@@ -57,6 +60,9 @@ class VisibleSplats:
         """
         view, means = self.view, self.columns[attributes.POSITION]
         K, viewmat = (matrix.astype(np.float32) for matrix in (view.K, self._viewmat))
+        if shift is not None:
+            viewmat = viewmat.copy()
+            viewmat[:3, 3] += viewmat[:3, :3] @ shift.astype(np.float32)
         found, there = np.zeros((len(means), 2), np.float32), np.zeros(len(means), bool)
         for part in _blocks(len(means)):
             with np.errstate(all="ignore"):  # splats behind the view are left out
@@ -109,6 +115,25 @@ class VisibleSplats:
         if drawn.alpha[0, 0] < _FAINTEST:
             raise ValueError(f"There are no splats of {self.name} under the cursor.")
         return np.clip(drawn.rgb[0, 0] / drawn.alpha[0, 0], 0, 1)
+
+    def place_at(self, point: np.ndarray) -> np.ndarray | None:
+        """Position of the visible surface at a pixel in Blender's world, [3]; None: there is none.
+
+        Args:
+            point: [2] pixels from the top left, inside the view.
+        """
+        left, top = (int(v) for v in np.floor(point))
+        drawn = self._drawn(self.view, depths=True, window=(left, top, 1, 1))
+        assert drawn.median_depth is not None
+        depth = float(drawn.median_depth[0, 0])
+        return self.unprojected(point, depth) if depth > 0 else None
+
+    def unprojected(self, point: np.ndarray, depth: float) -> np.ndarray:
+        """Position in Blender's world, [3], of a pixel [2] at a depth."""
+        view = self.view
+        ray = (point - view.K[:2, 2]) / view.K[[0, 1], [0, 1]]
+        place = np.append(ray if view.orthographic else depth * ray, depth)
+        return (place - view.viewmat[:3, 3]) @ view.viewmat[:3, :3]
 
     def _drawn(
         self,
@@ -195,8 +220,31 @@ def color_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> Ste
     Raises:
         ValueError: there are no splats, or as `copy_visible`.
     """
-    left, top = (int(v) for v in np.floor(point))
-    if not (0 <= left < view.width and 0 <= top < view.height):
-        raise ValueError("There is no view under the cursor: pick a color inside the 3D view.")
+    _check_inside(view, point)
     splats = yield from copy_visible(ob, view, drawn=True)
     return (yield from run_in_thread(lambda check: splats.color_at(point), "Picking the color"))
+
+
+def place_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> Steps[np.ndarray]:
+    """Position of an object's visible surface at a pixel in Blender's world, [3].
+
+    Args:
+        ob: A splat object in Object Mode.
+        view: Camera of the view.
+        point: [2] pixels from the top left.
+
+    Raises:
+        ValueError: there are no splats, or as `copy_visible`.
+    """
+    _check_inside(view, point)
+    splats = yield from copy_visible(ob, view, drawn=True)
+    place = yield from run_in_thread(lambda check: splats.place_at(point), "Finding the surface")
+    if place is None:
+        raise ValueError(f"There are no splats of {ob.name} under the cursor.")
+    return place
+
+
+def _check_inside(view: RenderCamera, point: np.ndarray) -> None:
+    left, top = np.floor(point)
+    if not (0 <= left < view.width and 0 <= top < view.height):
+        raise ValueError("There is no view under the cursor: click inside the 3D view.")

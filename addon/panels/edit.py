@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import bpy
 
 from ..core import Started
-from ..paint.brush import COLOR, OPACITY
+from ..paint.brush import COLOR, OPACITY, SELECT
 from ..paint.cursor import draw_circle
 from ..paint.modal import RUNNING, PaintSplats
 from ..paint.session import STEP
@@ -87,7 +87,7 @@ def draw_brush(layout: bpy.types.UILayout, brush: BrushSettings) -> None:
     elif brush.does == OPACITY:
         layout.prop(brush, "opacity")
     layout.prop(brush, "radius")
-    if brush.does in {COLOR, OPACITY}:
+    if brush.does != SELECT:
         layout.prop(brush, "strength")
         layout.prop(brush, "hardness")
     layout.prop(brush, "front_only")

@@ -77,8 +77,10 @@ def cloned(
     return [*copies, _mark(len(rows))]
 
 
-def appended(table: list[Column], more: list[Column]) -> list[Column]:
-    """A table with more splats, of which alone those are selected."""
+def appended(table: list[Column], more: list[Column], *, selected: bool = True) -> list[Column]:
+    """A table with more splats; with `selected` these alone are selected, else none of them."""
+    if not selected:
+        return point_attributes.joined([table, more])
     chosen = np.ones((len(more[0].values), 1), bool)
     selection = Column(attributes.SELECTION, "BOOLEAN", chosen)
     return point_attributes.joined([point_attributes.without_selection(table), [*more, selection]])

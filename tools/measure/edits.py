@@ -152,7 +152,7 @@ def stroke(task: Any) -> Iterator[str]:
         made.to(np.array([x, 450.0]))
         made.show()
         yield ""
-    made.finish()
+    yield from made.finish()
 
 
 def strokes(ob: bpy.types.Object, camera: bpy.types.Object) -> None:

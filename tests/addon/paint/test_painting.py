@@ -5,16 +5,18 @@ import bpy
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Matrix, Vector
 
 from addon import attributes
 from addon.attributes import BASE
+from addon.cameras.camera_math import project
 from addon.cameras.render_camera import render_camera
 from addon.core import join_splats
 from addon.paint import paint_target
 from addon.paint.brush import COLOR, OPACITY, SELECT, Brush
 from addon.process.incremental_tasks import run_blocking
 from addon.render.viewport import view_camera
-from addon.splats import objects
+from addon.splats import objects, replay
 from tests.addon import splat_scenes as lab
 from tests.addon.paint.test_brush import falloff, from_way
 
@@ -78,7 +80,7 @@ def test_edits_during_a_stroke_are_kept(ob: bpy.types.Object, does: str) -> None
     reached = np.zeros(900, bool)
     reached[made._rows[made._stroke.share > 0]] = True
     assert 10 < reached.sum() < 800
-    assert made.finish() == reached.sum()
+    assert run_blocking(made.finish()) == reached.sum()
     if does == COLOR:
         np.testing.assert_array_equal(base_of(ob)[~reached], wanted[~reached])
         assert not (base_of(ob)[reached, 0] == 0.25).any()
@@ -287,5 +289,73 @@ def test_splats_that_were_replaced_meanwhile(ob: bpy.types.Object) -> None:
     made.to(np.array(WAY[0]))
     objects.refresh(ob, lab.blob(30))
     with pytest.raises(ValueError, match="were replaced during the stroke"):
-        made.finish()
+        run_blocking(made.finish())
     np.testing.assert_array_equal(objects.read(ob).sh0, lab.blob(30).sh0)
+
+
+def cursor_at(ob: bpy.types.Object, place: tuple[float, float, float]) -> None:
+    """Move the source of clones to a place in an object's space."""
+    bpy.context.scene.cursor.location = ob.matrix_world @ Vector(place)
+
+
+def floor(scene: bpy.types.Scene) -> bpy.types.Object:
+    """An active wall, white where x is below 0, with a camera before it; moved and turned."""
+    splats = lab.wall(0.0, (0.6, 0.5, 0.4), along=41)
+    splats.sh0[splats.means[:, 0] < 0] = (1.0 - 0.5) / lab.SH_C0
+    camera = lab.prepare(scene, (200, 200))
+    ob = lab.add(scene, splats, "floor")
+    ob.rotation_euler, ob.location = (0.3, 0.1, 0.5), (1, 2, 0)
+    bpy.context.view_layer.update()
+    camera.matrix_world = ob.matrix_world @ Matrix.Translation((0, 0, 3))
+    activate(ob)
+    return ob
+
+
+@pytest.mark.parametrize("front_only", [False, True])
+def test_clones_lie_beside_their_sources(scene: bpy.types.Scene, front_only: bool) -> None:
+    """Oracle: each copy is a white splat shifted along the wall, to around the stroke; opacities by
+    the formula; all others to the bit, and the selection too; undo, and the record for replay."""
+    ob = floor(scene)
+    before, chosen = objects.read(ob), np.zeros(len(ob.data.vertices), bool)
+    chosen[::7] = True
+    attributes.select(ob.data, chosen)
+    cursor_at(ob, (-0.5, 0, 0))
+    bpy.ops.ed.undo_push(message="start")
+    way = [(140.0, 100.0, 0.0), (140.0, 120.0, 0.0)]
+    how = {"does": "CLONE", "radius": 15, "hardness": 0.5, "strength": 0.8}
+    given = {"stroke": stroke(way), "front_only": front_only, **how}
+    assert bpy.ops.gscore.paint_stroke(**given) == {"FINISHED"}
+    ob = bpy.data.objects["floor"]
+    now, count = objects.read(ob), len(before)
+    assert len(now) > count + 20
+    for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
+        np.testing.assert_array_equal(getattr(now, name)[:count], getattr(before, name))
+    copies = now.subset(slice(count, None))
+    view = render_camera(scene.camera, scene)
+    world = np.array(ob.matrix_world)
+    at, _ = project(copies.means @ world[:3, :3].T + world[:3, 3], view.K, view.viewmat)
+    path = [np.array([x, 200 - y]) for x, y, _ in way]
+    share = 0.8 * np.array([falloff(from_way(point, path), 15, 0.5) for point in at])
+    assert share.min() > 0
+    alpha = 1 / (1 + np.exp(-copies.opacities))
+    np.testing.assert_allclose(alpha, share / (1 + np.exp(-before.opacities[0])), atol=0.01)
+    np.testing.assert_array_equal(copies.sh0, before.sh0[:1].repeat(len(copies), 0))
+    shift = copies.means[:, None] - before.means
+    shift = shift[np.abs(shift[..., 1:]).max(2) < 1e-4].reshape(len(copies), -1, 3)[:, 0]
+    assert np.ptp(shift[:, 1:]) < 1e-3
+    np.testing.assert_array_equal(attributes.selected(ob.data)[:count], chosen)
+    assert not attributes.selected(ob.data)[count:].any()
+    assert ["cloned" in one for one in replay.edits_of(ob)] == [True]
+    bpy.ops.ed.undo_push(message="cloned")
+    bpy.ops.ed.undo()
+    assert len(bpy.data.objects["floor"].data.vertices) == count
+
+
+def test_a_source_without_splats(scene: bpy.types.Scene) -> None:
+    """Oracle: the message; nothing is added."""
+    ob = floor(scene)
+    cursor_at(ob, (5, 0, 0))
+    given = {"stroke": stroke([(100, 100, 0)]), "does": "CLONE", "radius": 15}
+    assert "Ctrl click" in lab.error_of(lambda: bpy.ops.gscore.paint_stroke(**given))
+    assert len(ob.data.vertices) == 41 * 41
+    assert attributes.HEALED not in ob.data.attributes

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from addon import attributes
+from addon.cameras.camera_math import project
 from addon.cameras.render_camera import render_camera
 from addon.paint import modal, paint_target, session
 from addon.paint.session import Answer, Session
@@ -272,6 +273,55 @@ def test_picking_a_color(scene: bpy.types.Scene, desk: Desk, how: dict) -> None:
         desk.send("S", at=(150, 100))
 
 
+def test_clones(scene: bpy.types.Scene, desk: Desk) -> None:
+    """Ctrl click moves the 3D cursor onto the surface; a stroke is one undo step that adds splats,
+    Esc before its end none, and Ctrl adds none either."""
+    wall = lab.add(scene, lab.wall(0.2, (0.9, 0.4, 0.2)))
+    bpy.context.view_layer.objects.active = wall
+    bpy.context.view_layer.update()
+    desk.brush.does = "CLONE"
+    desk.send("LEFTMOUSE", at=(90, 130), ctrl=True)
+    source = np.array(scene.cursor.location)
+    assert source[2] == pytest.approx(0.2, abs=0.01)
+    view = render_camera(scene.camera, scene)
+    at, _ = project(source[None], view.K, view.viewmat)
+    np.testing.assert_allclose(at[0], (90, HEIGHT - 130), atol=0.01)
+    assert desk.pushed == []
+    before = len(wall.data.vertices)
+    desk.send("LEFTMOUSE")
+    desk.send("MOUSEMOVE", at=WAY[1])
+    np.testing.assert_allclose(
+        desk.session.cursor.to_source, np.subtract((90, 130), WAY[0]), atol=0.01
+    )
+    desk.send("ESC")
+    desk.send("LEFTMOUSE", "RELEASE")
+    assert len(wall.data.vertices) == before and desk.pushed == []
+    desk.paint()
+    assert len(wall.data.vertices) > before + 20
+    assert desk.pushed == ["Paint Splats"]
+    assert desk.session.cursor.to_source is None
+
+
+def test_the_tool_waits_for_a_click(
+    ob: bpy.types.Object, desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A color that takes several steps to find, as in a window: the tool ends after it."""
+    monkeypatch.setattr(modal.RUNNING, "session", desk.session)
+    monkeypatch.setattr(modal.Running, "update_status", lambda *_: None)
+    monkeypatch.setattr(modal.Running, "end", lambda *_: None)
+    step = Session._step_search
+    monkeypatch.setattr(Session, "_step_search", lambda *_, **__: None)
+    tool = SimpleNamespace(once=True, _edit_again=lambda _: None)
+    keys = dict.fromkeys(("ctrl", "alt", "oskey"), False)
+    event = SimpleNamespace(
+        type="LEFTMOUSE", value="PRESS", mouse_x=150, mouse_y=100, shift=True, **keys
+    )
+    assert modal.PaintSplats.modal(tool, bpy.context, event) == {"RUNNING_MODAL"}
+    monkeypatch.setattr(Session, "_step_search", lambda own, **_: step(own, wait=True))
+    event.type = "TIMER"
+    assert modal.PaintSplats.modal(tool, bpy.context, event) == {"FINISHED"}
+
+
 def test_undo_passes_and_what_it_brings_is_shown(
     ob: bpy.types.Object, desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -364,6 +414,7 @@ def test_the_panel_shows_what_the_brush_needs(ob: bpy.types.Object, desk: Desk) 
         "COLOR": {"color", "strength", "hardness"},
         "OPACITY": {"opacity", "strength", "hardness"},
         "SELECT": set(),
+        "CLONE": {"strength", "hardness"},
     }
     for does, own in wanted.items():
         desk.brush.does = does
