@@ -3,8 +3,7 @@
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property, reduce
-from itertools import product
+from functools import cached_property
 
 import numpy as np
 
@@ -15,8 +14,6 @@ _SIZE = 1024
 """Pixels along a side of a map."""
 _OUTSIDE = 1.3
 """Distance of a lamp from the middle of `Casters.ball`, in its radii, for a single map."""
-_PARTS = 4
-"""Most parts of a map."""
 _EDGES = 1 << 12
 """Triangles of a proxy by which the length of its edges is judged."""
 _SLACK = 1.5
@@ -171,39 +168,26 @@ def shadow_maps(casters: Casters, place: np.ndarray, axis: np.ndarray | None) ->
             # Wider by a pixel, so that no place is between two of them.
             scale, views = _SIZE / 2 - 1, [_turned(side, place) for side in _SIDES]
     K = np.array([[scale, 0, _SIZE / 2], [0, scale, _SIZE / 2], [0, 0, 1]])
-    mesh, parallel = casters.mesh, axis is not None
-    # A single map is drawn in parts at once.
-    parts = 1 if len(views) > 1 else min(os.cpu_count() or 1, _PARTS)
+    mesh, parallel, near = casters.mesh, axis is not None, 1e-4 * radius
+    depths = np.empty((len(views), _SIZE, _SIZE), np.float32)
+    threads = 1 if len(views) > 1 else 0  # a single map is drawn in bands at once
 
-    def draw(task: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, float]:
-        viewmat, triangles = task
+    def draw(viewmat: np.ndarray, out: np.ndarray) -> float:
+        given = mesh.vertices, mesh.triangles, K, viewmat, _SIZE, _SIZE
         if parallel:  # all meshes are in front
-            return mesh_nearness(mesh.vertices, triangles, K, viewmat, _SIZE, _SIZE)
-        triangles = triangles[_in_view(mesh.vertices, triangles, viewmat, _SIZE / 2 / scale)]
-        near = 1e-4 * radius
-        return mesh_depth(mesh.vertices, triangles, K, viewmat, _SIZE, _SIZE, near=near), 0.0
+            return mesh_nearness(*given, threads=threads, out=out)[1]
+        mesh_depth(*given, near=near, threads=threads, out=out)
+        return 0.0
 
-    with ThreadPoolExecutor(parts * len(views)) as pool:
-        tasks = product(views, np.array_split(mesh.triangles, parts))
-        drawn, farthest = zip(*pool.map(draw, tasks), strict=True)
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, len(views))) as pool:
+        farthest = list(pool.map(draw, views, depths))
     return ShadowMaps(
         viewmats=np.stack(views),
         scale=float(scale),
         parallel=parallel,
-        depths=np.concatenate(drawn if len(views) > 1 else [reduce(np.maximum, drawn)]).ravel(),
+        depths=depths.ravel(),
         farthest=farthest[0],
     )
-
-
-def _in_view(
-    vertices: np.ndarray, triangles: np.ndarray, viewmat: np.ndarray, half: float
-) -> np.ndarray:
-    """Triangles that may be in a square view of half width `half` per unit forward, [T] bool."""
-    x, y, z = viewmat[:3, :3] @ vertices.T + viewmat[:3, 3:]
-    edge = half * z
-    beyond = (z <= 0) | (x > edge) << 1 | (x < -edge) << 2 | (y > edge) << 3 | (y < -edge) << 4
-    a, b, c = beyond.astype(np.uint8)[triangles.T]
-    return a & b & c == 0
 
 
 def _turned(axis: np.ndarray, place: np.ndarray) -> np.ndarray:

@@ -30,17 +30,20 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         for (const int32_t row : rows)
             wrong = wrong || row < 0 || size_t(row) >= corners;
     }
+    const double near = in.byte() % 2 ? double(noise(0, 4)) * depth : 0;
+    const int32_t threads = 1 + in.byte() % 3;
     for (const double v : places)
         wrong = wrong || !std::isfinite(v);
     const gs_mesh mesh = {int64_t(corners), places.data(), int64_t(triangles), rows.data()};
     Output out(size_t(width) * size_t(height));
-    const gs_status status = gs_mesh_depth(&mesh, width, height, out.data());
+    const gs_status status = gs_mesh_depth(&mesh, near, width, height, threads, out.data());
     REQUIRE(out.guards_hold());
     REQUIRE(wrong ? status == GS_BAD_ARGUMENT && std::strlen(gs_last_error()) > 0 : status == GS_OK);
     double farthest = 0;
     for (size_t i = 2; i < places.size(); i += 3)
         farthest = std::max(farthest, places[i]);
     for (size_t i = 0; status == GS_OK && i < out.size(); ++i)
-        REQUIRE(out.written(i) && std::isfinite(out[i]) && (out[i] == 0 || double(out[i]) * farthest >= 0.999));
+        REQUIRE(out.written(i) && std::isfinite(out[i]) && double(out[i]) * near <= 1.001 &&
+                (out[i] == 0 || double(out[i]) * farthest >= 0.999));
     return 0;
 }

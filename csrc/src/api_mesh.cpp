@@ -27,15 +27,20 @@ gs_status check_mesh(const gs_mesh &mesh) {
 
 } // namespace
 
-gs_status gs_mesh_depth(const gs_mesh *mesh, int32_t width, int32_t height, float *inverse_depth) {
+gs_status gs_mesh_depth(const gs_mesh *mesh, double near_plane, int32_t width, int32_t height, int32_t threads,
+                        float *inverse_depth) {
     if (!mesh || !inverse_depth)
         return fail(GS_BAD_ARGUMENT, "gs_mesh_depth: an argument or an array is null");
+    if (!(near_plane >= 0))
+        return fail(GS_BAD_ARGUMENT, "near_plane must be at least 0, got %g", near_plane);
     if (const gs_status s = check_image_size(width, height))
         return s;
     if (const gs_status s = check_mesh(*mesh))
         return s;
+    if (const gs_status s = check_threads(threads))
+        return s;
     return guarded("gs_mesh_depth", [&] {
-        mesh_depth(*mesh, width, height, inverse_depth);
+        mesh_depth(*mesh, near_plane, width, height, threads, inverse_depth);
         return GS_OK;
     });
 }

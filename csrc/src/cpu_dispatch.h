@@ -13,6 +13,7 @@ struct CatchUpArgs;
 struct InstanceBuffer;
 struct LossArgs;
 struct MatchArgs;
+struct MeshArgs;
 struct PairCount;
 struct ProjectArgs;
 struct ProjectBackwardArgs;
@@ -38,6 +39,8 @@ struct Kernels {
     // One band of rows of `StereoBand`; `scratch` holds its scratch_floats().
     void (*stereo_sweep)(const StereoArgs &, int band, float *scratch);
     void (*match)(const MatchArgs &);
+    // One band of rows.
+    void (*mesh_depth)(const MeshArgs &, int band);
     // Counters of a block's rows to random words, and those to [count] or [count, 3] numbers.
     void (*philox)(RandomWords &, int64_t count, uint32_t key0, uint32_t key1);
     void (*to_uniform)(const RandomWords &, int64_t count, float *out);

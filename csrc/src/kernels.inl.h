@@ -9,6 +9,7 @@
 #include "exp2.inl.h"
 #include "loss.inl.h"
 #include "match.inl.h"
+#include "mesh_depth.inl.h"
 #include "project_backward.inl.h"
 #include "project_forward.inl.h"
 #include "random.inl.h"
@@ -18,7 +19,7 @@ namespace gs::GS_NAMESPACE {
 
 static constexpr Kernels make_kernels(const char *name) {
     return {name,          project,    bin,          blend, blend_backward, project_backward, image_loss, adam_step,
-            adam_catch_up, exp2_array, stereo_sweep, match, encrypt,        to_uniform,       to_normal};
+            adam_catch_up, exp2_array, stereo_sweep, match, mesh_depth,     encrypt,          to_uniform, to_normal};
 }
 
 } // namespace gs::GS_NAMESPACE

@@ -10,10 +10,10 @@ constexpr int kWidth = 31, kHeight = 23;
 constexpr size_t kPixels = size_t(kWidth) * size_t(kHeight);
 
 std::vector<float> drawn(const std::vector<double> &corners, const std::vector<int32_t> &triangles,
-                         gs_status wanted = GS_OK) {
+                         gs_status wanted = GS_OK, double near = 0) {
     const gs_mesh mesh = {int64_t(corners.size() / 3), corners.data(), int64_t(triangles.size() / 3), triangles.data()};
     std::vector<float> out(kPixels, -777.0f);
-    CHECK(gs_mesh_depth(&mesh, kWidth, kHeight, out.data()) == wanted);
+    CHECK(gs_mesh_depth(&mesh, near, kWidth, kHeight, 2, out.data()) == wanted);
     return out;
 }
 
@@ -49,6 +49,20 @@ void a_floor_from_behind_the_camera_to_the_horizon() {
             CHECK(std::fabs(found[size_t(y * kWidth + x)] - std::max(0.0, y + 0.5 - 11.5)) < 1e-4);
 }
 
+// Oracle: the same floor, without what is nearer than z = 1 / 4.3.
+void a_floor_ends_at_the_near_plane() {
+    std::vector<double> corners;
+    for (const double z : {-50.0, 1e6})
+        for (const double x : {-1e7, 1e7})
+            corners.insert(corners.end(), {x + 15 * z, 1.0 + 11.5 * z, z});
+    const std::vector<float> found = drawn(corners, {0, 1, 2, 2, 1, 3}, GS_OK, 1 / 4.3);
+    for (int y = 0; y < kHeight; ++y)
+        for (int x = 0; x < kWidth; ++x) {
+            const double wanted = y + 0.5 - 11.5 <= 4.3 ? std::max(0.0, y + 0.5 - 11.5) : 0;
+            CHECK(std::fabs(found[size_t(y * kWidth + x)] - wanted) < 1e-4);
+        }
+}
+
 void what_is_no_mesh_is_refused() {
     const std::vector<double> corners = seen({0, 0, 1, 9, 0, 1, 0, 9, 1});
     for (const int32_t bad : {-1, 3, INT32_MAX}) {
@@ -62,11 +76,13 @@ void what_is_no_mesh_is_refused() {
     }
     const gs_mesh none = {};
     std::vector<float> out(kPixels);
-    CHECK(gs_mesh_depth(nullptr, kWidth, kHeight, out.data()) == GS_BAD_ARGUMENT);
-    CHECK(gs_mesh_depth(&none, kWidth, kHeight, nullptr) == GS_BAD_ARGUMENT);
-    CHECK(gs_mesh_depth(&none, 0, kHeight, out.data()) == GS_BAD_ARGUMENT);
-    CHECK(gs_mesh_depth(&none, kWidth, 65537, out.data()) == GS_BAD_ARGUMENT);
-    CHECK(gs_mesh_depth(&none, kWidth, kHeight, out.data()) == GS_OK);
+    CHECK(gs_mesh_depth(nullptr, 0, kWidth, kHeight, 1, out.data()) == GS_BAD_ARGUMENT);
+    CHECK(gs_mesh_depth(&none, 0, kWidth, kHeight, 1, nullptr) == GS_BAD_ARGUMENT);
+    CHECK(gs_mesh_depth(&none, 0, 0, kHeight, 1, out.data()) == GS_BAD_ARGUMENT);
+    CHECK(gs_mesh_depth(&none, 0, kWidth, 65537, 1, out.data()) == GS_BAD_ARGUMENT);
+    CHECK(gs_mesh_depth(&none, -1, kWidth, kHeight, 1, out.data()) == GS_BAD_ARGUMENT);
+    CHECK(gs_mesh_depth(&none, 0, kWidth, kHeight, -1, out.data()) == GS_BAD_ARGUMENT);
+    CHECK(gs_mesh_depth(&none, 0, kWidth, kHeight, 1, out.data()) == GS_OK);
 }
 
 } // namespace
@@ -74,6 +90,7 @@ void what_is_no_mesh_is_refused() {
 int main() {
     a_slanted_square_has_its_depth_at_every_centre();
     a_floor_from_behind_the_camera_to_the_horizon();
+    a_floor_ends_at_the_near_plane();
     what_is_no_mesh_is_refused();
     std::printf("mesh: %s\n", failures == 0 ? "passed" : "FAILED");
     return failures == 0 ? 0 : 1;

@@ -8,7 +8,7 @@ import ctypes as ct
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-ABI_VERSION = 12
+ABI_VERSION = 13
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL, MEDIAN_SPLAT = 1, 2, 4, 8, 32
 DEPTH_OUTPUTS = {
@@ -194,7 +194,7 @@ SIGNATURES = signatures(
         "gs_adam_catch_up": "gs_adam_tensor gs_splats gs_view pointer int32",
         "gs_stereo_sweep": "gs_stereo_sweep_args gs_stereo_found",
         "gs_stereo_check": "gs_stereo_check_args pointer pointer pointer",
-        "gs_mesh_depth": "gs_mesh int32 int32 pointer",
+        "gs_mesh_depth": "gs_mesh double int32 int32 int32 pointer",
         "gs_match_descriptors": "gs_descriptors gs_descriptors double double pointer",
     },
 )

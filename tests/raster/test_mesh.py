@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gscore.errors import BackendError, ShapeError
-from gscore.raster import mesh
+from gscore.raster import _native, mesh
 from tests.raster.twins import mesh as twin
 
 SIZE = 80, 60
@@ -115,6 +115,21 @@ def test_near_ends_and_parallel_rays_are_those_of_the_twin(
     if near:
         assert found.max() <= 1 / near * (1 + 1e-6)
         assert (found != twin.mesh_depth(vertices, triangles, scale @ K, viewmat, *SIZE)).any()
+
+
+def test_threads_and_instruction_sets_give_the_same_bits(isa: str) -> None:
+    """Oracle: a single thread with the portable kernels; the result is in the array given."""
+    rng = np.random.default_rng(3)
+    vertices, viewmat = rng.normal(size=(60, 3)) * 3, pose(3)
+    mesh_given = vertices, rng.integers(0, 60, (90, 3)).astype(np.int32), K, viewmat, *SIZE
+    out = np.full(SIZE[::-1], np.nan, np.float32)
+    for how in ({}, {"near": 1.5}, {"near": 1.5, "orthographic": True}):
+        _native.set_isa("scalar")
+        wanted = mesh.mesh_depth(*mesh_given, **how)
+        _native.set_isa(isa)
+        for threads in (1, 3, 0):
+            assert mesh.mesh_depth(*mesh_given, **how, threads=threads, out=out) is out
+            np.testing.assert_array_equal(out, wanted)
 
 
 def test_neighbours_leave_no_crack() -> None:

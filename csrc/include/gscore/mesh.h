@@ -12,6 +12,7 @@ typedef struct gs_mesh {
     const int32_t *triangles; /* [T, 3] rows of `corners`; two-sided */
 } gs_mesh;
 
-/* Compute 1 / z of the nearest triangle at each pixel centre, [H, W]; 0 where there is none. Single-threaded: callers
- * render several views in parallel. */
-GS_API gs_status gs_mesh_depth(const gs_mesh *mesh, int32_t width, int32_t height, float *inverse_depth);
+/* Compute 1 / z of the nearest triangle at each pixel centre, [H, W]; 0 where there is none. Triangles are clipped at
+ * z = near_plane if that is above 0. Bands of rows are drawn by `threads` threads, 0: gs_default_threads(). */
+GS_API gs_status gs_mesh_depth(const gs_mesh *mesh, double near_plane, int32_t width, int32_t height, int32_t threads,
+                               float *inverse_depth);
