@@ -119,6 +119,15 @@ from .option_marks import show_options as show_options
 from .options import Option as Option
 from .options import options_of as options_of
 from .raster.gpu.absence import no_automatic_card as no_automatic_card
+from .raster.light import POINT as POINT
+from .raster.light import SUN as SUN
+from .raster.light import Lamp as Lamp
+from .raster.light import ShadowMap as ShadowMap
+from .raster.light import SurfaceLight as SurfaceLight
+from .raster.light import Surfaces as Surfaces
+from .raster.light import scaled_colors as scaled_colors
+from .raster.light import surface_gains as surface_gains
+from .raster.light import surface_radiance as surface_radiance
 from .raster.mesh import mesh_depth as mesh_depth
 from .raster.mesh import mesh_nearness as mesh_nearness
 from .raster.render_client import RenderClient as RenderClient

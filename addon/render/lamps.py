@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 
 from ..compat import matrix_to_numpy, rec709_to_scene, world_nodes
+from ..core import POINT, SUN, Lamp
 from ..splats.objects import is_proxy, is_splats
 from ..srgb import decode
 from ..triangles import Triangles, triangles_of
@@ -13,7 +14,7 @@ from . import relight
 from .color import world_light, world_of
 from .compositing_scene import is_rendered, main_scene
 from .instances import instances, may_hold_out
-from .relight import POINT, SUN, Lamp, SceneLight
+from .relight import SceneLight
 from .shadow_maps import Casters, ball_of
 
 _GRID = 2

@@ -5,19 +5,27 @@ the photos. Its linear color is multiplied by the scene's such radiance divided 
 and proxies in place of splats, cast shadows; there are no reflections.
 """
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from ..core import Splats, quat_to_rotmat, rgb_to_sh0, sh0_to_rgb, sh_basis
-from ..srgb import LUMINANCE, decode, encode
-from .shadow_maps import Casters, ShadowMaps, shadow_maps
+from ..core import (
+    SUN,
+    Lamp,
+    ShadowMap,
+    Splats,
+    SurfaceLight,
+    Surfaces,
+    quat_to_rotmat,
+    scaled_colors,
+    sh_basis,
+    surface_gains,
+    surface_radiance,
+)
+from ..srgb import LUMINANCE
+from .shadow_maps import Casters, shadow_map
 
-POINT, SUN = "POINT", "SUN"
 _WHITE = 0.8
 """Albedo that the brightest surfaces of a capture are assumed to have."""
 _BRIGHTEST = 95
@@ -28,10 +36,6 @@ _STRONGEST = 16.0
 """Largest ratio of the scene's light to the captured light."""
 _CELLS = 64
 """Cells in which normals are averaged, along the diagonal of most splats."""
-_DIM = 1 / 255
-"""sRGB value below which a color is black."""
-_BLOCK = 1 << 13
-"""Splats of which intermediate results are in the cache."""
 _BANDS = np.array([1, *(3 * [2 / 3]), *(5 * [1 / 4])])
 """Irradiance of a white surface over pi, by radiance, of the harmonics of degree 0 to 2
 (Ramamoorthi and Hanrahan 2001)."""
@@ -39,27 +43,6 @@ _BANDS = np.array([1, *(3 * [2 / 3]), *(5 * [1 / 4])])
 
 _CONSTANT = float(sh_basis(0, np.array([0.0, 0.0, 1.0]))[0])
 """The constant harmonic."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lamp:
-    """A small source of light in the world; a large one is several."""
-
-    kind: str
-    """POINT: `strength` over squared distance; SUN: `strength` everywhere."""
-    strength: tuple[float, float, float]
-    """Radiance of a white surface that faces it, linear Rec. 709, at distance 1."""
-    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Unit vector along which it shines: of a sun, a cone, or a surface."""
-    radius: float = 0.0
-    """Least distance."""
-    cone: tuple[float, float] = (-2.0, 0.0)
-    """Cosine of half the cone's angle, and the range of cosines in which it fades in."""
-    is_surface: bool = False
-    """Whether it fades with the cosine of the angle to its axis."""
-    source: tuple[float, float, float] | None = None
-    """World position from which shadows fall, any for a sun; None: it casts none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,90 +62,47 @@ class SceneLight:
         return repr(self.lamps).encode() + self.world.tobytes() + self.casters.key
 
     @cached_property
-    def maps(self) -> tuple[tuple[ShadowMaps, ...], ...]:
-        """The shadows of each lamp by proxies and by other meshes, in this order, without those
-        that are not there; none for lamps after the first `_MOST_MAPS`. They are kept apart, so
-        that those of proxies stay when a mesh moves."""
+    def native(self) -> SurfaceLight:
+        """The light with its shadow maps, those of proxies apart, so that they stay when a mesh
+        moves; none for lamps after the first `_MOST_MAPS`."""
         casting = {_source(lamp): lamp for lamp in self.lamps if lamp.source is not None}
         wanted = {
-            key: (kind, lamp)
+            (kind.key, source): (kind, lamp)
             for source, lamp in list(casting.items())[:_MOST_MAPS]
-            for key, kind in self._kinds(source).items()
+            for kind in self._kinds
+            if kind
         }
         found = {key: maps for key in wanted if (maps := _known.get(key))}
         forget_maps()  # the others are freed before more are drawn
         for key, (kind, lamp) in wanted.items():
-            found[key] = found.get(key) or _maps_of(kind, lamp)
+            found[key] = found.get(key) or _map_of(kind, lamp)
         _known.update(found)
         sources = (None if lamp.source is None else _source(lamp) for lamp in self.lamps)
-        return tuple(
-            tuple(found[key] for key in self._kinds(source) if key in found) for source in sources
+        proxies, meshes = self._kinds
+        return SurfaceLight(
+            lamps=self.lamps,
+            maps=[(found.get((proxies.key, s)), found.get((meshes.key, s))) for s in sources],
+            world=self.world,
+            slack=self.casters.slack if found else 0.0,
         )
 
-    def _kinds(self, source: str | None) -> dict[tuple[bytes, str], Casters]:
-        """Proxies and other meshes by their keys in `_known`; none without a source."""
-        kinds = (self.casters.only_proxies, self.casters.only_meshes)
-        return {(kind.key, source): kind for kind in kinds if kind and source is not None}
+    @property
+    def _kinds(self) -> tuple[Casters, Casters]:
+        """Proxies and other meshes."""
+        return self.casters.only_proxies, self.casters.only_meshes
 
-    def white(
-        self,
-        places: np.ndarray,
-        normals: np.ndarray,
-        *,
-        meshes: bool = True,
-        two_sided: bool = False,
-    ) -> np.ndarray:
-        """Radiance of white surfaces, linear Rec. 709, [N, 3] float32.
-
-        Args:
-            places: World positions [N, 3] float32.
-            normals: Unit vectors [N, 3] float32.
-            meshes: Whether meshes other than proxies cast shadows.
-            two_sided: Whether it is unknown on which side of a surface its normal is: it is turned
-                to each lamp.
-        """
-        world = self.world.copy()
-        if two_sided:
-            world[1:4] = 0  # of opposite sign on both sides
-        if world[1:].any():
-            light = harmonics(normals) @ world.astype(np.float32)
-            np.maximum(light, 0, out=light)
-        else:  # from all directions
-            light = np.tile(np.float32(even_radiance(world)), (len(places), 1))
-        left_out = () if meshes else self.casters.meshes
-        for lamp, found in zip(self.lamps, self.maps, strict=True):
-            share = _falloff(lamp, places, normals)
-            own = normals
-            if two_sided:
-                own, share = np.where(share[:, None] < 0, -normals, normals), np.abs(share)
-            np.maximum(share, 0, out=share)
-            rows = np.flatnonzero(share)
-            if kept := found[:-1] if left_out else found:
-                slack = self.casters.slack
-                beside = places[rows] + own[rows] * np.float32(slack)
-                for maps in kept:
-                    share[rows] *= maps.lit(beside, slack)
-            for channel, strength in enumerate(lamp.strength):
-                light[:, channel] += share * np.float32(strength)
-        return light
-
-    def white_of(
-        self, means: np.ndarray, normals: np.ndarray, matrix: np.ndarray, **how: bool
-    ) -> np.ndarray:
-        """`white` of surfaces in the space of an object.
+    def white_of(self, means: np.ndarray, normals: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+        """Radiance of white surfaces in the space of an object, linear Rec. 709, [N, 3] float32.
 
         Args:
             means: Positions in that space [N, 3] float32.
             normals: Unit vectors in it [N, 3] float32.
             matrix: Object to world [4, 4], a similarity.
-            **how: Other arguments of `white`.
         """
-        turn = matrix[:3, :3] / np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
-        turn, matrix = turn.astype(np.float32), matrix.astype(np.float32)
-        return self.white(means @ matrix[:3, :3].T + matrix[:3, 3], normals @ turn.T, **how)
+        return surface_radiance(self.native, Surfaces(places=means, normals=normals, matrix=matrix))
 
 
-_known: dict[tuple[bytes, str], ShadowMaps] = {}
+_known: dict[tuple[bytes, str], ShadowMap] = {}
 """Shadow maps of the last light by their meshes and lamp; those of a lamp in a room are 24 MB for
 proxies, and as much for other meshes."""
 _MOST_MAPS = 32
@@ -178,9 +118,9 @@ def _source(lamp: Lamp) -> str:
     return repr(lamp.axis if lamp.kind == SUN else lamp.source)
 
 
-def _maps_of(casters: Casters, lamp: Lamp) -> ShadowMaps:
+def _map_of(casters: Casters, lamp: Lamp) -> ShadowMap:
     axis = np.array(lamp.axis) if lamp.kind == SUN else None
-    return shadow_maps(casters, np.array(lamp.source), axis)
+    return shadow_map(casters, np.array(lamp.source), axis)
 
 
 def harmonics(normals: np.ndarray) -> np.ndarray:
@@ -223,27 +163,6 @@ def even_radiance(world: np.ndarray) -> np.ndarray:
     return np.maximum(world[0] * _CONSTANT, 0)
 
 
-def _falloff(lamp: Lamp, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Share of a lamp's strength that arrives at surfaces, [N] float32; below 0 on their back."""
-    axis = np.float32(lamp.axis)
-    if lamp.kind == SUN:
-        return normals @ -axis
-    towards = np.float32(lamp.place) - places
-    squared = np.maximum(np.einsum("ij,ij->i", towards, towards), np.float32(1e-12))
-    distance = np.sqrt(squared)
-    share = np.einsum("ij,ij->i", towards, normals)
-    share /= distance * np.maximum(squared, np.float32(lamp.radius**2))
-    edge, fade = lamp.cone
-    if edge > -1 or lamp.is_surface:
-        along = (towards @ -axis) / distance
-    if edge > -1:
-        ramp = np.clip((along - edge) / max(fade, 1e-6), 0, 1)
-        share *= ramp * ramp * (3 - 2 * ramp)
-    if lamp.is_surface:
-        share *= np.maximum(along, 0)
-    return share
-
-
 @dataclass(frozen=True, kw_only=True)
 class Relighting:
     """Relighting of an object."""
@@ -276,24 +195,8 @@ def relit(
             nor on which side of a splat its normal is, and `how.share` is 0.
         how: The light.
     """
-    count, rest, _ = splats.shN.shape
-    sh0, shN = np.empty((count, 3), np.float32), np.empty((count, rest, 3), np.float32)
-
-    def work(part: slice) -> None:
-        before = None if captured is None else captured[part]
-        ratio = _gain(splats.means[part], normals[part], before, how)
-        color = sh0_to_rgb(splats.sh0[part, 0])
-        relit = encode(decode(color) * ratio) + np.minimum(color, 0)
-        sh0[part] = rgb_to_sh0(relit)
-        if rest:
-            # View dependence is scaled as the color is; a black one has none of its own.
-            gain = np.where(color > _DIM, relit / np.maximum(color, _DIM), 1).astype(np.float32)
-            for channel in range(3):
-                own, out = splats.shN[part, :, channel], shN[part, :, channel]
-                np.multiply(own, gain[:, channel, None], out=out)
-
-    _in_blocks(work, count, how.light)
-    return replace(splats, sh0=sh0[:, None], shN=shN)
+    sh0, shN = scaled_colors(splats.sh0, splats.shN, _gains(splats.means, normals, captured, how))
+    return replace(splats, sh0=sh0, shN=shN)
 
 
 def shade(
@@ -301,41 +204,23 @@ def shade(
 ) -> np.ndarray:
     """Factor of the colors of relit splats by shadows, [N, 3] float32; 1: none. Arguments as the
     arrays of `relit`."""
-    out = np.ones((len(means), 3), np.float32)
     bare = replace(how, light=replace(how.light, casters=Casters()))
-
-    def work(part: slice) -> None:
-        before = None if captured is None else captured[part]
-        lit, dark = (_gain(means[part], normals[part], before, one) for one in (bare, how))
-        np.divide(dark, lit, out=out[part], where=lit > 0)
-
-    _in_blocks(work, len(means), how.light)
-    return out
+    dark, lit = (_gains(means, normals, captured, one) for one in (how, bare))
+    return np.divide(dark, lit, out=np.ones_like(dark), where=lit > 0)
 
 
-def _gain(
+def _gains(
     means: np.ndarray, normals: np.ndarray, captured: np.ndarray | None, how: Relighting
 ) -> np.ndarray:
     """Factor of the linear colors of splats by relighting, [N, 3] float32."""
-    ratio = np.ones((len(means), 3), np.float32)
-    white = how.light.white_of(means, normals, how.matrix, two_sided=captured is None)
-    if how.catches and how.share < 1:
-        without = {"meshes": False, "two_sided": captured is None}
-        bare = how.light.white_of(means, normals, how.matrix, **without)
-        np.divide(white, bare, out=ratio, where=bare > 0)
-    if captured is None:
-        return ratio
-    (x, y, z), (r, g, b) = normals.T, captured.T  # reducing rows of three is slow
-    known = ((x != 0) | (y != 0) | (z != 0)) & (r > 0) & (g > 0) & (b > 0)
-    lit = np.divide(white, captured, out=np.ones_like(white), where=known[:, None])
-    return np.float32(1 - how.share) * ratio + np.float32(how.share) * np.minimum(lit, _STRONGEST)
-
-
-def _in_blocks(work: Callable[[slice], None], count: int, light: SceneLight) -> None:
-    """Do the work of blocks of splats in threads."""
-    _ = light.maps  # once, before the threads need them
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(work, (slice(at, at + _BLOCK) for at in range(0, count, _BLOCK))))
+    return surface_gains(
+        how.light.native,
+        Surfaces(places=means, normals=normals, matrix=how.matrix),
+        captured,
+        share=how.share,
+        catches=how.catches,
+        most=_STRONGEST,
+    )
 
 
 def shortest_axes(quats: np.ndarray, scales: np.ndarray) -> np.ndarray:

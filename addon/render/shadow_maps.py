@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..core import mesh_depth, mesh_nearness
+from ..core import ShadowMap, mesh_depth, mesh_nearness
 from ..triangles import Triangles, joined, repeated
 
 _SIZE = 1024
@@ -83,69 +83,14 @@ class Casters:
         return float(np.clip(_SLACK * max(edges), _LEAST * radius, _MOST * radius))
 
 
-@dataclass(frozen=True, kw_only=True)
-class ShadowMaps:
-    """Shadows of one lamp: depths of meshes as seen from it."""
-
-    viewmats: np.ndarray
-    """[V, 4, 4], world to lamp: one, or six along the axes of the world (`_SIDES`)."""
-    scale: float
-    """Pixels per unit aside, at depth 1 unless parallel."""
-    parallel: bool
-    depths: np.ndarray
-    """[V * _SIZE * _SIZE] float32, 1 / z, if parallel distances in front of `farthest`; 0 where
-    there is no mesh."""
-    farthest: float
-
-    def lit(self, places: np.ndarray, slack: float) -> np.ndarray:
-        """Share of the lamp that reaches places, [N] float32: a mean of 2 x 2 pixels by the
-        distance to them; 1 outside of the maps.
-
-        Args:
-            places: World positions [N, 3] float32.
-            slack: `Casters.slack`.
-        """
-        first, x, y, z = self._seen(places)
-        scale, before = np.float32(self.scale), z - np.float32(slack)
-        if self.parallel:
-            most = np.float32(self.farthest) - before
-        else:
-            scale = scale / np.maximum(z, np.float32(1e-9))
-            most = 1 / np.maximum(before, np.float32(1e-30))
-        x, y = (scale * one + np.float32(_SIZE / 2 - 0.5) for one in (x, y))
-        left, top = np.floor(x), np.floor(y)
-        inside = (left >= 0) & (top >= 0) & (left < _SIZE - 1) & (top < _SIZE - 1) & (z > 0)
-        pixel = np.where(inside, top * _SIZE + left, 0).astype(np.int32) + first
-        u, v = x - left, y - top
-        rows = []
-        for row in (pixel, pixel + _SIZE):
-            near, far = (self.depths[row + k] <= most for k in (0, 1))
-            rows.append(near + u * (far.astype(np.float32) - near))
-        return np.where(inside, rows[0] + v * (rows[1] - rows[0]), 1).astype(np.float32)
-
-    def _seen(self, places: np.ndarray) -> tuple[np.ndarray | int, ...]:
-        """First pixel of the map that shows each place, and its coordinates in the map's axes."""
-        if len(self.viewmats) == 1:
-            turn, shift = self.viewmats[0, :3, :3], self.viewmats[0, :3, 3:]
-            return 0, *(np.float32(turn) @ places.T + np.float32(shift))
-        eye = -self.viewmats[0, :3, :3].T @ self.viewmats[0, :3, 3]
-        away = np.ascontiguousarray((places - np.float32(eye)).T)
-        every, count = away.ravel(), np.arange(away.shape[1])
-        axis = np.argmax(np.abs(away), axis=0)
-        side = 2 * axis + (every[axis * len(count) + count] < 0)
-        turns = self.viewmats[:, :3, :3]
-        rows, signs = np.abs(turns).argmax(-1), np.float32(turns.sum(-1))
-        own = (signs[side, k] * every[rows[side, k] * len(count) + count] for k in range(3))
-        return (side * _SIZE**2).astype(np.int32), *own
-
-
 def ball_of(places: np.ndarray) -> tuple[np.ndarray, float]:
     """Center [3] and radius of a ball around the box of places [N, 3], at least one."""
-    low, high = places.min(0), places.max(0)
+    columns = np.ascontiguousarray(places.T)  # reducing rows of three is slow
+    low, high = columns.min(1), columns.max(1)
     return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-9)
 
 
-def shadow_maps(casters: Casters, place: np.ndarray, axis: np.ndarray | None) -> ShadowMaps:
+def shadow_map(casters: Casters, place: np.ndarray, axis: np.ndarray | None) -> ShadowMap:
     """Draw the meshes from a lamp.
 
     Args:
@@ -181,11 +126,13 @@ def shadow_maps(casters: Casters, place: np.ndarray, axis: np.ndarray | None) ->
 
     with ThreadPoolExecutor(min(os.cpu_count() or 1, len(views))) as pool:
         farthest = list(pool.map(draw, views, depths))
-    return ShadowMaps(
-        viewmats=np.stack(views),
+    turns = np.stack(views)[:, :3, :3]
+    return ShadowMap(
+        depths=depths,
+        rotations=turns,
+        place=-turns[0].T @ views[0][:3, 3],
         scale=float(scale),
         parallel=parallel,
-        depths=depths.ravel(),
         farthest=farthest[0],
     )
 

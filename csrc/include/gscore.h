@@ -18,6 +18,7 @@
 #pragma once
 
 #include "gscore/base.h"
+#include "gscore/light.h"
 #include "gscore/loss.h"
 #include "gscore/matching.h"
 #include "gscore/mesh.h"

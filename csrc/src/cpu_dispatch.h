@@ -10,7 +10,9 @@ struct BinArgs;
 struct BlendArgs;
 struct BlendBackwardArgs;
 struct CatchUpArgs;
+struct ColorArgs;
 struct InstanceBuffer;
+struct LightArgs;
 struct LossArgs;
 struct MatchArgs;
 struct MeshArgs;
@@ -41,6 +43,9 @@ struct Kernels {
     void (*match)(const MatchArgs &);
     // One band of rows.
     void (*mesh_depth)(const MeshArgs &, int band);
+    // One chunk of surfaces, and one of splats.
+    void (*surface_light)(const LightArgs &, int64_t chunk);
+    void (*scale_colors)(const ColorArgs &, int64_t chunk);
     // Counters of a block's rows to random words, and those to [count] or [count, 3] numbers.
     void (*philox)(RandomWords &, int64_t count, uint32_t key0, uint32_t key1);
     void (*to_uniform)(const RandomWords &, int64_t count, float *out);

@@ -7,6 +7,7 @@
 #include "blend_forward.inl.h"
 #include "cpu_dispatch.h"
 #include "exp2.inl.h"
+#include "light.inl.h"
 #include "loss.inl.h"
 #include "match.inl.h"
 #include "mesh_depth.inl.h"
@@ -18,8 +19,9 @@
 namespace gs::GS_NAMESPACE {
 
 static constexpr Kernels make_kernels(const char *name) {
-    return {name,          project,    bin,          blend, blend_backward, project_backward, image_loss, adam_step,
-            adam_catch_up, exp2_array, stereo_sweep, match, mesh_depth,     encrypt,          to_uniform, to_normal};
+    return {name,       project,       bin,           blend,      blend_backward, project_backward,
+            image_loss, adam_step,     adam_catch_up, exp2_array, stereo_sweep,   match,
+            mesh_depth, surface_light, scale_colors,  encrypt,    to_uniform,     to_normal};
 }
 
 } // namespace gs::GS_NAMESPACE

@@ -21,6 +21,8 @@ typedef float MeshFloats __attribute__((vector_size(4 * kDoubles)));
 
 // Minimum z of a hit, relative to the triangle's largest z.
 constexpr double kMeshNearest = 1e-9;
+// Distance, px, of a centre from a triangle's bounds within which rounding may decide.
+constexpr double kMeshMargin = 0.25;
 
 // A function of the pixel that is linear in it.
 struct MeshEdge {
@@ -38,7 +40,7 @@ struct MeshBounds {
     double high[2] = {-low[0], -low[0]};
 
     void add(double x, double y, double z) {
-        const double place[2] = {x / z, y / z};
+        const double per = 1 / z, place[2] = {x * per, y * per};
         for (int i = 0; i < 2; ++i) {
             low[i] = std::min(low[i], place[i]);
             high[i] = std::max(high[i], place[i]);
@@ -46,7 +48,7 @@ struct MeshBounds {
     }
 };
 
-// MeshRange of pixels covered by the part in front of the camera.
+// Range of pixels covered by the part in front of the camera.
 static MeshBounds mesh_bounds(const double *const corners[3]) {
     const double most = std::max({corners[0][2], corners[1][2], corners[2][2]}), near = kMeshNearest * most;
     MeshBounds out;
@@ -62,12 +64,12 @@ static MeshBounds mesh_bounds(const double *const corners[3]) {
     return out;
 }
 
-// Pixels [first, last) whose centres may be between two coordinates, with a pixel of margin at both ends for rounding.
+// Pixels [first, last) whose centres may be between two coordinates, with a margin at both ends for rounding.
 struct MeshSpan {
     int32_t first, last;
     MeshSpan(double low, double high, int32_t size)
-        : first(int32_t(std::clamp(std::floor(low - 1), 0.0, double(size)))),
-          last(int32_t(std::clamp(std::ceil(high + 1), 0.0, double(size)))) {}
+        : first(int32_t(std::clamp(std::ceil(low - 0.5 - kMeshMargin), 0.0, double(size)))),
+          last(int32_t(std::clamp(std::floor(high + 0.5 + kMeshMargin), 0.0, double(size)))) {}
 };
 
 // Columns of a row that no edge clearly excludes; `per_u` is 1 / u of each edge.
@@ -102,7 +104,7 @@ struct MeshBand {
     int32_t width, first, last;
     float *inverse_depth; // of the whole picture
 
-    // Whether all pixels are on the outer side of one of the band's borders. MeshEdge in homogeneous coordinates, so that
+    // Whether all pixels are on the outer side of one of the band's borders. Linear in homogeneous coordinates, so that
     // corners behind the camera need no case of their own.
     bool misses(const double *const corners[3]) const {
         const double *const a = corners[0], *const b = corners[1], *const c = corners[2];
@@ -130,25 +132,28 @@ GS_INLINE void raise_to(float *line, int32_t count, MeshFloats hit) {
 }
 
 static void draw_triangle(const double *const corners[3], const MeshBand &band) {
+    const MeshBounds bounds = mesh_bounds(corners);
+    const MeshSpan rows(bounds.low[1], bounds.high[1], band.last), all(bounds.low[0], bounds.high[0], band.width);
+    if (rows.first >= rows.last || all.first >= all.last)
+        return; // between centres, or behind the camera
     MeshEdge edges[3] = {mesh_edge(corners[1], corners[2]), mesh_edge(corners[2], corners[0]),
                          mesh_edge(corners[0], corners[1])};
     const double *const p = corners[0];
     const double volume = edges[0].u * p[0] + edges[0].v * p[1] + edges[0].rest * p[2];
-    const MeshBounds bounds = mesh_bounds(corners);
-    if (volume == 0 || !(bounds.low[0] <= bounds.high[0]))
-        return; // edge-on, or behind the camera
+    if (volume == 0)
+        return; // edge-on
     const double side = volume > 0 ? 1 : -1, per = 1 / std::fabs(volume);
     for (MeshEdge &e : edges)
         e = {side * e.u, side * e.v, side * e.rest};
     const double per_u[3] = {1 / edges[0].u, 1 / edges[1].u, 1 / edges[2].u};
     const MeshRange range(corners);
-    const MeshSpan rows(bounds.low[1], bounds.high[1], band.last);
+    const bool narrow = all.last - all.first <= kDoubles; // its rows take one step each
     MeshDoubles steps;
     for (int i = 0; i < kDoubles; ++i)
         steps[i] = i + 0.5;
     for (int32_t row = std::max(rows.first, band.first); row < rows.last; ++row) {
         const double y = row + 0.5;
-        const MeshSpan columns = mesh_columns(edges, per_u, y, bounds, band.width);
+        const MeshSpan columns = narrow ? all : mesh_columns(edges, per_u, y, bounds, band.width);
         float *const line = band.inverse_depth + int64_t(row) * band.width;
         for (int32_t column = columns.first; column < columns.last; column += kDoubles) {
             const MeshDoubles x = steps + double(column);

@@ -167,7 +167,7 @@ static inline IVec add_products(IVec c, IVec a, IVec b) {
 #endif
 }
 
-// Gathers words of a table, one per lane.
+// Gathers numbers of a table, one per lane.
 static inline IVec gather(const uint32_t *table, IVec at) {
 #if defined(GS_ISA_AVX512)
     return (IVec)_mm512_i32gather_epi32((__m512i)at, table, 4);
@@ -177,6 +177,18 @@ static inline IVec gather(const uint32_t *table, IVec at) {
     IVec v;
     for (int i = 0; i < kLanes; ++i)
         v[i] = int32_t(table[at[i]]);
+    return v;
+#endif
+}
+static inline Vec gather(const float *table, IVec at) {
+#if defined(GS_ISA_AVX512)
+    return _mm512_i32gather_ps((__m512i)at, table, 4);
+#elif defined(GS_ISA_AVX2)
+    return _mm256_i32gather_ps(table, (__m256i)at, 4);
+#else
+    Vec v;
+    for (int i = 0; i < kLanes; ++i)
+        v[i] = table[at[i]];
     return v;
 #endif
 }

@@ -170,6 +170,43 @@ StereoCheckArgsStruct = struct(
 MeshStruct = struct(
     "gs_mesh", "int64 corner_count", "pointer corners", "int64 triangle_count", "pointer triangles"
 )
+ShadowMapStruct = struct(
+    "gs_shadow_map",
+    "int32 size views",
+    "pointer depths rotations",
+    "float[3] place",
+    "float scale",
+    "int32 parallel",
+    "float farthest",
+)
+LampStruct = struct(
+    "gs_lamp",
+    "int32 is_sun is_surface",
+    "float[3] strength place axis",
+    "float radius",
+    "float[2] cone",
+    "int32[2] maps",
+)
+LightStruct = struct(
+    "gs_light",
+    "float[27] world",
+    "int32 lamp_count",
+    ("lamps", ct.POINTER(LampStruct)),
+    "int32 map_count",
+    ("maps", ct.POINTER(ShadowMapStruct)),
+    "float slack",
+)
+SurfacesStruct = struct(
+    "gs_surfaces",
+    "int64 count",
+    "pointer places normals captured",
+    "float[12] matrix",
+    "float[9] turn",
+    "float share",
+    "int32 catches",
+    "float most",
+)
+ColorsStruct = struct("gs_colors", "int64 count", "int32 sh_rest", "pointer sh0 shN gains")
 DescriptorsStruct = struct("gs_descriptors", "int32 count", "pointer values")
 STRUCTS = tuple(of for of in globals().values() if isinstance(of, type(SplatsStruct)))
 """All of them."""
@@ -195,6 +232,9 @@ SIGNATURES = signatures(
         "gs_stereo_sweep": "gs_stereo_sweep_args gs_stereo_found",
         "gs_stereo_check": "gs_stereo_check_args pointer pointer pointer",
         "gs_mesh_depth": "gs_mesh double int32 int32 int32 pointer",
+        "gs_surface_radiance": "gs_light gs_surfaces int32 pointer",
+        "gs_surface_gains": "gs_light gs_surfaces int32 pointer",
+        "gs_scale_colors": "gs_colors int32 pointer pointer",
         "gs_match_descriptors": "gs_descriptors gs_descriptors double double pointer",
     },
 )

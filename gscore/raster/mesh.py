@@ -77,7 +77,7 @@ def mesh_nearness(
     Returns:
         [H, W] float32, world units; 0 where there is no triangle; and z of the plane.
     """
-    corners, farthest = _linear(projected_corners(vertices, K, viewmat), K)
+    corners, farthest = _linear(vertices, K, viewmat)
     if near >= farthest:
         triangles = triangles[:0]
     least = 1 / (farthest - near) if near < farthest else 0.0
@@ -108,17 +108,21 @@ def _drawn(
     return out
 
 
-def _linear(corners: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, float]:
+def _linear(vertices: np.ndarray, K: np.ndarray, viewmat: np.ndarray) -> tuple[np.ndarray, float]:
     """Corners whose inverse depth is their distance in front of a plane, which is linear in an
     orthographic picture; and z of that plane."""
-    z = corners[:, 2]
-    if not len(z):
+    turned = np.asarray(viewmat, np.float64)[:3].copy()
+    turned[:2] = np.asarray(K, np.float64)[:2, :2] @ turned[:2]
+    turned[:2, 3] += np.asarray(K, np.float64)[:2, 2]
+    corners = projected_corners(vertices, np.eye(3), turned)  # K times (X, Y, 1), and z
+    if not len(corners):
         return corners, 1.0
-    center = np.asarray(K, np.float64)[:2, 2]
-    places = corners[:, :2] - z[:, None] * center + center  # K times (X, Y, 1)
-    farthest = float(z.max() + max(np.ptp(z), abs(z).max() * 1e-3))
-    weight = 1 / (farthest - z)
-    return np.column_stack([places * weight[:, None], weight]), farthest
+    z = corners[:, 2]
+    first, last = float(z.min()), float(z.max())
+    farthest = last + max(last - first, abs(first) * 1e-3, abs(last) * 1e-3)
+    np.divide(1, farthest - z, out=z)
+    corners[:, :2] *= z[:, None]
+    return corners, farthest
 
 
 def projected_corners(vertices: np.ndarray, K: np.ndarray, viewmat: np.ndarray) -> np.ndarray:

@@ -18,13 +18,14 @@ from gscore.raster import _native
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "fuzz"
 TARGETS = {
-    "raster": 0.2,
+    "raster": 0.15,
     "loss": 0.05,
     "adam": 0.05,
     "catch_up": 0.1,
     "arrays": 0.05,
     "stereo": 0.1,
     "mesh": 0.05,
+    "light": 0.05,
     "match": 0.05,
 }
 READERS, SCENES = 0.25, 0.1

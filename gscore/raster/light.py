@@ -1,0 +1,230 @@
+"""Light of a scene on surfaces, and colours of splats under it, by the native library."""
+
+import ctypes as ct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from . import _native, header
+from .buffers import address, optional
+
+POINT, SUN = "POINT", "SUN"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lamp:
+    """A small source of light in the world; a large one is several."""
+
+    kind: str
+    """POINT: `strength` over squared distance; SUN: `strength` everywhere."""
+    strength: tuple[float, float, float]
+    """Radiance of a white surface that faces it, linear Rec. 709, at distance 1."""
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Unit vector along which it shines: of a sun, a cone, or a surface."""
+    radius: float = 0.0
+    """Least distance."""
+    cone: tuple[float, float] = (-2.0, 0.0)
+    """Cosine of half the cone's angle, and the range of cosines in which it fades in."""
+    is_surface: bool = False
+    """Whether it fades with the cosine of the angle to its axis."""
+    source: tuple[float, float, float] | None = None
+    """World position from which shadows fall, any for a sun; None: it casts none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ShadowMap:
+    """Depths of meshes as seen from a lamp."""
+
+    depths: np.ndarray
+    """[V, S, S] float32, 1 / z, if parallel distances in front of `farthest`; 0 where there is no
+    mesh. V is 1, or 6: along +x, -x, +y, -y, +z and -z of the world."""
+    rotations: np.ndarray
+    """[V, 3, 3], world to lamp, z ahead."""
+    place: np.ndarray
+    """World position of the lamp [3]."""
+    scale: float
+    """Pixels per unit aside, at z = 1 unless parallel."""
+    parallel: bool = False
+    farthest: float = 0.0
+    """z of a plane behind all meshes, if parallel."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurfaceLight:
+    """All light of a scene."""
+
+    lamps: Sequence[Lamp]
+    maps: Sequence[tuple[ShadowMap | None, ShadowMap | None]]
+    """Shadows of each lamp by proxies and by other meshes; None: there are none."""
+    world: np.ndarray
+    """[9, 3] radiance of a white surface by its normal, in harmonics of degree 0 to 2."""
+    slack: float = 0.0
+    """Distance from a surface within which nothing shadows it, world units."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surfaces:
+    """Small white surfaces."""
+
+    places: np.ndarray
+    """[N, 3] float32, in the space of an object."""
+    normals: np.ndarray
+    """[N, 3] float32 unit vectors in it; 0: unknown."""
+    matrix: np.ndarray
+    """[4, 4] float64, object to world, a similarity."""
+
+
+def surface_radiance(light: SurfaceLight, surfaces: Surfaces) -> np.ndarray:
+    """Radiance of white surfaces, linear Rec. 709, [N, 3] float32.
+
+    A shadow is the mean of 2 x 2 pixels of a map by the distance to them; surfaces outside of a map
+    are lit.
+
+    Raises:
+        ShapeError: an array has a wrong shape or dtype.
+        BackendError: the native library is missing.
+    """
+    return _lit("gs_surface_radiance", light, surfaces)
+
+
+def surface_gains(
+    light: SurfaceLight,
+    surfaces: Surfaces,
+    captured: np.ndarray | None,
+    *,
+    share: float,
+    catches: bool,
+    most: float,
+) -> np.ndarray:
+    """Factor of the linear colours of surfaces under a light, [N, 3] float32.
+
+    Args:
+        light: The light; errors as for `surface_radiance`.
+        surfaces: The surfaces.
+        captured: Radiance of white surfaces in the photos [N, 3] float32, 0: unknown, and the
+            factor 1. None: it is not known of any, nor on which side the normals are; these are
+            turned to each lamp.
+        share: Share of the light that replaces the captured one.
+        catches: Whether the shadows of meshes that are no proxies darken the captured light too.
+        most: Largest ratio of the light to the captured one.
+    """
+    captured = None if captured is None else np.ascontiguousarray(captured, np.float32)
+    shape = (len(surfaces.places), 3)
+    return _lit(
+        "gs_surface_gains",
+        light,
+        surfaces,
+        captured=optional("captured", captured, shape),
+        share=share,
+        catches=catches,
+        most=most,
+    )
+
+
+def scaled_colors(
+    sh0: np.ndarray, shN: np.ndarray, gains: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of splats whose linear colours are multiplied.
+
+    Args:
+        sh0: [N, 1, 3] float32 of sRGB colours.
+        shN: [N, R, 3] float32; scaled as the colour is, or kept if that is black.
+        gains: [N, 3] float32.
+
+    Returns:
+        `sh0` and `shN`; errors as for `surface_radiance`.
+    """
+    count, rest, _ = shN.shape
+    new0, newN = np.empty((count, 1, 3), np.float32), np.empty((count, rest, 3), np.float32)
+    colors = header.ColorsStruct(
+        count=count,
+        sh_rest=rest,
+        sh0=address("sh0", sh0, new0.shape),
+        shN=address("shN", shN, newN.shape),
+        gains=address("gains", gains, (count, 3)),
+    )
+    outputs = address("sh0", new0, new0.shape), address("shN", newN, newN.shape)
+    _native.raise_status(_native.library().gs_scale_colors(ct.byref(colors), 0, *outputs))
+    return new0, newN
+
+
+def _lit(function: str, light: SurfaceLight, surfaces: Surfaces, **more: Any) -> np.ndarray:
+    shape = (len(surfaces.places), 3)
+    matrix = surfaces.matrix
+    turn = matrix[:3, :3] / np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
+    places, normals = (
+        np.ascontiguousarray(one, np.float32) for one in (surfaces.places, surfaces.normals)
+    )
+    given = header.SurfacesStruct(
+        count=shape[0],
+        places=address("places", places, shape),
+        normals=address("normals", normals, shape),
+        matrix=_floats(matrix[:3], 12),
+        turn=_floats(turn, 9),
+        **more,
+    )
+    out = np.empty(shape, np.float32)
+    native, kept = _native_light(light)
+    _native.raise_status(
+        getattr(_native.library(), function)(
+            ct.byref(native), ct.byref(given), 0, address("out", out, shape)
+        )
+    )
+    del kept
+    return out
+
+
+def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
+    """`gs_light`, and arrays that must outlive it."""
+    found: list[ShadowMap] = []
+    maps, lamps, kept = [], [], []
+    for lamp, pair in zip(light.lamps, light.maps, strict=True):
+        numbers = []
+        for one in pair:
+            if one is not None and not any(one is known for known in found):
+                found.append(one)
+            numbers.append(next((i for i, known in enumerate(found) if known is one), -1))
+        lamps.append(
+            header.LampStruct(
+                is_sun=lamp.kind == SUN,
+                is_surface=lamp.is_surface,
+                strength=_floats(lamp.strength, 3),
+                place=_floats(lamp.place, 3),
+                axis=_floats(lamp.axis, 3),
+                radius=lamp.radius,
+                cone=_floats(lamp.cone, 2),
+                maps=(ct.c_int32 * 2)(*numbers),
+            )
+        )
+    for one in found:
+        rotations = np.ascontiguousarray(one.rotations, np.float32)
+        views, size, _ = one.depths.shape
+        kept += [rotations, one.depths]
+        maps.append(
+            header.ShadowMapStruct(
+                size=size,
+                views=views,
+                depths=address("depths", one.depths, (views, size, size)),
+                rotations=address("rotations", rotations, (views, 3, 3)),
+                place=_floats(one.place, 3),
+                scale=one.scale,
+                parallel=one.parallel,
+                farthest=one.farthest,
+            )
+        )
+    native = header.LightStruct(
+        world=_floats(light.world, 27),
+        lamp_count=len(lamps),
+        lamps=(header.LampStruct * len(lamps))(*lamps),
+        map_count=len(maps),
+        maps=(header.ShadowMapStruct * len(maps))(*maps),
+        slack=light.slack,
+    )
+    return native, kept
+
+
+def _floats(values: Any, count: int) -> ct.Array:
+    return (ct.c_float * count)(*np.asarray(values, np.float64).ravel().tolist())

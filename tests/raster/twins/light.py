@@ -1,0 +1,116 @@
+"""Reference light on surfaces in float64, by definition: one lamp, and one pixel of a map, after
+the other; slow."""
+
+import numpy as np
+
+from gscore.raster.light import SUN, Lamp, ShadowMap, SurfaceLight, Surfaces
+from gscore.sh import sh_basis
+
+_SIDES = [sign * np.eye(3)[k] for k in range(3) for sign in (1.0, -1.0)]
+
+
+def reaching(shadows: ShadowMap | None, places: np.ndarray, slack: float) -> np.ndarray:
+    """Share of a lamp that reaches places [N, 3], [N]."""
+    if shadows is None:
+        return np.ones(len(places))
+    views, size, _ = shadows.depths.shape
+    out = np.ones(len(places))
+    for i, away in enumerate(places - shadows.place):
+        view = 0 if views == 1 else int(np.argmax([side @ away for side in _SIDES]))
+        x, y, z = shadows.rotations[view] @ away
+        if z <= 0:
+            continue
+        scale = shadows.scale if shadows.parallel else shadows.scale / z
+        at = scale * np.array([y, x]) + size / 2 - 0.5
+        row, column = np.floor(at).astype(int)
+        if not (0 <= row < size - 1 and 0 <= column < size - 1):
+            continue
+        found = np.float64(shadows.depths[view, row : row + 2, column : column + 2])
+        with np.errstate(divide="ignore"):
+            far = shadows.farthest - found if shadows.parallel else 1 / found
+        passes = ((found == 0) | (z - slack <= far)).astype(float)
+        v, u = at - [row, column]
+        out[i] = np.array([1 - v, v]) @ passes @ np.array([1 - u, u])
+    return out
+
+
+def falloff(lamp: Lamp, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Share of a lamp's strength that arrives, [N]; below 0 on the back."""
+    axis = np.array(lamp.axis)
+    if lamp.kind == SUN:
+        return -normals @ axis
+    towards = np.array(lamp.place) - places
+    distance = np.linalg.norm(towards, axis=1)
+    share = (towards * normals).sum(1) / distance / np.maximum(distance, lamp.radius) ** 2
+    along = -towards @ axis / distance
+    edge, fade = lamp.cone
+    if edge > -1:
+        ramp = np.clip((along - edge) / max(fade, 1e-6), 0, 1)
+        share *= 3 * ramp**2 - 2 * ramp**3
+    return share * np.maximum(along, 0) if lamp.is_surface else share
+
+
+def radiance(
+    light: SurfaceLight, surfaces: Surfaces, *, two_sided: bool = False, meshes: bool = True
+) -> np.ndarray:
+    """`surface_radiance`, [N, 3]; normals are turned to each lamp if `two_sided`."""
+    matrix = surfaces.matrix
+    turn = matrix[:3, :3] / np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
+    places = np.float64(surfaces.places) @ matrix[:3, :3].T + matrix[:3, 3]
+    normals = np.float64(surfaces.normals) @ turn.T
+    basis = sh_basis(2, normals)
+    if two_sided:
+        basis = (basis + sh_basis(2, -normals)) / 2
+    out = np.maximum(basis @ light.world, 0)
+    for lamp, (proxies, others) in zip(light.lamps, light.maps, strict=True):
+        share, own = falloff(lamp, places, normals), normals
+        if two_sided:
+            own = np.where(share[:, None] < 0, -normals, normals)
+            share = falloff(lamp, places, own)
+        beside = places + own * light.slack
+        share = np.maximum(share, 0) * reaching(proxies, beside, light.slack)
+        if meshes:
+            share *= reaching(others, beside, light.slack)
+        out += share[:, None] * np.array(lamp.strength)
+    return out
+
+
+def gains(
+    light: SurfaceLight,
+    surfaces: Surfaces,
+    captured: np.ndarray | None,
+    *,
+    share: float,
+    catches: bool,
+    most: float,
+) -> np.ndarray:
+    """`surface_gains`, [N, 3]."""
+    white = radiance(light, surfaces, two_sided=captured is None)
+    bare = radiance(light, surfaces, two_sided=captured is None, meshes=False)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        kept = np.where((bare > 0) & catches, white / bare, 1)
+        if captured is None:
+            return kept
+        known = (surfaces.normals != 0).any(1) & (captured > 0).all(1)
+        return (1 - share) * kept + share * np.minimum(
+            np.where(known[:, None], white / captured, 1), most
+        )
+
+
+def decode(values: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB (IEC 61966-2-1)."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+def encode(light: np.ndarray) -> np.ndarray:
+    """The inverse."""
+    return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def scaled(sh0: np.ndarray, shN: np.ndarray, factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`scaled_colors`."""
+    constant = sh_basis(0, np.array([0.0, 0.0, 1.0]))[0]
+    color = np.float64(sh0[:, 0]) * constant + 0.5
+    lit = encode(decode(np.maximum(color, 0)) * factors) + np.minimum(color, 0)
+    gain = np.where(color > 1 / 255, lit / np.maximum(color, 1 / 255), 1)
+    return ((lit - 0.5) / constant)[:, None], shN * gain[:, None]
