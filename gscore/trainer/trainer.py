@@ -21,7 +21,7 @@ from .model.checkpoint_schema import as_int
 from .model.ensemble_member import EnsembleMember, count_members
 from .model.training_frame import TrainingFrame
 from .photos.image_pyramid import ImagePyramid
-from .photos.view_sampler import ViewSampler
+from .photos.view_sampler import ViewSampler, mixed
 from .schedule.plan import Plan
 from .step.model_set import ModelSet
 from .step.step_edits import StepEdits
@@ -308,9 +308,9 @@ class Trainer:
         return edited
 
     def error(self, views: int = 8) -> float:
-        """Root mean squared error of the unmasked pixels in about `views` training views, at the
+        """Root mean squared error of the unmasked pixels in `views` training views, at the
         resolution of the next step."""
-        chosen = self.sampler.indices[:: -(-len(self.sampler.indices) // views)]
+        chosen = mixed(self.sampler.indices, views)
         return self.renderer.error(chosen, self.plan.factor_at(self.steps + 1))
 
     def splats(self) -> Splats:

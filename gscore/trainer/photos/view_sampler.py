@@ -1,5 +1,6 @@
 """View sampler: random order of the training views, and the interface of a capture."""
 
+import math
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -59,6 +60,17 @@ def evenly_spaced(indices: Sequence[int], most: int) -> list[int]:
     if len(indices) <= most:
         return list(indices)
     return [indices[i] for i in np.linspace(0, len(indices) - 1, most).round().astype(int)]
+
+
+def mixed(indices: Sequence[int], most: int) -> list[int]:
+    """Return at most `most` elements of `indices` from all parts, ascending. Their stride has no
+    small factor, so that of photos bracketed by exposure, which repeat every few, all kinds are
+    among them."""
+    count = len(indices)
+    stride = max(-(-count // most), 1)
+    while math.gcd(stride, 2 * 3 * 5 * 7 * max(count, 1)) != 1:
+        stride += 1
+    return sorted(indices[k * stride % count] for k in range(min(most, count)))
 
 
 class ViewSampler:
