@@ -47,6 +47,12 @@ def picture(path, gain=1.0):
         rgb [H, W, 3] sRGB in [0, 1]; mask [H, W] coverage by the figure; depth [H, W] along the
         optical axis at pixel centres in metres, infinite where a ray hits nothing.
     """
+    rgb, mask, depth = linear_picture(path)
+    return exposed(rgb, gain), mask, depth
+
+
+def linear_picture(path):
+    """As `picture`, with rgb in linear Rec. 709, not limited to 1."""
     path = Path(path).with_suffix(".exr")
     bpy.context.scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True)
@@ -55,9 +61,13 @@ def picture(path, gain=1.0):
     rgb = np.stack([find(channels, "Combined." + c) for c in "RGB"], -1)
     depth = find(channels, "Depth.Z", "Depth.V")
     mask = find(channels, MASK + ".X", MASK + ".V", MASK + ".Value")
+    return rgb, np.clip(mask, 0, 1), np.where(depth < 1e9, depth, np.inf)
+
+
+def exposed(rgb, gain=1.0):
+    """sRGB in [0, 1] of linear colours times `gain`, clipped as a camera's are."""
     rgb = np.clip(rgb * gain, 0, 1)
-    srgb = np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * rgb ** (1 / 2.4) - 0.055)
-    return srgb, np.clip(mask, 0, 1), np.where(depth < 1e9, depth, np.inf)
+    return np.where(rgb <= 0.0031308, 12.92 * rgb, 1.055 * rgb ** (1 / 2.4) - 0.055)
 
 
 def find(channels, *endings):

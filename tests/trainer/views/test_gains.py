@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+import gscore
 from gscore.config import Background
 from gscore.engine.cpu.loss import without_background
 from gscore.raster.loss import image_loss_gradient
@@ -234,3 +235,26 @@ def test_a_damaged_checkpoint_is_refused(photos: Any, damage: dict[str, torch.Te
     gains = PhotoGains(photos.train, some_gains(photos))
     with pytest.raises(ValueError, match="gain/"):
         PhotoGains.restored(photos.train, 8, gains.tensors() | damage)
+
+
+def test_bright_parts_are_those_of_short_exposures(make_photos: Callable[..., Any]) -> None:
+    """Photos of a capture that is 1.7 times as bright, of which only every third shows all below
+    white. Oracle: the capture; where it is brighter than white, splats are too."""
+    plain = make_photos(held_out=())
+    stops = np.resize(np.log([1 / 1.7, 1.0, 1.7]), len(plain.scene.cameras))
+    stops = np.repeat((stops - stops.mean())[:, None], 3, axis=1)
+    photos = exposed(plain, stops + np.log(1.7))
+    config = replace(CONFIG, iterations=1600, background=Background.BLACK, sh_degree=0)
+    gains = PhotoGains(photos.train, stops, fixed=True)
+    trainer = Trainer(config, Analysis(photos=photos, gains=gains))
+    for _ in range(config.iterations):
+        trainer.step()
+    cameras, splats, ratios = plain.scene.cameras, trainer.splats(), []
+    for i in range(len(cameras)):
+        truth = 1.7 / 255 * plain.images[i].astype(np.float64)
+        height, width = truth.shape[:2]
+        drawn = gscore.render(splats, cameras.Ks[i], cameras.viewmats[i], width, height).rgb
+        ratios.append((drawn / np.maximum(truth, 1e-6))[truth > 1.2])
+    found = np.concatenate(ratios)
+    assert len(found) > 100
+    assert abs(np.median(found) - 1) < 0.1
