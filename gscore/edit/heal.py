@@ -54,7 +54,7 @@ much as a distance of the region's size, and the cost of each earlier use of a d
 
 
 class Healed(NamedTuple):
-    """What fills a hole."""
+    """Filling of a hole: new splats, and values at them."""
 
     splats: Splats
     values: np.ndarray

@@ -11,7 +11,6 @@ from ..errors import DatasetError
 from ..formats import is_antialiased
 from ..metrics.photo_mismatch import photo_mismatch_warnings
 from ..text_format import count_text, number
-from .photos.view_sampler import mixed
 from .trainer import Trainer
 
 _FAR_FROM_ORIGIN = 1e4
@@ -73,8 +72,7 @@ def _other_scene(trainer: Trainer) -> list[str]:
     """Warnings if the start splats seem to belong to another scene."""
     if trainer.config.start_splats is None or trainer.steps:
         return []
-    views = trainer.photos.train
-    error = trainer.renderer.error(mixed(views, _COMPARED), _FACTOR)
+    error = trainer.error(_COMPARED, _FACTOR)
     psnr = -20 * math.log10(max(error, 1e-6))
     return photo_mismatch_warnings(psnr, f"The splats of {trainer.config.start_splats}")
 

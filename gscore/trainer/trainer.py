@@ -307,11 +307,12 @@ class Trainer:
         self.counts.lost_rows += edited.lost_rows - result.lost_rows
         return edited
 
-    def error(self, views: int = 8) -> float:
-        """Root mean squared error of the unmasked pixels in `views` training views, at the
-        resolution of the next step."""
-        chosen = mixed(self.sampler.indices, views)
-        return self.renderer.error(chosen, self.plan.factor_at(self.steps + 1))
+    def error(self, views: int = 8, factor: float | None = None) -> float:
+        """Root mean squared error of the unmasked pixels in `views` training views, with sides
+        divided by `factor`; None: at the resolution of the next step."""
+        if factor is None:
+            factor = self.plan.factor_at(self.steps + 1)
+        return self.renderer.error(mixed(self.sampler.indices, views), factor)
 
     def splats(self) -> Splats:
         """Current splats in COLMAP world units, with the SH degree in use; frozen ones first."""
