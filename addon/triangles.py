@@ -1,5 +1,6 @@
 """Triangles of evaluated objects."""
 
+import ctypes
 from typing import NamedTuple
 
 import bpy
@@ -31,18 +32,41 @@ def triangles_of(ob: bpy.types.Object) -> Triangles:
 
 def triangles_of_mesh(mesh: bpy.types.Mesh) -> Triangles:
     """Triangles of an evaluated mesh."""
+    corners = np.empty(len(mesh.loops), np.int32)
+    if len(corners):
+        mesh.attributes[".corner_vert"].data.foreach_get("value", corners)
+    if len(corners) == 3 * len(mesh.polygons):
+        triangles = corners.reshape(-1, 3)
+    else:
+        mesh.calc_loop_triangles()
+        triangles = corners[_corners_of(mesh.loop_triangles)]
+    return Triangles(vertices_of(mesh).astype(np.float64), triangles)
+
+
+def vertices_of(mesh: bpy.types.Mesh) -> np.ndarray:
+    """Vertices of a mesh, [V, 3] float32."""
     vertices = np.empty((len(mesh.vertices), 3), np.float32)
     # Attributes, which empty meshes lack, are copied as a whole, other collections bit by bit.
     if len(vertices):
         mesh.attributes["position"].data.foreach_get("vector", vertices.ravel())
-    if 0 < len(mesh.loops) == 3 * len(mesh.polygons):
-        triangles = np.empty((len(mesh.polygons), 3), np.int32)
-        mesh.attributes[".corner_vert"].data.foreach_get("value", triangles.ravel())
-    else:
-        mesh.calc_loop_triangles()
-        triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
-        mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
-    return Triangles(vertices.astype(np.float64), triangles)
+    return vertices
+
+
+def _corners_of(found: bpy.types.bpy_prop_collection) -> np.ndarray:
+    """Corners of a mesh's triangles, [T, 3] int32."""
+    count = len(found)
+    out = np.zeros((count, 3), np.int32)
+    if not count:
+        return out
+    some = [0, count // 2, count - 1]
+    places = [found[i].as_pointer() for i in some]
+    if [place - places[0] for place in places] == [out.strides[0] * i for i in some]:
+        # An array of triangles, as in all versions so far: 80 times as fast as copying by name.
+        ctypes.memmove(out.ctypes.data, places[0], out.nbytes)
+        if all(out[i].tolist() == list(found[i].loops) for i in some):
+            return out
+    found.foreach_get("loops", out.ravel())
+    return out
 
 
 def joined(parts: list[Triangles]) -> Triangles:

@@ -18,6 +18,7 @@ from ..splats.edit_operators import Editing
 from ..splats.objects import moved, proxy_of
 from ..splats.read_chunked import read_chunked
 from ..srgb import decode
+from ..triangles import vertices_of
 from . import relight
 from .lamps import scene_light
 
@@ -86,11 +87,9 @@ class RelightSplats(Editing, bpy.types.Operator):
 
 def _surface(proxy: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """Vertices of a proxy and their normals in the space of its splats, [V, 3] each."""
-    count = len(proxy.data.vertices)
-    values = np.empty((2, 3 * count), np.float32)
-    proxy.data.vertices.foreach_get("co", values[0])
-    proxy.data.vertices.foreach_get("normal", values[1])
-    places, normals = values.reshape(2, count, 3)
+    places = vertices_of(proxy.data)
+    normals = np.empty_like(places)
+    proxy.data.vertex_normals.foreach_get("vector", normals.ravel())
     matrix = matrix_to_numpy(proxy.matrix_basis)
     normals = normals @ np.linalg.inv(matrix[:3, :3])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

@@ -21,6 +21,7 @@ from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..render.proxy import MADE
 from ..splats.objects import active_splats, proxy_of
 from ..splats.read_chunked import read_chunked
+from ..triangles import vertices_of
 from .mesh_object import COLOR
 
 _FITTED = "gs_fitted"
@@ -117,7 +118,7 @@ def _near(places: np.ndarray, columns: dict[str, np.ndarray], check: Check) -> _
 
 def _search(splats: bpy.types.Object, proxy: bpy.types.Object) -> Steps[_Near]:
     """The nearest splats of the vertices of a proxy."""
-    places = _floats(proxy.data.vertices, "co", 3)
+    places = vertices_of(proxy.data)
     matrix = np.array(proxy.matrix_basis, np.float64)
     places = places @ matrix[:3, :3].T + matrix[:3, 3]
     columns = yield from read_chunked(splats, [attributes.POSITION, attributes.BASE])
@@ -155,9 +156,10 @@ def _fit(proxy: bpy.types.Object, near: _Near, mark: str) -> int:
     mesh = proxy.data
     before = _floats(mesh.attributes[_DISTANCE].data, "value", 1)
     shift = near.colors - _floats(mesh.attributes[_SHADE].data, "vector", 3)
-    places = _floats(mesh.vertices, "co", 3)
+    places = vertices_of(mesh)
     ends = np.empty(2 * len(mesh.edges), np.int32)
-    mesh.edges.foreach_get("vertices", ends)
+    if len(ends):
+        mesh.attributes[".edge_verts"].data.foreach_get("value", ends)
     edges = np.linalg.norm(places[ends[::2]] - places[ends[1::2]], axis=1)
     gone = near.distances > _FARTHER * before + float(np.median(edges))
     if (colors := mesh.color_attributes.get(COLOR)) is not None:
