@@ -93,6 +93,12 @@ def choose_masks(
     use_alpha = [info.has_alpha for info in infos]
     with_alpha = [view.image for view, used in zip(views, use_alpha, strict=True) if used]
     if not _hide_something(with_alpha, cancelled):
+        if config.mask_mode != "auto":
+            warnings = [
+                *warnings,
+                f"`--mask-mode {config.mask_mode}` changes nothing: there are no mask files, and "
+                "no photo has transparent pixels.",
+            ]
         return replace(none, warnings=tuple(warnings))
     mode = "composite" if config.mask_mode == "auto" else config.mask_mode
     return MaskChoice(mode=mode, files=files, use_alpha=use_alpha, warnings=tuple(warnings))

@@ -410,6 +410,20 @@ class TestMasks:
         assert data.warnings == ("There are no mask files, so invert_masks changes nothing.",)
         np.testing.assert_array_equal(data.mask(2), capture.photos["view_02.png"][..., 3])
 
+    @pytest.mark.parametrize("mode", ["composite", "ignore"])
+    def test_a_mode_without_masks_changes_nothing(self, mode: str, make_capture: Callable) -> None:
+        """Oracle: a warning that names the option; none for `auto` and with alpha."""
+        root = make_capture().root
+        data = _load(root, mask_mode=mode)
+        assert data.mask_mode == "none"
+        (text,) = data.warnings
+        assert text.startswith(f"`--mask-mode {mode}` changes nothing: there are no mask files")
+        assert _load(root).warnings == ()
+
+    def test_a_mode_with_alpha_has_an_effect(self, make_capture: Callable) -> None:
+        data = _load(make_capture(alpha=True).root, mask_mode="ignore")
+        assert data.mask_mode == "ignore" and data.warnings == ()
+
     def test_alpha(self, make_capture: Callable) -> None:
         """Oracle: colours and alpha as written."""
         capture = make_capture(alpha=True)

@@ -56,7 +56,9 @@ def test_no_option_is_forgotten() -> None:
         ("--strategy mcmc --no-grow-with-photos", ""),
         ("--depth-weight 1", "--depth-weight (only with --depths"),
         ("-d maps --depth-mode off", "--depths (not with --depth-mode off)"),
-        ("--depth-mode on", "--depth-mode (only with --depths)"),
+        ("--depth-mode auto", "--depth-mode (only with --depths)"),
+        ("--depth-mode on --depth-weight 1", ""),  # is refused
+        ("--depth-points 9", ""),  # likewise
         ("-d maps --depth-mode on --depth-weight 1", ""),
         ("--sh-degree 0 --shN-lr 0.1", "--shN-lr (not with --sh-degree 0"),
         ("--start-opacity 0.5", "--start-opacity (only with --start-splats)"),

@@ -24,6 +24,11 @@ def _beyond(name: str) -> _Idle:
     return idle
 
 
+def _no_maps(data: DataConfig, config: TrainConfig) -> bool:
+    """Whether a run has no depth maps; one whose options require them is refused."""
+    return not data.depths and config.depth_mode is not Switch.ON and config.depth_points <= 0
+
+
 def _differs(name: str, value: Any) -> _Idle:
     """Predicate: a removed option has another value than today's."""
     return lambda given, data, config: given[name] != value
@@ -34,9 +39,9 @@ _WHEN: dict[str, _Rule] = {
     "default": ("not with `--strategy mcmc`", lambda a, d, c: c.strategy is Strategy.MCMC),
     "depth": (
         "only with `--depths`, not with `--depth-mode off`",
-        lambda a, d, c: not d.depths or c.depth_mode is Switch.OFF,
+        lambda a, d, c: _no_maps(d, c) or c.depth_mode is Switch.OFF,
     ),
-    "depth_maps": ("only with `--depths`", lambda a, d, c: not d.depths),
+    "depth_maps": ("only with `--depths`", lambda a, d, c: _no_maps(d, c)),
     "depth_on": ("not with `--depth-mode off`", lambda a, d, c: c.depth_mode is Switch.OFF),
     "poses": ("not with `--refine-poses off`", lambda a, d, c: c.refine_poses is Switch.OFF),
     "exposure": ("not with `--exposure off`", lambda a, d, c: c.exposure is Switch.OFF),
