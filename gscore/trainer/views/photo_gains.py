@@ -24,6 +24,8 @@ _BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
 """Rows: ln gain of R, G and B by exposure, by warmth and by green; orthogonal."""
 _NAME = "gain"
 """Prefix of the tensors in checkpoints."""
+_FIXED = f"{_NAME}/fixed"
+"""Tensor that marks fixed gains."""
 
 
 class PhotoGains:
@@ -79,7 +81,9 @@ class PhotoGains:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """State tensors by name; no copies."""
-        return {f"{_NAME}/value": torch.from_numpy(self._value)} | self._adam.tensors(_NAME)
+        out = {f"{_NAME}/value": torch.from_numpy(self._value)} | self._adam.tensors(_NAME)
+        # exposure.json of the start splats may be gone when the run is resumed.
+        return out | ({_FIXED: torch.ones(1, dtype=torch.uint8)} if self.fixed else {})
 
     @staticmethod
     def are_in(tensors: dict[str, torch.Tensor]) -> bool:
@@ -95,12 +99,13 @@ class PhotoGains:
         *,
         fixed: bool = False,
     ) -> "PhotoGains":
-        """Restore the gains of `views` photos from the tensors of a checkpoint.
+        """Restore the gains of `views` photos from the tensors of a checkpoint; `fixed`: also fix
+        those of a checkpoint from before it recorded that.
 
         Raises:
             ValueError, KeyError: the tensors are invalid.
         """
-        out = cls(train, np.zeros((views, 3)), fixed=fixed)
+        out = cls(train, np.zeros((views, 3)), fixed=fixed or _FIXED in tensors)
         out._value = checked_tensor(f"{_NAME}/value", tensors, (views, 3))
         out._adam.restore(_NAME, tensors)
         return out

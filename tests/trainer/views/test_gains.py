@@ -220,6 +220,18 @@ def test_a_run_that_began_without_goes_on_without(photos: Any) -> None:
     assert torch.equal(other.model.params["means"], plain.model.params["means"])
 
 
+def test_fixed_gains_stay_so_without_the_file_they_came_from(photos: Any) -> None:
+    """Oracle: a checkpoint of fixed gains, restored by a trainer whose own gains learn."""
+    fixed = PhotoGains(photos.train, some_gains(photos), fixed=True)
+    learning = PhotoGains(photos.train, some_gains(photos))
+    for gains in (fixed, learning):
+        other = Trainer(CONFIG, Analysis(photos=photos, gains=learning)).photo_parameters
+        count = len(photos.scene.cameras.names)
+        other.restore(photos.train, count, gains.tensors())
+        assert other.gains is not None
+        assert other.gains.fixed == gains.fixed
+
+
 @pytest.mark.parametrize(
     "damage",
     [
