@@ -45,6 +45,8 @@ _DIRECTIONS = 1000
 """Number of directions distinguished in the search, 6 degrees apart."""
 _AREA, _SHARE = 0.01, 0.1
 """Least area of the sky in a photo that shows it, and least share of such photos."""
+_ON = Decision("sky", "A whole sphere of distant splats surrounds the scene (requested).")
+_OFF = Decision("sky", "The sky gets no distant splats (requested).")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,11 +133,13 @@ def decide_sky(
         cells: Photos of `sky_views`.
         is_part: A block is trained, whose surroundings are other splats.
     """
+    if config.sky is Switch.OFF:
+        return None, _OFF
     if not cells:
         return None, None
     shown = _sky_cells(photos.scene.cameras, photos.scene.points, cells)
     if config.sky is Switch.ON:
-        return Sky(cells=cells, shown=shown, everywhere=True), None
+        return Sky(cells=cells, shown=shown, everywhere=True), _ON
     photos_with = sum(map.mean() >= _AREA for map in shown.values())
     if is_part or photos_with < max(_FEWEST, _SHARE * len(cells)):
         return None, None
