@@ -16,6 +16,7 @@ from ..events import Decision, headline_psnr
 from ..io.runs import CAPTURE
 from ..metrics.named import NAMED_METRICS, NamedMetric
 from ..metrics.summary import Metrics, write_metrics
+from ..options import options_of
 from ..text_format import count_text, has_exposure_correction, number_text, psnr_name, size_text
 from .cameras_plan import CamerasSection, cameras_html, made_of
 from .colormap import colorize
@@ -306,6 +307,15 @@ def poses_html(poses: Mapping[str, Any]) -> str:
     )
 
 
+def shown_options(config: DataConfig | TrainConfig) -> dict[str, Any]:
+    """The options as JSON values, `auto` for numbers that stand for it."""
+    values = to_dict(config)
+    for name, one in options_of(type(config)).items():
+        if one.auto is not None and values.get(name) == one.auto:
+            values[name] = "auto"
+    return values
+
+
 def write_results(
     folder: Path,
     metrics: Metrics,
@@ -342,9 +352,9 @@ def write_results(
         GsError: a file cannot be written.
     """
     content = metrics.content()
-    config = {"data": to_dict(data)}
+    config = {"data": shown_options(data)}
     if trained is not None:
-        config["train"] = to_dict(trained[1])
+        config["train"] = shown_options(trained[1])
     if resolved is not None:
         config["values of automatic options"] = resolved
     how = {}

@@ -6,12 +6,14 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from gscore.config import DataConfig, TrainConfig
 from gscore.errors import GsError
 from gscore.events import Decision
 from gscore.metrics import headline
@@ -26,7 +28,7 @@ from gscore.report.curves import (
     short_number,
 )
 from gscore.report.html_parts import PAGE, link_page, write_html
-from gscore.report.page import report_html
+from gscore.report.page import report_html, shown_options
 from gscore.report.pictures import BYTES_IN_ALL, ERROR_GAIN, MAX_VIEWS
 from gscore.scene import Cameras, PointCloud, Scene
 from gscore.splats import Splats
@@ -442,6 +444,15 @@ def test_ticks(got, want):
 def test_words_for_numbers(got, want):
     """Oracle: how people write them."""
     assert got == want
+
+
+def test_automatic_options_are_shown_as_such() -> None:
+    """Oracle: `auto` for the numbers that stand for it, in the options of a report."""
+    config = TrainConfig(start_opacity=0.5, coarse_factor=0.0, depth_points=-1)
+    values = shown_options(config)
+    assert values["coarse_factor"] == "auto" and values["depth_points"] == "auto"
+    assert values["start_opacity"] == 0.5 and values["start_splats"] is None
+    assert shown_options(DataConfig(source=Path("a")))["resolution"] == "auto"
 
 
 def test_a_folder_that_cannot_be_written_is_an_error(run, tmp_path):
