@@ -1,5 +1,6 @@
 """Edit request: the edits of a model, in the order of their execution."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -70,6 +71,11 @@ class EditRequest:
             raise ConfigError(f"The radius of a sphere must be above 0, got {self.sphere[3]:g}.")
         if self.heal is not None and not self.heal[3] > 0:
             raise ConfigError(f"The radius of a hole must be above 0, got {self.heal[3]:g}.")
+        if not self.outside and self._keeps_only_the_hole:
+            raise ConfigError(
+                "The crop keeps only splats in the hole that is to be healed: add `--outside` to "
+                "remove them instead."
+            )
         if self.outside and not self.crops:
             raise ConfigError("Outside needs a shape: give a box, sphere or frustum.")
         if self.gap is not None and self.min_cluster is None:
@@ -84,6 +90,20 @@ class EditRequest:
     def crops(self) -> bool:
         """True if there is a crop."""
         return self.box is not None or self.sphere is not None or bool(self.frustum)
+
+    @property
+    def _keeps_only_the_hole(self) -> bool:
+        """True if the sphere to heal contains the box or the sphere of the crop."""
+        if self.heal is None:
+            return False
+        *middle, radius = self.heal
+        reaches = []
+        if self.sphere is not None:
+            reaches.append(math.dist(middle, self.sphere[:3]) + self.sphere[3])
+        if self.box is not None:
+            sides = zip(middle, self.box[:3], self.box[3:], strict=True)
+            reaches.append(math.hypot(*(max(m - low, high - m) for m, low, high in sides)))
+        return any(reach <= radius for reach in reaches)
 
     @property
     def moves(self) -> bool:

@@ -162,6 +162,9 @@ def test_empty_results_and_missing_cameras_are_refused(
         ({"box": (1, 0, 0, 0, 1, 1)}, "lower corner first"),
         ({"sphere": (0, 0, 0, 0)}, "radius"),
         ({"outside": True}, "needs a shape"),
+        ({"sphere": (0, 0, 0, 1), "heal": (0, 0, 0, 1)}, "add `--outside`"),
+        ({"sphere": (0.5, 0, 0, 1), "heal": (0, 0, 0, 1.5)}, "add `--outside`"),
+        ({"box": (-1, -1, -1, 1, 1, 1), "heal": (0, 0, 0, 1.8)}, "add `--outside`"),
         ({"gap": 0.1}, "gap"),
         ({"count": 5, "size": 5.0}, "not both"),
         ({"matrix": np.eye(4), "scale": 2.0, "move": (1, 2, 3)}, "leave out scale, move"),
@@ -171,6 +174,19 @@ def test_requests_that_cannot_be(given: dict[str, Any], words: str) -> None:
     """Oracle: the sentence."""
     with pytest.raises(ConfigError, match=words):
         EditRequest(**given)
+
+
+@pytest.mark.parametrize(
+    "crop",
+    [
+        {"sphere": (0.5, 0, 0, 1.1)},
+        {"box": (-1, -1, -1, 1, 1, 1.2)},
+        {"sphere": (0, 0, 0, 1), "outside": True},
+    ],
+)
+def test_a_hole_may_be_part_of_the_crop(crop: dict[str, Any]) -> None:
+    """Oracle: no error, as something around the hole stays."""
+    EditRequest(heal=(0, 0, 0, 1.5 if "sphere" in crop else 1.74), **crop)
 
 
 @pytest.mark.filterwarnings("error")
