@@ -10,7 +10,7 @@ from .errors import ConfigError
 from .options import LARGEST, Range, check_options, option
 from .quoting import quoted
 
-_MOST_THREADS = 1024
+MOST_THREADS = 1024
 """Limit of the native library."""
 _MOST = 10**9
 """Largest number of steps and splats, far beyond any machine: forecasts iterate over the
@@ -40,9 +40,9 @@ _result_option = partial(option, group="results", free=True)
 
 def checked_threads(threads: int) -> int:
     """`threads` if valid (0: all cores), else ConfigError."""
-    if not isinstance(threads, int) or not 0 <= threads <= _MOST_THREADS:
+    if not isinstance(threads, int) or not 0 <= threads <= MOST_THREADS:
         raise ConfigError(
-            f"threads must be 0 (all cores) to {_MOST_THREADS}, got {quoted(threads)}."
+            f"threads must be 0 (all cores) to {MOST_THREADS}, got {quoted(threads)}."
         )
     return threads
 
@@ -260,7 +260,7 @@ class TrainConfig:
         0,
         "CPU threads; `auto`: one per core that this process may use.",
         auto=0,
-        range=Range(high=_MOST_THREADS),
+        range=Range(high=MOST_THREADS),
         basic=True,
         free=True,
     )

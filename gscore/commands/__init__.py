@@ -9,6 +9,7 @@ the end of stdin before there were results to keep; 128 + N ended by signal N (S
 130, SIGTERM 143), 141 because the reader of the output closed it.
 """
 
+import argparse
 import errno
 import sys
 import traceback
@@ -18,13 +19,16 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from .._version import __version__
+from ..config import MOST_THREADS
 from ..errors import BackendError, ConfigError, GsError
 from ..events import Failed
 from ..extras import install_hint, missing, package_facts
 from ..quoting import brief, quoted
+from ..text_format import count_text
 from .parser import Parser, UsageExit, nearest, sentence
 from .terminal.display import JsonLines
 from .terminal.interrupt import Interrupt, interrupts, is_worker, safe_streams
+from .terminal.output import print_warnings
 from .terminal.status import show_while, wrapped
 
 VERBS = {
@@ -135,6 +139,7 @@ def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -
         module.add_arguments(parser)
         args = parser.parse_args(dashed(arguments))
         with interrupt.working():
+            print_warnings(_more_threads_than_cores(args))
             return module.run(args)
     except SystemExit as stop:  # the parser has already printed the error
         if sends_events and isinstance(stop, UsageExit):
@@ -149,6 +154,18 @@ def _guarded(prog: str, verb: str, arguments: list[str], interrupt: Interrupt) -
             _send(_failed(prog, error))
         message = _message(prog, error)
         return _complain(prog, message) if message else _internal(prog, error)
+
+
+def _more_threads_than_cores(args: argparse.Namespace) -> list[str]:
+    threads = getattr(args, "threads", None)
+    if not isinstance(threads, int) or not 1 < threads <= MOST_THREADS:
+        return []
+    from ..metrics.machine import cores  # not in every start of the program
+
+    if threads <= (most := cores()):
+        return []
+    have = f"this machine has {count_text(most, 'core')}"
+    return [f"`--threads {threads}`: {have}, so more threads are slower. Leave it out."]
 
 
 def _check_working_folder() -> None:

@@ -140,11 +140,20 @@ class Parser(argparse.ArgumentParser):
     def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Parse arguments; the error for an unknown option suggests the nearest one."""
         words = sys.argv[1:] if args is None else list(args)
+        self._check_output(words)
         self._check_names(words)
         found, unknown = self.parse_known_args(words, namespace)
         if unknown:
             self.error(f"unrecognized arguments: {brief(' '.join(unknown))}")
         return found
+
+    def _check_output(self, words: Sequence[str]) -> None:
+        """Refuse -o and --output where the output is an argument."""
+        places = [action for action in self._actions if not action.option_strings]
+        named = [word for word in words if word.partition("=")[0] in ("-o", "--output")]
+        if named and "output" in [action.dest for action in places]:
+            usage = " ".join(str(action.metavar or action.dest) for action in places)
+            self.error(f"the output is an argument, without {named[0]}: {self.prog} {usage}")
 
     def _check_names(self, words: Sequence[str]) -> None:
         """Report unknown long options before any other error."""

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import re
 import sys
 import time
 from collections.abc import Iterator
@@ -47,16 +48,7 @@ from .terminal.status import Counted, Status
 _COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 _WRITTEN = (".mp4", ".png")
 """Endings of single-file outputs; any other output is a folder of pictures."""
-_PICTURES = (
-    *(".avi", ".bmp", ".exr", ".gif", ".heic", ".jpeg", ".jpg", ".m4v", ".mkv", ".mov", ".mpg"),
-    *(".ogv", ".svg", ".tga", ".tif", ".tiff", ".webm", ".webp"),
-)
-_TEXTS = (".csv", ".htm", ".html", ".json", ".md", ".npy", ".npz", ".pdf", ".txt", ".zip")
-_SCENES = (
-    *(".blend", ".glb", ".gltf", ".ksplat", ".lod", ".ply", ".sog", ".splat", ".spz"),
-    *(".usd", ".usda", ".usdc", ".usdz"),
-)
-_OTHER_FORMATS = frozenset((*_PICTURES, *_TEXTS, *_SCENES))
+_OTHER_FORMAT = re.compile(r"\.([a-z]{2,4}|blend|ksplat|m4v)")
 """Endings that mean a file instead of a folder."""
 _DEPTH_STEPS = 60_000
 """16-bit values for the depth range of the first picture; the rest is for larger depths."""
@@ -324,9 +316,10 @@ def _check_stills(pictures: list[Path], depths: list[Path], *, overwrite: bool) 
 def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
     check_resolution(args.resolution)
     suffix = args.output.suffix.lower()
-    if suffix in _OTHER_FORMATS and not args.output.is_dir():
+    if not _is_file(args.output) and _OTHER_FORMAT.fullmatch(suffix) and not args.output.is_dir():
         raise ConfigError(
-            f"{args.output}: {suffix} is not supported; give a .png, an .mp4 or a folder."
+            f"{args.output}: {suffix} is not supported; give a .png, an .mp4 or a folder, which "
+            "must be there already if its name has such an ending."
         )
     if is_video and (args.transparent or args.depth):
         raise ConfigError("An MP4 has neither transparency nor depth; give a folder with -o.")

@@ -5,6 +5,7 @@ from pathlib import Path, PurePosixPath
 
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
+from ..hold_out import FORMS
 from ..io.files import read_bytes
 from ..quoting import quoted
 from ..text_format import count_text, number
@@ -44,7 +45,9 @@ def split_views(
         rule = f"the list {config.test_list}"
     elif config.test_first or config.test_last:
         test = {i for i in range(count) if i < config.test_first or i >= count - config.test_last}
-        rule = f"the first {config.test_first} and last {count_text(config.test_last, 'view')}"
+        ends = {"first": config.test_first, "last": config.test_last}
+        named = [f"{end} {count_text(n, 'view')}" for end, n in ends.items() if n]
+        rule = f"the {' and '.join(named)}"
     elif stated and config.test_offset is None:
         known = set(map(same_name, stated))
         test = {i for i, name in enumerate(names) if same_name(name) in known}
@@ -97,10 +100,21 @@ def split_warnings(count: int, test: Sequence[int], config: DataConfig) -> list[
     ]
 
 
+def read_list(path: Path) -> bytes:
+    """The bytes of a list of test views.
+
+    Raises:
+        DatasetError: the file is missing, or cannot be read.
+    """
+    if not path.exists():
+        raise DatasetError(f"`--hold-out {path}`: there is no such file; give {FORMS}.")
+    return read_bytes(path)
+
+
 def _listed(names: Sequence[str], path: Path) -> set[int]:
     """Indices of the views listed in a text file; folder and ending may be omitted if unique."""
     try:
-        lines = read_bytes(path).decode("utf-8-sig").splitlines()
+        lines = read_list(path).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise DatasetError(
             f"{path} is not UTF-8 text. Give a text file with the name of a test view on each line."

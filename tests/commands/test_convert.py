@@ -358,11 +358,12 @@ def test_size_of_a_packed_file(gscore, run_folder, tmp_path):
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
-        (["--scale", "1e308"], "1e+30 at most"),
-        (["--move", "1e308", "0", "0"], "1e+30 at most"),
-        (["--max-size", "1e308"], "1e+30 at most"),
-        (["--box", "-1e308", "-1", "-1", "1e308", "1", "1"], "1e+30 at most"),
-        (["--sphere", "0", "0", "0", "1e308"], "1e+30 at most"),
+        (["--scale", "1e308"], "above 0 and up to 1e+30"),
+        (["--move", "1e308", "0", "0"], "from -1e+30 to 1e+30"),
+        (["--max-size", "1e308"], "above 0 and up to 1e+30"),
+        (["--box", "-1e308", "-1", "-1", "1e308", "1", "1"], "from -1e+30 to 1e+30"),
+        (["--sphere", "0", "0", "0", "1e308"], "from -1e+30 to 1e+30"),
+        (["--move", "nan", "0", "0"], "'nan' is not a number from -1e+30 to 1e+30"),
         (["--scale", "1e30", "--move", "1e30", "0", "0"], ""),
     ],
 )
@@ -411,3 +412,23 @@ def test_files_that_hold_no_name_stay(gscore, ply, tmp_path):
     assert code == 2 and "without a mark of" in err and "did not write" not in err
     assert len(read_any(out)) == 60
     assert gscore("convert", ply, out, "--count", 5, "--overwrite")[0] == 0
+
+
+@pytest.mark.parametrize("option", ["-o", "--output"])
+def test_an_output_option_is_refused_with_the_usage(gscore, ply, tmp_path, option):
+    """Oracle: exit 2 and the sentence."""
+    code, _, err = gscore("convert", ply, option, tmp_path / "o.ply")
+    assert code == 2
+    assert f"the output is an argument, without {option}: gscore convert IN OUT" in err
+    assert not (tmp_path / "o.ply").exists()
+
+
+def test_more_threads_than_cores_warn(gscore, ply, tmp_path, monkeypatch):
+    """Oracle: the warning with 3 of 2 cores, and none with 2."""
+    monkeypatch.setattr("gscore.metrics.machine.cores", lambda: 2)
+    for threads in (3, 2, "auto"):
+        code, _, err = gscore(
+            "convert", ply, tmp_path / "o.ply", "--overwrite", "--threads", threads
+        )
+        assert code == 0
+        assert ("--threads 3: this machine has 2 cores" in err) == (threads == 3)

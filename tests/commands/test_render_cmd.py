@@ -323,7 +323,7 @@ def test_bad_outputs_and_models(gscore, run_folder, tmp_path, splats):
     assert code == 2 and "neither transparency nor depth" in err
     code, _, err = gscore("render", tmp_path / "none", "-o", tmp_path / "out")
     assert code == 2 and "There is no file or folder" in err
-    for name in ("x.txt", "x.gif", "x.mov", "x.spz", "x.html"):
+    for name in ("x.txt", "x.gif", "x.mov", "x.spz", "x.html", "x.xyz", "x.m4v", "x.blend"):
         code, _, err = gscore("render", folder, "-o", tmp_path / name)
         assert code == 2 and "is not supported" in err and not (tmp_path / name).exists()
     assert gscore("render", folder, "-o", tmp_path / "take.v2", "--view", "0")[0] == 0

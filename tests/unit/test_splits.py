@@ -79,7 +79,9 @@ def test_unknown_and_ambiguous_names(tmp_path: Path) -> None:
 
 def test_list_that_is_missing_or_no_text(tmp_path: Path) -> None:
     """Oracle: the sentence, with the file."""
-    with pytest.raises(DatasetError, match=r"Cannot read .*none\.txt"):
+    with pytest.raises(
+        DatasetError, match=r"--hold-out .*none\.txt`: there is no such file; give a number N"
+    ):
         split_views(_NAMES, _config(test_list=tmp_path / "none.txt"))
     (tmp_path / "bin.txt").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(DatasetError, match=r"bin\.txt is not UTF-8"):
@@ -125,3 +127,17 @@ def test_single_held_out_view_warns(make_capture: Callable[..., SmallCapture]) -
         assert [p.text for p in inspect(config).problems if p.text in words] == words
     plain = DataConfig(source=capture.root, test_every=40)
     assert not any("held out" in w for w in load_dataset(plain).warnings)
+
+
+@pytest.mark.parametrize(
+    ("options", "rule"),
+    [
+        ({"test_first": 20}, r"\(the first 20 views\)"),
+        ({"test_last": 30}, r"\(the last 30 views\)"),
+        ({"test_first": 19, "test_last": 1}, r"\(the first 19 views and last 1 view\)"),
+    ],
+)
+def test_a_split_that_leaves_nothing_names_its_rule(options: dict[str, int], rule: str) -> None:
+    """Oracle: only ends that are held out are named."""
+    with pytest.raises(DatasetError, match=rule):
+        split_views(_NAMES, _config(**options))

@@ -122,11 +122,12 @@ def _add_fewer_and_place(parser: argparse.ArgumentParser) -> None:
 
 
 def _finite(text: str) -> float:
-    return _number(text, lambda value: abs(value) <= FARTHEST, f"a number of {FARTHEST:g} at most")
+    what = f"a number from {-FARTHEST:g} to {FARTHEST:g}"
+    return _number(text, lambda value: abs(value) <= FARTHEST, what)
 
 
 def _positive(text: str) -> float:
-    what = f"a number above 0, {FARTHEST:g} at most"
+    what = f"a number above 0 and up to {FARTHEST:g}"
     return _number(text, lambda value: 0 < value <= FARTHEST, what)
 
 

@@ -6,10 +6,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ...config import DataConfig, TrainConfig
-from ...datasets.split import split_views
+from ...datasets.split import read_list, split_views
 from ...errors import ConfigError, GsError
 from ...formats import is_antialiased
-from ...io.files import atomic_write, read_bytes, reason
+from ...io.files import atomic_write, reason
 from ...io.lock import FolderLock
 from ...io.mesh.files import read_mesh
 from ...io.output_paths import check_output_path
@@ -198,7 +198,7 @@ def check_option_files(
             training or the test split is empty, or options require depth maps, which need cameras.
     """
     named: list[tuple[Path | None, Callable[[Path], object]]] = [
-        (data.test_list, read_bytes),
+        (data.test_list, read_list),
         (start_checkpoint, checkpoint.load),
         (config.start_splats, is_antialiased),
         (config.region, read_region),
