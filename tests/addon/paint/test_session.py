@@ -2,6 +2,7 @@
 Blender's undo. Fakes replace the views and events of a window."""
 
 import re
+import time
 from collections.abc import Iterator
 from types import SimpleNamespace
 
@@ -300,6 +301,34 @@ def test_clones(scene: bpy.types.Scene, desk: Desk) -> None:
     assert len(wall.data.vertices) > before + 20
     assert desk.pushed == ["Paint Splats"]
     assert desk.session.cursor.to_source is None
+
+
+@pytest.mark.parametrize("dropped", [False, True])
+def test_clones_in_steps(
+    scene: bpy.types.Scene, desk: Desk, monkeypatch: pytest.MonkeyPatch, dropped: bool
+) -> None:
+    """As in a window, where work at both ends of a stroke takes several timer events: the stroke
+    goes on meanwhile, and Esc before the copies are there drops them."""
+    wall = lab.add(scene, lab.wall(0.2, (0.9, 0.4, 0.2)))
+    bpy.context.view_layer.objects.active = wall
+    bpy.context.view_layer.update()
+    before, step = len(wall.data.vertices), Session._step_search
+    monkeypatch.setattr(Session, "_step_search", lambda own, **_: step(own))
+    desk.brush.does, scene.cursor.location = "CLONE", (0.3, 0.2, 0.2)
+    desk.send("LEFTMOUSE", at=WAY[0])
+    for at in WAY[1:]:
+        desk.send("MOUSEMOVE", at=at)
+    desk.send("LEFTMOUSE", "RELEASE", at=WAY[-1])
+    assert desk.session.painting and len(wall.data.vertices) == before
+    until = time.monotonic() + 60
+    while desk.session.painting and time.monotonic() < until:
+        if dropped and desk.session._stroke is None and desk.session._search.way == []:
+            assert desk.send("ESC") is Answer.TAKEN
+        assert desk.send("TIMER", "NOTHING") is Answer.PASSED
+        time.sleep(0.01)
+    assert not desk.session.painting
+    assert (len(wall.data.vertices) > before + 20) != dropped
+    assert desk.pushed == ([] if dropped else ["Paint Splats"])
 
 
 def test_the_tool_waits_for_a_click(
