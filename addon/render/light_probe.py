@@ -23,7 +23,7 @@ _CONTRAST = 2.0
 _SHARE = 0.5
 """Least share of the bright directions that the strongest light has."""
 _CLIPPED = 0.97
-"""Linear light above which a photo may be overexposed."""
+"""Share of white above which a photo may be overexposed."""
 _DISK = np.radians(0.53)
 """Diameter of the sun."""
 
@@ -37,6 +37,8 @@ class LightProbe:
     bottom row (straight down) first, +X in the middle, +Y to its left. Not limited to 1."""
     alpha: np.ndarray
     """[H, W] share of each direction that splats cover."""
+    distances: np.ndarray
+    """[H, W] from the point to the splats in world units, `color.NOTHING` where there are none."""
 
     @property
     def directions(self) -> np.ndarray:
@@ -59,8 +61,15 @@ class Light:
     """Irradiance of a surface that faces it [3], linear Rec. 709."""
     angle: float
     """Angular diameter, radians."""
-    is_clipped: bool
-    """Whether photos may have been overexposed there, so that it is stronger than this."""
+    distance: float
+    """World units from the point of the probe."""
+    brightest: float
+    """Luminance of its brightest direction, linear."""
+
+    def is_clipped(self, white: float) -> bool:
+        """Whether photos in which light of `white` is white may have been overexposed there, so
+        that it is stronger than this."""
+        return self.brightest >= _CLIPPED * white
 
 
 def probe(
@@ -101,12 +110,13 @@ def probe(
         settings=(-np.pi / 2, np.pi / 2, -np.pi, np.pi),
     )
     renderer = PassRenderer(
-        options=replace(options, background=(0.0, 0.0, 0.0), depths=False, window=None),
+        options=replace(options, background=(0.0, 0.0, 0.0), depths=True, window=None),
         transparent=True,
         to_scene=np.eye(3),
     )
-    made = renderer.render(View(model=model, camera=camera), stop)["Combined"]
-    return LightProbe(light=made[..., :3], alpha=made[..., 3])
+    passes = renderer.render(View(model=model, camera=camera), stop)
+    made = passes["Combined"]
+    return LightProbe(light=made[..., :3], alpha=made[..., 3], distances=passes["Depth"])
 
 
 def sky_irradiance(found: LightProbe) -> np.ndarray:
@@ -147,7 +157,8 @@ def strongest_light(found: LightProbe) -> Light | None:
         irradiance=(light[near] * weights[near][:, None]).sum(0),
         # A uniform disk has a root mean square distance of its radius times sqrt(1/2).
         angle=max(2 * np.sqrt(2) * float(spread), _DISK),
-        is_clipped=bool(brightness[near].max() >= _CLIPPED),
+        distance=float(np.median(found.distances[near])),
+        brightest=float(brightness[near].max()),
     )
 
 

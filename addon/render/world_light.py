@@ -1,13 +1,15 @@
 """Light of the splats on meshes: a world rendered from them, and a sun in their strongest light."""
 
 from functools import partial
+from pathlib import Path
 
 import bpy
 import numpy as np
 from bpy.props import FloatProperty, IntProperty
 from mathutils import Vector
 
-from .. import compat
+from .. import compat, stored_paths
+from ..compat import matrix_to_numpy
 from ..interface import editable_check
 from ..interface.base_operator import Condition
 from ..interface.incremental_operator import IncrementalOperator
@@ -20,6 +22,7 @@ from .engine import final_cache
 from .light_probe import Light, LightProbe, probe, sky_irradiance, strongest_light
 from .proxy import WALLS, dress, proxies_of
 from .scene import Placed
+from .white_level import white_level
 
 WORLD = "gs_splat_world"
 """Custom property of worlds that were rendered from splats."""
@@ -135,11 +138,14 @@ class MatchSun(_AtCursor, bpy.types.Operator):
                 "The splats show no strongest light: no direction around the 3D cursor is much "
                 "brighter than the others. Move the cursor, or set a lamp by hand."
             )
-        lamp = _sun(context, sky_irradiance(found), light)
+        place = np.array(context.scene.cursor.location) + light.distance * light.direction
+        white = yield from _white_at(context.scene, place)
+        clipped = light.is_clipped(white)
+        lamp = _sun(context, sky_irradiance(found), light, clipped=clipped)
         height = np.degrees(np.arcsin(light.direction[2]))
         how = (
             "Photos are overexposed there, so its strength is an assumption: three times the sky."
-            if light.is_clipped
+            if clipped
             else "Its strength is that of the splats."
         )
         return f"{lamp.name} stands {height:.0f} degrees above the horizon. {how}"
@@ -251,9 +257,25 @@ def _show_on_walls(world: bpy.types.World, place: Vector) -> None:
         made.location = 200 * number, 0
 
 
-def _sun(context: bpy.types.Context, sky: np.ndarray, light: Light) -> bpy.types.Object:
+def _white_at(scene: bpy.types.Scene, place: np.ndarray) -> Steps[float]:
+    """The largest `white_level` of the runs of a scene's splats at a world position [3]."""
+    runs = {}
+    for ob in filter(is_splats, scene.objects):
+        if run := stored_paths.read(ob, stored_paths.RUN):
+            matrix = matrix_to_numpy(ob.matrix_world)
+            runs[Path(run)] = np.linalg.pinv(matrix[:3, :3]) @ (place - matrix[:3, 3])
+
+    def found(check: Check) -> float:
+        return max((white_level(run, own) for run, own in runs.items()), default=1.0)
+
+    return (yield from run_in_thread(found, "Reading exposures"))
+
+
+def _sun(
+    context: bpy.types.Context, sky: np.ndarray, light: Light, *, clipped: bool
+) -> bpy.types.Object:
     """The active sun lamp, else the one made before, else a new one, with direction, angle, color
-    and strength of a light."""
+    and strength of a light; where photos are `clipped`, with an assumed strength."""
     scene, lamp = context.scene, context.view_layer.objects.active
     if not _is_sun(lamp):
         lamp = next((ob for ob in scene.objects if _is_sun(ob) and ob.get(WORLD)), None)
@@ -264,7 +286,7 @@ def _sun(context: bpy.types.Context, sky: np.ndarray, light: Light) -> bpy.types
         lamp.location = scene.cursor.location
     editable_check.check(lamp, lamp.data)
     irradiance = light.irradiance
-    if light.is_clipped:
+    if clipped:
         irradiance = irradiance / max(irradiance.max(), 1e-9) * (_SUN_TO_SKY * sky.max())
     color = compat.rec709_to_scene() @ irradiance
     lamp.data.energy = float(color.max())

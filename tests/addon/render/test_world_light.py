@@ -1,13 +1,18 @@
 """World from Splats and Match Sun. Oracle, unless stated otherwise: Cycles."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
 from mathutils import Vector
 
-from addon import compat
+from addon import compat, stored_paths
 from addon.core import Splats
 from addon.render.light_probe import LightProbe, sky_irradiance, strongest_light
+from gscore.io.cameras_json import write_cameras
+from gscore.io.exposure_json import write_exposures
+from gscore.scene import Cameras
 from tests.addon import splat_scenes as lab
 
 
@@ -163,11 +168,12 @@ def test_no_single_light(scene, case):
 def disk(height: float, radius: float, level: float, *, width: int = 512) -> LightProbe:
     """A probe with a disk of light `level` over a sky of 0.1."""
     empty = np.zeros((width // 2, width, 3), np.float32)
-    found = LightProbe(light=empty, alpha=np.ones(empty.shape[:2], np.float32))
+    flat = np.ones(empty.shape[:2], np.float32)
+    found = LightProbe(light=empty, alpha=flat, distances=7 * flat)
     towards = np.array([np.cos(height), 0, np.sin(height)])
     inside = found.directions @ towards > np.cos(radius)
     light = np.where(inside[..., None], np.float32(level), np.float32(0.1))
-    return LightProbe(light=np.repeat(light, 3, axis=2), alpha=found.alpha)
+    return replace(found, light=np.repeat(light, 3, axis=2))
 
 
 def test_irradiance_of_probes():
@@ -178,8 +184,48 @@ def test_irradiance_of_probes():
     light = strongest_light(disk(0.5, radius, 0.9))
     np.testing.assert_allclose(light.irradiance, 2 * np.pi * (1 - np.cos(radius)) * 0.9, rtol=0.05)
     assert light.angle == pytest.approx(2 * radius, rel=0.05)
-    assert not light.is_clipped
-    assert strongest_light(disk(0.5, radius, 1.0)).is_clipped
+    assert light.distance == 7
+    assert not light.is_clipped(1.0)
+    bright = strongest_light(disk(0.5, radius, 1.0))
+    assert bright.is_clipped(1.0) and not bright.is_clipped(1.1)
+
+
+def test_strength_of_a_sun_in_brackets(scene, tmp_path):
+    """Splats of light 3 towards +X, of a run whose shortest exposure, a quarter of the light, shows
+    them: the lamp has their irradiance, pi L sin^2 r for a disk. If that photo looks away, or is no
+    shorter than the others, three times that of the sky."""
+    lab.prepare(scene)
+    level = 1.055 * 3 ** (1 / 2.4) - 0.055
+    ob = lab.add(scene, lit((1, 0, 0), level))
+    ob.rotation_euler, ob.location = (0, 0, 0.6), (2, 0, 0)
+    bpy.context.view_layer.update()
+    scene.cursor.location = ob.location
+    stored_paths.write(ob, stored_paths.RUN, tmp_path)
+
+    def strength(away: float, gain: float) -> float:
+        look = np.eye(4)
+        look[:3, :3] = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]) * [[away], [1], [away]]
+        cameras = Cameras(
+            viewmats=np.stack([look, look]),
+            Ks=np.tile([[50.0, 0, 32], [0, 50, 32], [0, 0, 1]], (2, 1, 1)),
+            widths=np.array([64, 64]),
+            heights=np.array([64, 64]),
+            names=("a.png", "b.png"),
+        )
+        write_cameras(tmp_path / "cameras.json", cameras)
+        write_exposures(
+            tmp_path / "exposure.json",
+            {"a.png": np.full(3, gain), "b.png": np.full(3, 1 / gain)},
+        )
+        assert bpy.ops.gscore.match_sun(near=0.1) == {"FINISHED"}
+        sun = next(one for one in scene.objects if one.type == "LIGHT")
+        return sun.data.energy
+
+    low, high = (np.pi * 3 * np.sin(np.radians(r)) ** 2 for r in (4, 8))
+    assert low < strength(1, 0.5) < high  # the edge of the disk is soft
+    assumed = strength(-1, 0.5)
+    assert assumed > 5 * high
+    assert strength(1, 0.9) == pytest.approx(assumed)
 
 
 def test_refusals(scene):
