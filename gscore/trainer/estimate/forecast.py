@@ -30,6 +30,9 @@ _STEP_PER_SPLAT = 420
 counters."""
 _STEP_PER_PIXEL = 60
 """Bytes per pixel of the largest view in a step: image, its gradient and the loss."""
+_SURFACE_PER_SPLAT, _SURFACE_PER_PIXEL = 450, 47
+"""Further bytes per splat and per pixel of the largest view in a step with the surface term, whose
+second picture has a quarter of the pixels."""
 _EVAL_NUMBER = 4
 """Bytes per number of a splat in the evaluation, without moments and gradients."""
 _EVAL_PER_SPLAT = 220
@@ -57,7 +60,13 @@ _DEPTH_BYTES = 11
 
 
 def training_bytes(
-    *, splats: int, sh_degree: int, pixels: int, lpips: bool = False, joined: bool = False
+    *,
+    splats: int,
+    sh_degree: int,
+    pixels: int,
+    lpips: bool = False,
+    joined: bool = False,
+    surface: bool = False,
 ) -> int:
     """Peak bytes of a training, without photos, Python and torch.
 
@@ -67,9 +76,11 @@ def training_bytes(
         pixels: Number of pixels of the largest view.
         lpips: Whether LPIPS is evaluated at the end.
         joined: Whether several models are merged for rendering.
+        surface: Whether steps have the surface term.
     """
     numbers = 11 + 3 * (1 + SH_REST_BY_DEGREE[sh_degree])
     step = splats * (_NUMBER * numbers + _STEP_PER_SPLAT) + pixels * _STEP_PER_PIXEL
+    step += (splats * _SURFACE_PER_SPLAT + pixels * _SURFACE_PER_PIXEL) if surface else 0
     evaluation = splats * (_EVAL_NUMBER * numbers + _EVAL_PER_SPLAT)
     evaluation += _LPIPS + pixels * _LPIPS_PER_PIXEL if lpips else pixels * _EVAL_PER_PIXEL
     copy = splats * _EVAL_NUMBER * numbers if joined else 0
@@ -279,6 +290,7 @@ def estimate(
             pixels=pixels,
             lpips=lpips,
             joined=models > 1,
+            surface=config.surface_weight > 0,
         )
 
     stay, at_start = point_bytes(points if cloud is None else cloud, splats=config.max_splats)
