@@ -6,6 +6,7 @@ import numpy as np
 
 from ..sh import sh_basis
 from ..splats import Splats
+from ..transforms import quat_to_rotmat
 
 X, Z = 0, 2
 """Axes of rotation. A 3DGS PLY is right-down-front, as COLMAP's cameras: a half turn about x gives
@@ -21,8 +22,19 @@ UPRIGHT = {
 }
 """Quaternions, xyzw, that turn numbers in left-up-front to y up, by the up axis of the splats. Of Z
 up, which is Blender's, (x, z, -y) results, as in Blender's own glTF files."""
+UP = "up"
+"""Key in the facts of a node of glTF or a prim of USD: up axis of the splats' world, to which its
+rotation belongs."""
 _DIRECTION = np.array([0.36, 0.48, 0.8])
 """A unit vector at which no basis function is zero."""
+
+
+def upright_matrix(up: str) -> np.ndarray:
+    """Rotation [3, 3] that turns numbers in right-up-back to y up, as glTF's: by the up axis of
+    the splats; of zeros and ones, so that it is exact."""
+    x, y, z, w = UPRIGHT[up]
+    turn = quat_to_rotmat(np.array([w, x, y, z]))
+    return np.round(turn @ np.diag([-1.0, 1.0, -1.0]))
 
 
 def half_turn(splats: Splats, axis: int) -> Splats:

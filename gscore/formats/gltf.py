@@ -20,7 +20,7 @@ from ..errors import ConfigError, DatasetError, FormatError
 from ..io.files import read_bytes
 from ..json_text import parse_json
 from ..quoting import quoted
-from .axes import UPRIGHT
+from .axes import UP, UPRIGHT
 from .parts import check_part
 
 GLB_MAGIC = b"glTF"
@@ -245,8 +245,6 @@ class GltfBuffer:
 
 TO_GLTF = np.array([-1.0, -1, 1])
 """Signs of positions between right-down-front, as of splats, and glTF's left-up-front."""
-UP = "up"
-"""Key in the extras of a node: up axis of the splats' world, to which its rotation belongs."""
 
 
 def upright_node(up: str, place: np.ndarray | None = None) -> dict[str, Any]:

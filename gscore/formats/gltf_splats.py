@@ -20,8 +20,8 @@ from ..splats import SH_REST_BY_DEGREE, Splats
 from ..text_format import number
 from ..transforms import transform_splats
 from . import spz
-from .axes import UPRIGHT, X, Z, half_turn
-from .gltf import GLB_MAGIC, UP, Gltf, as_object, node_matrix
+from .axes import UP, UPRIGHT, X, Z, half_turn
+from .gltf import GLB_MAGIC, Gltf, as_object, node_matrix
 from .gltf_writing import (
     EXTENSION,
     GLTF_MARK,

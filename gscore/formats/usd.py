@@ -1,7 +1,7 @@
 """OpenUSD's ParticleField3DGaussianSplat, reader and writer through Pixar's library (usd-core).
 
 Source: the schema UsdVol of OpenUSD 26.03. Sizes are linear, opacities from 0 to 1; axes are those
-of the stage. Files are written right-up-back, with Y up.
+of the stage. Files are written right-up-back, in prims that turn the up axis of the splats to Y.
 """
 
 import logging
@@ -19,6 +19,7 @@ from ..errors import BackendError, FormatError
 from ..extras import need
 from ..io.file_sample import FileSample
 from ..io.files import atomic_write, check_readable
+from ..io.ply.comments import stated_up
 from ..io.ply.splats import read_ply
 from ..io.splat_rows import linear_scales, opacities_of
 from ..json_text import parse_json
@@ -26,7 +27,7 @@ from ..sh import sh_count
 from ..splats import Splats, cut_degree
 from ..transforms import unit_quats
 from . import usd_reading
-from .axes import X, half_turn, harmonic_signs
+from .axes import UP, UPRIGHT, X, half_turn, harmonic_signs, upright_matrix
 from .splat_file import ORIGIN, Decoded, SplatFormat, WriteOptions
 from .usd_reading import MARK, TYPE, usd_library
 
@@ -56,7 +57,13 @@ def _read(path: Path) -> Decoded:
             raise FormatError(facts["error"])
         splats = read_ply(made)
     origin = None if facts["origin"] is None else np.array(facts["origin"], np.float64)
-    return Decoded(splats=splats, layout="USD", antialiased=facts["antialiased"], origin=origin)
+    return Decoded(
+        splats=splats,
+        layout="USD",
+        antialiased=facts["antialiased"],
+        origin=origin,
+        comments=tuple(facts["comments"]),
+    )
 
 
 def _in_child(path: Path, made: Path) -> dict[str, Any]:
@@ -130,12 +137,26 @@ def _stage(splats: Splats, options: WriteOptions) -> Any:
     prim.CreateScalesAttr(vectors(scales))
     prim.CreateOpacitiesAttr(Vt.FloatArray.FromNumpy(opacities_of(splats.opacities)))
     prim.CreateExtentAttr(vectors(_extent(splats.means, scales)))
+    _stand_up(prim, options)
     if options.antialiased:
         prim.GetPrim().SetCustomDataByKey(MARK, True)
     if options.origin is not None:
         stated = need("pxr.Gf", "USD").Vec3d(*options.origin.tolist())
         prim.GetPrim().SetCustomDataByKey(ORIGIN, stated)
     return stage
+
+
+def _stand_up(prim: Any, options: WriteOptions) -> None:
+    """Turn a prim from the up axis of the splats to that of the stage; the usual axis already is
+    that in right-up-back."""
+    up = stated_up(options.comments)
+    if up not in UPRIGHT or up == "-Y":
+        return
+    UsdGeom, Gf = need("pxr.UsdGeom", "USD"), need("pxr.Gf", "USD")
+    rows = np.eye(4)
+    rows[:3, :3] = upright_matrix(up).T  # for row vectors
+    UsdGeom.Xformable(prim).AddTransformOp().Set(Gf.Matrix4d(*rows.ravel().tolist()))
+    prim.GetPrim().SetCustomDataByKey(UP, up)
 
 
 def _add_proxy(stage: Any, path: str, options: WriteOptions) -> None:
@@ -150,6 +171,7 @@ def _add_proxy(stage: Any, path: str, options: WriteOptions) -> None:
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(corners), 3, np.int32)))
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
     mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
+    _stand_up(mesh, options)
     if len(places):
         ends = np.stack([places.min(axis=0), places.max(axis=0)])
         mesh.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(ends))

@@ -1,12 +1,14 @@
 """USD reader process: `python -m gscore.formats.usd_reading FILE PLY`, started by usd.py.
 
-Writes the splats to PLY and one JSON object to stdout: error, antialiased, origin, warnings.
+Writes the splats to PLY and one JSON object to stdout: error, antialiased, origin, comments,
+warnings.
 """
 
 import json
 import logging
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ import numpy as np
 
 from ..errors import BackendError, FormatError, GsError, ShapeError
 from ..extras import need
+from ..io.ply.comments import UP_AXIS
 from ..io.ply.splats import write_splats
 from ..io.splat_rows import drawable, log_scales, logits
 from ..scene import checked_origin
@@ -22,7 +25,7 @@ from ..splats import Splats
 from ..text_format import count_text, number
 from ..transforms import transform_splats
 from ..warning_log import collected_warnings
-from .axes import X, half_turn
+from .axes import UP, UPRIGHT, X, half_turn, upright_matrix
 from .joined import joined_files
 from .splat_file import ORIGIN, Decoded
 
@@ -33,18 +36,21 @@ _MOST_SPLATS_A_BYTE, _SLACK = 1, 1 << 16
 """Most splats per byte of a scene's files, since instances repeat splats, and the slack."""
 _Y_OF_Z = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Rotation from a stage with Z up to one with Y up."""
+_TURNED = 1e-5
+"""Largest difference of the entries of a rotation that is that of the writer."""
 
 _log = logging.getLogger(__package__)  # __name__ is __main__ in the process
 
 
 def export_to_ply(file: Path, ply: Path) -> dict[str, Any]:
     """Read a USD file, write its splats to a PLY, and return the JSON for stdout."""
-    facts: dict[str, Any] = {"error": "", "antialiased": False, "origin": None}
+    facts: dict[str, Any] = {"error": "", "antialiased": False, "origin": None, "comments": []}
     with collected_warnings() as warnings:
         try:
             decoded = read_usd(file)
             facts["antialiased"] = decoded.antialiased
             facts["origin"] = None if decoded.origin is None else decoded.origin.tolist()
+            facts["comments"] = list(decoded.comments)
             write_splats(ply, decoded.splats)
         except GsError as error:
             facts["error"] = str(error)
@@ -77,11 +83,13 @@ def read_usd(path: Path) -> Decoded:
     Usd, Tf, UsdGeom = need("pxr.Usd", "USD"), need("pxr.Tf", "USD"), need("pxr.UsdGeom", "USD")
     try:
         stage = Usd.Stage.Open(str(path))
-        parts, matrices, marks, origins = [], [], [], []
+        parts, matrices, marks, origins, ups = [], [], [], [], []
         room = _MOST_SPLATS_A_BYTE * _bytes_of(stage) + _SLACK
         for prim, matrix in _placed(stage.GetPseudoRoot(), np.eye(4), None):
             parts.append(_splats(path, prim))
-            matrices.append(matrix)
+            up = _up_of(prim)
+            matrices.append(_in_own_world(up, matrix))
+            ups.append(up)
             marks.append(prim.GetCustomDataByKey(MARK) is True)
             origins.append(_origin(path, prim))
             room -= len(parts[-1])
@@ -104,20 +112,41 @@ def read_usd(path: Path) -> Decoded:
             f"{path} is a USD scene without splats: it has no prim of the type {TYPE}. Give the "
             f"file of a trained model."
         )
-    up = _Y_OF_Z if has_z_up else np.eye(4)
+    to_y = _Y_OF_Z if has_z_up else np.eye(4)
     try:
         placed = [
-            part if np.array_equal(up @ matrix, np.eye(4)) else transform_splats(part, up @ matrix)
-            for part, matrix in zip(parts, matrices, strict=True)
+            part if np.array_equal(whole, np.eye(4)) else transform_splats(part, whole)
+            for part, whole in zip(parts, (to_y @ matrix for matrix in matrices), strict=True)
         ]
     except ShapeError as error:
         raise FormatError(f"{path}: a prim cannot be placed. {error}") from error
-    return joined_files(
+    found = joined_files(
         [
             Decoded(splats=half_turn(part, X), layout="USD", antialiased=all(marks), origin=origin)
             for part, origin in zip(placed, origins, strict=True)
         ]
     )
+    return replace(found, comments=(f"{UP_AXIS}{ups[0]}",) if ups[0] else ())
+
+
+def _up_of(prim: Any) -> str:
+    """The up axis by which the writer turned a prim; empty: none, or another program has changed
+    the rotation."""
+    up = prim.GetCustomDataByKey(UP)
+    if not isinstance(up, str) or up not in UPRIGHT:
+        return ""
+    local = need("pxr.UsdGeom", "USD").Xformable(prim).GetLocalTransformation()
+    turn = np.array(local, np.float64).T[:3, :3]
+    return up if np.allclose(turn, upright_matrix(up), atol=_TURNED) else ""
+
+
+def _in_own_world(up: str, matrix: np.ndarray) -> np.ndarray:
+    """The matrix [4, 4] of a prim without the rotation of the writer, see `_up_of`."""
+    if not up:
+        return matrix
+    own = matrix.copy()
+    own[:3, :3] = own[:3, :3] @ upright_matrix(up).T
+    return own
 
 
 def _origin(path: Path, prim: Any) -> np.ndarray | None:

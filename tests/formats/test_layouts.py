@@ -551,6 +551,49 @@ def test_gltf_is_upright(tmp_path: Path, up: str) -> None:
     assert stated_up(found.comments) == (up if up != "-Y" else "")
 
 
+@pytest.mark.parametrize("ending", [".usda", ".usdz"])
+@pytest.mark.parametrize("up", UPRIGHT)
+def test_usd_is_upright(tmp_path: Path, up: str, ending: str) -> None:
+    """Oracle: the places of splat and proxy by OpenUSD's matrices are along y, the up axis of the
+    stage, and as in glTF; the splat is read back to the bit, with its up axis."""
+    pytest.importorskip("pxr.UsdVol")
+    from pxr import Usd, UsdGeom
+
+    axis = np.zeros(3)
+    axis["XYZ".index(up[-1])] = -1 if up.startswith("-") else 1
+    rng = np.random.default_rng(1)
+    splats = _one(means=axis, quats=[0.5, 0.5, -0.5, 0.5], shN=rng.standard_normal((3, 3)))
+    proxy = TriangleMesh(vertices=np.stack([axis] * 3), triangles=np.array([[0, 1, 2]]))
+    path = tmp_path / f"a{ending}"
+    write_splat_file(path, splats, comments=(f"up axis: {up}",), proxy=proxy)
+    stage = Usd.Stage.Open(str(path))
+    assert UsdGeom.GetStageUpAxis(stage) == "Y"
+    cache = UsdGeom.XformCache()
+    for name, attribute in (("Splats", "positions"), ("Proxy", "points")):
+        prim = stage.GetPrimAtPath(f"/Scene/{name}")
+        place = prim.GetAttribute(attribute).Get()[0]
+        turned = cache.GetLocalToWorldTransform(prim).Transform(place)
+        np.testing.assert_allclose(turned, [0, 1, 0], atol=1e-6)
+    found = read_splat_file(path)
+    for name in ("means", "quats", "shN"):
+        np.testing.assert_array_equal(getattr(found.splats, name), getattr(splats, name))
+    assert stated_up(found.comments) == (up if up != "-Y" else "")
+
+
+def test_a_changed_rotation_of_a_prim_counts(tmp_path: Path) -> None:
+    """Oracle: the place by a prim whose rotation is not that of its stated up axis any more."""
+    pytest.importorskip("pxr.UsdVol")
+    path = tmp_path / "a.usda"
+    write_splat_file(path, _one(means=[1, 2, 3]), comments=("up axis: Z",))
+    text = path.read_text()
+    lines = [line for line in text.splitlines() if "xformOp" not in line]
+    assert len(lines) == len(text.splitlines()) - 2
+    path.write_text("\n".join(lines))
+    found = read_splat_file(path)
+    np.testing.assert_allclose(found.splats.means[0], [1, 2, 3], atol=1e-6)
+    assert stated_up(found.comments) == ""
+
+
 @pytest.mark.parametrize("rotation", [None, [0.0, 0.0, 1.0, 0.0]], ids=["none", "another"])
 def test_a_changed_rotation_counts(tmp_path: Path, rotation: list[float] | None) -> None:
     """Oracle: the place by the rotation of a node whose extras name an up axis that is not that of
