@@ -1,1 +1,1 @@
-"""Brush for splats: colours, opacities, selections."""
+"""Brush for splats: colours, opacities, selections, copies."""
