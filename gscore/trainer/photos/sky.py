@@ -17,8 +17,9 @@ from .view_sampler import Photos
 
 _SPLATS, _SHARE = 1000, 10
 """Most splats of the sphere, and its smallest divisor of `max_splats`."""
-_FAR = 3.0
-"""Radius in distances to the farthest camera, or to the 99th percentile of the points."""
+_FAR = 8.0
+"""Radius in distances to the farthest camera, or to the 99th percentile of the points: ground that
+reaches the horizon is seen up to three of them."""
 _FEW = 0.01
 _OPACITY = 0.9
 _SIZE = 0.6
@@ -26,7 +27,7 @@ _SIZE = 0.6
 _MARGIN = np.cos(np.radians(12))
 """Cosine between a direction and a sky cell up to which it belongs to the sky: views between the
 photos show a bit more of it."""
-BEYOND = 0.7
+BEYOND = 0.26
 """Distance from the middle, in radii of the sphere, beyond which splats belong to the sky."""
 _LEAST = 10
 """Least number of opaque splats beyond it of a model with a sky."""
