@@ -19,6 +19,8 @@ from .shadow_maps import Casters, ball_of
 
 _GRID = 2
 """Points of an area lamp along each side."""
+_WIDEST = np.radians(120)
+"""Largest angle of a sun in soft shadows."""
 _LARGEST_MAP = 1 << 21
 """Pixels of an environment texture above which the world's color is used."""
 _ROWS = 64
@@ -137,7 +139,8 @@ def _lamps_of(ob: bpy.types.Object) -> list[Lamp]:
     place = tuple(matrix[:3, 3].tolist())
     common = {"axis": tuple(axis.tolist()), "source": place if data.use_shadow else None}
     if data.type == "SUN":
-        return [Lamp(kind=SUN, strength=tuple((color / np.pi).tolist()), **common)]
+        size = float(np.tan(min(data.angle, _WIDEST) / 2))
+        return [Lamp(kind=SUN, strength=tuple((color / np.pi).tolist()), size=size, **common)]
     common["kind"] = POINT
     if data.type == "AREA":
         # As many points that shine with the cosine: the flux is pi times the intensity ahead.
@@ -153,6 +156,9 @@ def _lamps_of(ob: bpy.types.Object) -> list[Lamp]:
         x, y = (grid.ravel() for grid in np.meshgrid(steps * sides[0], steps * sides[1]))
         places = matrix[:3, 3] + np.outer(x, matrix[:3, 0]) + np.outer(y, matrix[:3, 1])
         least = float(sides.max()) / _GRID / 2
+        round_ = np.pi / 4 if data.shape in {"DISK", "ELLIPSE"} else 1.0
+        area = round_ * sides.prod() * np.linalg.norm(matrix[:3, :2], axis=0).prod()
+        common["size"] = float(np.sqrt(area / np.pi))  # a disc of the same area
         return [
             Lamp(strength=strength, place=tuple(p), radius=least, is_surface=True, **common)
             for p in places.tolist()
@@ -162,7 +168,7 @@ def _lamps_of(ob: bpy.types.Object) -> list[Lamp]:
     if data.type == "SPOT":
         edge = float(np.cos(data.spot_size / 2))
         common["cone"] = (edge, (1 - edge) * data.spot_blend)
-    return [Lamp(strength=strength, place=place, radius=radius, **common)]
+    return [Lamp(strength=strength, place=place, radius=radius, size=radius, **common)]
 
 
 def light_of_world(world: bpy.types.World | None) -> np.ndarray:

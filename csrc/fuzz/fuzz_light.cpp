@@ -28,11 +28,18 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     const int side = 2 + in.byte() % 30, views = in.byte() % 2 ? 6 : 1, rest = in.byte() % 25;
     std::vector<float> depths = some(in, noise, size_t(views * side * side), hostile);
     const std::vector<float> rotations = some(in, noise, size_t(9 * views), hostile);
-    gs_shadow_map map = {side, views, depths.data(), rotations.data(), {0, 0, 1}, noise(0, 20), in.byte() % 2, 5};
+    gs_shadow_map map = {side, views, depths.data(), rotations.data(), {0, 0, 1}, noise(0, 20), in.byte() % 2, 5, 9};
     std::vector<gs_lamp> lamps(in.byte() % 4);
     for (gs_lamp &lamp : lamps) {
-        lamp = {in.byte() % 2, in.byte() % 2,        {1, 2, 3}, {0, 1, 2}, {0, 0, -1},
-                noise(0, 1),   {noise(-2, 1), 0.1f}, {0, -1}};
+        lamp = {in.byte() % 2,
+                in.byte() % 2,
+                {1, 2, 3},
+                {0, 1, 2},
+                {0, 0, -1},
+                noise(0, 1),
+                {noise(-2, 1), 0.1f},
+                0.3f * float(in.byte() % 2),
+                {0, -1}};
         lamp.place[in.byte() % 3] = hostile ? in.hostile() : noise(-3, 3);
         lamp.maps[1] = in.byte() % 3 - 1;
     }

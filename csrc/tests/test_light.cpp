@@ -30,7 +30,7 @@ struct Floors {
 
 // Oracle: cos / d^2 by hand.
 void a_point_fades_with_distance_and_angle() {
-    const gs_lamp lamp = {0, 0, {2, 1, 0.5f}, {0, 0, 3}, {0, 0, -1}, 0.1f, {-2, 0}, {-1, -1}};
+    const gs_lamp lamp = {0, 0, {2, 1, 0.5f}, {0, 0, 3}, {0, 0, -1}, 0.1f, {-2, 0}, 0, {-1, -1}};
     const gs_light light = {{}, 1, &lamp, 0, nullptr, 0};
     const std::vector<float> found = Floors().radiance(light);
     for (size_t i = 0; i < kCount; ++i) {
@@ -46,8 +46,8 @@ void a_map_shadows_what_is_behind() {
     for (int i = 0; i < kSide * kSide; ++i)
         depths[size_t(i)] = i % kSide < kSide / 2 ? 5.0f : 0.0f;
     const float down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1};
-    const gs_shadow_map map = {kSide, 1, depths.data(), down, {2, 0, 10}, 2, 1, 10};
-    const gs_lamp lamp = {1, 0, {1, 1, 1}, {}, {0, 0, -1}, 0, {-2, 0}, {0, -1}};
+    const gs_shadow_map map = {kSide, 1, depths.data(), down, {2, 0, 10}, 2, 1, 10, 5};
+    const gs_lamp lamp = {1, 0, {1, 1, 1}, {}, {0, 0, -1}, 0, {-2, 0}, 0, {0, -1}};
     const std::vector<float> found = Floors().radiance({{}, 1, &lamp, 1, &map, 0.01f});
     CHECK(found[3 * 5] == 0 && found[3 * 30] == 1);
 }
@@ -55,7 +55,7 @@ void a_map_shadows_what_is_behind() {
 void what_is_invalid_is_refused() {
     const Floors floors;
     std::vector<float> out(3 * kCount);
-    const gs_lamp lamp = {1, 0, {1, 1, 1}, {}, {0, 0, -1}, 0, {-2, 0}, {0, -1}};
+    const gs_lamp lamp = {1, 0, {1, 1, 1}, {}, {0, 0, -1}, 0, {-2, 0}, 0, {0, -1}};
     gs_shadow_map map = {};
     CHECK(gs_surface_radiance(nullptr, &floors.surfaces, 1, out.data()) == GS_BAD_ARGUMENT);
     const gs_light missing = {{}, 1, &lamp, 0, nullptr, 0}, broken = {{}, 1, &lamp, 1, &map, 0}, none = {};

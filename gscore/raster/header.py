@@ -8,7 +8,7 @@ import ctypes as ct
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-ABI_VERSION = 13
+ABI_VERSION = 14
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL, MEDIAN_SPLAT = 1, 2, 4, 8, 32
 DEPTH_OUTPUTS = {
@@ -177,7 +177,7 @@ ShadowMapStruct = struct(
     "float[3] place",
     "float scale",
     "int32 parallel",
-    "float farthest",
+    "float farthest nearest",
 )
 LampStruct = struct(
     "gs_lamp",
@@ -185,6 +185,7 @@ LampStruct = struct(
     "float[3] strength place axis",
     "float radius",
     "float[2] cone",
+    "float size",
     "int32[2] maps",
 )
 LightStruct = struct(

@@ -3,6 +3,7 @@
 import ctypes as ct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,8 @@ class Lamp:
     """Cosine of half the cone's angle, and the range of cosines in which it fades in."""
     is_surface: bool = False
     """Whether it fades with the cosine of the angle to its axis."""
+    size: float = 0.0
+    """Radius of the disc that casts soft shadows, of a sun per distance; 0: they are hard."""
     source: tuple[float, float, float] | None = None
     """World position from which shadows fall, any for a sun; None: it casts none."""
 
@@ -50,6 +53,11 @@ class ShadowMap:
     parallel: bool = False
     farthest: float = 0.0
     """z of a plane behind all meshes, if parallel."""
+
+    @cached_property
+    def nearest(self) -> float:
+        """Maximum of `depths`."""
+        return float(self.depths.max())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,7 +89,8 @@ def surface_radiance(light: SurfaceLight, surfaces: Surfaces) -> np.ndarray:
     """Radiance of white surfaces, linear Rec. 709, [N, 3] float32.
 
     A shadow is the mean of 2 x 2 pixels of a map by the distance to them; surfaces outside of a map
-    are lit.
+    are lit. Soft shadows are means over a disc around the surface, as wide as the nearest meshes
+    blur them (Fernando 2005, percentage-closer soft shadows).
 
     Raises:
         ShapeError: an array has a wrong shape or dtype.
@@ -181,6 +190,7 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
     """`gs_light`, and arrays that must outlive it."""
     found: list[ShadowMap] = []
     maps, lamps, kept = [], [], []
+    is_soft = any(lamp.size > 0 for lamp in light.lamps)
     for lamp, pair in zip(light.lamps, light.maps, strict=True):
         numbers = []
         for one in pair:
@@ -196,6 +206,7 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
                 axis=_floats(lamp.axis, 3),
                 radius=lamp.radius,
                 cone=_floats(lamp.cone, 2),
+                size=lamp.size,
                 maps=(ct.c_int32 * 2)(*numbers),
             )
         )
@@ -213,6 +224,7 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
                 scale=one.scale,
                 parallel=one.parallel,
                 farthest=one.farthest,
+                nearest=one.nearest if is_soft else 0.0,
             )
         )
     native = header.LightStruct(

@@ -16,6 +16,7 @@ from gscore.raster.light import (
     surface_gains,
     surface_radiance,
 )
+from gscore.raster.mesh import mesh_depth, mesh_nearness
 from tests.raster.twins import light as twin
 
 COUNT = 701
@@ -164,3 +165,119 @@ def test_bad_arrays_are_refused() -> None:
         surface_radiance(replace(light, lamps=light.lamps[:1], maps=maps), surfaces)
     with pytest.raises(ShapeError, match="gains"):
         scaled_colors(np.zeros((4, 1, 3), np.float32), np.zeros((4, 3, 3), np.float32), captured)
+
+
+HEIGHT, HALF = 1.0, 0.6
+"""Of a square plate over the plane z = 0."""
+
+
+def plate(kind: str) -> tuple[Lamp, ShadowMap, np.ndarray]:
+    """A lamp over the plate, its map, and samples of its disc [K, 3], of a sun of directions."""
+    corners = HALF * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    vertices = np.column_stack([corners, np.full(4, HEIGHT)])
+    triangles, size = np.array([[0, 1, 2], [0, 2, 3]], np.int32), 512
+    index = np.arange(3000)
+    spiral = np.sqrt((index + 0.5) / len(index))[:, None] * np.stack(
+        [np.cos(2.39996 * index), np.sin(2.39996 * index)], 1
+    )
+    place = np.array([0.3, 0.2, 4.0])
+    axis = np.array([-0.2, 0.1, -1]) / np.linalg.norm([-0.2, 0.1, -1])
+    parallel = kind == "sun"
+    axes = twin._SIDES if kind == "cube" else [axis if parallel else np.array([0, 0, -1.0])]
+    scale = size / 2 - 1 if kind == "cube" else size / 6 if parallel else 1.5 * size / 2
+    K = np.array([[scale, 0, size / 2], [0, scale, size / 2], [0, 0, 1]])
+    depths, farthest = [], 0.0
+    for one in axes:
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = turned(one)
+        viewmat[:3, 3] = -viewmat[:3, :3] @ place
+        given = vertices, triangles, K, viewmat, size, size
+        if parallel:
+            drawn, farthest = mesh_nearness(*given)
+            depths.append(drawn)
+        else:
+            depths.append(mesh_depth(*given))
+    radius = 0.2 if parallel else 0.3
+    across = turned(axis if parallel else np.array([0, 0, -1.0]))[:2]
+    samples = radius * spiral @ across + (-axis if parallel else place)
+    lamp = Lamp(
+        kind="SUN" if parallel else "POINT",
+        strength=(1, 1, 1),
+        axis=tuple(axis),
+        place=tuple(place),
+        size=radius,
+    )
+    shadows = ShadowMap(
+        depths=np.stack(depths),
+        rotations=np.stack([turned(one) for one in axes]),
+        place=place,
+        scale=scale,
+        parallel=parallel,
+        farthest=farthest,
+    )
+    return lamp, shadows, samples
+
+
+@pytest.mark.parametrize("kind", ["sun", "single", "cube"])
+def test_soft_shadows(isa: str, kind: str) -> None:
+    """Oracle: the mean of hard shadows over many samples of the lamp, in closed form; hard ones, by
+    a lamp without a size, are far from it."""
+    lamp, shadows, samples = plate(kind)
+    rng = np.random.default_rng(0)
+    places = np.column_stack([rng.uniform(-2, 2, (COUNT, 2)), np.zeros(COUNT)]).astype(np.float32)
+    up = np.tile(np.float32([0, 0, 1]), (COUNT, 1))
+    surfaces = Surfaces(places=places, normals=up, matrix=np.eye(4))
+    away = samples[None] - (0 if kind == "sun" else places[:, None])
+    crossed = places[:, None, :2] + away[..., :2] * HEIGHT / away[..., 2:]
+    wanted = (np.abs(crossed) > HALF).any(2).mean(1)
+    found = []
+    for size in (lamp.size, 0.0):
+        one = replace(lamp, size=size)
+        light = SurfaceLight(
+            lamps=[one], maps=[(shadows, None)], world=np.zeros((9, 3)), slack=0.01
+        )
+        bare = surface_radiance(replace(light, maps=[(None, None)]), surfaces)
+        found.append(surface_radiance(light, surfaces)[:, 0] / bare[:, 0])
+    blurred = (wanted > 0.02) & (wanted < 0.98)
+    assert blurred.sum() > 50
+    soft, hard = (np.abs(one - wanted) for one in found)
+    assert soft[blurred].mean() < 0.04
+    assert soft.max() < 0.2
+    assert hard[blurred].mean() > 0.15
+    assert soft[~blurred].mean() < 0.01
+
+
+def test_a_slope_does_not_shadow_itself(isa: str) -> None:
+    """A plane that is drawn in its own map, in oblique light of a wide sun, is lit."""
+    lamp, _, _ = plate("sun")
+    lamp = replace(lamp, axis=(0.6, 0.0, -0.8), size=0.3)
+    normal = np.array([0.3, 0.2, 1.0]) / np.linalg.norm([0.3, 0.2, 1.0])
+    corners = 9 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    heights = -(corners @ normal[:2]) / normal[2]
+    rotation, size = turned(np.array(lamp.axis)), 256
+    viewmat = np.eye(4)
+    viewmat[:3, :3], viewmat[:3, 3] = rotation, [0, 0, 20]
+    K = np.array([[size / 20, 0, size / 2], [0, size / 20, size / 2], [0, 0, 1]])
+    drawn, farthest = mesh_nearness(
+        np.column_stack([corners, heights]),
+        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+        *(K, viewmat, size, size),
+    )
+    shadows = ShadowMap(
+        depths=drawn[None],
+        rotations=rotation[None],
+        place=-rotation.T @ viewmat[:3, 3],
+        scale=size / 20,
+        parallel=True,
+        farthest=farthest,
+    )
+    rng = np.random.default_rng(0)
+    flat = rng.uniform(-2, 2, (COUNT, 2))
+    places = np.column_stack([flat, -(flat @ normal[:2]) / normal[2]]).astype(np.float32)
+    normals = np.tile(np.float32(normal), (COUNT, 1))
+    surfaces = Surfaces(places=places, normals=normals, matrix=np.eye(4))
+    light = SurfaceLight(lamps=[lamp], maps=[(shadows, None)], world=np.zeros((9, 3)), slack=0.1)
+    bare = replace(light, maps=[(None, None)])
+    np.testing.assert_allclose(
+        surface_radiance(light, surfaces), surface_radiance(bare, surfaces), rtol=1e-5
+    )

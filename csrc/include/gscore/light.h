@@ -9,13 +9,15 @@
 /* Depths of meshes as seen from a lamp. */
 typedef struct gs_shadow_map {
     int32_t size;           /* pixels along a side, from 2 on */
-    int32_t views;          /* 1, or 6 that look along +x, -x, +y, -y, +z and -z of the world */
+    int32_t views;          /* 1, or 6 that look along s = +x, -x, +y, -y, +z and -z of the world, with the pixels' axes
+                             * (-s z, y), (s z, x) and (-s y, x) */
     const float *depths;    /* [views, size, size] 1 / z, if parallel the distance in front of `farthest`; 0: no mesh */
     const float *rotations; /* [views, 3, 3] world to lamp, z ahead */
     float place[3];         /* of the lamp, world */
     float scale;            /* pixels per unit aside, at z = 1 unless parallel */
     int32_t parallel;       /* rays do not diverge */
     float farthest;         /* z of a plane behind all meshes, if parallel */
+    float nearest;          /* maximum of `depths`; for soft shadows only */
 } gs_shadow_map;
 
 /* A small source of light. */
@@ -27,6 +29,7 @@ typedef struct gs_lamp {
     float axis[3];      /* unit vector along which it shines */
     float radius;       /* least distance */
     float cone[2];      /* cosine of half the cone's angle, at most -1: none; and the range of cosines of its edge */
+    float size;         /* radius of the disc that casts soft shadows, of a sun per distance; 0: they are hard */
     int32_t maps[2];    /* indices of the shadow maps of proxies and of other meshes; -1: none */
 } gs_lamp;
 
@@ -52,7 +55,8 @@ typedef struct gs_surfaces {
 } gs_surfaces;
 
 /* Radiance [N, 3] of white surfaces. `captured`, `share`, `catches` and `most` have no effect. A shadow is the mean of
- * 2 x 2 pixels of a map by the distance to them; surfaces outside of a map are lit. */
+ * 2 x 2 pixels of a map by the distance to them; surfaces outside of a map are lit. Soft shadows are means over a disc
+ * around the surface, as wide as the nearest meshes blur them (Fernando 2005, percentage-closer soft shadows). */
 GS_API gs_status gs_surface_radiance(const gs_light *light, const gs_surfaces *surfaces, int32_t threads,
                                      float *radiance);
 /* Factor [N, 3] of linear colours under a light. Without `captured` the sides of normals are unknown: they are turned to

@@ -127,6 +127,40 @@ def test_shadows_of_meshes(lit, tmp_path, kind):
     assert np.abs(got - without)[clear].mean() < 0.01 * without.max()
 
 
+@pytest.mark.parametrize("kind", ["SUN", "POINT", "AREA"])
+def test_soft_shadows(lit, tmp_path, kind):
+    """Where Cycles' shadow of a cube is neither dark nor bright, ours is as dark; that of a lamp
+    without a size is not."""
+    lit.render.resolution_x = lit.render.resolution_y = 120
+    made = lamp(lit, kind)
+    made.location = (0.5, 0.2, 3)
+
+    def resize(share: float) -> None:
+        if kind == "SUN":
+            made.data.angle = share * np.radians(20)
+        elif kind == "POINT":
+            made.data.shadow_soft_size = share * 0.3
+        else:
+            made.data.size = made.data.size_y = share * 0.6
+
+    resize(1)
+    bare = lab.render_exr(tmp_path, "bare")[..., :3].mean(2)
+    bpy.ops.mesh.primitive_cube_add(size=0.8, location=(0.1, 0, 0.9))
+    cube = bpy.context.object
+    ours = lab.render_exr(tmp_path, "soft")[..., :3].mean(2) / bare
+    resize(1e-3)
+    hard = lab.render_exr(tmp_path, "hard")[..., :3].mean(2) / bare
+    resize(1)
+    cube.visible_camera = False
+    lit.cycles.max_bounces = 0
+    wanted = by_cycles(lit, tmp_path).mean(2) / bare
+    blurred = (wanted > 0.05) & (wanted < 0.93)
+    assert blurred.sum() > 500
+    errors = [np.abs(one - wanted)[blurred].mean() for one in (ours, hard)]
+    assert errors[0] < 0.13
+    assert errors[1] > 0.2
+
+
 @pytest.mark.parametrize("kind", ["SUN", "POINT"])
 def test_shadows_beside_a_wide_ground(lit, tmp_path, kind):
     """Oracle: the picture without the ground, with a tower far up that casts no shadow here."""
