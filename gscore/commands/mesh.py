@@ -86,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         f"({plain.min_part:g}; 0: all)",
         default=plain.min_part,
     )
-    option("--smooth STEPS", f"steps of smoothing ({plain.smooth})", default=plain.smooth)
+    option("--smooth STEPS", "steps of smoothing (30; more for voxels below two pixels)", int)
     option("--triangles N", "reduce the mesh to about N triangles (all)", int)
     option(
         "--texture SIZE", "bake a texture of SIZE x SIZE px from the photos, for .glb and .obj", int

@@ -47,6 +47,8 @@ LARGEST_TEXTURE = 8192
 _PIXELS = 2.0
 """Voxel size in pixels' widths on the nearer surfaces: smaller ones leave holes unless splats are
 flat."""
+_SMOOTH, _SMOOTHEST = 30, 300
+"""Steps of smoothing at voxels of `_PIXELS`, and most steps at smaller ones."""
 _NEARER = 0.25
 """Share of the seen surfaces that are the nearer ones."""
 _FAR = 2.0
@@ -88,8 +90,8 @@ class MeshRequest:
     """One of `HOLES`."""
     min_part: float = 0.01
     """Least part that is kept, as a share of the largest one's triangles."""
-    smooth: int = 30
-    """Steps of smoothing."""
+    smooth: int | None = None
+    """Steps of smoothing; None: by the size of voxels in pixels, see `_Scale.smooth`."""
     triangles: int | None = None
     """Number of triangles; None: all."""
     texture: int | None = None
@@ -107,7 +109,7 @@ class MeshRequest:
             raise ConfigError(f"`--holes` is {', '.join(HOLES)}, got {quoted(self.holes)}.")
         if not 0 <= self.min_part <= 1:
             raise ConfigError(f"`--min-part` must be from 0 to 1, got {self.min_part:g}.")
-        if not 0 <= self.smooth <= 1000:
+        if self.smooth is not None and not 0 <= self.smooth <= 1000:
             raise ConfigError(f"`--smooth` must be from 0 to 1000, got {self.smooth}.")
         if self.triangles is not None and self.triangles < 4:
             raise ConfigError(f"`--triangles` must be at least 4, got {self.triangles}.")
@@ -198,7 +200,8 @@ def make_mesh(
         for index in steps.count("fusing", range(len(cameras))):
             mask = masks(index) if index < count and mask_mode != "none" else None
             volume.fuse(_view(draw, index, scale, mask, hides=mask_mode == "composite"), pool)
-    mesh = _surface(volume, request, steps)
+    smooth = scale.smooth if request.smooth is None else request.smooth
+    mesh = _surface(volume, request, smooth, steps)
     if request.texture is not None and photos is not None:
         steps.begin("unwrapping")
         shown = cameras.subset(range(count))
@@ -264,6 +267,14 @@ class _Scale:
 
     voxel: float
     far: float
+    pixel: float
+    """Width of a pixel on the nearer surfaces."""
+
+    @property
+    def smooth(self) -> int:
+        """Steps of smoothing. Noise of depths has a size in pixels, and the reach of smoothing
+        grows with the voxel and with the root of the steps."""
+        return round(min(_SMOOTH * max(_PIXELS * self.pixel / self.voxel, 1) ** 2, _SMOOTHEST))
 
     @property
     def spread(self) -> float:
@@ -285,7 +296,8 @@ class _Scale:
             raise DatasetError("The cameras see no surface: the splats are transparent or outside.")
         near = float(np.quantile(seen, _NEARER))
         width = float(np.quantile(np.concatenate(widths), _NEARER))
-        return cls(voxel=request.voxel or _PIXELS * width, far=request.far or _FAR * near)
+        voxel, far = request.voxel or _PIXELS * width, request.far or _FAR * near
+        return cls(voxel=voxel, far=far, pixel=width)
 
 
 def _allocated(
@@ -371,8 +383,8 @@ def _view(
     return surface_view(draw.whole(index), K, viewmat, **how)
 
 
-def _surface(volume: Volume, request: MeshRequest, steps: _Steps) -> SurfaceMesh:
-    """The contoured and cleaned surface of a volume."""
+def _surface(volume: Volume, request: MeshRequest, smooth: int, steps: _Steps) -> SurfaceMesh:
+    """The contoured and cleaned surface of a volume, after this number of steps of smoothing."""
     steps.begin("contouring")
     vertices, triangles, colors = contour(
         volume, lambda done, total: steps.begin("contouring", total)
@@ -383,7 +395,10 @@ def _surface(volume: Volume, request: MeshRequest, steps: _Steps) -> SurfaceMesh
     steps.begin("cleaning")
     triangles = without_small_parts(vertices, triangles, request.min_part)
     if not len(triangles):
-        raise DatasetError("No surface was found: give another `--voxel`, or check the region.")
+        raise DatasetError(
+            f"No surface was found with voxels of {volume.voxel:g} world units: give a smaller "
+            "`--voxel`, or check the region."
+        )
     rows, triangles = used(vertices, triangles)
     vertices, colors = vertices[rows], colors[rows]
     if request.holes != "open":
@@ -392,7 +407,7 @@ def _surface(volume: Volume, request: MeshRequest, steps: _Steps) -> SurfaceMesh
         vertices = np.concatenate([vertices, added])
         triangles = np.concatenate([triangles, filling])
     source = vertices[: len(colors)]
-    vertices = smoothed(vertices, triangles, request.smooth)
+    vertices = smoothed(vertices, triangles, smooth)
     if request.most is not None:
         steps.begin("reducing")
         vertices, triangles = reduced(vertices, triangles, request.most)

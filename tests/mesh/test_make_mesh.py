@@ -1,5 +1,6 @@
 """Oracles: shapes whose surfaces are known, and Euler's formula."""
 
+import sys
 from collections import Counter
 from dataclasses import replace
 
@@ -84,6 +85,17 @@ def test_a_box_keeps_its_faces() -> None:
     assert _euler(mesh) == 2
 
 
+@pytest.mark.parametrize(("pixels", "steps"), [(4.0, 30), (2.0, 30), (1.0, 120), (0.6, 300)])
+def test_smaller_voxels_are_smoothed_over_as_many_pixels(pixels: float, steps: int) -> None:
+    """Oracle: the reach of smoothing, voxels times the root of the steps, by hand; the mesh has the
+    bits of one with these steps."""
+    splats, cameras = sphere(), around(8)
+    pixel = make_mesh(splats, cameras, threads=1).facts["voxel"] / 2
+    requests = [MeshRequest(voxel=pixels * pixel, smooth=smooth) for smooth in (None, steps)]
+    plain, again = (make_mesh(splats, cameras, request, threads=1) for request in requests)
+    np.testing.assert_array_equal(again.vertices, plain.vertices)
+
+
 def test_what_no_camera_sees_is_open_or_closed_on_request() -> None:
     """Oracle: cameras above the equator never see the south pole; a cap closes the sphere."""
     cameras = around(20, least=0.2)
@@ -160,6 +172,15 @@ def test_memory_limits_the_volume(ball: SurfaceMesh) -> None:
     mesh = make_mesh(sphere(), around(), request, threads=1)
     assert mesh.facts["volume_bytes"] <= limit
     assert np.median(np.abs(np.linalg.norm(mesh.vertices, axis=1) - RADIUS)) < mesh.facts["voxel"]
+
+
+def test_without_a_surface_smaller_voxels_are_advised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: the sentence, where contouring finds no triangle."""
+    nothing = np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros((0, 3), np.float32)
+    module = sys.modules["gscore.mesh.make_mesh"]
+    monkeypatch.setattr(module, "contour", lambda *_: nothing)
+    with pytest.raises(DatasetError, match=r"with voxels of 0\.5 world units: give a smaller"):
+        make_mesh(sphere(), around(4), MeshRequest(voxel=0.5))
 
 
 def test_bad_input() -> None:
