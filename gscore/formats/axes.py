@@ -34,7 +34,7 @@ def upright_matrix(up: str) -> np.ndarray:
     the splats; of zeros and ones, so that it is exact."""
     x, y, z, w = UPRIGHT[up]
     turn = quat_to_rotmat(np.array([w, x, y, z]))
-    return np.round(turn @ np.diag([-1.0, 1.0, -1.0]))
+    return np.round(turn @ np.diag([-1.0, 1.0, -1.0])) + 0.0  # no -0
 
 
 def half_turn(splats: Splats, axis: int) -> Splats:

@@ -63,18 +63,20 @@ def _is_gltf(path: Path, sample: FileSample) -> bool:
 def _read(path: Path) -> Decoded:
     file = Gltf(path)
     _check_required(file)
-    parts, layouts, marks, origins, ups = [], [], [], [], []
+    parts, layouts, marks, origins = [], [], [], []
     count = 0
-    for matrix, up, primitive in _primitives(file):
+    found = list(_primitives(file))
+    ups = {up for _, up, _ in found}
+    up = ups.pop() if len(ups) == 1 else ""
+    for matrix, _, primitive in found:
         splats, layout, flagged = _splats(file, primitive)
         count += len(splats)
         _check_repeated(file, count, len(parts) + 1)
-        parts.append(half_turn(_placed(file, splats, matrix), Z))
+        parts.append(half_turn(_placed(file, splats, _in_own_world(up, matrix)), Z))
         layouts.append(layout)
         extras = as_object(primitive.get("extras"))
         marks.append(flagged or extras.get(GLTF_MARK) is True)
         origins.append(origin_in(extras, file.damaged))
-        ups.append(up)
     if not parts:
         meshes = len(file.listed(file.content, "meshes"))
         raise FormatError(
@@ -82,8 +84,8 @@ def _read(path: Path) -> Decoded:
             f"{EXTENSION}. Give the file of a trained model."
         )
     facts: dict[str, Any] = {"layout": layouts[0], "antialiased": all(marks)}
-    if ups[0]:
-        facts["comments"] = (f"{UP_AXIS}{ups[0]}",)
+    if up:
+        facts["comments"] = (f"{UP_AXIS}{up}",)
     pairs = zip(parts, origins, strict=True)
     return joined_files([Decoded(splats=part, origin=origin, **facts) for part, origin in pairs])
 
@@ -127,7 +129,7 @@ def _check_required(file: Gltf) -> None:
 
 def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, str, dict[str, Any]]]:
     """Matrices [4, 4], up axes and primitives of splats, of the scene's nodes, or of all meshes
-    without a scene. The rotation by which the writer turned a world upright is undone."""
+    without a scene."""
     scenes = file.listed(file.content, "scenes")
     if not scenes:
         for index in range(len(file.listed(file.content, "meshes"))):
@@ -144,11 +146,8 @@ def _primitives(file: Gltf) -> Iterator[tuple[np.ndarray, str, dict[str, Any]]]:
         visited.add(index)
         matrix = above @ _matrix(file, node)
         if "mesh" in node:
-            own, up = matrix, _up_of(file, node)
-            if up:
-                own = own.copy()
-                own[:3, :3] = np.round(own[:3, :3] @ node_matrix(UPRIGHT[up]).T, _DIGITS)
-            yield from ((own, up, found) for found in _of_mesh(file, node["mesh"]))
+            up = _up_of(file, node)
+            yield from ((matrix, up, found) for found in _of_mesh(file, node["mesh"]))
         left += [(child, matrix, depth + 1) for child in file.listed(node, "children")]
 
 
@@ -181,6 +180,18 @@ def _up_of(file: Gltf, node: dict[str, Any]) -> str:
         return ""
     is_ours = np.allclose(_matrix(file, node)[:3, :3], node_matrix(UPRIGHT[up]), atol=_TURNED)
     return up if is_ours else ""
+
+
+def _in_own_world(up: str, matrix: np.ndarray) -> np.ndarray:
+    """A matrix [4, 4] without the rotation by which the writer turned a world upright, undone after
+    all that other programs add."""
+    if not up:
+        return matrix
+    back = np.eye(4)
+    back[:3, :3] = node_matrix(UPRIGHT[up]).T
+    own = back @ matrix
+    own[:3, :3] = np.round(own[:3, :3], _DIGITS)
+    return own
 
 
 def _numbers(file: Gltf, node: dict[str, Any], key: str, default: np.ndarray) -> np.ndarray:

@@ -113,18 +113,16 @@ def _write(path: Path, splats: Splats, options: WriteOptions) -> list[str]:
 
 
 def _stage(splats: Splats, options: WriteOptions) -> Any:
-    """A stage with one prim, Y up, or with a scene of splats and their proxy."""
+    """A stage, Y up, with the splats and their proxy below one prim, so that transforms that other
+    stages put on it leave those of the splats."""
     Usd, UsdGeom, Vt = (need(f"pxr.{name}", "USD") for name in ("Usd", "UsdGeom", "Vt"))
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    above = "" if options.proxy is None else "/Scene"
-    if above:
-        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, above).GetPrim())
-        _add_proxy(stage, f"{above}/Proxy", options)
-    prim = getattr(usd_library(), TYPE).Define(stage, f"{above}/Splats")
-    if not above:
-        stage.SetDefaultPrim(prim.GetPrim())
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/Scene").GetPrim())
+    if options.proxy is not None:
+        _add_proxy(stage, "/Scene/Proxy", options)
+    prim = getattr(usd_library(), TYPE).Define(stage, "/Scene/Splats")
     vectors = Vt.Vec3fArray.FromNumpy
     # SH coefficients take the most memory: they are converted first and freed before other copies.
     prim.CreateRadianceSphericalHarmonicsDegreeAttr(splats.sh_degree)

@@ -87,9 +87,8 @@ def read_usd(path: Path) -> Decoded:
         room = _MOST_SPLATS_A_BYTE * _bytes_of(stage) + _SLACK
         for prim, matrix in _placed(stage.GetPseudoRoot(), np.eye(4), None):
             parts.append(_splats(path, prim))
-            up = _up_of(prim)
-            matrices.append(_in_own_world(up, matrix))
-            ups.append(up)
+            matrices.append(matrix)
+            ups.append(_up_of(prim))
             marks.append(prim.GetCustomDataByKey(MARK) is True)
             origins.append(_origin(path, prim))
             room -= len(parts[-1])
@@ -112,11 +111,12 @@ def read_usd(path: Path) -> Decoded:
             f"{path} is a USD scene without splats: it has no prim of the type {TYPE}. Give the "
             f"file of a trained model."
         )
-    to_y = _Y_OF_Z if has_z_up else np.eye(4)
+    up = ups[0] if len(set(ups)) == 1 else ""
+    to_world = _from_upright(up) @ (_Y_OF_Z if has_z_up else np.eye(4))
     try:
         placed = [
             part if np.array_equal(whole, np.eye(4)) else transform_splats(part, whole)
-            for part, whole in zip(parts, (to_y @ matrix for matrix in matrices), strict=True)
+            for part, whole in zip(parts, (to_world @ matrix for matrix in matrices), strict=True)
         ]
     except ShapeError as error:
         raise FormatError(f"{path}: a prim cannot be placed. {error}") from error
@@ -126,7 +126,7 @@ def read_usd(path: Path) -> Decoded:
             for part, origin in zip(placed, origins, strict=True)
         ]
     )
-    return replace(found, comments=(f"{UP_AXIS}{ups[0]}",) if ups[0] else ())
+    return replace(found, comments=(f"{UP_AXIS}{up}",) if up else ())
 
 
 def _up_of(prim: Any) -> str:
@@ -140,13 +140,12 @@ def _up_of(prim: Any) -> str:
     return up if np.allclose(turn, upright_matrix(up), atol=_TURNED) else ""
 
 
-def _in_own_world(up: str, matrix: np.ndarray) -> np.ndarray:
-    """The matrix [4, 4] of a prim without the rotation of the writer, see `_up_of`."""
-    if not up:
-        return matrix
-    own = matrix.copy()
-    own[:3, :3] = own[:3, :3] @ upright_matrix(up).T
-    return own
+def _from_upright(up: str) -> np.ndarray:
+    """Matrix [4, 4] that undoes the rotation of the writer, after all that other programs add."""
+    out = np.eye(4)
+    if up:
+        out[:3, :3] = upright_matrix(up).T
+    return out
 
 
 def _origin(path: Path, prim: Any) -> np.ndarray | None:

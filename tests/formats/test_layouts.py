@@ -611,6 +611,52 @@ def test_a_changed_rotation_counts(tmp_path: Path, rotation: list[float] | None)
     assert stated_up(found.comments) == ""
 
 
+@pytest.mark.parametrize("ending", [".gltf", ".usda"])
+def test_moves_of_other_programs_are_those_of_the_upright_scene(
+    tmp_path: Path, ending: str
+) -> None:
+    """Oracle: a parent that moves the scene by 5 up, which is along z in the splats' world."""
+    path = tmp_path / f"a{ending}"
+    write_splat_file(path, _one(means=[1, 2, 3]), comments=("up axis: Z",))
+    if ending == ".gltf":
+        content = json.loads(path.read_text())
+        content["nodes"].append({"children": [0], "translation": [0, 5, 0]})
+        content["scenes"][0]["nodes"] = [1]
+        path.write_text(json.dumps(content))
+    else:
+        pytest.importorskip("pxr.UsdVol")
+        path.replace(tmp_path / "model.usda")
+        move = "double3 xformOp:translate = (0, 5, 0)"
+        order = 'uniform token[] xformOpOrder = ["xformOp:translate"]'
+        above = f'def "A" (references = @./model.usda@) {{\n{move}\n{order}\n}}'
+        path.write_text(f'#usda 1.0\n(upAxis = "Y")\n{above}')
+    found = read_splat_file(path)
+    np.testing.assert_allclose(found.splats.means[0], [1, 2, 8], atol=1e-6)
+    assert stated_up(found.comments) == "Z"
+
+
+@pytest.mark.parametrize("ending", [".gltf", ".usda"])
+def test_models_with_several_up_axes_stand_as_in_their_scene(tmp_path: Path, ending: str) -> None:
+    """Oracle: places by hand in a scene of a turned model and one that is not."""
+    path, turned = tmp_path / f"a{ending}", tmp_path / f"turned{ending}"
+    write_splat_file(turned, _one(means=[1, 2, 3]), comments=("up axis: Z",))
+    if ending == ".gltf":
+        content = json.loads(turned.read_text())
+        content["nodes"].append({"mesh": 0})
+        content["scenes"][0]["nodes"] = [1, 0]
+        path.write_text(json.dumps(content))
+        wanted = [[-1, -3, -2], [1, 2, 3]]
+    else:
+        pytest.importorskip("pxr.UsdVol")
+        write_splat_file(tmp_path / "plain.usda", _one(means=[1, 2, 3]))
+        both = [f'def "{x}" (references = @./{x}.usda@) {{}}' for x in ("turned", "plain")]
+        path.write_text("\n".join(['#usda 1.0\n(upAxis = "Y")', *both]))
+        wanted = [[1, -3, 2], [1, 2, 3]]
+    found = read_splat_file(path)
+    np.testing.assert_allclose(sorted(found.splats.means.tolist()), wanted, atol=1e-6)
+    assert stated_up(found.comments) == ""
+
+
 def test_a_proxy_is_hidden(tmp_path: Path) -> None:
     """Oracle: KHR_node_visibility of Khronos; the purposes of OpenUSD, of which guides are drawn on
     request only."""
