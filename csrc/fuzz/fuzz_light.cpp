@@ -58,6 +58,13 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     for (int k = 0; k < 3; ++k)
         surfaces.matrix[5 * k] = surfaces.turn[4 * k] = 1;
     surfaces.share = noise(0, 1), surfaces.catches = in.byte() % 2, surfaces.most = 16;
+    if (hostile) {
+        float *const numbers[] = {&map.scale,      &map.farthest,  &map.nearest,        &map.place[2],    &light.slack,
+                                  &light.world[9], &surfaces.most, &surfaces.matrix[3], &surfaces.turn[0]};
+        *numbers[in.byte() % std::size(numbers)] = in.hostile();
+        for (gs_lamp &lamp : lamps)
+            (in.byte() % 2 ? lamp.size : lamp.radius) = in.hostile();
+    }
     Output radiance(3 * count), gains(3 * count), again(3 * count);
     const gs_status wanted = wrong ? GS_BAD_ARGUMENT : GS_OK;
     REQUIRE(gs_surface_radiance(&light, &surfaces, 1, radiance.data()) == wanted);
