@@ -115,7 +115,7 @@ def forget_maps() -> None:
 
 def _source(lamp: Lamp) -> str:
     """Differs if shadows fall otherwise."""
-    return repr(lamp.axis if lamp.kind == SUN else lamp.source)
+    return repr((lamp.kind, lamp.axis if lamp.kind == SUN else lamp.source))
 
 
 def _map_of(casters: Casters, lamp: Lamp) -> ShadowMap:
@@ -204,17 +204,23 @@ def shade(
 ) -> np.ndarray:
     """Factor of the colors of relit splats by shadows, [N, 3] float32; 1: none. Arguments as the
     arrays of `relit`."""
-    bare = replace(how, light=replace(how.light, casters=Casters()))
-    dark, lit = (_gains(means, normals, captured, one) for one in (how, bare))
+    given = means, normals, captured, how
+    dark, lit = _gains(*given), _gains(*given, shadows=False)
     return np.divide(dark, lit, out=np.ones_like(dark), where=lit > 0)
 
 
 def _gains(
-    means: np.ndarray, normals: np.ndarray, captured: np.ndarray | None, how: Relighting
+    means: np.ndarray,
+    normals: np.ndarray,
+    captured: np.ndarray | None,
+    how: Relighting,
+    *,
+    shadows: bool = True,
 ) -> np.ndarray:
     """Factor of the linear colors of splats by relighting, [N, 3] float32."""
+    light = how.light.native
     return surface_gains(
-        how.light.native,
+        light if shadows else replace(light, maps=[(None, None)] * len(light.maps)),
         Surfaces(places=means, normals=normals, matrix=how.matrix),
         captured,
         share=how.share,

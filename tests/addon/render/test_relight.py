@@ -9,11 +9,14 @@ import pytest
 from mathutils import Matrix
 
 from addon import attributes, compat
+from addon.core import POINT, SUN, Lamp
 from addon.panels.result import LightPanel
 from addon.render import compositor, lamps, relight
 from addon.render.model import SplatCache
 from addon.render.proxy import attach
 from addon.render.scene import place, sources
+from addon.render.shadow_maps import Casters
+from addon.triangles import Triangles
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 
@@ -174,6 +177,33 @@ def test_shadows_beside_a_wide_ground(lit, tmp_path, kind):
     found = lab.render_exr(tmp_path, "after")[..., 0] < 0.1 * wanted.max()
     assert (dark & found).sum() / (dark | found).sum() > 0.8
     assert len(relight._known) == 1  # maps of earlier pictures are freed
+
+
+def test_maps_of_lamps_with_the_same_numbers():
+    """A sun along an axis and a point at the same numbers. Oracle: the sum of the light of each.
+    The shadows alone, which need the light without them, free no maps."""
+    square = np.array([[-1.0, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]])
+    mesh = Triangles(square, np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+    casters = Casters(mesh_key=b"square", meshes=((mesh, np.eye(4)),))
+    common = {"strength": (1.0, 1.0, 1.0), "source": (0.0, 0.0, -1.0)}
+    sun = Lamp(kind=SUN, axis=(0.0, 0.0, -1.0), **common)
+    point = Lamp(kind=POINT, place=(0.0, 0.0, -1.0), **common)
+    rng = np.random.default_rng(1)
+    places = rng.uniform(-2, 2, (500, 3)).astype(np.float32)
+    normals = rng.normal(size=(500, 3)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    found = []
+    for some in ((sun,), (point,), (sun, point)):
+        relight.forget_maps()
+        light = relight.SceneLight(lamps=some, casters=casters)
+        found.append(light.white_of(places, normals, np.eye(4)))
+    np.testing.assert_allclose(found[2], found[0] + found[1], atol=1e-5)
+    maps = dict(relight._known)
+    assert len(maps) == 2
+    how = relight.Relighting(share=1.0, light=light, matrix=np.eye(4))
+    shadows = relight.shade(places, normals, np.ones_like(places), how)
+    assert (shadows < 0.1).any() and (shadows > 0.9).any() and shadows.max() <= 1
+    assert relight._known == maps
 
 
 def test_playback_moves_shadows(lit):
