@@ -26,7 +26,7 @@ def white_level(run: Path, place: np.ndarray) -> float:
     if not gains or not (run / _CAMERAS).is_file():
         return 1.0
     cameras = read_cameras(run / _CAMERAS)
-    levels = [1.0]
+    levels = []
     for name, K, viewmat, *size in zip(
         cameras.names, cameras.Ks, cameras.viewmats, cameras.widths, cameras.heights, strict=True
     ):
@@ -36,4 +36,4 @@ def white_level(run: Path, place: np.ndarray) -> float:
             (pixel,), (depth,) = project(place[None], K, viewmat)
         if depth > 0 and (pixel >= 0).all() and (pixel < size).all():
             levels.append(float(decode(1 / gains[name]).min()))
-    return max(levels)
+    return max(levels, default=1.0)

@@ -9,7 +9,6 @@ from bpy.props import FloatProperty, IntProperty
 from mathutils import Vector
 
 from .. import compat, stored_paths
-from ..compat import matrix_to_numpy
 from ..interface import editable_check
 from ..interface.base_operator import Condition
 from ..interface.incremental_operator import IncrementalOperator
@@ -21,7 +20,7 @@ from .compare import snapshot
 from .engine import final_cache
 from .light_probe import Light, LightProbe, probe, sky_irradiance, strongest_light
 from .proxy import WALLS, dress, proxies_of
-from .scene import Placed
+from .scene import Placed, sources
 from .white_level import white_level
 
 WORLD = "gs_splat_world"
@@ -139,7 +138,7 @@ class MatchSun(_AtCursor, bpy.types.Operator):
                 "brighter than the others. Move the cursor, or set a lamp by hand."
             )
         place = np.array(context.scene.cursor.location) + light.distance * light.direction
-        white = yield from _white_at(context.scene, place)
+        white = yield from _white_at(context.evaluated_depsgraph_get(), place)
         clipped = light.is_clipped(white)
         lamp = _sun(context, sky_irradiance(found), light, clipped=clipped)
         height = np.degrees(np.arcsin(light.direction[2]))
@@ -257,16 +256,16 @@ def _show_on_walls(world: bpy.types.World, place: Vector) -> None:
         made.location = 200 * number, 0
 
 
-def _white_at(scene: bpy.types.Scene, place: np.ndarray) -> Steps[float]:
-    """The largest `white_level` of the runs of a scene's splats at a world position [3]."""
-    runs = {}
-    for ob in filter(is_splats, scene.objects):
-        if run := stored_paths.read(ob, stored_paths.RUN):
-            matrix = matrix_to_numpy(ob.matrix_world)
-            runs[Path(run)] = np.linalg.pinv(matrix[:3, :3]) @ (place - matrix[:3, 3])
+def _white_at(depsgraph: bpy.types.Depsgraph, place: np.ndarray) -> Steps[float]:
+    """The largest `white_level` of the runs of the visible splats at a world position [3]."""
+    runs = []
+    for source in sources(depsgraph):
+        if run := stored_paths.read(source.ob.original, stored_paths.RUN):
+            matrix = source.matrix
+            runs.append((Path(run), np.linalg.pinv(matrix[:3, :3]) @ (place - matrix[:3, 3])))
 
     def found(check: Check) -> float:
-        return max((white_level(run, own) for run, own in runs.items()), default=1.0)
+        return max((white_level(run, own) for run, own in runs), default=1.0)
 
     return (yield from run_in_thread(found, "Reading exposures"))
 

@@ -1,6 +1,7 @@
 """World from Splats and Match Sun. Oracle, unless stated otherwise: Cycles."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -10,6 +11,7 @@ from mathutils import Vector
 from addon import compat, stored_paths
 from addon.core import Splats
 from addon.render.light_probe import LightProbe, sky_irradiance, strongest_light
+from addon.render.white_level import white_level
 from gscore.io.cameras_json import write_cameras
 from gscore.io.exposure_json import write_exposures
 from gscore.scene import Cameras
@@ -190,10 +192,39 @@ def test_irradiance_of_probes():
     assert bright.is_clipped(1.0) and not bright.is_clipped(1.1)
 
 
+def write_run(folder: Path, away: float, gains: tuple[float, float]) -> None:
+    """Cameras and exposures of two photos that look along +X; if `away` is -1, along -X."""
+    look = np.eye(4)
+    look[:3, :3] = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]) * [[away], [1], [away]]
+    cameras = Cameras(
+        viewmats=np.stack([look, look]),
+        Ks=np.tile([[50.0, 0, 32], [0, 50, 32], [0, 0, 1]], (2, 1, 1)),
+        widths=np.array([64, 64]),
+        heights=np.array([64, 64]),
+        names=("a.png", "b.png"),
+    )
+    write_cameras(folder / "cameras.json", cameras)
+    by_name = {name: np.full(3, gain) for name, gain in zip("ab", gains, strict=True)}
+    write_exposures(folder / "exposure.json", {f"{n}.png": one for n, one in by_name.items()})
+
+
+def test_white_level(tmp_path):
+    """Oracle: the light whose sRGB value times the smallest gain of photos that show the place is
+    1; 1 if none does, or for a run without exposures, or with those of other photos."""
+    ahead = np.array([4.0, 0, 0])
+    assert white_level(tmp_path, ahead) == white_level(tmp_path / "none", ahead) == 1
+    for gains, value in (((0.5, 2), 2), ((1.25, 1.6), 0.8)):
+        write_run(tmp_path, 1, gains)
+        assert white_level(tmp_path, ahead) == pytest.approx(((value + 0.055) / 1.055) ** 2.4)
+        assert white_level(tmp_path, -ahead) == 1
+    write_exposures(tmp_path / "exposure.json", {"c.png": np.full(3, 0.5)})
+    assert white_level(tmp_path, ahead) == 1
+
+
 def test_strength_of_a_sun_in_brackets(scene, tmp_path):
     """Splats of light 3 towards +X, of a run whose shortest exposure, a quarter of the light, shows
-    them: the lamp has their irradiance, pi L sin^2 r for a disk. If that photo looks away, or is no
-    shorter than the others, three times that of the sky."""
+    them: the lamp has their irradiance, pi L sin^2 r for a disk. If that photo looks away, is no
+    shorter than the others, or is one of hidden splats, three times that of the sky."""
     lab.prepare(scene)
     level = 1.055 * 3 ** (1 / 2.4) - 0.055
     ob = lab.add(scene, lit((1, 0, 0), level))
@@ -203,20 +234,7 @@ def test_strength_of_a_sun_in_brackets(scene, tmp_path):
     stored_paths.write(ob, stored_paths.RUN, tmp_path)
 
     def strength(away: float, gain: float) -> float:
-        look = np.eye(4)
-        look[:3, :3] = np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]) * [[away], [1], [away]]
-        cameras = Cameras(
-            viewmats=np.stack([look, look]),
-            Ks=np.tile([[50.0, 0, 32], [0, 50, 32], [0, 0, 1]], (2, 1, 1)),
-            widths=np.array([64, 64]),
-            heights=np.array([64, 64]),
-            names=("a.png", "b.png"),
-        )
-        write_cameras(tmp_path / "cameras.json", cameras)
-        write_exposures(
-            tmp_path / "exposure.json",
-            {"a.png": np.full(3, gain), "b.png": np.full(3, 1 / gain)},
-        )
+        write_run(tmp_path, away, (gain, 1 / gain))
         assert bpy.ops.gscore.match_sun(near=0.1) == {"FINISHED"}
         sun = next(one for one in scene.objects if one.type == "LIGHT")
         return sun.data.energy
@@ -226,6 +244,12 @@ def test_strength_of_a_sun_in_brackets(scene, tmp_path):
     assumed = strength(-1, 0.5)
     assert assumed > 5 * high
     assert strength(1, 0.9) == pytest.approx(assumed)
+    other = lab.add(scene, lab.blob(10))
+    other.matrix_world = ob.matrix_world
+    stored_paths.write(other, stored_paths.RUN, tmp_path)
+    del ob[stored_paths.RUN]
+    other.hide_viewport = True
+    assert strength(1, 0.5) == pytest.approx(assumed)
 
 
 def test_refusals(scene):
