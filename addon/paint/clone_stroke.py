@@ -14,7 +14,7 @@ from ..splats.point_attributes import Column
 from ..splats.read_chunked import ChunkedRead
 from ..splats.replay import Volume, record_cloned, volume_of
 from .brush import Brush, Stroke
-from .visible_splats import VisibleSplats, copy_visible
+from .visible_splats import VisibleSplats, check_inside, copy_visible
 
 _FAINTEST = 1 / 255
 """Smallest weight of the brush for a copy."""
@@ -44,11 +44,15 @@ def begin_clone(
         front_only: Leave out splats behind the visible surface at their own place.
 
     Raises:
-        ValueError: attributes are missing or not finite, a mesh that cannot be written, or an
-            uneven scale.
+        ValueError: attributes are missing or not finite, or lag behind positions; a mesh that
+            cannot be written or has edges; a start outside the view; an uneven scale, or one of 0.
         GsError: the rasterizer cannot draw the view.
     """
     guard = EditGuard(ob)
+    guard.check_only_points()
+    separate_join.check_follow([ob])
+    if view is not None:
+        check_inside(view, start, "The stroke begins outside the picture: begin it inside.")
     splats = yield from copy_visible(ob, view, drawn=view is not None)
 
     def found(check: Check) -> CloneStroke:
@@ -56,12 +60,17 @@ def begin_clone(
         if place is None:
             depth = float(view.viewmat[2, :3] @ source + view.viewmat[2, 3])
             place = splats.unprojected(start, depth)
-        shift = np.linalg.inv(splats.matrix[:3, :3]) @ (place - source)
+        linear = splats.matrix[:3, :3]
+        if not abs(np.linalg.det(linear)) > 1e-30:
+            raise ValueError(f"{splats.name} has a scale of 0: set its scale to 1 first.")
+        shift = np.linalg.inv(linear) @ (place - source)
         rows, points = _within(splats, may, shift, front_only, check)
         stroke = CloneStroke(guard, brush, shift, rows, points)
         if view is not None:
-            at = project(source[None], view.K, view.viewmat, orthographic=view.orthographic)[0][0]
-            stroke.to_source = at - start
+            with np.errstate(all="ignore"):  # behind the view
+                how = source[None], view.K, view.viewmat
+                (at,), (depth,) = project(*how, orthographic=view.orthographic)
+            stroke.to_source = at - start if depth > view.near else None
         return stroke
 
     return (yield from run_in_thread(found, "Finding splats"))
@@ -92,7 +101,7 @@ class CloneStroke:
     """One stroke of copies; nothing is changed until its end."""
 
     to_source: np.ndarray | None = None
-    """From the brush to what it copies, [2] pixels; None: without a view."""
+    """From the brush to what it copies, [2] pixels; None: without a view, or behind it."""
 
     def __init__(
         self,
@@ -131,8 +140,8 @@ class CloneStroke:
         """Add the copies, fainter where the brush fades; return their number.
 
         Raises:
-            ValueError: the splats have changed meanwhile, cannot be added to, or none are at the
-                source; nothing is changed.
+            ValueError: the splats have changed meanwhile, or none are at the source; nothing is
+                changed.
         """
         try:
             return (yield from self._finish())
@@ -141,28 +150,29 @@ class CloneStroke:
 
     def _finish(self) -> Steps[int]:
         guard, share = self._guard, self._brush.strength * self._stroke.share
+        if not self._stroke.share.any():
+            raise ValueError(
+                "No splats are at the source, the 3D cursor, or they are out of view, hidden or "
+                "protected: Ctrl click where to copy from."
+            )
         reached = share >= _FAINTEST
         if not reached.any():
-            raise ValueError(
-                "No splats are at the source, the 3D cursor: Ctrl click where to copy from."
-            )
-        guard.check_only_points()
-        separate_join.check_follow([guard.there()])
+            return 0
         table = yield from ChunkedRead(guard.there()).table()
         chosen = np.zeros(len(table[0].values), bool)
         chosen[self._rows[reached]] = True
 
         def copied(check: Check) -> Volume:
             volume = _volume(table, chosen)
-            copies = cloned(table, chosen, self._matrix, guard.name, check)
-            point_attributes.of_splats(copies)[attributes.BASE][:, 3] *= share[reached]
+            how = table, chosen, self._matrix, guard.name, check
+            copies = cloned(*how, opacity=share[reached])
             table[:] = appended(table, copies, selected=False)
             return volume
 
         volume = yield from run_in_thread(copied, "Copying splats")
         every = np.arange(len(table[0].values))
         ob = yield from separate_join.kept(guard, table, every)
-        record_cloned(ob, self._matrix, volume)
+        record_cloned(ob, self._matrix, volume, opacity=self._brush.strength)
         return int(reached.sum())
 
 

@@ -24,6 +24,7 @@ _BLOCK = 1 << 15
 """Splats per block."""
 _FAINTEST = 0.05
 """Smallest opacity of a visible pixel."""
+_OUTSIDE = "There is no view under the cursor: click inside the 3D view."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -220,7 +221,7 @@ def color_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> Ste
     Raises:
         ValueError: there are no splats, or as `copy_visible`.
     """
-    _check_inside(view, point)
+    check_inside(view, point, _OUTSIDE)
     splats = yield from copy_visible(ob, view, drawn=True)
     return (yield from run_in_thread(lambda check: splats.color_at(point), "Picking the color"))
 
@@ -236,7 +237,7 @@ def place_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> Ste
     Raises:
         ValueError: there are no splats, or as `copy_visible`.
     """
-    _check_inside(view, point)
+    check_inside(view, point, _OUTSIDE)
     splats = yield from copy_visible(ob, view, drawn=True)
     place = yield from run_in_thread(lambda check: splats.place_at(point), "Finding the surface")
     if place is None:
@@ -244,7 +245,8 @@ def place_at(ob: bpy.types.Object, view: RenderCamera, point: np.ndarray) -> Ste
     return place
 
 
-def _check_inside(view: RenderCamera, point: np.ndarray) -> None:
+def check_inside(view: RenderCamera, point: np.ndarray, problem: str) -> None:
+    """Raise ValueError with a sentence unless a pixel [2] is inside a view."""
     left, top = np.floor(point)
     if not (0 <= left < view.width and 0 <= top < view.height):
-        raise ValueError("There is no view under the cursor: click inside the 3D view.")
+        raise ValueError(problem)

@@ -56,7 +56,13 @@ def healed(table: list[Column], region: np.ndarray, *, sphere: bool, check: Chec
 
 
 def cloned(
-    table: list[Column], chosen: np.ndarray, matrix: np.ndarray, name: str, check: Check
+    table: list[Column],
+    chosen: np.ndarray,
+    matrix: np.ndarray,
+    name: str,
+    check: Check,
+    *,
+    opacity: float | np.ndarray = 1.0,
 ) -> list[Column]:
     """Copies of splats with all their attributes, transformed and marked as added.
 
@@ -66,6 +72,7 @@ def cloned(
         matrix: [4, 4], a similarity of their space.
         name: Name of the object in messages.
         check: Raises after cancellation.
+        opacity: Opacity of the copies in that of their sources, of all or [K].
 
     Raises:
         ValueError: values are not finite.
@@ -74,6 +81,7 @@ def cloned(
     named = (attributes.HEALED, attributes.SELECTION)
     copies = [one for one in point_attributes.picked(table, rows) if one.name not in named]
     moved(copies, matrix, name, check)
+    point_attributes.of_splats(copies)[attributes.BASE][:, 3] *= opacity
     return [*copies, _mark(len(rows))]
 
 

@@ -145,9 +145,11 @@ def record_healed(ob: bpy.types.Object, region: np.ndarray, *, sphere: bool) -> 
     _record(ob, {"healed": region.tolist(), "sphere": sphere})
 
 
-def record_cloned(ob: bpy.types.Object, matrix: np.ndarray, volume: Volume) -> None:
-    """Record that the splats in a volume were copied; `matrix` as `added.cloned`."""
-    _record(ob, {"cloned": matrix.tolist(), "volume": volume.stored()})
+def record_cloned(
+    ob: bpy.types.Object, matrix: np.ndarray, volume: Volume, *, opacity: float = 1.0
+) -> None:
+    """Record that the splats in a volume were copied; `matrix` and `opacity` as `added.cloned`."""
+    _record(ob, {"cloned": matrix.tolist(), "volume": volume.stored(), "opacity": opacity})
 
 
 def is_added(edit: dict[str, Any]) -> bool:
@@ -171,7 +173,8 @@ def added_again(
         return added.healed(table, region, sphere=edit["sphere"], check=check)
     places = point_attributes.of_splats(table)[attributes.POSITION] + shift.astype(np.float32)
     chosen = Volume.read(edit["volume"]).contains(places)
-    return added.cloned(table, chosen, to_own @ np.array(edit["cloned"]) @ to_edit, name, check)
+    matrix, opacity = to_own @ np.array(edit["cloned"]) @ to_edit, edit.get("opacity", 1.0)
+    return added.cloned(table, chosen, matrix, name, check, opacity=opacity)
 
 
 def sparing(

@@ -1,13 +1,15 @@
 """Strokes on splat objects. Oracles: Blender's own projection of each splat
 (`world_to_camera_view`) and the brush's formula in numpy; Blender's undo."""
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
-from addon import attributes
+from addon import attributes, stored_paths
 from addon.attributes import BASE
 from addon.cameras.camera_math import project
 from addon.cameras.render_camera import render_camera
@@ -351,11 +353,53 @@ def test_clones_lie_beside_their_sources(scene: bpy.types.Scene, front_only: boo
     assert len(bpy.data.objects["floor"].data.vertices) == count
 
 
-def test_a_source_without_splats(scene: bpy.types.Scene) -> None:
-    """Oracle: the message; nothing is added."""
+def test_cloned_again_on_new_splats(scene: bpy.types.Scene) -> None:
+    """Those of the next training get the copies with the opacity of the stroke's middle."""
     ob = floor(scene)
-    cursor_at(ob, (5, 0, 0))
+    stored_paths.write(ob, stored_paths.SOURCE, Path("/captures/floor"))
+    cursor_at(ob, (-0.5, 0, 0))
+    given = {"stroke": stroke([(140, 100, 0)]), "does": "CLONE", "radius": 15, "strength": 0.4}
+    assert bpy.ops.gscore.paint_stroke(**given) == {"FINISHED"}
+    before = lab.wall(0.0, (0.6, 0.5, 0.4), along=41)
+    new = lab.add(scene, before, "new")
+    stored_paths.write(new, stored_paths.SOURCE, Path("/captures/floor"))
+    activate(new)
+    assert bpy.ops.gscore.replay_edits() == {"FINISHED"}
+    copies = objects.read(new).subset(slice(len(before), None))
+    assert len(copies) >= len(ob.data.vertices) - len(before) > 10
+    alpha = 1 / (1 + np.exp(-copies.opacities))
+    np.testing.assert_allclose(alpha, 0.4 / (1 + np.exp(-before.opacities[0])), rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "case", ["away", "out of view", "protected", "outside", "faint", "scale", "edges"]
+)
+def test_strokes_that_copy_nothing(scene: bpy.types.Scene, case: str) -> None:
+    """Oracle: the message, without one if the brush is too faint; nothing is added."""
+    ob = floor(scene)
+    cursor_at(ob, (5 if case == "away" else 0.5, 0, 0))
     given = {"stroke": stroke([(100, 100, 0)]), "does": "CLONE", "radius": 15}
-    assert "Ctrl click" in lab.error_of(lambda: bpy.ops.gscore.paint_stroke(**given))
+    wanted = "Ctrl click"
+    if case == "out of view":
+        scene.camera.location += Vector((0, 0, 90))
+        scene.camera.rotation_euler = (np.pi / 2, 0, 0)
+    elif case == "protected":
+        attributes.select(ob.data, objects.read(ob).means[:, 0] < 0)
+        given["only_selected"] = True
+    elif case == "outside":
+        given["stroke"], wanted = stroke([(-5, 100, 0), (100, 100, 0)]), "outside the picture"
+    elif case == "faint":
+        given["strength"] = 0.0
+    elif case == "scale":
+        ob.scale, given["way"], wanted = (0, 0, 0), "PLACES", "scale of 0"
+    elif case == "edges":
+        ob.data.edges.add(1)
+        ob.data.update()
+        wanted = "edges or faces"
+    bpy.context.view_layer.update()
+    if case == "faint":
+        assert bpy.ops.gscore.paint_stroke(**given) == {"FINISHED"}
+    else:
+        assert wanted in lab.error_of(lambda: bpy.ops.gscore.paint_stroke(**given))
     assert len(ob.data.vertices) == 41 * 41
     assert attributes.HEALED not in ob.data.attributes
