@@ -101,7 +101,7 @@ def test_where_a_ply_or_a_capture_is_expected(given: tuple[Path, str, str]) -> N
 
 
 @pytest.mark.parametrize(
-    "line", ["info {}", "train {} -o {}.out", "render {} -o {}.out", "eval {} -o {}.out"]
+    "line", ["info {}", "train {} -o {}.out", "render {} -o {}.png", "eval {} -o {}.out"]
 )
 def test_every_verb_says_so(line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Oracle: exit code 2 and one sentence with the format's name."""
