@@ -28,8 +28,7 @@ from ..text_format import count_text
 from .parser import Parser, UsageExit, nearest, sentence
 from .terminal.display import JsonLines
 from .terminal.interrupt import Interrupt, interrupts, is_worker, safe_streams
-from .terminal.output import print_warnings
-from .terminal.status import show_while, wrapped
+from .terminal.status import print_warnings, show_while, wrapped
 
 VERBS = {
     "frames": "choose sharp frames of a video for a folder of photos",

@@ -25,8 +25,8 @@ from ..text_format import count_text
 from .args.device_option import add_device_option, device_of
 from .args.model_argument import ModelArgument, open_model
 from .parser import add_option, add_result_options, add_threads_option
-from .terminal.output import check_folder, check_replaced, print_result, print_warnings
-from .terminal.status import Counted, Status
+from .terminal.output import check_folder, check_replaced, print_result
+from .terminal.status import Counted, Status, print_warnings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

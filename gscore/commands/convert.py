@@ -30,8 +30,8 @@ from .args.convert_options import add_arguments as add_arguments
 from .args.model_argument import ModelArgument, find_splats, open_model
 from .pictures.before_after import picture_loss, some_view, write_before_after
 from .pictures.render_cameras import captured_cameras, view_index
-from .terminal.output import check_folder, check_replaced, print_result, print_warnings
-from .terminal.status import Status
+from .terminal.output import check_folder, check_replaced, print_result
+from .terminal.status import Status, print_warnings
 
 _EXACT = "ply"
 """The lossless format."""

@@ -53,8 +53,9 @@ from .args.model_argument import (
     views_of,
 )
 from .parser import add_option, add_threads_option
-from .terminal.output import check_folder, check_replaced, print_result, print_warnings
+from .terminal.output import check_folder, check_replaced, print_result
 from .terminal.run_job import OutputOptions, add_output_options, run_job
+from .terminal.status import print_warnings
 
 _STOPPED = "Stopped; nothing was written."
 

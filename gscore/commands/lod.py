@@ -28,8 +28,8 @@ from .args.model_argument import (
     trained_near,
 )
 from .parser import add_option, add_result_options
-from .terminal.output import check_folder, check_replaced, print_result, print_warnings
-from .terminal.status import Status
+from .terminal.output import check_folder, check_replaced, print_result
+from .terminal.status import Status, print_warnings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -24,8 +24,8 @@ from ..splats import Splats
 from ..text_format import count_text, number
 from .args.model_argument import ModelArgument, open_model
 from .parser import add_option, add_result_options
-from .terminal.output import check_folder, check_replaced, print_result, print_warnings
-from .terminal.status import Status
+from .terminal.output import check_folder, check_replaced, print_result
+from .terminal.status import Status, print_warnings
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,9 +41,8 @@ from .terminal.output import (
     is_ours,
     other_files,
     print_result,
-    print_warnings,
 )
-from .terminal.status import Counted, Status
+from .terminal.status import Counted, Status, print_warnings
 
 _COLORS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 _WRITTEN = (".mp4", ".png")

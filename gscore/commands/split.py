@@ -14,8 +14,8 @@ from ..text_format import count_text, number
 from .args.data_options import add_split_options, with_data_options
 from .args.run_options import declare
 from .parser import add_option, add_result_options
-from .terminal.output import check_folder, print_result, print_warnings
-from .terminal.status import Counted, Status
+from .terminal.output import check_folder, print_result
+from .terminal.status import Counted, Status, print_warnings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -24,8 +24,8 @@ from .args.device_option import add_device_option, device_of
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_option, add_result_options, add_threads_option
 from .pictures.page_views import PageViews, find_views
-from .terminal.output import check_folder, check_replaced, print_result, print_warnings
-from .terminal.status import Status
+from .terminal.output import check_folder, check_replaced, print_result
+from .terminal.status import Status, print_warnings
 
 _MANY = 1_500_000
 """Splats beyond which integrated graphics cards draw fewer than 30 frames per second."""

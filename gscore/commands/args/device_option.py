@@ -8,8 +8,7 @@ from ...quoting import quoted
 from ...raster.gpu.choice import CPU, Chosen, choose, is_device, once_a_device
 from ...raster.gpu.verification import Report
 from ..parser import add_option
-from ..terminal.output import print_warnings
-from ..terminal.status import Status, can_move
+from ..terminal.status import Status, can_move, print_warnings
 
 
 def add_device_option(parser: argparse.ArgumentParser, *, default: str = "auto") -> None:

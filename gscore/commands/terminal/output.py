@@ -28,12 +28,6 @@ def print_json(content: Any) -> None:
     print(strict_json(content), flush=True)
 
 
-def print_warnings(sentences: Iterable[str]) -> None:
-    """Each warning on stderr, wrapped."""
-    for sentence in sentences:
-        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
-
-
 def print_result(facts: Any, lines: Sequence[str], *, json: bool, quiet: bool = False) -> None:
     """The result of a verb on stdout: `facts` as JSON, else the lines of text unless `quiet`."""
     if json:

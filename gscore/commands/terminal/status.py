@@ -10,7 +10,7 @@ import sys
 import textwrap
 import time
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Self, TextIO
 
@@ -153,6 +153,12 @@ def wrapped(text: str, stream: TextIO) -> str:
         return text
     width = _columns(stream)
     return "\n".join(_broken(line, width) for line in text.split("\n"))
+
+
+def print_warnings(sentences: Iterable[str]) -> None:
+    """Each warning on stderr, wrapped."""
+    for sentence in sentences:
+        print(wrapped(f"Warning: {sentence}", sys.stderr), file=sys.stderr)
 
 
 def _broken(line: str, width: int) -> str:
