@@ -168,20 +168,25 @@ def test_bad_arrays_are_refused() -> None:
 
 
 HEIGHT, HALF = 1.0, 0.6
-"""Of a square plate over the plane z = 0."""
+"""Of a square plate over the ground, z = 0."""
 
 
 def plate(kind: str) -> tuple[Lamp, ShadowMap, np.ndarray]:
-    """A lamp over the plate, its map, and samples of its disc [K, 3], of a sun of directions."""
-    corners = HALF * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    vertices = np.column_stack([corners, np.full(4, HEIGHT)])
-    triangles, size = np.array([[0, 1, 2], [0, 2, 3]], np.int32), 512
+    """A lamp over the plate, its map of plate and ground, and samples of its disc [K, 3], of a sun
+    of directions."""
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    vertices = np.concatenate(
+        [np.insert(HALF * corners, 2, HEIGHT, axis=1), np.insert(20.0 * corners, 2, 0, axis=1)]
+    )
+    square, size = np.array([[0, 1, 2], [0, 2, 3]], np.int32), 512
+    triangles = np.concatenate([square, square + 4])
     index = np.arange(3000)
     spiral = np.sqrt((index + 0.5) / len(index))[:, None] * np.stack(
         [np.cos(2.39996 * index), np.sin(2.39996 * index)], 1
     )
     place = np.array([0.3, 0.2, 4.0])
-    axis = np.array([-0.2, 0.1, -1]) / np.linalg.norm([-0.2, 0.1, -1])
+    axis = np.array([-0.6, 0.3, -0.75])
+    axis /= np.linalg.norm(axis)
     parallel = kind == "sun"
     axes = twin._SIDES if kind == "cube" else [axis if parallel else np.array([0, 0, -1.0])]
     scale = size / 2 - 1 if kind == "cube" else size / 6 if parallel else 1.5 * size / 2
@@ -221,7 +226,7 @@ def plate(kind: str) -> tuple[Lamp, ShadowMap, np.ndarray]:
 @pytest.mark.parametrize("kind", ["sun", "single", "cube"])
 def test_soft_shadows(isa: str, kind: str) -> None:
     """Oracle: the mean of hard shadows over many samples of the lamp, in closed form; hard ones, by
-    a lamp without a size, are far from it."""
+    a lamp without a size, are far from it. The ground, drawn in the map, does not shadow itself."""
     lamp, shadows, samples = plate(kind)
     rng = np.random.default_rng(0)
     places = np.column_stack([rng.uniform(-2, 2, (COUNT, 2)), np.zeros(COUNT)]).astype(np.float32)
@@ -241,8 +246,8 @@ def test_soft_shadows(isa: str, kind: str) -> None:
     blurred = (wanted > 0.02) & (wanted < 0.98)
     assert blurred.sum() > 50
     soft, hard = (np.abs(one - wanted) for one in found)
-    assert soft[blurred].mean() < 0.04
-    assert soft.max() < 0.2
+    assert soft[blurred].mean() < 0.05
+    assert soft.max() < 0.25
     assert hard[blurred].mean() > 0.15
     assert soft[~blurred].mean() < 0.01
 
