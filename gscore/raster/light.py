@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import ConfigError, ShapeError
 from . import _native, header
 from .buffers import address, optional
 
@@ -93,7 +94,8 @@ def surface_radiance(light: SurfaceLight, surfaces: Surfaces) -> np.ndarray:
     blur them (Fernando 2005, percentage-closer soft shadows).
 
     Raises:
-        ShapeError: an array has a wrong shape or dtype.
+        ShapeError: an array has a wrong shape or dtype, or lamps and maps differ in number.
+        ConfigError: the kind of a lamp is unknown.
         BackendError: the native library is missing.
     """
     return _lit("gs_surface_radiance", light, surfaces)
@@ -146,7 +148,7 @@ def scaled_colors(
     Returns:
         `sh0` and `shN`; errors as for `surface_radiance`.
     """
-    count, rest, _ = shN.shape
+    count, rest, _ = _sizes("shN", shN)
     new0, newN = np.empty((count, 1, 3), np.float32), np.empty((count, rest, 3), np.float32)
     colors = header.ColorsStruct(
         count=count,
@@ -171,8 +173,8 @@ def _lit(function: str, light: SurfaceLight, surfaces: Surfaces, **more: Any) ->
         count=shape[0],
         places=address("places", places, shape),
         normals=address("normals", normals, shape),
-        matrix=_floats(matrix[:3], 12),
-        turn=_floats(turn, 9),
+        matrix=_floats("matrix", matrix[:3], 12),
+        turn=_floats("turn", turn, 9),
         **more,
     )
     out = np.empty(shape, np.float32)
@@ -190,8 +192,15 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
     """`gs_light`, and arrays that must outlive it."""
     found: list[ShadowMap] = []
     maps, lamps, kept = [], [], []
+    if len(light.lamps) != len(light.maps):
+        raise ShapeError(
+            f"there must be a pair of shadow maps for each of {len(light.lamps)} lamps, got "
+            f"{len(light.maps)}."
+        )
     is_soft = any(lamp.size > 0 for lamp in light.lamps)
     for lamp, pair in zip(light.lamps, light.maps, strict=True):
+        if lamp.kind not in (POINT, SUN):
+            raise ConfigError(f"The kind of a lamp must be {POINT} or {SUN}, got {lamp.kind}.")
         numbers = []
         for one in pair:
             if one is not None and not any(one is known for known in found):
@@ -201,18 +210,18 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
             header.LampStruct(
                 is_sun=lamp.kind == SUN,
                 is_surface=lamp.is_surface,
-                strength=_floats(lamp.strength, 3),
-                place=_floats(lamp.place, 3),
-                axis=_floats(lamp.axis, 3),
+                strength=_floats("strength", lamp.strength, 3),
+                place=_floats("place", lamp.place, 3),
+                axis=_floats("axis", lamp.axis, 3),
                 radius=lamp.radius,
-                cone=_floats(lamp.cone, 2),
+                cone=_floats("cone", lamp.cone, 2),
                 size=lamp.size,
                 maps=(ct.c_int32 * 2)(*numbers),
             )
         )
     for one in found:
         rotations = np.ascontiguousarray(one.rotations, np.float32)
-        views, size, _ = one.depths.shape
+        views, size, _ = _sizes("depths", one.depths)
         kept += [rotations, one.depths]
         maps.append(
             header.ShadowMapStruct(
@@ -220,7 +229,7 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
                 views=views,
                 depths=address("depths", one.depths, (views, size, size)),
                 rotations=address("rotations", rotations, (views, 3, 3)),
-                place=_floats(one.place, 3),
+                place=_floats("place", one.place, 3),
                 scale=one.scale,
                 parallel=one.parallel,
                 farthest=one.farthest,
@@ -228,7 +237,7 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
             )
         )
     native = header.LightStruct(
-        world=_floats(light.world, 27),
+        world=_floats("world", light.world, 27),
         lamp_count=len(lamps),
         lamps=(header.LampStruct * len(lamps))(*lamps),
         map_count=len(maps),
@@ -238,5 +247,14 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
     return native, kept
 
 
-def _floats(values: Any, count: int) -> ct.Array:
-    return (ct.c_float * count)(*np.asarray(values, np.float64).ravel().tolist())
+def _sizes(name: str, array: np.ndarray) -> tuple[int, int, int]:
+    if array.ndim != 3:
+        raise ShapeError(f"{name} must have three dimensions, got {list(array.shape)}.")
+    return array.shape
+
+
+def _floats(name: str, values: Any, count: int) -> ct.Array:
+    numbers = np.asarray(values, np.float64).ravel().tolist()
+    if len(numbers) != count:  # ctypes would fill up with zeros
+        raise ShapeError(f"{name} must have {count} numbers, got {len(numbers)}.")
+    return (ct.c_float * count)(*numbers)

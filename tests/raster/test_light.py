@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gscore.errors import BackendError, ShapeError
+from gscore.errors import BackendError, ConfigError, ShapeError
 from gscore.raster.light import (
     Lamp,
     ShadowMap,
@@ -163,6 +163,20 @@ def test_bad_arrays_are_refused() -> None:
     maps = [(replace(light.maps[1][0], depths=np.zeros((2, 8, 8), np.float32)), None)]
     with pytest.raises((ShapeError, BackendError), match=r"rotations|views"):
         surface_radiance(replace(light, lamps=light.lamps[:1], maps=maps), surfaces)
+    with pytest.raises(ShapeError, match="depths must have three dimensions"):
+        flat = replace(maps[0][0], depths=np.zeros((8, 8), np.float32))
+        surface_radiance(replace(light, lamps=light.lamps[:1], maps=[(flat, None)]), surfaces)
+    with pytest.raises(ShapeError, match="for each of 6 lamps, got 1"):
+        surface_radiance(replace(light, maps=light.maps[:1]), surfaces)
+    with pytest.raises(ShapeError, match="world must have 27 numbers, got 12"):
+        surface_radiance(replace(light, world=light.world[:4]), surfaces)
+    one = replace(light, lamps=[replace(light.lamps[0], axis=(0.0, 1.0))], maps=light.maps[:1])
+    with pytest.raises(ShapeError, match="axis must have 3 numbers, got 2"):
+        surface_radiance(one, surfaces)
+    with pytest.raises(ConfigError, match="must be POINT or SUN, got AREA"):
+        surface_radiance(replace(one, lamps=[replace(light.lamps[0], kind="AREA")]), surfaces)
+    with pytest.raises(ShapeError, match="shN must have three dimensions"):
+        scaled_colors(np.zeros((4, 1, 3), np.float32), np.zeros((4, 9), np.float32), captured[:4])
     with pytest.raises(ShapeError, match="gains"):
         scaled_colors(np.zeros((4, 1, 3), np.float32), np.zeros((4, 3, 3), np.float32), captured)
 

@@ -36,7 +36,7 @@ def main() -> None:
     photos = gscore.load_dataset(DataConfig(source=args.capture, resolution=resolution))
     splats, gains = gscore.read_splats(args.run / "point_cloud.ply"), read_gains(args.run)
     radii, values, residuals = [], [], []
-    for view in photos.train[:: max(1, len(photos.train) // PHOTOS)]:
+    for view in photos.train[:: -(-len(photos.train) // PHOTOS)]:
         radius, value, residual = _residuals(photos, view, splats, gains)
         radii.append(radius)
         values.append(value)
