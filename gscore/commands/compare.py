@@ -60,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
 def _check_output(output: Path, *, overwrite: bool) -> None:
     if output.suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"{brief(output)}: the output is a page; give a name with .html.")
+    if output.name == "report.html":
+        raise ConfigError(f"{brief(output)} is the name of a run's report; give another one.")
     check_folder(output.parent)
     check_replaced([output], overwrite=overwrite)
 

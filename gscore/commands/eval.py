@@ -15,6 +15,7 @@ from ..datasets import Dataset, load_dataset
 from ..errors import Cancelled, ConfigError, GsError
 from ..events import EvalDone, EvalProgress, Show, Warn, headline_psnr
 from ..formats import format_to_write, write_splat_file
+from ..hold_out import SPLIT
 from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.output_paths import check_output_path
 from ..io.ply.comments import near_comment, stated_near
@@ -139,6 +140,8 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     if model.data is not None and config.source.resolve() == model.data.source.resolve():
         dataset, notes = _of_region(dataset, model)
     split, indices = views_of(args.split, dataset)
+    if split == "test":
+        notes += _trained_views(config, model, [dataset.names[i] for i in indices])
     if output == model.run and split != "test" and read_metrics(output).get("split") == "test":
         raise ConfigError(
             f"{output} contains the metrics of held-out views; give a folder with -o for those of "
@@ -316,6 +319,27 @@ def _doubts(
             "differ."
         )
     return found
+
+
+def _trained_views(config: DataConfig, model: ModelArgument, measured: Sequence[str]) -> list[str]:
+    """A sentence if the run was trained on some of the `measured` views of its capture."""
+    own = model.data
+    if own is None or own.source.resolve() != config.source.resolve():
+        return []
+    if all(getattr(own, name) == getattr(config, name) for name in ("eval", "test_offset", *SPLIT)):
+        return []
+    try:
+        of_run = load_dataset(own)
+    except GsError:  # a list of views that no longer exists
+        return []
+    count = len({of_run.names[i] for i in of_run.train} & set(measured))
+    if not count:
+        return []
+    return [
+        f"{number(count)} of {count_text(len(measured), 'test view')} were training photos of this "
+        "run, so its figures are better than those of new views; give the `--hold-out` of the "
+        "training, or none."
+    ]
 
 
 def _check_output(

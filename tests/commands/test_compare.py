@@ -130,6 +130,14 @@ def test_somebody_elses_page_stays(gscore, two_runs, tmp_path):
     assert gscore("compare", *two_runs, "-o", page, "--overwrite")[0] == 0
 
 
+def test_the_report_of_a_run_stays(gscore, two_runs):
+    """Oracle: the file."""
+    report = two_runs[0] / "report.html"
+    before = report.read_bytes()
+    code, _, err = gscore("compare", *two_runs, "-o", report, "--overwrite")
+    assert code == 2 and "name of a run's report" in err and report.read_bytes() == before
+
+
 @pytest.mark.parametrize("value", ["x" * 400, int("9" * 400)])
 @pytest.mark.parametrize("key", ["mask_mode", "width", "height"])
 def test_long_values_of_metrics_are_not_repeated_whole(gscore, two_runs, tmp_path, key, value):

@@ -164,6 +164,17 @@ def test_another_split_and_resolution(gscore, run_folder, tmp_path):
     assert all((v["width"], v["height"]) == (24, 18) and v["psnr"] > 25 for v in views)
 
 
+def test_views_of_the_training_are_not_passed_off_as_test_views(gscore, run_folder, tmp_path):
+    """Oracle: the run held out views 0 and 8 of nine."""
+    run = run_folder()
+    _, _, err = gscore("eval", run, "--hold-out", "4", "-o", tmp_path / "some")
+    assert "1 of 3 test views were training photos of this run" in err
+    _, _, err = gscore("eval", run, "--hold-out", "last:1", "-o", tmp_path / "none")
+    assert "training photos of this run" not in err
+    _, _, err = gscore("eval", run, "-o", tmp_path / "own")
+    assert "training photos of this run" not in err
+
+
 def test_unknown_exposures_are_reported(gscore, run_folder, tmp_path):
     """Oracle: a run marked as having exposures, with those of some photos in exposure.json."""
     folder = run_folder()
