@@ -210,4 +210,7 @@ def _check(viewmats: np.ndarray, frames: int) -> None:
     if len(viewmats) < 2:
         raise ConfigError(f"A path needs at least two cameras, got {len(viewmats)}.")
     if frames < 2:
-        raise ConfigError(f"A path needs at least two frames, got {quoted(frames)}.")
+        raise ConfigError(
+            f"A path needs at least two frames, got {quoted(frames)}; `--view N` renders a single "
+            "picture."
+        )

@@ -215,10 +215,10 @@ def _texts(event: Event) -> Iterator[str]:
                 f"{count_text(event.test_views, 'test view')}, "
                 f"{event.width} x {event.height} px"
             )
-            yield (
-                f"{count_text(event.splats, 'splat')} to start with{_each(event)}; "
-                f"{count_text(event.threads, 'thread')}, {event.isa}"
-            )
+            # A card's training has no threads of its own.
+            threads = [count_text(event.threads, "thread")] if event.threads else []
+            on = ", ".join([*threads, event.isa])
+            yield f"{count_text(event.splats, 'splat')} to start with{_each(event)}; {on}"
             yield from (decision.text for decision in event.decisions)
         case Warn():
             yield f"Warning: {event.message}"
