@@ -77,7 +77,8 @@ def wait_for(condition: Callable[[], object]) -> None:
 
 def is_gone(pid: int) -> bool:
     """Whether a process has ended; the system may not have collected it yet."""
-    with contextlib.suppress(FileNotFoundError):
+    # It may end between the opening of the file and the reading.
+    with contextlib.suppress(FileNotFoundError, ProcessLookupError):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     try:
         os.kill(pid, 0)

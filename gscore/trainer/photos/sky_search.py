@@ -46,7 +46,6 @@ _DIRECTIONS = 1000
 _AREA, _SHARE = 0.01, 0.1
 """Least area of the sky in a photo that shows it, and least share of such photos."""
 _ON = Decision("sky", "A whole sphere of distant splats surrounds the scene (requested).")
-_OFF = Decision("sky", "The sky gets no distant splats (requested).")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,8 +132,6 @@ def decide_sky(
         cells: Photos of `sky_views`.
         is_part: A block is trained, whose surroundings are other splats.
     """
-    if config.sky is Switch.OFF:
-        return None, _OFF
     if not cells:
         return None, None
     shown = _sky_cells(photos.scene.cameras, photos.scene.points, cells)

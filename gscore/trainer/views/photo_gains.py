@@ -83,7 +83,9 @@ class PhotoGains:
         """State tensors by name; no copies."""
         out = {f"{_NAME}/value": torch.from_numpy(self._value)} | self._adam.tensors(_NAME)
         # exposure.json of the start splats may be gone when the run is resumed.
-        return out | ({_FIXED: torch.ones(1, dtype=torch.uint8)} if self.fixed else {})
+        return out | (
+            {_FIXED: torch.ones(1, dtype=torch.uint8, device="cpu")} if self.fixed else {}
+        )
 
     @staticmethod
     def are_in(tensors: dict[str, torch.Tensor]) -> bool:
