@@ -25,7 +25,7 @@ from ..text_format import count_text
 from .args.device_option import add_device_option, device_of
 from .args.model_argument import ModelArgument, open_model
 from .parser import add_option, add_result_options, add_threads_option
-from .terminal.output import check_folder, check_replaced, print_result
+from .terminal.output import check_page, print_result
 from .terminal.status import Counted, Status, print_warnings
 
 
@@ -60,10 +60,7 @@ def run(args: argparse.Namespace) -> int:
 def _check_output(output: Path, *, overwrite: bool) -> None:
     if output.suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"{brief(output)}: the output is a page; give a name with .html.")
-    if output.name == "report.html":
-        raise ConfigError(f"{brief(output)} is the name of a run's report; give another one.")
-    check_folder(output.parent)
-    check_replaced([output], overwrite=overwrite)
+    check_page(output, overwrite=overwrite)
 
 
 def _compare(args: argparse.Namespace, status: Status) -> RunComparison:

@@ -137,11 +137,14 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     dataset = load_dataset(config)
     cameras = model.world_of(dataset.scene.cameras)
     notes: list[str] = []
-    if model.data is not None and config.source.resolve() == model.data.source.resolve():
+    own = model.data
+    if own is not None and config.source.resolve() != own.source.resolve():
+        own = None
+    if own is not None:
         dataset, notes = _of_region(dataset, model)
     split, indices = views_of(args.split, dataset)
-    if split == "test":
-        notes += _trained_views(config, model, [dataset.names[i] for i in indices])
+    if own is not None and split == "test":
+        notes += _trained_views(config, own, [dataset.names[i] for i in indices])
     if output == model.run and split != "test" and read_metrics(output).get("split") == "test":
         raise ConfigError(
             f"{output} contains the metrics of held-out views; give a folder with -o for those of "
@@ -321,11 +324,9 @@ def _doubts(
     return found
 
 
-def _trained_views(config: DataConfig, model: ModelArgument, measured: Sequence[str]) -> list[str]:
-    """A sentence if the run was trained on some of the `measured` views of its capture."""
-    own = model.data
-    if own is None or own.source.resolve() != config.source.resolve():
-        return []
+def _trained_views(config: DataConfig, own: DataConfig, measured: Sequence[str]) -> list[str]:
+    """A sentence if the run, with its `own` options, was trained on some of the `measured` views of
+    its capture."""
     if all(getattr(own, name) == getattr(config, name) for name in ("eval", "test_offset", *SPLIT)):
         return []
     try:

@@ -24,7 +24,7 @@ from .args.device_option import add_device_option, device_of
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_option, add_result_options, add_threads_option
 from .pictures.page_views import PageViews, find_views
-from .terminal.output import check_folder, check_replaced, print_result
+from .terminal.output import check_page, print_result
 from .terminal.status import Status, print_warnings
 
 _MANY = 1_500_000
@@ -73,10 +73,7 @@ def _output(args: argparse.Namespace, model: ModelArgument) -> Path:
     output: Path = args.output or model.run / PAGE  # pyright: ignore
     if output.suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"{output}: the output is a page; give a name that ends in .html.")
-    if output.name == "report.html":
-        raise ConfigError(f"{output} is the name of a run's report; give another one.")
-    check_folder(output.parent)
-    check_replaced([output], overwrite=args.overwrite)
+    check_page(output, overwrite=args.overwrite)
     return output
 
 

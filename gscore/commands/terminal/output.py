@@ -60,6 +60,15 @@ def check_replaced(paths: Iterable[Path], *, overwrite: bool) -> None:
         )
 
 
+def check_page(path: Path, *, overwrite: bool) -> None:
+    """Raise ConfigError unless a page of a verb may be written at a path, as by `check_folder` and
+    `check_replaced`; never over the report of a run."""
+    if path.name == "report.html":
+        raise ConfigError(f"{brief(path)} is the name of a run's report; give another one.")
+    check_folder(path.parent)
+    check_replaced([path], overwrite=overwrite)
+
+
 def _never(paths: list[Path]) -> str:
     """Note on formats whose files cannot have a mark."""
     if any(path.suffix.lower() in _NAMELESS for path in paths):
