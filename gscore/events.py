@@ -324,8 +324,8 @@ class MeshProgress(Event, kind="mesh_progress"):
     """Progress of a mesh."""
 
     phase: str
-    """reading, measuring, looking for surfaces, fusing, contouring, cleaning, reducing, unwrapping,
-    baking or writing."""
+    """reading, measuring, looking for surfaces, fusing, contouring, cleaning, closing holes,
+    smoothing, reducing, unwrapping, baking or writing."""
     done: int
     """Completed views or parts."""
     total: int

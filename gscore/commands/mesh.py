@@ -43,6 +43,8 @@ from .terminal.output import check_folder, check_replaced
 from .terminal.run_job import OutputOptions, add_output_options, run_verb
 
 _STOPPED = "Stopped; nothing was written."
+_FEW = 0.6
+"""Share of the seen surfaces below which a mesh has large gaps."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -166,6 +168,9 @@ def _result(
 ) -> dict[str, Any]:
     figures = {"vertices": len(mesh.vertices), "triangles": len(mesh.triangles)}
     show(MeshDone(path=str(output), **figures, voxel=mesh.facts["voxel"]))
+    covered = mesh.facts["covered"]
+    if covered is not None and covered < _FEW:
+        show(Warn(message=_gaps_text(covered, mesh.facts["far"])))
     low, high = mesh.in_capture.min(axis=0), mesh.in_capture.max(axis=0)
     return {
         "path": str(output),
@@ -176,6 +181,15 @@ def _result(
         "low": low.tolist(),
         "high": high.tolist(),
     }
+
+
+def _gaps_text(covered: float, far: float) -> str:
+    return (
+        f"The mesh covers only {covered:.0%} of the surfaces in the training views. `--far "
+        f"{2 * far:.3g}` adds more distant ones, `--min-part 0` small parts; a training with "
+        "`--surface-weight 1` makes depths reliable. Walls without texture and sky stay ragged: "
+        "cut them off by `--box` or masks."
+    )
 
 
 def _region(args: argparse.Namespace) -> np.ndarray | None:
@@ -238,7 +252,9 @@ def mesh_text(result: dict[str, Any]) -> str:
     """The result as a line of text."""
     vertices = count_text(result["vertices"], "vertex", "vertices")
     triangles = count_text(result["triangles"], "triangle")
+    covered = result["covered"]
+    share = "" if covered is None else f"; {covered:.0%} of the surfaces in the training views"
     return (
         f"{result['path']}: {vertices}, {triangles} from {count_text(result['views'], 'view')}; "
-        f"voxels of {result['voxel']:.3g} world units"
+        f"voxels of {result['voxel']:.3g} world units{share}"
     )

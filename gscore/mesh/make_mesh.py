@@ -59,6 +59,8 @@ _COARSE = 2
 parts have no pixel away from a silhouette, and no blocks."""
 _SAMPLED = 12
 """Views that choose the voxel size and the farthest depth."""
+_COMPARED = 5000
+"""Points of a sampled view that are compared with the mesh."""
 _SPREAD = 2.0
 """Largest difference of mean and median depth, truncations."""
 _SHARE = 0.25
@@ -185,7 +187,7 @@ def make_mesh(
     if request.between and mask_mode == "none":
         cameras = _with_between(cameras)
     draw = _Draw(splats, cameras, {**how, "threads": threads})
-    scale = _Scale.measured(draw, request, steps)
+    scale, seen = _measured(draw, masks, mask_mode, request, steps)
     keys, scale = _allocated(draw, masks, mask_mode, request, scale, steps)
     facts = {
         "voxel": scale.voxel,
@@ -200,14 +202,13 @@ def make_mesh(
         for index in steps.count("fusing", range(len(cameras))):
             mask = masks(index) if index < count and mask_mode != "none" else None
             volume.fuse(_view(draw, index, scale, mask, hides=mask_mode == "composite"), pool)
-    smooth = scale.smooth if request.smooth is None else request.smooth
-    mesh = _surface(volume, request, smooth, steps)
+    mesh, covered = _surface(volume, request, scale, seen, steps)
     if request.texture is not None and photos is not None:
-        steps.begin("unwrapping")
+        steps.report("unwrapping")
         shown = cameras.subset(range(count))
         baking = partial(steps.count, "baking")
         mesh = textured(mesh, shown, photos, request.texture, scale.voxel, baking)
-    return replace(mesh, origin=origin, facts=facts)
+    return replace(mesh, origin=origin, facts=facts | {"covered": covered})
 
 
 class _Steps:
@@ -216,21 +217,20 @@ class _Steps:
     def __init__(self, report: Report, cancelled: Callable[[], bool]) -> None:
         self._report, self._cancelled = report, cancelled
 
-    def begin(self, phase: str, total: int = 0) -> None:
+    def report(self, phase: str, done: int = 0, total: int = 0, left: float = math.nan) -> None:
+        """The progress of a phase; it has just begun where nothing is done."""
         if self._cancelled():
             raise Cancelled("Making the mesh was stopped.")
-        self._report(phase, 0, total, math.nan)
+        self._report(phase, done, total, left)
 
     def count(self, phase: str, items: Sequence[int]):
         """Yield the items of a phase, with progress after each."""
-        self.begin(phase, len(items))
+        self.report(phase, 0, len(items))
         began = time.monotonic()
         for done, item in enumerate(items, start=1):
             yield item
-            if self._cancelled():
-                raise Cancelled("Making the mesh was stopped.")
             left = (time.monotonic() - began) / done * (len(items) - done)
-            self._report(phase, done, len(items), left)
+            self.report(phase, done, len(items), left)
 
 
 @dataclass(frozen=True)
@@ -281,23 +281,31 @@ class _Scale:
         """Largest difference of mean and median depth."""
         return _SPREAD * TRUNCATION * self.voxel
 
-    @classmethod
-    def measured(cls, draw: _Draw, request: MeshRequest, steps: _Steps) -> "_Scale":
-        count = len(draw.cameras)
-        chosen = sorted({round(i) for i in np.linspace(0, count - 1, min(_SAMPLED, count))})
-        depths, widths = [], []
-        for index in steps.count("measuring", chosen):
-            K, depth = draw.coarse(index)
-            seen = depth[depth > 0]
-            depths.append(seen)
-            widths.append(seen / (K[0, 0] * _COARSE))
-        seen = np.concatenate(depths)
-        if not len(seen):
-            raise DatasetError("The cameras see no surface: the splats are transparent or outside.")
-        near = float(np.quantile(seen, _NEARER))
-        width = float(np.quantile(np.concatenate(widths), _NEARER))
-        voxel, far = request.voxel or _PIXELS * width, request.far or _FAR * near
-        return cls(voxel=voxel, far=far, pixel=width)
+
+def _measured(
+    draw: _Draw,
+    masks: Callable[[int], np.ndarray | None],
+    mask_mode: str,
+    request: MeshRequest,
+    steps: _Steps,
+) -> tuple[_Scale, np.ndarray]:
+    """The scale, and points [P, 3] of the surfaces in some views, at any depth."""
+    count = len(draw.cameras)
+    chosen = sorted({round(i) for i in np.linspace(0, count - 1, min(_SAMPLED, count))})
+    depths, widths, points = [], [], []
+    for index in steps.count("measuring", chosen):
+        K, depth = draw.coarse(index)
+        depths.append(depth[depth > 0])
+        widths.append(depths[-1] / (K[0, 0] * _COARSE))
+        found = _points(draw.cameras.viewmats[index], K, depth, _mask(masks, mask_mode, index))
+        points.append(found[:: max(1, len(found) // _COMPARED)])
+    seen = np.concatenate(depths)
+    if not len(seen):
+        raise DatasetError("The cameras see no surface: the splats are transparent or outside.")
+    near = float(np.quantile(seen, _NEARER))
+    width = float(np.quantile(np.concatenate(widths), _NEARER))
+    voxel, far = request.voxel or _PIXELS * width, request.far or _FAR * near
+    return _Scale(voxel=voxel, far=far, pixel=width), np.concatenate(points)
 
 
 def _allocated(
@@ -314,7 +322,9 @@ def _allocated(
         limit = _SHARE * (available_memory_bytes() or _DEFAULT_MEMORY / _SHARE)
     keys = np.zeros(0, np.int64)
     for index in steps.count("looking for surfaces", range(len(draw.cameras))):
-        points = _points(draw, index, masks, mask_mode, scale)
+        K, depth = draw.coarse(index, spread=scale.spread, far=scale.far)
+        mask = _mask(masks, mask_mode, index)
+        points = _points(draw.cameras.viewmats[index], K, depth, mask)
         if request.region is not None:
             points = points[_inside(points, request.region, slack=2 * scale.voxel)]
         while len(points) and np.abs(points).max() >= REACH * scale.voxel:
@@ -347,22 +357,21 @@ def _coarser(
     return of_double_voxels(keys), replace(scale, voxel=2 * scale.voxel)
 
 
+def _mask(
+    masks: Callable[[int], np.ndarray | None], mask_mode: str, index: int
+) -> np.ndarray | None:
+    return masks(index) if mask_mode != "none" else None
+
+
 def _points(
-    draw: _Draw,
-    index: int,
-    masks: Callable[[int], np.ndarray | None],
-    mask_mode: str,
-    scale: _Scale,
+    viewmat: np.ndarray, K: np.ndarray, depth: np.ndarray, mask: np.ndarray | None
 ) -> np.ndarray:
-    """[P, 3] float64, world, surface points of a small picture."""
-    K, depth = draw.coarse(index, spread=scale.spread, far=scale.far)
+    """[P, 3] float64, world, surface points of a small picture where a mask keeps them."""
     sure = depth > 0
-    mask = masks(index) if mask_mode != "none" else None
     if mask is not None:
         rows = ((np.arange(len(depth)) + 0.5) * mask.shape[0] / len(depth)).astype(int)
         columns = ((np.arange(depth.shape[1]) + 0.5) * mask.shape[1] / depth.shape[1]).astype(int)
         sure &= mask[rows[:, None], columns] >= 128
-    viewmat = draw.cameras.viewmats[index]
     points = (pixel_rays(K, *depth.shape) * depth[..., None])[sure].astype(np.float64)
     return (points - viewmat[:3, 3]) @ viewmat[:3, :3]
 
@@ -383,16 +392,20 @@ def _view(
     return surface_view(draw.whole(index), K, viewmat, **how)
 
 
-def _surface(volume: Volume, request: MeshRequest, smooth: int, steps: _Steps) -> SurfaceMesh:
-    """The contoured and cleaned surface of a volume, after this number of steps of smoothing."""
-    steps.begin("contouring")
-    vertices, triangles, colors = contour(
-        volume, lambda done, total: steps.begin("contouring", total)
-    )
+def _surface(
+    volume: Volume, request: MeshRequest, scale: _Scale, seen: np.ndarray, steps: _Steps
+) -> tuple[SurfaceMesh, float | None]:
+    """The contoured and cleaned surface of a volume, and the share of the points `seen` [P, 3] on
+    it; None: there are none."""
+    from scipy.spatial import KDTree
+
+    steps.report("contouring")
+    vertices, triangles, colors = contour(volume, partial(steps.report, "contouring"))
     if request.region is not None and len(vertices):
         inside = _inside(vertices, request.region)
         triangles = triangles[inside[triangles].all(axis=1)]
-    steps.begin("cleaning")
+        seen = seen[_inside(seen, request.region)]
+    steps.report("cleaning")
     triangles = without_small_parts(vertices, triangles, request.min_part)
     if not len(triangles):
         raise DatasetError(
@@ -402,22 +415,28 @@ def _surface(volume: Volume, request: MeshRequest, smooth: int, steps: _Steps) -
     rows, triangles = used(vertices, triangles)
     vertices, colors = vertices[rows], colors[rows]
     if request.holes != "open":
+        steps.report("closing holes")
         most = SMALL_HOLE if request.holes == "small" else None
         added, filling = close_holes(vertices, triangles, most)
         vertices = np.concatenate([vertices, added])
         triangles = np.concatenate([triangles, filling])
-    source = vertices[: len(colors)]
-    vertices = smoothed(vertices, triangles, smooth)
+    source = KDTree(vertices[: len(colors)])
+    covered = None
+    if len(seen):
+        distances = source.query(seen, distance_upper_bound=volume.truncation)[0]
+        covered = float(np.isfinite(distances).mean())
+    smooth = scale.smooth if request.smooth is None else request.smooth
+    if smooth:
+        steps.report("smoothing")
+        vertices = smoothed(vertices, triangles, smooth)
     if request.most is not None:
-        steps.begin("reducing")
+        steps.report("reducing")
         vertices, triangles = reduced(vertices, triangles, request.most)
         rows, triangles = used(vertices, triangles)
         vertices = vertices[rows]
     if len(vertices) != len(colors):
-        from scipy.spatial import KDTree
-
-        colors = colors[KDTree(source).query(vertices)[1]]
-    return SurfaceMesh(vertices=vertices, triangles=triangles, colors=colors)
+        colors = colors[source.query(vertices)[1]]
+    return SurfaceMesh(vertices=vertices, triangles=triangles, colors=colors), covered
 
 
 def _with_between(cameras: Cameras) -> Cameras:

@@ -72,7 +72,7 @@ def test_events_of_a_mesh(gscore, ball):
     assert kinds[-1] == "mesh" and events[-1]["path"] == str(ball / "mesh.ply")
     assert [p for p in phases if p] == [
         *("reading", "measuring", "looking for surfaces", "fusing", "contouring", "cleaning"),
-        "writing",
+        *("closing holes", "smoothing", "writing"),
     ]
     plan = events[kinds.index("mesh_plan")]
     assert plan["views"] > 16 and plan["volume_bytes"] > 0
@@ -168,3 +168,14 @@ def test_a_mesh_has_the_coordinates_of_a_far_capture(gscore, tmp_path):
     vertices = read_mesh(json.loads(out)["path"]).vertices - origin
     assert np.abs(np.linalg.norm(vertices, axis=1) - RADIUS).max() < 0.08
     assert -0.08 < vertices[:, 2].min() < 0.08 and vertices[:, 2].max() > 0.9
+
+
+def test_a_mesh_with_large_gaps_gets_a_warning(gscore, ball, tmp_path):
+    """Oracle: the whole ball is seen; a shorter `--far` leaves caps, the nearest to each camera."""
+    code, out, err = gscore("mesh", ball, *SMALL, "--json")
+    assert code == 0 and json.loads(out)["covered"] > 0.95 and "covers only" not in err
+    options = ("-o", tmp_path / "a.ply", "--far", 2.51, "--min-part", 0, "--voxel", 0.03)
+    code, out, err = gscore("mesh", ball, *options, "--threads", 1, "--json")
+    covered = json.loads(out)["covered"]
+    assert code == 0 and 0 < covered < 0.6
+    assert f"covers only {covered:.0%} of the surfaces" in " ".join(err.split())

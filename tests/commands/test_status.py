@@ -11,7 +11,9 @@ from itertools import product
 import pytest
 
 from gscore.commands.terminal import status
+from gscore.commands.terminal.display import Lines
 from gscore.commands.terminal.status import Counted, Status, cells, line_within, wrapped
+from gscore.events import Done, SfmDone
 from tests.commands.screen import drawn, gscore, resize, run_in_terminal
 from tests.for_each import for_each
 
@@ -159,6 +161,17 @@ def test_lines_break_between_words() -> None:
     rows = wrapped(text, terminal).split("\n")
     assert all(len(row) <= 40 for row in rows[:-1]) and " ".join(rows) == text
     assert wrapped(text, io.StringIO()) == text
+
+
+def test_cameras_that_were_found_have_a_line(capsys) -> None:
+    """Oracle: the figures, once anything follows: `gscore sfm` prints them itself at its end."""
+    lines = Lines(sys.stderr)
+    figures = {"points": 900, "reprojection_px": 0.514, "seconds": 41.0, "path": "run/capture"}
+    lines(SfmDone(photos=60, registered=58, models=2, **figures))
+    assert capsys.readouterr().err == ""
+    lines(Done(reason="finished", step=1, train_seconds=1.0, splats=1, path="run"))
+    said = "Found the cameras of 58 of 60 photos in 41 s; mean reprojection error 0.51 px\n"
+    assert capsys.readouterr().err == said
 
 
 def test_a_whole_training_in_a_terminal(capture, tmp_path) -> None:

@@ -76,11 +76,16 @@ class Lines:
     def __init__(self, stream: TextIO) -> None:
         self._status = Status(stream)
         self._measured = ""
+        self._found = ""
+        """Result of a search for cameras, which the verb prints itself if nothing follows."""
         self._sequence = False
         self._status.show(["Starting"])
 
     def __call__(self, event: Event) -> None:
         """Show the event."""
+        if self._found:
+            self._status.print_line(self._found)
+            self._found = ""
         match event:
             case Progress():
                 self._progress(event)
@@ -99,10 +104,13 @@ class Lines:
             case FramesProgress():
                 self._frames(event)
             case (
-                Done() | DepthDone() | EvalDone() | SequenceDone() | SfmDone() | FramesDone()
-                | RefitDone() | MeshDone() | Failed()
+                Done() | DepthDone() | EvalDone() | SequenceDone() | FramesDone() | RefitDone()
+                | MeshDone() | Failed()
             ):  # fmt: skip
                 self._end()
+            case SfmDone():
+                self._end()
+                self._found = sfm_text(event)
             case Saved():
                 self._saved(event)
             case FrameStarted():
@@ -146,10 +154,12 @@ class Lines:
 
     def _mesh(self, event: MeshProgress) -> None:
         if not event.done:
-            self._status.show([_capital(event.phase)])
+            # The phases after the views take long, and most of them have no further progress.
+            self._status.show([_capital(event.phase)], immediate=True)
             return
         left = [f"{clock(event.eta_s)} left"] if math.isfinite(event.eta_s) else []
-        parts = [*left, f"{event.phase}, view {event.done} of {event.total}"]
+        what = "part" if event.phase == "contouring" else "view"
+        parts = [*left, f"{event.phase}, {what} {event.done} of {event.total}"]
         self._status.show(parts, share=event.done / event.total)
 
     def _sfm(self, event: SfmProgress) -> None:
@@ -269,6 +279,14 @@ def eval_text(event: Eval) -> str:
     if event.metrics.get("ssim") is None:
         return ""
     return f"Step {number(event.step)}, {event.split} views: {quality_text(event.metrics)}"
+
+
+def sfm_text(event: SfmDone) -> str:
+    """One line on the cameras that were found."""
+    return (
+        f"Found the cameras of {number(event.registered)} of {count_text(event.photos, 'photo')} "
+        f"in {time_text(event.seconds)}; mean reprojection error {event.reprojection_px:.2f} px"
+    )
 
 
 def estimate_text(event: Estimated) -> str:
