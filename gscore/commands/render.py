@@ -5,7 +5,7 @@ import math
 import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..config import DataConfig
-from ..datasets.resolution import check_resolution
+from ..datasets.resolution import LARGEST_FACTOR, check_resolution
 from ..errors import ConfigError
 from ..io.images.png import SIGNED, write_png
 from ..io.lod_file import LOD_ENDING, is_lod_file
@@ -22,7 +22,7 @@ from ..lod.lod_renderer import LOD_PX, LodModel
 from ..quoting import as_typed, brief, quoted
 from ..raster.api import Rendered
 from ..scene import Cameras
-from ..text_format import count_text
+from ..text_format import count_text, number
 from .args.device_option import add_device_option, device_of
 from .args.model_argument import (
     LodArgument,
@@ -49,6 +49,8 @@ _WRITTEN = (".mp4", ".png")
 """Endings of single-file outputs; any other output is a folder of pictures."""
 _OTHER_FORMAT = re.compile(r"\.([a-z]{2,4}|blend|ksplat|m4v)")
 """Endings that mean a file instead of a folder."""
+_SMALL_WIDTH = 64
+"""Width of pictures, px, below which `-r` was probably meant as a divisor."""
 _DEPTH_STEPS = 60_000
 """16-bit values for the depth range of the first picture; the rest is for larger depths."""
 
@@ -75,8 +77,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     which("--test", "the held-out views of the run")
     which(
         "--path {orbit,spline,FILE}",
-        "camera path: orbit, spline through all cameras, or a file such as cameras.json "
-        "(a video: orbit)",
+        "orbit (swing if photos lack a side), spline through all cameras, or a cameras.json "
+        "(video: orbit)",
     )
     option(
         "--frames FRAMES",
@@ -167,17 +169,23 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
         "threads": args.threads,
     }
     gains = exposure_gains(args.exposure, found, model, args.cameras)
+    pictures, depths = ([args.output], []) if is_video else _stills(args, shots.names)
+    if is_video:
+        _check_one_size(shots)
+    _check_files(pictures, depths, overwrite=args.overwrite)
     if args.exposure is None and (gains != 1).any():
         status.print_line("Pictures are exposed as their photos; `--exposure even` avoids that.")
+    if LARGEST_FACTOR < args.resolution < _SMALL_WIDTH:
+        print_warnings([_small_text(shots)])
     model = model.drawn_by(device_of(args))
     work = _Work(model, shots, options, gains, status)
     if is_video:
-        _check_one_size(shots)
-        check_replaced([args.output], overwrite=args.overwrite)
         write_video(args.output, (to_rgb(r) for r in work), fps=args.fps or found.fps or FPS)
         result: dict[str, Any] = {"files": [str(args.output)]}
     else:
-        result = _write_stills(args, work)
+        result = _write_stills(args, work, pictures, depths)
+    if work.empty:
+        print_warnings([_empty_text(work.empty, len(shots.names), near=options["near"])])
     return result | {
         "path": found.path or None,
         "pictures": len(shots.names),
@@ -188,6 +196,20 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
         "device": model.device.name,
         **(model.drawn() if isinstance(model, LodArgument) else {}),
     }
+
+
+def _small_text(shots: Cameras) -> str:
+    return (
+        f"Pictures are only {shots.widths[0]} x {shots.heights[0]} px: above {LARGEST_FACTOR} -r "
+        "is their width in pixels, not a divisor."
+    )
+
+
+def _empty_text(empty: int, count: int, *, near: float) -> str:
+    return (
+        f"No splat is in {number(empty)} of {count_text(count, 'picture')}: all are outside of the "
+        f"view, or nearer than the near plane ({near:g} world units, see `--near`)."
+    )
 
 
 def _open(args: argparse.Namespace) -> ModelArgument | LodArgument:
@@ -250,6 +272,8 @@ class _Work:
         self._model, self._options, self._status = model, options, status
         self._gains = gains
         self._seconds: list[float] = []
+        self.empty = 0
+        """Pictures without splats so far."""
 
     @property
     def fps(self) -> float:
@@ -264,26 +288,35 @@ class _Work:
             size = int(shots.widths[i]), int(shots.heights[i])
             rendered = self._model.draw(shots.Ks[i], shots.viewmats[i], *size, **self._options)
             self._seconds.append(time.perf_counter() - began)
+            self.empty += not rendered.alpha.any()
             if (self._gains[i] != 1).any():
                 rendered = rendered.exposed(self._gains[i], self._options["background"])
             yield rendered
             progress(i + 1, name)
 
 
-def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:
+def _stills(args: argparse.Namespace, names: Sequence[str]) -> tuple[list[Path], list[Path]]:
+    """Files of the pictures and of their depth maps, if any.
+
+    Raises:
+        ConfigError: one file for several views.
+    """
     is_file = args.output.suffix.lower() == ".png"
-    if is_file and len(work.shots.names) > 1:
+    if is_file and len(names) > 1:
         raise ConfigError(
-            f"{args.output} is a single picture, but {count_text(len(work.shots.names), 'view')} "
-            "are selected; give a folder with -o, or one view with `--view`."
+            f"{args.output} is a single picture, but {count_text(len(names), 'view')} are "
+            "selected; give a folder with -o, or one view with `--view`."
         )
     stems = [args.output.with_suffix("")] if is_file else []
-    stems = stems or [
-        args.output / name for name in still_names(work.shots.names, depths=bool(args.depth))
-    ]
+    stems = stems or [args.output / name for name in still_names(names, depths=bool(args.depth))]
     pictures = [stem.with_name(f"{stem.name}.png") for stem in stems]
     depths = [stem.with_name(f"{stem.name}_depth.{args.depth}") for stem in stems if args.depth]
-    _check_stills(pictures, depths, overwrite=args.overwrite)
+    return pictures, depths
+
+
+def _write_stills(
+    args: argparse.Namespace, work: _Work, pictures: list[Path], depths: list[Path]
+) -> dict[str, Any]:
     unit = 0.0
     for index, rendered in enumerate(work):
         pixels = to_rgba(rendered) if args.transparent else to_rgb(rendered)
@@ -302,7 +335,7 @@ def _write_stills(args: argparse.Namespace, work: _Work) -> dict[str, Any]:
     return result
 
 
-def _check_stills(pictures: list[Path], depths: list[Path], *, overwrite: bool) -> None:
+def _check_files(pictures: list[Path], depths: list[Path], *, overwrite: bool) -> None:
     """Raise ConfigError unless these files may be written; `depths` has one per picture or none."""
     files = list(pictures)
     for picture, depth in zip(pictures, depths, strict=bool(depths)):

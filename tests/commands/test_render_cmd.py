@@ -4,6 +4,7 @@ import json
 import re
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from PIL import Image
 
 from gscore.commands.pictures.stills import still_names, write_depth_png
 from gscore.errors import ShapeError
-from gscore.io.cameras_json import write_cameras
+from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.io.exposure_json import EXPOSURE_FILE, write_exposures
 from gscore.io.ply.splats import write_splats
 from gscore.raster.api import render
@@ -125,6 +126,34 @@ def test_a_path_from_a_file(gscore, run_folder, tmp_path, splats, cameras):
     assert code == 2 and "--path orbti: neither orbit nor spline, nor an existing file" in err
 
 
+def test_the_documented_view_from_above(gscore, run_folder, tmp_path):
+    """Oracle: docs/view.md, whose camera is above the origin and looks down, with the far side up;
+    up is -Y."""
+    text = (Path(__file__).parents[2] / "docs" / "view.md").read_text(encoding="utf-8")
+    path = tmp_path / "cameras.json"
+    path.write_text(re.findall(r"```json\n(.*?)```", text, re.DOTALL)[0])
+    camera = read_cameras_json(path)
+    np.testing.assert_allclose(camera.centers[0], [0, -3, 0], atol=1e-12)
+    right, down, ahead = camera.viewmats[0, :3, :3]
+    assert ahead.tolist() == [0, 1, 0] and down.tolist() == [0, 0, -1]
+    np.testing.assert_allclose(np.cross(right, down), ahead)
+    given = ("render", run_folder(), "-o", tmp_path / "out", "--json")
+    for options in (("--path", path), ("-s", path, "--view", "above")):
+        code, out, _ = gscore(*given, *options)
+        assert code == 0 and json.loads(out)["width"] == 800
+
+
+def test_pictures_of_nothing_and_tiny_ones_get_a_warning(gscore, run_folder, tmp_path):
+    """Oracle: the sentences; pictures with splats, and of usual sizes, have none."""
+    given = ("render", run_folder(), "-o", tmp_path / "out", "--view", "0", "1")
+    code, _, err = gscore(*given, "--near", "1000", "-r", "96")
+    assert code == 0 and "No splat is in 2 of 2 pictures" in err
+    assert "near plane (1000 world units" in " ".join(err.split()) and "divisor" not in err
+    code, _, err = gscore(*given, "-r", "16")
+    assert code == 0 and "only 16 x 12 px: above 8 -r is their width in pixels" in err
+    assert "No splat" not in err
+
+
 def test_transparency(gscore, run_folder, tmp_path, picture):
     """Oracle: the picture rendered over any background, equal to the composite over it."""
     path = tmp_path / "one.png"
@@ -228,7 +257,7 @@ def test_video(gscore, run_folder, tmp_path, splats):
 def facts_of_video(gscore, monkeypatch, folder, path, *options):
     """The facts that the verb prints for a video that is not written, and its messages."""
     monkeypatch.setattr("gscore.commands.render.write_video", lambda p, made, fps: len(list(made)))
-    code, out, err = gscore("render", folder, "-o", path, "-r", "16", "--json", *options)
+    code, out, err = gscore("render", folder, "-o", path, "-r", "64", "--json", *options)
     assert code == 0
     return json.loads(out), err
 
