@@ -17,6 +17,8 @@ _REQUIRED = "the following arguments are required: "
 """Prefix of argparse's message; the names of an argument follow, separated by slashes."""
 _NEGATIVE = re.compile(r"-\.?\d")
 """Beginning of a negative number."""
+_NUMBERS = {"int": "a whole number", "float": "a number"}
+"""Types of numbers in messages."""
 _MEANT = {
     **dict.fromkeys(("fast", "fastest", "quick", "test", "tiny"), "preview"),
     **dict.fromkeys(("low", "rough"), "draft"),
@@ -199,6 +201,8 @@ class Parser(argparse.ArgumentParser):
             return super()._get_value(action, arg_string)
         except argparse.ArgumentError as error:
             words = error.message.replace(repr(arg_string), quoted(arg_string))
+            if kind := _NUMBERS.get(getattr(action.type, "__name__", "")):
+                words = f"expected {kind}, got {quoted(arg_string)}"
             raise argparse.ArgumentError(action, words) from error
 
 

@@ -220,6 +220,9 @@ class TestFinding:
         with pytest.raises(DatasetError, match=r"is an empty folder\. Give one with photos"):
             read_model(tmp_path)
         (tmp_path / "notes.md").touch()
+        with pytest.raises(DatasetError, match=r"There are no photos in .* or its folders"):
+            read_model(tmp_path)
+        (tmp_path / "a.gif").touch()
         with pytest.raises(
             DatasetError, match=r"No COLMAP model in .*sparse/0.*Give the folder above"
         ):

@@ -233,7 +233,7 @@ class TestMissing:
         with pytest.raises(DatasetError, match="is an empty folder"):
             _load(tmp_path / "empty")
         (tmp_path / "empty" / "notes.txt").touch()
-        with pytest.raises(DatasetError, match=r"No COLMAP model.*or a transforms\.json"):
+        with pytest.raises(DatasetError, match=r"There are no photos in .* or its folders"):
             _load(tmp_path / "empty")
         (tmp_path / "empty" / "images").mkdir()
         (tmp_path / "empty" / "images" / "notes.txt").touch()

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import ModuleType
 
@@ -31,6 +32,8 @@ from .model import (
 
 _OTHER_PICTURES = (".heic", ".heif", ".avif", ".gif", *RAW_ENDINGS)
 """Endings of photos in unsupported formats."""
+_MOST_NAMES = 10_000
+"""Most names below a folder among which photos are looked for."""
 _POINT_CLOUDS = ("points3D.ply", "points3d.ply", "init.ply")
 _ADVICE = (
     "Give the folder above `sparse`. For photos without cameras, `gscore sfm` finds the cameras; a "
@@ -84,10 +87,15 @@ def find_model(path: str | Path) -> tuple[Path, tuple[str, ...]]:
         raise DatasetError(
             f"There are no photos in {images}. Put some there, or give their folder."
         )
+    known = describe_unsupported(path)
+    if not known and not any(map(_is_picture, islice(path.rglob("*"), _MOST_NAMES))):
+        raise DatasetError(
+            f"There are no photos in {path} or its folders. Give a folder with photos, or with "
+            "photos and cameras."
+        )
     raise DatasetError(
         f"No COLMAP model in {path}: expected cameras and images (.bin or .txt) in sparse/0, in "
-        f"sparse or in the folder itself, or a transforms.json. "
-        + (describe_unsupported(path) or _ADVICE)
+        f"sparse or in the folder itself, or a transforms.json. " + (known or _ADVICE)
     )
 
 
