@@ -6,6 +6,8 @@ from typing import Any
 from .events import ENDED, MASKED_OF, headline_psnr
 from .quoting import brief
 
+_LOW_PSNR = 20.0
+"""PSNR, dB, below which differences are obvious: shapes are blurred or doubled."""
 _LISTED = 5
 """Most names in a sentence."""
 
@@ -76,7 +78,31 @@ def colour_text(metrics: Mapping[str, Any]) -> str:
     """Colour-corrected metrics, to append to `quality_text`; empty: not measured."""
     digits = {"psnr_cc": "PSNR {:.2f} dB", "ssim_cc": "SSIM {:.4f}", "lpips_cc": "LPIPS {:.4f}"}
     parts = [form.format(metrics[k]) for k, form in digits.items() if metrics.get(k) is not None]
+    plain, corrected = metrics.get("psnr"), metrics.get("psnr_cc")
+    if plain is not None and corrected is not None and corrected < plain:
+        parts[0] += " (lower, as halves of a picture are corrected by each other)"
     return f"; colour-corrected {', '.join(parts)}" if parts else ""
+
+
+def views_text(metrics: Mapping[str, Any]) -> str:
+    """Number and kind of the measured views: 8 training views, a sample of 59."""
+    split, measured = metrics["split"], len(metrics["views"])
+    train = len(metrics.get("train_views") or ()) if split == "train" else 0
+    kind = {"test": "test view", "train": "training view"}.get(split, "view")
+    sample = f", a sample of {number(train)}" if measured < train else ""
+    return count_text(measured, kind) + sample
+
+
+def verdict_text(metrics: Mapping[str, Any]) -> str:
+    """A sentence on a low headline figure; empty: it is not low."""
+    worth = headline_psnr(metrics)
+    if worth is None or worth >= _LOW_PSNR or stopped_text(metrics):
+        return ""
+    return (
+        f"Below {_LOW_PSNR:g} dB pictures differ strongly from the photos. Usual causes: a short "
+        "training, inaccurate cameras, few photos, changing light, something that moved; "
+        "report.html shows where."
+    )
 
 
 def worst_view_text(metrics: Mapping[str, Any]) -> str:

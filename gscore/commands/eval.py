@@ -41,6 +41,8 @@ from ..text_format import (
     quality_text,
     stopped_text,
     trust_text,
+    verdict_text,
+    views_text,
     worst_view_text,
 )
 from .args.data_options import add_data_options
@@ -54,11 +56,15 @@ from .args.model_argument import (
     views_of,
 )
 from .parser import add_option, add_threads_option
+from .pictures.render_cameras import captured_cameras
 from .terminal.output import check_folder, check_replaced, print_result
 from .terminal.run_job import OutputOptions, add_output_options, run_job
 from .terminal.status import print_warnings
 
 _STOPPED = "Stopped; nothing was written."
+_MOVED = 0.1
+"""Median distance between cameras of the same name, as a share of the capture's radius, above which
+they are of different captures."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -142,7 +148,10 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         own = None
     if own is not None:
         dataset, notes = _of_region(dataset, model)
+    foreign = "" if own is not None else _other_capture(model, cameras)
+    notes += [foreign] if foreign else []
     split, indices = views_of(args.split, dataset)
+    split = "all" if foreign and split == "train" else split  # the run was not trained on them
     if own is not None and split == "test":
         notes += _trained_views(config, own, [dataset.names[i] for i in indices])
     if output == model.run and split != "test" and read_metrics(output).get("split") == "test":
@@ -183,7 +192,8 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     renders = PhotoRenders(model.splats, cameras, device=device, **how)
     if split == "test":
         state_coverage(evaluation, coverage(renders, dataset))
-    if dataset.mask_mode != "composite":  # a background alike in all views confirms any model
+    # Backgrounds alike in all views, of masks or of another scene, confirm any model.
+    if dataset.mask_mode != "composite" and not foreign:
         evaluation.mean.update(trust_figures(trust_between(renders, dataset.train)))
     warnings += photo_mismatch_warnings(
         headline_psnr(evaluation.mean), f"The splats of {brief(str(model.path))}"
@@ -192,7 +202,7 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     metrics = Metrics(
         evaluation=evaluation,
         split=split,
-        train_views=[names[i] for i in dataset.train],
+        train_views=[] if foreign else [names[i] for i in dataset.train],
         test_views=[names[i] for i in dataset.test],
         mask_mode=dataset.mask_mode,
         background=model.background,
@@ -324,6 +334,28 @@ def _doubts(
     return found
 
 
+def _other_capture(model: ModelArgument, cameras: Cameras) -> str:
+    """A sentence if the cameras, in the world of the splats, are not those of the run."""
+    if model.run is None or not (model.run / "cameras.json").is_file():
+        return ""
+    trained = captured_cameras(None, model).cameras
+    places = {name: i for i, name in enumerate(trained.names)}
+    pairs = [(i, places[name]) for i, name in enumerate(cameras.names) if name in places]
+    if not pairs:
+        found = "none of them has the name of one of the run's"
+    else:
+        here, there = np.array(pairs).T
+        moved = np.linalg.norm(cameras.centers[here] - trained.centers[there], axis=1)
+        size = np.linalg.norm(trained.centers - trained.centers.mean(axis=0), axis=1).max()
+        if np.median(moved) <= _MOVED * size:
+            return ""
+        found = f"{number(len(pairs))} have the names of the run's, but cameras at other places"
+    return (
+        f"These {count_text(len(cameras), 'photo')} are not those of the run: {found}. Figures "
+        "count only if both captures are of one scene, in the same coordinates."
+    )
+
+
 def _trained_views(config: DataConfig, own: DataConfig, measured: Sequence[str]) -> list[str]:
     """A sentence if the run, with its `own` options, was trained on some of the `measured` views of
     its capture."""
@@ -382,12 +414,11 @@ def _of_the_training(model: ModelArgument) -> Course:
 
 
 def _summary(metrics: dict[str, Any], output: Path) -> str:
-    kind = {"test": "test view", "train": "training view", "all": "view"}[metrics["split"]]
-    views = count_text(len(metrics["views"]), kind)
     why = metrics.get("psnr_masked_reason") or metrics.get("psnr_reason", "")
     worth = quality_text(metrics) or f"no PSNR ({why})"
-    text = f"{views}: {worth}{colour_text(metrics)}\n"
-    for sentence in filter(None, (worst_view_text(metrics), trust_text(metrics))):
+    text = f"{views_text(metrics)}: {worth}{colour_text(metrics)}\n"
+    sentences = (f(metrics) for f in (verdict_text, worst_view_text, trust_text))
+    for sentence in filter(None, sentences):
         text += f"{sentence}\n"
     text += f"Results: {output / 'metrics.json'}, {output / 'report.html'}"
     if "error_map" in metrics:

@@ -20,6 +20,8 @@ from ..text_format import (
     quality_text,
     size_text,
     trust_text,
+    verdict_text,
+    views_text,
     worst_view_text,
 )
 from .args.data_options import add_data_options
@@ -188,10 +190,9 @@ def _summary(result: "TrainResult", config: TrainConfig) -> list[str]:
         f"training: {count_text(len(result.splats), 'splat')}."
     ]
     if worth := quality_text(metrics):
-        view = "test view" if metrics["split"] == "test" else "training view"
         worth += colour_text(metrics) if has_exposure_correction(metrics) else ""
-        lines.append(f"{count_text(len(metrics['views']), view)}: {worth}")
-    lines += filter(None, (worst_view_text(metrics), trust_text(metrics)))
+        lines.append(f"{views_text(metrics)}: {worth}")
+    lines += filter(None, (f(metrics) for f in (verdict_text, worst_view_text, trust_text)))
     if config.target_psnr and result.reason in (FINISHED, CONVERGED):
         lines.append(f"The target of {config.target_psnr:g} dB was not reached.")
     if ranks := metrics.get("ranks"):

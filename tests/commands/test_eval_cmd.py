@@ -175,6 +175,29 @@ def test_views_of_the_training_are_not_passed_off_as_test_views(gscore, run_fold
     assert "training photos of this run" not in err
 
 
+def test_photos_of_another_capture_are_named(gscore, capture, run_folder, tmp_path):
+    """Oracle: a copy of the capture, which is the run's; then other cameras of the run, and other
+    names. Trust is that of training photos, so there is none of others."""
+    run = run_folder()
+    other = shutil.copytree(capture, tmp_path / "other")
+    given = ("eval", run, "-s", other, "--json", "--overwrite", "-o", tmp_path / "e")
+    code, out, err = gscore(*given)
+    assert code == 0 and "are not those of the run" not in err and "trust_median" in out
+    own = (run / "cameras.json").read_text()
+    cameras = json.loads(own)
+    for camera in cameras:
+        camera["position"][0] += 2
+    moved, renamed = json.dumps(cameras), own.replace("a_", "b_")
+    for written, what in ((moved, "9 have the names of the run's, but"), (renamed, "none of them")):
+        (run / "cameras.json").write_text(written)
+        code, out, err = gscore(*given)
+        said = " ".join(err.split())
+        assert code == 0 and "These 9 photos are not those of the run" in said and what in said
+        assert "trust_median" not in out
+        facts = json.loads((tmp_path / "e" / "metrics.json").read_text())
+        assert (facts["split"], facts["train_views"]) == ("all", [])
+
+
 def test_unknown_exposures_are_reported(gscore, run_folder, tmp_path):
     """Oracle: a run marked as having exposures, with those of some photos in exposure.json."""
     folder = run_folder()
