@@ -261,6 +261,6 @@ def _pictures(trainer: Trainer, eval_views: Dataset | None) -> PictureOf:
             threads=trainer.config.threads,
             device="cpu",
         ).rgb
-        return rgb if gain is None else rgb * gain.numpy()
+        return rgb if gain is None else rgb * np.array(gain, np.float32)
 
     return picture_of

@@ -1,9 +1,11 @@
 """Trainer: the training step and all state it depends on; no files, events or clock."""
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import torch
 
 from ..config import Skip, TrainConfig
@@ -259,7 +261,7 @@ class Trainer:
         """State before the next step; None: the engine reads each step at once."""
         if not self._queue.depth:
             return None
-        photos = {name: one.clone() for name, one in self.photo_parameters.tensors().items()}
+        photos = {name: one.copy() for name, one in self.photo_parameters.arrays().items()}
         generator = self.generator.get_state()
         return StepStart(self.view_batcher.state(), generator, photos, self._queue.used)
 
@@ -342,7 +344,8 @@ class Trainer:
         """All tensors that the next step depends on, by name; no copies. Call `read_all` and
         `collect` first."""
         out = {"generator": self.generator.get_state()} | self._queue.tensors()
-        return out | self.models.tensors() | self.photo_parameters.tensors()
+        photos = self.photo_parameters.arrays()
+        return out | self.models.tensors() | {n: torch.from_numpy(a) for n, a in photos.items()}
 
     def restore(self, state: dict[str, Any], tensors: dict[str, torch.Tensor]) -> None:
         """Restore `state` and `tensors` of another trainer with this config, and take ownership of
@@ -363,15 +366,16 @@ class Trainer:
         self.replan(length)
         self.models.restore(members, state, tensors)
         self._queue.restore(tensors)
-        self._restore_views(state, tensors, tensors["generator"])
+        photos = {name: tensor.numpy() for name, tensor in tensors.items()}
+        self._restore_views(state, photos, tensors["generator"])
         self.counts.restore(state)
         self.pruner.restore(state)
 
     def _restore_views(
-        self, state: dict[str, Any], tensors: dict[str, torch.Tensor], generator: torch.Tensor
+        self, state: dict[str, Any], photos: Mapping[str, np.ndarray], generator: torch.Tensor
     ) -> None:
         """Restore gains and poses, the order of views, and the random numbers."""
-        self.photo_parameters.restore(self.sampler.indices, len(self.photos.scene.cameras), tensors)
+        self.photo_parameters.restore(self.sampler.indices, len(self.photos.scene.cameras), photos)
         self.generator.set_state(generator)
         self.view_batcher.restore(state)
 

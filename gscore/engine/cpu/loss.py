@@ -77,9 +77,9 @@ class StepLoss:
         )
         more, v_alpha, v_inverse_depth = _further_terms(picture, photo, request)
         v_log_gain = found.v_log_gain
-        if gain is not None and photo.mask_mode == "composite":
+        if request.gain is not None and photo.mask_mode == "composite":
             v_log_gain = without_background(
-                v_log_gain, request.shown_background, gain, v_rgb, picture.alpha
+                v_log_gain, request.shown_background, request.gain, v_rgb, picture.alpha
             )
         return LossAndGradients(
             value=found.loss + more,
@@ -94,7 +94,7 @@ class StepLoss:
 def without_background(
     v_log_gain: Color,
     background: Color,
-    gain: torch.Tensor,
+    gain: Color,
     v_rgb: torch.Tensor,
     alpha: torch.Tensor,
 ) -> Color:
@@ -104,14 +104,14 @@ def without_background(
     Args:
         v_log_gain: Derivative for a constant background before the gain.
         background: Visible background colour.
-        gain: [3].
+        gain: Gain of R, G, B.
         v_rgb: [H, W, 3] gradient in the rendered image before the gain.
         alpha: [H, W] rendered opacity.
     """
     if not any(background):
         return v_log_gain
     through = torch.mv(v_rgb.reshape(-1, 3).t(), (1 - alpha).flatten()).tolist()
-    parts = zip(v_log_gain, through, background, gain.tolist(), strict=True)
+    parts = zip(v_log_gain, through, background, gain, strict=True)
     r, g, b = (whole - t * colour / by for whole, t, colour, by in parts)
     return (r, g, b)
 

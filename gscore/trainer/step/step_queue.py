@@ -44,8 +44,8 @@ class StepStart(NamedTuple):
     views: dict[str, Any]
     """`ViewBatcher.state`."""
     generator: torch.Tensor
-    photos: dict[str, torch.Tensor]
-    """`PhotoParameters.tensors`, copied."""
+    photos: dict[str, np.ndarray]
+    """`PhotoParameters.arrays`, copied."""
     used: int
     """Last step whose slopes were used."""
 

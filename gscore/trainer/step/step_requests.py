@@ -26,7 +26,6 @@ from ..schedule.lacking_options import lacking_options, refuse
 from ..schedule.plan import Plan
 from ..strategy import Policy
 from ..views.model_renderer import ModelRenderer
-from ..views.photo_gains import as_color
 from ..views.photo_parameters import PhotoParameters
 from .step_edits import SANITIZE_EVERY
 from .training_views import TrainingView
@@ -155,7 +154,7 @@ class StepRequests:
             others=tuple(self.renderer.view(i, factor) for i in others),
             background=self.renderer.background_before_gain(shown, gain),
             shown_background=shown,
-            gain=None if gain is None else as_color(gain),
+            gain=gain,
             antialias=config.antialias,
             sh_degree=degree,
             sh_update=update if degree else ShUpdate.OFF,

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import torch
 
 from ...config import Background, TrainConfig
+from ...engine.base import Color
 from ...engine.random import uniform
 from ...errors import GsError
 from ...raster.request import Frustum
@@ -29,9 +30,9 @@ class TrainingView(NamedTuple):
     """This rank's view."""
     sized: SizedView
     """This rank's view with its photo."""
-    background: tuple[float, float, float]
-    gain: torch.Tensor | None
-    """[3] float32: gain of its photo; None: no gains."""
+    background: Color
+    gain: Color | None
+    """Gain of its photo; None: no gains."""
     factor: float
     """Divisor of the photos' sides."""
 
@@ -162,7 +163,7 @@ class ViewBatcher:
         batches = self._sampler.upcoming(AHEAD * size, models)[rank::size]
         return [view for views in batches for view in views]
 
-    def _step_background(self) -> tuple[float, float, float]:
+    def _step_background(self) -> Color:
         if self._background is Background.RANDOM:
             r, g, b = uniform(3, self._generator).tolist()
             return (r, g, b)

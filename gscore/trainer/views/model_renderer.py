@@ -142,7 +142,7 @@ class ModelRenderer:
             found = mask_to_region(found, model.column("means"), model.column("scales"))
         return found._replace(view=self.photo_parameters.at_refined_pose(found.view, index))
 
-    def background_before_gain(self, background: Color, gain: torch.Tensor | None) -> Color:
+    def background_before_gain(self, background: Color, gain: Color | None) -> Color:
         """Background colour before the gain, so that `background` shows after it, if photos are
         composited over it. Otherwise the background is part of the scene and exposed with it."""
         if gain is None or self.photos.mask_mode != "composite":
@@ -219,7 +219,7 @@ class ModelRenderer:
         gain = self.photo_parameters.gain_of(index)
         picture = self._draw(view, self.background_before_gain(background, gain)).rgb
         if gain is not None:
-            picture *= gain.numpy()
+            picture *= np.array(gain, np.float32)
         return picture
 
     def _draw(

@@ -1,9 +1,8 @@
 """Photo Adam: Adam for the parameters of photos, updated one photo at a time."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-import torch
 
 from ...shared_constants import ADAM_BETA1, ADAM_BETA2, ADAM_EPS
 from ..model.checkpoint_schema import as_int
@@ -15,6 +14,11 @@ def rate_at(first: float, last: float, done: float) -> float:
     if first <= 0 or last <= 0:
         return 0.0
     return first * (last / first) ** min(done, 1.0)
+
+
+_BETAS = ADAM_BETA1, ADAM_BETA2
+_SHARES = np.array([[1 - beta] for beta in _BETAS])
+"""Share of a gradient in the mean of gradients, and of its square in that of squares."""
 
 
 class PhotoAdam:
@@ -29,37 +33,31 @@ class PhotoAdam:
         """[W]: update of the parameters of view `index` for the gradient `grad`."""
         self._steps[index] += 1
         count = int(self._steps[index])
-        means = []
-        for moment, beta, sample in zip(
-            self._moments, (ADAM_BETA1, ADAM_BETA2), (grad, grad * grad), strict=True
-        ):
-            moment[index] += (1 - beta) * (sample - moment[index])
-            means.append(moment[index] / (1 - beta**count))
-        return -rate * means[0] / (np.sqrt(means[1]) + ADAM_EPS)
+        moments = self._moments[:, index]
+        moments += _SHARES * (np.array([grad, grad * grad]) - moments)
+        mean, square = moments / [[1 - beta**count] for beta in _BETAS]
+        return -rate * mean / (np.sqrt(square) + ADAM_EPS)
 
-    def tensors(self, name: str) -> dict[str, torch.Tensor]:
-        """State tensors, names prefixed by `name`; no copies."""
-        return {
-            f"{name}/moments": torch.from_numpy(self._moments),
-            f"{name}/steps": torch.from_numpy(self._steps),
-        }
+    def arrays(self, name: str) -> dict[str, np.ndarray]:
+        """State, names prefixed by `name`; no copies."""
+        return {f"{name}/moments": self._moments, f"{name}/steps": self._steps}
 
-    def restore(self, name: str, tensors: dict[str, torch.Tensor]) -> None:
-        """Restore the state that `tensors` returned.
+    def restore(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
+        """Restore the state that `arrays` returned.
 
         Raises:
-            ValueError, KeyError: the tensors are invalid.
+            ValueError, KeyError: the arrays are invalid.
         """
-        self._moments = checked_tensor(f"{name}/moments", tensors, self._moments.shape)
-        steps = tensors[f"{name}/steps"].tolist()
+        self._moments = checked_array(f"{name}/moments", arrays, self._moments.shape)
+        steps = arrays[f"{name}/steps"].tolist()
         if not isinstance(steps, list) or len(steps) != len(self._steps):
             raise ValueError(f"{name}/steps does not have one number per view")
         self._steps = np.array([as_int(f"{name}/steps", count) for count in steps], np.int64)
 
 
-def checked_tensor(name: str, tensors: dict[str, torch.Tensor], shape: Sequence[int]) -> np.ndarray:
-    """Return a copy of a float64 tensor; ValueError unless it is finite and has this shape."""
-    found = tensors[name].numpy()
+def checked_array(name: str, arrays: Mapping[str, np.ndarray], shape: Sequence[int]) -> np.ndarray:
+    """Return a copy of a float64 array; ValueError unless it is finite and has this shape."""
+    found = arrays[name]
     if found.shape != tuple(shape) or found.dtype != np.float64:
         raise ValueError(f"{name} is {found.dtype} {list(found.shape)}, expected {list(shape)}")
     if not np.isfinite(found).all():

@@ -7,25 +7,24 @@ largest difference between photos, along one axis.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
-import torch
 
 from ...camera_neighbours import natural_key
 from ...engine.base import Color
-from .photo_adam import PhotoAdam, checked_tensor
+from .photo_adam import PhotoAdam, checked_array
 
 STOP = math.log(2.0) / 2.2
 """ln of the gain of one stop, in encoded values."""
 _BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
 """Rows: ln gain of R, G and B by exposure, by warmth and by green; orthogonal."""
 _NAME = "gain"
-"""Prefix of the tensors in checkpoints."""
+"""Prefix of the arrays in checkpoints."""
 _FIXED = f"{_NAME}/fixed"
-"""Tensor that marks fixed gains."""
+"""Array that marks fixed gains."""
 
 
 class PhotoGains:
@@ -45,8 +44,8 @@ class PhotoGains:
             fixed: Whether the gains stay as they are; their mean is then that of another run.
         """
         self.fixed = fixed
-        self.train = list(train)
-        """Training views."""
+        self.train = np.array(train, np.int64)
+        """[T] training views."""
         self._trained = frozenset(train)
         self._value = np.zeros_like(log_gains)
         self._value[self.train] = log_gains[self.train] @ np.linalg.inv(_BASIS)
@@ -62,9 +61,9 @@ class PhotoGains:
         """[V, 3] float64: ln gain of R, G, B of each view."""
         return self._value @ _BASIS
 
-    def of(self, index: int) -> torch.Tensor:
-        """Gain of training view `index`, [3] float32."""
-        return torch.from_numpy(np.exp(self._value[index] @ _BASIS).astype(np.float32))
+    def of(self, index: int) -> Color:
+        """Gain of training view `index`, rounded to float32."""
+        return as_gain(self._value[index] @ _BASIS)
 
     def learn(self, index: int, v_log_gain: Sequence[float], rate: float) -> None:
         """Adam step for the gain of one photo; then all gains are centred.
@@ -79,58 +78,57 @@ class PhotoGains:
             self._value[index] += self._adam.step(index, grad, rate)
             self._centre()
 
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """State tensors by name; no copies."""
-        out = {f"{_NAME}/value": torch.from_numpy(self._value)} | self._adam.tensors(_NAME)
+    def arrays(self) -> dict[str, np.ndarray]:
+        """State by name; no copies."""
+        out = {f"{_NAME}/value": self._value} | self._adam.arrays(_NAME)
         # exposure.json of the start splats may be gone when the run is resumed.
-        return out | (
-            {_FIXED: torch.ones(1, dtype=torch.uint8, device="cpu")} if self.fixed else {}
-        )
+        return out | ({_FIXED: np.ones(1, np.uint8)} if self.fixed else {})
 
     @staticmethod
-    def are_in(tensors: dict[str, torch.Tensor]) -> bool:
+    def are_in(arrays: Mapping[str, np.ndarray]) -> bool:
         """Return whether a checkpoint has gains."""
-        return f"{_NAME}/value" in tensors
+        return f"{_NAME}/value" in arrays
 
     @classmethod
     def restored(
         cls,
         train: Sequence[int],
         views: int,
-        tensors: dict[str, torch.Tensor],
+        arrays: Mapping[str, np.ndarray],
         *,
         fixed: bool = False,
     ) -> "PhotoGains":
-        """Restore the gains of `views` photos from the tensors of a checkpoint; `fixed`: also fix
+        """Restore the gains of `views` photos from the arrays of a checkpoint; `fixed`: also fix
         those of a checkpoint from before it recorded that.
 
         Raises:
-            ValueError, KeyError: the tensors are invalid.
+            ValueError, KeyError: the arrays are invalid.
         """
-        out = cls(train, np.zeros((views, 3)), fixed=fixed or _FIXED in tensors)
-        out._value = checked_tensor(f"{_NAME}/value", tensors, (views, 3))
-        out._adam.restore(_NAME, tensors)
+        out = cls(train, np.zeros((views, 3)), fixed=fixed or _FIXED in arrays)
+        out._value = checked_array(f"{_NAME}/value", arrays, (views, 3))
+        out._adam.restore(_NAME, arrays)
         return out
 
     def _centre(self) -> None:
         if self.fixed:
             return
-        self._value[self.train] -= self._value[self.train].mean(axis=0)
+        values = self._value[self.train]
+        self._value[self.train] = values - values.mean(axis=0)
 
 
-def as_color(gain: torch.Tensor) -> Color:
-    """A gain [3] as numbers."""
-    r, g, b = gain.tolist()
+def as_gain(log_gain: np.ndarray) -> Color:
+    """Gain of an ln gain [3], rounded to float32."""
+    r, g, b = np.exp(log_gain).astype(np.float32).tolist()
     return (r, g, b)
 
 
-def background_before_gain(background: Color, gain: torch.Tensor) -> Color:
-    """Return the colour that equals `background` after multiplication by a gain [3].
+def background_before_gain(background: Color, gain: Color) -> Color:
+    """Return the colour that equals `background` after multiplication by a gain.
 
     For photos composited over a background, whose colour does not depend on the exposure: splats
     are rendered over this colour instead.
     """
-    r, g, b = (colour / by for colour, by in zip(background, gain.tolist(), strict=True))
+    r, g, b = (colour / by for colour, by in zip(background, gain, strict=True))
     return (r, g, b)
 
 

@@ -1,16 +1,16 @@
 """Photo parameters: gains and poses of each photo, optimised together with the splats."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from ...config import TrainConfig
+from ...engine.base import Color
 from ...raster.request import Frustum
 from ..model.training_frame import TrainingFrame
 from .photo_adam import rate_at
-from .photo_gains import HeldOutGains, PhotoGains
+from .photo_gains import HeldOutGains, PhotoGains, as_gain
 from .photo_poses import PhotoPoses, PoseCheck
 
 _START, _STOP = 0.1, 0.8
@@ -31,14 +31,13 @@ class PhotoParameters:
     held_out: HeldOutGains
     """Predicts gains of held-out photos."""
 
-    def gain_of(self, index: int) -> torch.Tensor | None:
-        """Gain of photo `index`, [3] float32, predicted if it is held out; None: no gains."""
+    def gain_of(self, index: int) -> Color | None:
+        """Gain of photo `index`, predicted if it is held out; None: no gains."""
         if self.gains is None:
             return None
         if index in self.gains:
             return self.gains.of(index)
-        predicted = self.held_out.predict(self.gains.log_gains)[index]
-        return torch.from_numpy(np.exp(predicted).astype(np.float32))
+        return as_gain(self.held_out.predict(self.gains.log_gains)[index])
 
     def all_gains(self) -> np.ndarray | None:
         """Gains of all photos, [V, 3] float64, those of held-out ones predicted; None: no gains."""
@@ -77,30 +76,29 @@ class PhotoParameters:
         gain_rate = factor * rate_at(config.exposure_lr, config.exposure_lr_final, done)
         for index, numbers in zip(indices, slopes, strict=False):
             if self.poses is not None and pose_rate:
-                v_viewmat = torch.from_numpy(numbers[3:].astype(np.float32).reshape(4, 4))
-                self.poses.learn(index, v_viewmat, pose_rate)
+                self.poses.learn(index, numbers[3:].astype(np.float32).reshape(4, 4), pose_rate)
             if self.gains is not None:
-                self.gains.learn(index, numbers[:3].tolist(), gain_rate)
+                self.gains.learn(index, numbers[:3], gain_rate)
 
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """State tensors by name; no copies."""
-        out: dict[str, torch.Tensor] = {}
+    def arrays(self) -> dict[str, np.ndarray]:
+        """State by name; no copies."""
+        out: dict[str, np.ndarray] = {}
         for photo_parameters in (self.gains, self.poses):
             if photo_parameters is not None:
-                out |= photo_parameters.tensors()
+                out |= photo_parameters.arrays()
         return out
 
-    def restore(self, train: Sequence[int], views: int, tensors: dict[str, torch.Tensor]) -> None:
-        """Restore the state that `tensors` returned; without gains or poses there, none are used.
+    def restore(self, train: Sequence[int], views: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """Restore the state that `arrays` returned; without gains or poses there, none are used.
 
         Raises:
-            ValueError, KeyError: the tensors are invalid.
+            ValueError, KeyError: the arrays are invalid.
         """
-        found = PhotoGains.are_in(tensors)
+        found = PhotoGains.are_in(arrays)
         fixed = self.gains is not None and self.gains.fixed
-        self.gains = PhotoGains.restored(train, views, tensors, fixed=fixed) if found else None
-        found = PhotoPoses.are_in(tensors)
-        self.poses = PhotoPoses.restored(train, views, tensors) if found else None
+        self.gains = PhotoGains.restored(train, views, arrays, fixed=fixed) if found else None
+        found = PhotoPoses.are_in(arrays)
+        self.poses = PhotoPoses.restored(train, views, arrays) if found else None
 
 
 def initial_poses(

@@ -1,20 +1,19 @@
 """Photo poses: refinement of training camera poses together with the splats."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from ...events import Decision
 from ...raster.request import Frustum
-from .photo_adam import PhotoAdam, checked_tensor, rate_at
+from .photo_adam import PhotoAdam, checked_array, rate_at
 from .pose_math import moved_pose, pose_distances, pose_gradient
 
 LIMIT = 0.05
 """Largest change of a refined camera from its initial pose: rad, and shares of the extent."""
 _NAME = "pose"
-"""Prefix of the tensors in checkpoints."""
+"""Prefix of the arrays in checkpoints."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +55,7 @@ class PhotoPoses:
             limit: Largest change of a camera from its initial pose, rad and `unit`.
             learns: Whether the poses are refined; False: only stored.
         """
-        self._train = list(train)
+        self._train = np.array(train, np.int64)
         self._first, self._viewmats = viewmats.copy(), viewmats.copy()
         self._unit, self._limit = unit, limit
         self.learns = learns
@@ -72,7 +71,7 @@ class PhotoPoses:
         """Pose of view `index`, world to camera, [4, 4] float32."""
         return self._viewmats[index].astype(np.float32)
 
-    def learn(self, index: int, v_viewmat: torch.Tensor, rate: float) -> None:
+    def learn(self, index: int, v_viewmat: np.ndarray, rate: float) -> None:
         """Adam step for the pose of one photo, in its tangent space.
 
         Args:
@@ -82,7 +81,7 @@ class PhotoPoses:
         """
         before = self._viewmats[index].copy()
         scale = np.repeat([1.0, self._unit], 3)
-        grad = pose_gradient(before, v_viewmat.numpy().astype(np.float64)) * scale
+        grad = pose_gradient(before, v_viewmat.astype(np.float64)) * scale
         if not np.isfinite(grad).all():
             return
         motion = self._adam.step(index, grad, rate) * scale
@@ -102,34 +101,33 @@ class PhotoPoses:
         mean = np.concatenate([np.array(axis) / 2, motion[:3, 3]]) / count
         self._viewmats[self._train] = self._viewmats[self._train] @ moved_pose(np.eye(4), -mean)
 
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """State tensors by name; no copies."""
-        facts = [self._unit, self._limit, float(self.learns)]
+    def arrays(self) -> dict[str, np.ndarray]:
+        """State by name; no copies."""
         return {
-            f"{_NAME}/viewmats": torch.from_numpy(self._viewmats),
-            f"{_NAME}/first": torch.from_numpy(self._first),
-            f"{_NAME}/facts": torch.tensor(facts, dtype=torch.float64, device="cpu"),
-        } | self._adam.tensors(_NAME)
+            f"{_NAME}/viewmats": self._viewmats,
+            f"{_NAME}/first": self._first,
+            f"{_NAME}/facts": np.array([self._unit, self._limit, float(self.learns)]),
+        } | self._adam.arrays(_NAME)
 
     @staticmethod
-    def are_in(tensors: dict[str, torch.Tensor]) -> bool:
+    def are_in(arrays: Mapping[str, np.ndarray]) -> bool:
         """Return whether a checkpoint has poses."""
-        return f"{_NAME}/viewmats" in tensors
+        return f"{_NAME}/viewmats" in arrays
 
     @classmethod
     def restored(
-        cls, train: Sequence[int], views: int, tensors: dict[str, torch.Tensor]
+        cls, train: Sequence[int], views: int, arrays: Mapping[str, np.ndarray]
     ) -> "PhotoPoses":
-        """Restore the poses of `views` photos from the tensors of a checkpoint.
+        """Restore the poses of `views` photos from the arrays of a checkpoint.
 
         Raises:
-            ValueError, KeyError: the tensors are invalid.
+            ValueError, KeyError: the arrays are invalid.
         """
-        first = checked_tensor(f"{_NAME}/first", tensors, (views, 4, 4))
-        unit, limit, learns = checked_tensor(f"{_NAME}/facts", tensors, (3,)).tolist()
+        first = checked_array(f"{_NAME}/first", arrays, (views, 4, 4))
+        unit, limit, learns = checked_array(f"{_NAME}/facts", arrays, (3,)).tolist()
         out = cls(train, first, unit=unit, limit=limit, learns=learns == 1)
-        out._viewmats = checked_tensor(f"{_NAME}/viewmats", tensors, (views, 4, 4))
-        out._adam.restore(_NAME, tensors)
+        out._viewmats = checked_array(f"{_NAME}/viewmats", arrays, (views, 4, 4))
+        out._adam.restore(_NAME, arrays)
         return out
 
 

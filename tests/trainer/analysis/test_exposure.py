@@ -241,7 +241,7 @@ def test_a_part_keeps_the_exposures_of_its_surroundings(photos: Any, tmp_path: P
     for _ in range(2):
         np.testing.assert_allclose(gains.log_gains[photos.train], expected, atol=1e-12)
         gains.learn(photos.train[0], (1.0, -2.0, 3.0), 0.1)
-        gains = PhotoGains.restored(photos.train, len(cameras), gains.tensors(), fixed=True)
+        gains = PhotoGains.restored(photos.train, len(cameras), gains.arrays(), fixed=True)
     del given[cameras.names[photos.train[1]]]
     write_exposures(tmp_path / "exposure.json", given)
     assert decide_exposure(config, analysis).gains is None

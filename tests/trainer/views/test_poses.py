@@ -91,7 +91,7 @@ def test_all_cameras_together_stay(photos: Any) -> None:
     poses = PhotoPoses([0, 1, 2, 4, 5], first, unit=2.0)
     rng = np.random.default_rng(0)
     for index in (0, 4, 2, 5, 1, 0):
-        poses.learn(index, torch.from_numpy(rng.normal(size=(4, 4))).float(), 1e-5)
+        poses.learn(index, rng.normal(size=(4, 4)).astype(np.float32), 1e-5)
     motions = np.linalg.inv(first) @ poses.viewmats - np.eye(4)
     largest = np.abs(motions).max()
     assert largest > 1e-5
@@ -102,7 +102,7 @@ def test_all_cameras_together_stay(photos: Any) -> None:
 def test_no_camera_leaves_its_limit(photos: Any) -> None:
     """Oracle: the limit, for a gradient of constant direction; rigid poses."""
     poses = PhotoPoses(photos.train, photos.scene.cameras.viewmats, unit=1.0, limit=0.02)
-    pull = torch.zeros(4, 4)
+    pull = np.zeros((4, 4), np.float32)
     pull[0, 3] = -1.0
     for _ in range(100):
         poses.learn(2, pull, 1e-3)
@@ -116,7 +116,7 @@ def test_no_camera_leaves_its_limit(photos: Any) -> None:
 def test_a_derivative_that_is_not_finite_moves_nothing(photos: Any) -> None:
     """Oracle: the previous poses."""
     poses = PhotoPoses(photos.train, photos.scene.cameras.viewmats, unit=1.0)
-    poses.learn(1, torch.full((4, 4), torch.nan), 1e-3)
+    poses.learn(1, np.full((4, 4), np.nan), 1e-3)
     assert (poses.viewmats == photos.scene.cameras.viewmats).all()
 
 
@@ -218,14 +218,14 @@ def test_resume_is_bit_equal(photos: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "damage",
     [
-        {"pose/viewmats": torch.zeros(3, 4, 4, dtype=torch.float64)},
-        {"pose/first": torch.full((8, 4, 4), torch.nan, dtype=torch.float64)},
-        {"pose/facts": torch.zeros(2, dtype=torch.float64)},
-        {"pose/steps": torch.full((8,), -1)},
+        {"pose/viewmats": np.zeros((3, 4, 4))},
+        {"pose/first": np.full((8, 4, 4), np.nan)},
+        {"pose/facts": np.zeros(2)},
+        {"pose/steps": np.full(8, -1)},
     ],
 )
-def test_a_damaged_checkpoint_is_refused(photos: Any, damage: dict[str, torch.Tensor]) -> None:
+def test_a_damaged_checkpoint_is_refused(photos: Any, damage: dict[str, np.ndarray]) -> None:
     """Oracle: the exception that becomes a FormatError."""
     poses = PhotoPoses(photos.train, photos.scene.cameras.viewmats, unit=1.0)
     with pytest.raises(ValueError, match="pose/"):
-        PhotoPoses.restored(photos.train, 8, poses.tensors() | damage)
+        PhotoPoses.restored(photos.train, 8, poses.arrays() | damage)
