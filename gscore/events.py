@@ -37,6 +37,7 @@ TOPICS = {
     "region": "Region",
     "masks": "Masks",
     "enough": "Caps",
+    "points": "Points",
     "stereo": "Stereo",
     "sky": "Sky",
     "opacity": "Opacity",

@@ -25,7 +25,7 @@ from ..text_format import count_text
 from .args.device_option import add_device_option, device_of
 from .args.model_argument import ModelArgument, open_model
 from .parser import add_option, add_result_options, add_threads_option
-from .terminal.output import check_page, print_result
+from .terminal.output import PAGE_HINT, check_page, print_result
 from .terminal.status import Counted, Status, print_warnings
 
 
@@ -194,4 +194,4 @@ def _summary(comparison: RunComparison, output: Path) -> list[str]:
     for run, names in zip(comparison.runs, comparison.only_in, strict=True):
         if names:
             lines.append(f"  {count_text(len(names), 'view')} measured only in {run.label}")
-    return [*lines, f"Page: {output}"]
+    return [*lines, f"Wrote {output}.", PAGE_HINT]

@@ -37,6 +37,8 @@ _EXACT = "ply"
 """The lossless format."""
 _VISIBLE = 30.0
 """PSNR between pictures, dB, below which missing splats are clearly visible."""
+_VIEWS = 60
+"""Default number of views that measure the loss."""
 _USUAL_UP = "-Y"
 """Up axis of splats that state none."""
 _MARK = "gscore convert"
@@ -105,13 +107,16 @@ def _convert(args: argparse.Namespace, request: EditRequest, status: Status) -> 
         after = read_splats(args.output)  # includes the loss of the format itself
     lost = None
     if views is not None and after is not edited.cropped:
-        lost = picture_loss(edited.cropped, after, views, args.views, status)
+        lost = picture_loss(edited.cropped, after, views, args.views or _VIEWS, status)
         thinned = request.count is not None or request.size is not None
         if thinned and lost.psnr is not None and lost.psnr < _VISIBLE:
             edited.notes.append(
                 f"Missing splats are visible in the pictures ({lost.psnr:.1f} dB). If you have the "
                 f"photos, a training with `--max-splats {len(edited.splats)}` looks better."
             )
+    elif args.views is not None:
+        why = "there are no cameras; give them with -s" if views is None else "no splat changed"
+        edited.notes.append(f"`--views` has no effect: {why}.")
     if args.picture is not None:
         status.show(["Rendering the picture"])
         _write_picture(args, edited.joined, after, views)
@@ -285,12 +290,13 @@ def _summary(facts: dict[str, Any]) -> str:
     lines = [_step_text(step) for step in facts["steps"]]
     if lost := facts["error"]:
         lines.append(_error_text(lost))
-    read = " + ".join(map(number, facts["splats_read"]))
+    *first, last = facts["splats_read"]
+    read = " + ".join([*map(number, first), count_text(last, "splat")])
     lines.append(
         f"Wrote {facts['output']}: {count_text(facts['splats'], 'splat')}, SH degree "
-        f"{facts['sh_degree']}, {size_text(facts['bytes'])} "
-        f"({'before' if facts['whole'] else 'read'}: {read}, {facts['sh_degree_before']}, "
-        f"{size_text(facts['bytes_before'])})."
+        f"{facts['sh_degree']}, {size_text(facts['bytes'])}; "
+        f"{'before' if facts['whole'] else 'read'}: {read}, SH degree {facts['sh_degree_before']}, "
+        f"{size_text(facts['bytes_before'])}."
     )
     if facts["picture"]:
         lines.append(f"Before and after: {facts['picture']}")

@@ -170,7 +170,7 @@ def _result(
     show(MeshDone(path=str(output), **figures, voxel=mesh.facts["voxel"]))
     covered = mesh.facts["covered"]
     if covered is not None and covered < _FEW:
-        show(Warn(message=_gaps_text(covered, mesh.facts["far"])))
+        show(Warn(message=_gaps_text(covered, mesh.facts["far"], mesh.facts["voxel"])))
     low, high = mesh.in_capture.min(axis=0), mesh.in_capture.max(axis=0)
     return {
         "path": str(output),
@@ -183,12 +183,12 @@ def _result(
     }
 
 
-def _gaps_text(covered: float, far: float) -> str:
+def _gaps_text(covered: float, far: float, voxel: float) -> str:
     return (
         f"The mesh covers only {covered:.0%} of the surfaces in the training views. `--far "
-        f"{2 * far:.3g}` adds more distant ones, `--min-part 0` small parts; a training with "
-        "`--surface-weight 1` makes depths reliable. Walls without texture and sky stay ragged: "
-        "cut them off by `--box` or masks."
+        f"{4 * far:.3g}` and `--voxel {4 * voxel:.3g}` add more distant ones, coarser, and "
+        "`--min-part 0` small parts; a training with `--surface-weight 1` makes depths reliable. "
+        "Walls without texture and sky stay ragged: cut them off by `--box` or masks."
     )
 
 

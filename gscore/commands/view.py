@@ -24,7 +24,7 @@ from .args.device_option import add_device_option, device_of
 from .args.model_argument import ModelArgument, add_model_argument, model_path, open_model
 from .parser import add_option, add_result_options, add_threads_option
 from .pictures.page_views import PageViews, find_views
-from .terminal.output import check_page, print_result
+from .terminal.output import PAGE_HINT, check_page, print_result
 from .terminal.status import Status, print_warnings
 
 _MANY = 1_500_000
@@ -168,7 +168,7 @@ def _summary(result: dict[str, Any]) -> str:
         text += (
             f"\nPSNR of the packed splats against the originals: {result['packing_psnr']:.1f} dB."
         )
-    return f"{text}\nOpen it in a browser, or share it: the page is self-contained."
+    return f"{text}\n{PAGE_HINT}"
 
 
 _VIEWS = 4

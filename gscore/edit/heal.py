@@ -148,8 +148,9 @@ def _surroundings(splats: Splats, values: np.ndarray, region: _Region) -> tuple[
     count = int((sigmoid(found.opacities) >= _OPAQUE).sum())
     if count < _FEWEST:
         raise ConfigError(
-            f"Only {count_text(count, 'splat')} around the hole, and filling it takes {_FEWEST}: "
-            "choose a region whose border is on a surface, or a larger one."
+            f"Only {count_text(count, 'splat')} of opacity {_OPAQUE:g} or more around the hole, "
+            f"within {_AROUND:g} radii, and filling it takes {_FEWEST}: choose a region whose "
+            "border is on a surface, or a larger one."
         )
     if count > _MOST:
         raise ConfigError(

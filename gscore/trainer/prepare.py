@@ -54,7 +54,7 @@ _MASKS = {
     ),
 }
 """Decision on masks, by `mask_mode`."""
-_KEPT = ("stereo", "drops", "ensemble", "exposure", "poses")
+_KEPT = ("points", "stereo", "drops", "ensemble", "exposure", "poses")
 """Topics that a resumed run may not decide again: its earlier decisions still apply."""
 
 

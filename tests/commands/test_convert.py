@@ -383,7 +383,19 @@ def test_repeated_files_warn(gscore, ply, tmp_path):
     assert code == 0 and f"{ply} is given 3 times" in err.replace("\n", " ")
     assert json.loads(text)["splats"] == 180
     _, text, _ = gscore("convert", ply, tmp_path / "o.ply", "--merge", link)
-    assert "(before: 60 + 60, " in text
+    assert "; before: 60 + 60 splats, SH degree 1, " in text
+
+
+def test_views_without_a_loss_warn(gscore, ply, run_folder, tmp_path):
+    """Oracle: warnings with the reason where no picture is compared, none where some are."""
+    run, output = run_folder(), tmp_path / "o.ply"
+    for source, more, said in (
+        (ply, ["--min-opacity", 0.6], "--views has no effect: there are no cameras"),
+        (run, [], "--views has no effect: no splat changed"),
+        (run, ["--min-opacity", 0.6], ""),
+    ):
+        code, _, err = gscore("convert", source, output, "--views", 2, *more)
+        assert code == 0 and (said in err if said else "--views" not in err), err
 
 
 def test_option_of_another_format_warns(gscore, ply, tmp_path):

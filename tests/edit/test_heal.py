@@ -177,12 +177,15 @@ Change = Callable[[Splats], tuple[Splats, np.ndarray]]
     [
         (lambda s: (s, ball_of((0.0, 0, 0), 0.3)), "There is no hole"),
         (lambda s: (with_gaps(s), ball_of((0.0, 0, 0), 0.6)), "There is no hole"),
-        (lambda s: (s, ball_of((0.0, 0, 5), 0.3)), "0 splats around the hole"),
+        (
+            lambda s: (s, ball_of((0.0, 0, 5), 0.3)),
+            "0 splats of opacity 0.2 or more around the hole, within 2 radii",
+        ),
         (lambda s: (s, ball_of((1.0, 0, 0), 0.3)), "There is no hole"),
         (lambda s: (s, ball_of((1.0, 1, 0), 0.3)), "There is no hole"),
         (lambda s: (s, ball_of((0.0, 0, 0), 0.0)), "no volume"),
         (lambda s: (s, np.full((4, 4), np.nan)), "no volume"),
-        (lambda s: (s.subset(slice(0)), ball_of((0.0, 0, 0), 0.3)), "0 splats around"),
+        (lambda s: (s.subset(slice(0)), ball_of((0.0, 0, 0), 0.3)), "0 splats of opacity"),
     ],
     ids=["covered", "gaps", "edge", "corner", "in the air", "flat", "not finite", "no splats"],
 )

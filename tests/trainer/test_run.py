@@ -18,6 +18,7 @@ from gscore.commands.terminal.display import _texts
 from gscore.config import DataConfig, Stereo, Switch, TrainConfig
 from gscore.config_file import load_config
 from gscore.control import Control
+from gscore.datasets import load_dataset
 from gscore.engine.base import StepRequest
 from gscore.engine.cpu.engine import CpuEngine
 from gscore.errors import BackendError, Cancelled, ConfigError, DatasetError, GsError
@@ -98,6 +99,20 @@ def test_a_run_takes_as_many_steps_as_its_photos_are_good_for(
     lower = replace(CONFIG, iterations=40, steps_a_photo=1)
     assert train(lower, data, out, resume=True).steps == longer.steps
     assert load_config(out / "config.json")[1].iterations == longer.steps
+
+
+def test_points_above_the_limit_are_a_decision(capture: Path, tmp_path: Path) -> None:
+    """Oracle: the limit and the number of the capture's points; none below the limit."""
+    data, said = data_of(capture), []
+    count = len(load_dataset(data).scene.points)
+    for most in (count - 3, count):
+        events: list[Event] = []
+        config = replace(CONFIG, iterations=1, max_splats=most, splats_a_photo=0)
+        train(config, data, tmp_path / str(most), events.append)
+        (started,) = [event for event in events if isinstance(event, Started)]
+        said.append([one.text for one in started.decisions if one.topic == "points"])
+    assert said[0][0].startswith(f"{count - 3} of {count} points give splats")
+    assert said[1] == []
 
 
 def test_decisions_are_one_list_everywhere(capture: Path, tmp_path: Path) -> None:

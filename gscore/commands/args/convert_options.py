@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "a capture, the folder of a run or a cameras.json; default: the run's",
         Path,
     )
-    option("--views N", "maximum number of views that measure the loss (60)", _count, default=60)
+    option("--views N", "maximum number of views that measure the loss (60)", _count)
     option("--picture FILE.png", "picture of one view, before and after side by side", Path)
     option("--picture-view NAME", "view of the picture, by name or number; default: the middle one")
 

@@ -23,6 +23,10 @@ _NAMELESS = (".spz", ".splat", ".usd", ".usda", ".usdc", ".usdz", ".bin")
 """Endings of formats without comments."""
 
 
+PAGE_HINT = "Open it in a browser, or share it: the page is self-contained."
+"""Last line of verbs that write a page."""
+
+
 def print_json(content: Any) -> None:
     """One line of strict JSON on stdout."""
     print(strict_json(content), flush=True)

@@ -34,6 +34,8 @@ class PhotoRules:
     """The capture is a block, whose cell limits where splats are added."""
     points: int = 0
     """Number of splats of a model at the start."""
+    left_out: int = 0
+    """Number of points above `max_splats`, which give no splats."""
     known: float | None
     """Share of the unmasked pixels with stereo depth; None: stereo did not run."""
     backdrop: float = 0.0
@@ -117,7 +119,14 @@ class PhotoRules:
             text = f"{count} in the region; {number(frozen)} around it are frozen."
         elif self.region:
             text = "Only pixels that show the region are trained."
-        return [*([Decision("region", text)] if text else []), *self.by_photos]
+        found = [Decision("region", text)] if text else []
+        if self.left_out:
+            text = (
+                f"{number(self.points)} of {count_text(self.points + self.left_out, 'point')} give "
+                "splats, chosen at random: `--max-splats` allows no more."
+            )
+            found.append(Decision("points", text))
+        return [*found, *self.by_photos]
 
 
 def _with_sky(analysis: Analysis) -> bool:
@@ -149,4 +158,6 @@ def photo_rules(config: TrainConfig, analysis: Analysis) -> PhotoRules:
     ).decided(config, photos)
     cloud = photos.scene.points if analysis.points is None else analysis.points
     points = min(len(cloud), max_splats_per_model(config, rules.models))
-    return replace(rules, points=points if start is None else len(start))
+    if start is not None:
+        return replace(rules, points=len(start))
+    return replace(rules, points=points, left_out=len(cloud) - points)
