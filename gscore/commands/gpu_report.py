@@ -9,7 +9,7 @@ from ..errors import GsError
 from ..raster.gpu.devices import Device, FoundDevices
 from ..raster.gpu.gpu_raster import GpuRaster
 from ..raster.gpu.library import library_hash
-from ..raster.gpu.timing import timed_pictures
+from ..raster.gpu.timing import timed_pictures, timing_view
 
 _MACHINE = ("gscore", "platform", "python", "cpu", "cores", "memory_bytes")
 """Facts on the machine that are reported."""
@@ -21,7 +21,7 @@ values, which contain paths."""
 _FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[\\/](?:[^\\/\"'\n:;,]*[\\/])+")
 """The folders of an absolute path, whose names may have spaces."""
 _SIZES = {True: ((5_000, 320),), False: ((100_000, 1000), (300_000, 1920))}
-"""Splats and widths of the timed pictures: on software devices, and on others."""
+"""Splats and widths of the timed pictures and steps: on software devices, and on others."""
 _REPEATS = {True: 2, False: 10}
 
 
@@ -67,7 +67,7 @@ def _without_paths(value: Any) -> Any:
 
 
 def _times(device: Device) -> dict[str, Any]:
-    """Times of pictures and gradients on a device, or why there are none."""
+    """Times of pictures, gradients and training steps on a device, or why there are none."""
     if device.reason:
         return {"times": [], "times_problem": device.reason}
     times, soft = [], device.is_software
@@ -75,7 +75,29 @@ def _times(device: Device) -> dict[str, Any]:
         with GpuRaster(device.number) as raster:
             for count, width in _SIZES[soft]:
                 made = timed_pictures(raster, count, width, repeats=_REPEATS[soft], gradients=True)
-                times.append(made)
+                times.append(made | _step_times(raster, count, width))
     except (GsError, MemoryError) as error:
         return {"times": times, "times_problem": str(error)}
     return {"times": times, "times_problem": ""}
+
+
+def _step_times(raster: GpuRaster, count: int, width: int) -> dict[str, Any]:
+    """Milliseconds of a training step, and of its kernels; empty without a usable torch."""
+    try:
+        from ..engine.gpu.engine import GpuEngine
+        from ..engine.trial import step_seconds
+    except (ImportError, OSError):
+        return {}
+    engine, view = GpuEngine(raster, name="", numerics=""), timing_view(width)
+    size = {"splats": count, "sh_degree": 3, "width": view.width, "height": view.height}
+    seconds = step_seconds(engine, **size)
+    raster.profile(True)
+    step_seconds(engine, **size, seconds=0)
+    kernels = raster.kernel_times()
+    raster.profile(False)
+    engine.release()
+    steps = max(kernels["learn"][1], 1)
+    return {
+        "step_ms": 1e3 * seconds,
+        "step_kernels_ms": {n: total / steps for n, (total, calls) in kernels.items() if calls},
+    }

@@ -109,8 +109,8 @@ def test_missing_library(gscore, monkeypatch, tmp_path):
 
 
 def test_report_on_the_graphics_cards(gscore, tmp_path, monkeypatch):
-    """Oracle: the devices that doctor lists, and the kernels of pictures and gradients; no paths,
-    names or values of variables."""
+    """Oracle: the devices that doctor lists, and the kernels of pictures, gradients and steps; no
+    paths, names or values of variables."""
     monkeypatch.setenv("VK_LAYER_PATH", "/home/somebody/secret")
     path = tmp_path / "new" / "report.json"
     code, out, _ = gscore("doctor", "--gpu-report", str(path), "--json")
@@ -128,7 +128,9 @@ def test_report_on_the_graphics_cards(gscore, tmp_path, monkeypatch):
             assert device["times"] == [] and device["times_problem"] == device["reason"]
             continue
         assert device["verdict"]["passed"] and device["times_problem"] == ""
-        assert {"project", "blend", "blend_backward"} <= device["times"][0]["kernels_ms"].keys()
+        times = device["times"][0]
+        assert {"project", "blend", "blend_backward"} <= times["kernels_ms"].keys()
+        assert {"loss_gradient", "blend", "learn"} <= times["step_kernels_ms"].keys()
     if not found["devices"]:
         assert found["problems"]
 

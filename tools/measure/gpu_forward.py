@@ -73,10 +73,12 @@ def floors(moved: dict[str, float], ceilings: dict[str, float]) -> dict[str, flo
 
 def print_kernels(times: dict[str, Any]) -> None:
     """Print the kernels beside their floors, as text."""
+    print(f"{'kernel':>16}{'ms':>23}{'MB moved':>12}{'floor, ms':>12}{'ms / floor':>12}")
     for name, value in times["kernels_ms"].items():
-        moved, floor = times["kernels_bytes"].get(name, 0), times["floors_ms"].get(name)
-        least = f", at least {floor:.3f}, {value / floor:.1f} times" if floor else ""
-        print(f"{'':>10}{name:<24}{value:9.3f} ms {moved / 1e6:9.1f} MB{least}")
+        moved, floor = times["kernels_bytes"].get(name), times["floors_ms"].get(name)
+        columns = f"{moved / 1e6:12.1f}" if moved else ""
+        columns += f"{floor:12.3f}{value / floor:12.1f}" if floor else ""
+        print(f"{'':>10}{name:<20}{value:9.3f}{columns}")
 
 
 def print_table(result: dict[str, Any]) -> None:
