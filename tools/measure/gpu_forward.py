@@ -22,6 +22,10 @@ from gscore.raster.gpu.gpu_raster import GpuRaster
 from gscore.raster.gpu.header import TEST_CHAIN, TEST_SUM
 from gscore.raster.gpu.timing import picture_of, timed_pictures, timing_splats, timing_view
 
+SIZES = (50_000, 300_000, 1_000_000), (400, 1000, 1920), ((300_000, 1000), (1_000_000, 1920))
+"""Splats and widths of compared pictures, and both of timed ones: those of gpu_train.py."""
+TINY_SIZES = (500, 2_000), (64, 96), ((2_000, 96),)
+"""The same with --tiny."""
 CEILING_WORDS, TINY_WORDS = 1 << 26, 1 << 16
 """Words of the kernels that measure ceilings: 768 MB, more than caches hold; and with --tiny."""
 CHAIN = 2048
@@ -125,18 +129,11 @@ def main() -> int:
     report = once_a_device(lambda text: print(text, file=sys.stderr))
     chosen = choose(options.device, report=report)
     assert chosen.device is not None
-    counts, widths = (
-        ((500, 2_000), (64, 96))
-        if options.tiny
-        else (
-            (50_000, 300_000, 1_000_000),
-            (400, 1000, 1920),
-        )
-    )
+    counts, widths, timed = TINY_SIZES if options.tiny else SIZES
     result: dict[str, Any] = {"platform": platform.platform(), "device": chosen.device.to_dict()}
     with GpuRaster(chosen.device.number) as raster:
         result["pictures"] = [compared(raster, n, w) for n in counts for w in widths]
-        result["times"] = [timed_pictures(raster, n, widths[-1]) for n in counts]
+        result["times"] = [timed_pictures(raster, *size) for size in timed]
         result["ceilings"] = ceilings(raster, tiny=options.tiny)
     for times in result["times"]:
         times["kernels_bytes"] = moved_bytes(times)
