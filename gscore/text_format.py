@@ -80,7 +80,7 @@ def colour_text(metrics: Mapping[str, Any]) -> str:
     parts = [form.format(metrics[k]) for k, form in digits.items() if metrics.get(k) is not None]
     plain, corrected = metrics.get("psnr"), metrics.get("psnr_cc")
     if plain is not None and corrected is not None and corrected < plain:
-        parts[0] += " (lower, as halves of a picture are corrected by each other)"
+        parts[0] += " (lower: halves of a picture correct each other)"
     return f"; colour-corrected {', '.join(parts)}" if parts else ""
 
 

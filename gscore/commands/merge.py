@@ -176,7 +176,9 @@ def _runs(given: list[Path]) -> list[Path]:
             raise ConfigError(f"{brief(path)} is not a folder; give the folders of the runs.")
         inside = sorted(folder.parent for folder in path.glob("*/config.json"))
         if not inside:
-            raise DatasetError(f"{brief(path)} is not a run and contains none.")
+            raise DatasetError(
+                f"{brief(path)} is not a run and contains none; give the output of gscore train."
+            )
         found += inside
     return found
 

@@ -17,6 +17,8 @@ _REQUIRED = "the following arguments are required: "
 """Prefix of argparse's message; the names of an argument follow, separated by slashes."""
 _NEGATIVE = re.compile(r"-\.?\d")
 """Beginning of a negative number."""
+_EXPECTED = re.compile(r"expected ((?:at least |at most )?(?:one|\d+)) argument")
+"""Argparse's message on a missing value."""
 _NUMBERS = {"int": "a whole number", "float": "a number"}
 """Types of numbers in messages."""
 _MEANT = {
@@ -114,6 +116,7 @@ class Parser(argparse.ArgumentParser):
                 for action in self._actions
                 if isinstance(action, argparse._SubParsersAction) and action.metavar in names
             )
+        message = _EXPECTED.sub(r"expected \1 value", message)
         sentence = message if message.endswith("?") else f"{message.rstrip('.')}."
         sentence = f"{sentence} See {self.prog} --help."
         print(wrapped(f"{self.prog}: error: {sentence}", sys.stderr), file=sys.stderr)

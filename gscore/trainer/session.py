@@ -451,6 +451,9 @@ class Session:
                 "there are objects so close, train with `--free-space 0`.",
                 "cleared",
             )
+        names, train = trainer.photos.scene.cameras.names, list(trainer.photos.train)
+        if worse := trainer.photo_errors.outliers(names, train, trainer.steps):
+            self.warn(worse, "photos")
         with self._checkpoint_on_error():
             self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
         splats = trainer.finish()

@@ -26,6 +26,7 @@ from .photos.image_pyramid import ImagePyramid
 from .photos.view_sampler import ViewSampler, mixed
 from .schedule.plan import Plan
 from .step.model_set import ModelSet
+from .step.photo_errors import PhotoErrors
 from .step.step_edits import StepEdits
 from .step.step_queue import RequestedStep, StepQueue, StepStart
 from .step.step_requests import LossTerms, StepRequests, check_engine
@@ -151,6 +152,8 @@ class Trainer:
             first_degree=start.first.sh_degree,
         )
         self._queue = StepQueue(self.engine)
+        self.photo_errors = PhotoErrors()
+        """Errors of the training photos in their last steps, since the start or resume."""
         self._requesting: StepStart | None = None
         """State before the step that is being requested, or whose request failed."""
         self._requested_models = 0
@@ -292,6 +295,7 @@ class Trainer:
         for answers in self._queue.read(most):
             for one, found in answers:
                 self.stage_timer.add(found.seconds, found.raster)
+                self.photo_errors.note(one.indices, found.mse)
                 if found.costs:
                     self.view_batcher.note_costs(one.indices, found.costs)
             self._used = [not found.skipped for _, found in answers]
