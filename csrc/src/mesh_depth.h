@@ -16,6 +16,7 @@ struct MeshArgs {
     double near;
     int32_t width, height, bands; // bands of rows, drawn separately
     float *inverse_depth;
+    uint8_t *sides; // [bands, V] scratch
 };
 
 } // namespace gs

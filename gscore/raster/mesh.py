@@ -130,5 +130,7 @@ def projected_corners(vertices: np.ndarray, K: np.ndarray, viewmat: np.ndarray) 
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise ShapeError(f"vertices must be [V, 3], got {list(vertices.shape)}.")
     projection = np.asarray(K, np.float64) @ np.asarray(viewmat, np.float64)[:3]
-    seen = np.asarray(vertices, np.float64) @ projection[:, :3].T + projection[:, 3]
-    return np.ascontiguousarray(seen)
+    seen = np.ascontiguousarray(np.asarray(vertices, np.float64) @ projection[:, :3].T)
+    for axis in range(3):  # as long loops: sums with a row of three are slow
+        seen[:, axis] += projection[axis, 3]
+    return seen
