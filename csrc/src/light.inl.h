@@ -21,11 +21,6 @@ GS_INLINE Light3 light_turn(const float *matrix, const Light3 &v) {
     return {light_dot(matrix, v), light_dot(matrix + 3, v), light_dot(matrix + 6, v)};
 }
 
-// 1 where a pixel's mesh is not in front of `most`, else 0.
-GS_INLINE Vec light_passes(const float *depths, IVec pixel, Vec most) {
-    return keep(ge(most, gather(depths, pixel)), set1(1.0f));
-}
-
 // The view of a map that shows each lane, and the places in its axes.
 GS_INLINE IVec light_view(const gs_shadow_map &map, const Light3 &away, Light3 &seen) {
     if (map.views == 1) {
@@ -44,26 +39,27 @@ GS_INLINE IVec light_view(const gs_shadow_map &map, const Light3 &away, Light3 &
     return first + select(back, set1(1), IVec{});
 }
 
-// Places in a map: pixel coordinates with integers at centres, the depth from which on meshes are in front, and z.
+// Places in a map: pixel coordinates with integers at centres, and z. A mesh of depth d is in front if d per > most.
 struct LightSeen {
     IVec view;
-    Vec x, y, most, z;
+    Vec x, y, per, most, z;
 };
 
 GS_INLINE LightSeen light_seen(const gs_shadow_map &map, const Light3 &at, float slack) {
     Light3 seen = {};
     const IVec view = light_view(map, {at.x - map.place[0], at.y - map.place[1], at.z - map.place[2]}, seen);
     const Vec before = seen.z - slack;
-    const Vec scale = map.parallel ? set1(map.scale) : map.scale / max(seen.z, set1(1e-9f));
-    // Beyond all meshes as seen from a sun, each of them is in front.
-    const Vec most = map.parallel ? max(map.farthest - before, Vec{}) : 1.0f / max(before, set1(1e-30f));
     const float middle = 0.5f * float(map.size) - 0.5f;
-    return {view, scale * seen.x + middle, scale * seen.y + middle, most, seen.z};
+    if (map.parallel) // beyond all meshes, each of them is in front
+        return {view, fma(seen.x, map.scale, set1(middle)), fma(seen.y, map.scale, set1(middle)), set1(1.0f),
+                max(map.farthest - before, Vec{}), seen.z};
+    const Vec scale = quotient(set1(map.scale), max(seen.z, set1(1e-9f)));
+    return {view, fma(scale, seen.x, set1(middle)), fma(scale, seen.y, set1(middle)), before, set1(1.0f), seen.z};
 }
 
 // Share of a point, or a direction, that reaches places.
 static Vec light_reaching(const gs_shadow_map &map, const Light3 &at, float slack) {
-    const auto [view, x, y, most, z] = light_seen(map, at, slack);
+    const auto [view, x, y, per, most, z] = light_seen(map, at, slack);
     const Vec end = set1(float(map.size - 1));
     const Mask inside = both(both(both(ge(x, Vec{}), gt(end, x)), both(ge(y, Vec{}), gt(end, y))), gt(z, Vec{}));
     if (!bits(inside))
@@ -75,25 +71,45 @@ static Vec light_reaching(const gs_shadow_map &map, const Light3 &at, float slac
     Vec rows[2];
     for (int k = 0; k < 2; ++k) {
         const IVec first = pixel + k * map.size;
-        const Vec near = light_passes(map.depths, first, most), far = light_passes(map.depths, first + 1, most);
+        const Vec near = keep(ge(most, per * gather(map.depths, first)), set1(1.0f));
+        const Vec far = keep(ge(most, per * gather(map.depths, first + 1)), set1(1.0f));
         rows[k] = fma(u, far - near, near);
     }
     return select(inside, fma(v, rows[1] - rows[0], rows[0]), set1(1.0f));
 }
 
+// The mesh in the pixel nearest to each place: whether it is in front, its depth, and z of the place.
+struct LightMesh {
+    Mask hides;
+    Vec depth, z;
+};
+
+GS_INLINE LightMesh light_mesh(const gs_shadow_map &map, const Light3 &at, float slack) {
+    const LightSeen seen = light_seen(map, at, slack);
+    const Vec x = seen.x + 0.5f, y = seen.y + 0.5f, end = set1(float(map.size));
+    const Mask inside = both(both(both(ge(x, Vec{}), gt(end, x)), both(ge(y, Vec{}), gt(end, y))), gt(seen.z, Vec{}));
+    const IVec column = to_int(keep(inside, x)), line = to_int(keep(inside, y));
+    const Vec depth = gather(map.depths, (seen.view * map.size + line) * map.size + column);
+    return {both(inside, gt(seen.per * depth, seen.most)), depth, seen.z};
+}
+
 // Samples of the search for meshes in front, and of a soft shadow.
 constexpr int kLightSearch = 16, kLightSoft = 24;
+// Samples of a soft shadow after which it ends if they agree.
+constexpr int kLightFirst = 8;
+// Radius of a blur, px, from which on samples are the nearest pixels.
+constexpr float kLightWide = 8.0f;
 // The search of each of so many splats is turned otherwise, so that its samples make no edges.
 constexpr int kLightTurns = 16;
-static_assert(kLightTurns % kLanes == 0, "lanes have turns next to each other");
 // Least cosine at which a disc around a surface is turned into its plane.
 constexpr float kLightGrazing = 0.2f;
 
-// Points of a disc of radius 1 on a spiral by the golden angle (Vogel 1979); in the search denser in the middle, because
+// Points of a disc of radius 1 on a spiral by the golden angle (Vogel 1979); in the search denser in the middle, as
 // meshes close to the surface blur little.
 struct LightDiscs {
-    float search[kLightSearch][3], soft[kLightSoft][2]; // x, y; and the distance from the middle
-    float turns[2][kLightTurns];                        // cosines and sines of turns of the search
+    float search[kLightSearch][3]; // x, y, and the distance from the middle
+    float soft[kLightSoft][2];     // x, y; the first ones are the middle and the edge
+    float turns[2][kLightTurns];   // cosines and sines of turns of the search
 
     LightDiscs() {
         for (int i = 0; i < kLightTurns; ++i) {
@@ -106,8 +122,11 @@ struct LightDiscs {
             search[i][1] = float(t * t * std::sin(turn));
             search[i][2] = float(t * t);
         }
+
         for (int i = 0; i < kLightSoft; ++i) {
-            const double t = std::sqrt((i + 0.5) / kLightSoft), turn = 2.399963229728653 * i;
+            // From the middle outwards.
+            const int along = i == 0 ? 0 : i < kLightFirst ? kLightSoft - i : i - kLightFirst + 1;
+            const double t = std::sqrt((along + 0.5) / kLightSoft), turn = 2.399963229728653 * along;
             soft[i][0] = float(t * std::cos(turn));
             soft[i][1] = float(t * std::sin(turn));
         }
@@ -152,43 +171,118 @@ GS_INLINE Vec light_blur(const gs_shadow_map &map, float size, Vec z, Vec depth)
     return size * (map.parallel ? depth - (map.farthest - z) : z * depth - 1.0f);
 }
 
+// Surfaces that are lit together.
+constexpr int kLightRows = 256;
+// Most lamps with the same shadows that light them together: an area lamp is four.
+constexpr int kLightLamps = 4;
+
+struct LightBlock {
+    typedef float Rows[kLightRows];
+    alignas(64) Rows at[3], normal[3]; // world
+    Rows all[3], bare[3];              // the light of all lamps and the world, and without shadows of other meshes
+    Rows share[kLightLamps];           // of the strength of lamps, without shadows
+    Rows facing[3];                    // the normals on the side of a lamp
+    Rows reaching[2];                  // shares of a lamp that pass proxies and other meshes
+
+    Light3 columns(const Rows v[3], int i) const { return {load(v[0] + i), load(v[1] + i), load(v[2] + i)}; }
+    Light3 columns(const Rows v[3], IVec rows) const {
+        return {gather(v[0], rows), gather(v[1], rows), gather(v[2], rows)};
+    }
+    // The surfaces, off by a distance, and their planes.
+    LightPlane plane(const gs_shadow_map &map, IVec rows, float slack) const {
+        const Light3 side = columns(facing, rows);
+        return LightPlane(map, above(rows, slack), side);
+    }
+    Light3 above(IVec rows, float slack) const {
+        const Light3 v = columns(at, rows), side = columns(facing, rows);
+        return {fma(side.x, slack, v.x), fma(side.y, slack, v.y), fma(side.z, slack, v.z)};
+    }
+};
+
+// Some surfaces of a block, so that vectors are full of those that need work.
+struct LightList {
+    alignas(64) int32_t rows[kLightRows + kLanes];
+    int count = 0;
+
+    void add(IVec which, Mask mask) {
+        int32_t lanes[kLanes];
+        store(lanes, which);
+        for (uint32_t left = bits(mask); left; left &= left - 1)
+            rows[count++] = lanes[__builtin_ctz(left)];
+    }
+    // Calls f(rows, mask) for vectors of rows; the mask leaves out lanes beyond the end, which repeat a row.
+    template <class F> void each(F f) {
+        store(rows + count, set1(rows[0]));
+        for (int i = 0; i < count; i += kLanes)
+            f(load(rows + i), gt(set1(float(count - i)), iota()));
+    }
+};
+
+GS_INLINE void light_put(float *column, IVec rows, Vec v) {
+    for (int l = 0; l < kLanes; ++l)
+        column[rows[l]] = v[l];
+}
+
 // Mean radius of the blur by meshes in front that hide a part of the lamp; 0 without any.
 static Vec light_blur_of(const gs_shadow_map &map, const LightPlane &plane, const LightDiscs &discs, float slack,
-                         float size, int64_t row) {
-    const Vec cosine = load(discs.turns[0] + row % kLightTurns), sine = load(discs.turns[1] + row % kLightTurns);
-    const Vec z = light_seen(map, plane.at, slack).z;
+                         float size, Vec z, IVec rows) {
+    const Vec cosine = gather(discs.turns[0], rows & (kLightTurns - 1)),
+              sine = gather(discs.turns[1], rows & (kLightTurns - 1));
     const Vec reach = min(max(light_blur(map, size, z, set1(map.nearest)), Vec{}), z);
-    const Vec end = set1(float(map.size) - 0.5f);
     Vec sum = {}, count = {};
     for (const auto &point : discs.search) {
         const Vec x = cosine * point[0] - sine * point[1], y = sine * point[0] + cosine * point[1];
-        const LightSeen seen = light_seen(map, plane.point(reach * x, reach * y), slack);
-        const Mask inside =
-            both(both(both(ge(seen.x, set1(-0.5f)), gt(end, seen.x)), both(ge(seen.y, set1(-0.5f)), gt(end, seen.y))),
-                 gt(seen.z, Vec{}));
-        const IVec column = to_int(keep(inside, seen.x + 0.5f)), line = to_int(keep(inside, seen.y + 0.5f));
-        const Vec depth = gather(map.depths, (seen.view * map.size + line) * map.size + column);
-        const Vec blur = light_blur(map, size, seen.z, depth);
-        const Mask hides = both(both(inside, gt(depth, seen.most)), ge(blur, reach * point[2]));
+        const LightMesh mesh = light_mesh(map, plane.point(reach * x, reach * y), slack);
+        const Vec blur = light_blur(map, size, mesh.z, mesh.depth);
+        const Mask hides = both(mesh.hides, ge(blur, reach * point[2]));
         sum += keep(hides, blur);
         count += keep(hides, set1(1.0f));
     }
     return sum / max(count, set1(1.0f));
 }
 
-// Share of a lamp of some size that reaches surfaces.
-static Vec light_soft(const gs_shadow_map &map, const Light3 &at, const Light3 &normal, float slack, float size,
-                      int64_t row) {
-    static const LightDiscs discs;
-    const LightPlane plane(map, at, normal);
-    const Vec blur = light_blur_of(map, plane, discs, slack, size, row);
-    const Mask hidden = gt(blur, Vec{});
-    if (!bits(hidden))
-        return set1(1.0f);
+// Sum of the samples [first, last) of a soft shadow.
+static Vec light_samples(const gs_shadow_map &map, const LightPlane &plane, const LightDiscs &discs, float slack,
+                         Vec blur, bool wide, int first, int last) {
     Vec sum = {};
-    for (const auto &point : discs.soft)
-        sum += light_reaching(map, plane.point(blur * point[0], blur * point[1]), slack);
-    return select(hidden, sum * (1.0f / kLightSoft), set1(1.0f));
+    for (int i = first; i < last; ++i) {
+        const Light3 at = plane.point(blur * discs.soft[i][0], blur * discs.soft[i][1]);
+        sum += wide ? select(light_mesh(map, at, slack).hides, Vec{}, set1(1.0f)) : light_reaching(map, at, slack);
+    }
+    return sum;
+}
+
+// Share of a lamp of some size that reaches surfaces.
+static void light_soft(const gs_shadow_map &map, const LightBlock &block, LightList &lit, float slack, float size,
+                       float *reaching) {
+    static const LightDiscs discs;
+    float blurs[kLightRows], sums[kLightRows];
+    LightList hidden[2]; // with narrow and with wide blurs
+    lit.each([&](IVec rows, Mask mask) {
+        const LightPlane plane = block.plane(map, rows, slack);
+        const Vec z = light_seen(map, plane.at, slack).z;
+        const Vec blur = light_blur_of(map, plane, discs, slack, size, z, rows);
+        light_put(blurs, rows, blur);
+        const Vec edge = map.parallel ? set1(kLightWide) : kLightWide * z;
+        const Mask some = both(mask, gt(blur, Vec{}));
+        hidden[0].add(rows, both(some, gt(edge, blur * map.scale)));
+        hidden[1].add(rows, both(some, ge(blur * map.scale, edge)));
+    });
+    for (int wide = 0; wide < 2; ++wide) {
+        LightList open;
+        hidden[wide].each([&](IVec rows, Mask mask) {
+            const Vec sum = light_samples(map, block.plane(map, rows, slack), discs, slack, gather(blurs, rows),
+                                          wide > 0, 0, kLightFirst);
+            light_put(sums, rows, sum);
+            light_put(reaching, rows, sum * (1.0f / kLightFirst));
+            open.add(rows, both(mask, both(gt(sum, Vec{}), gt(set1(float(kLightFirst)), sum))));
+        });
+        open.each([&](IVec rows, Mask) {
+            const Vec sum = light_samples(map, block.plane(map, rows, slack), discs, slack, gather(blurs, rows),
+                                          wide > 0, kLightFirst, kLightSoft);
+            light_put(reaching, rows, (gather(sums, rows) + sum) * (1.0f / kLightSoft));
+        });
+    }
 }
 
 // Share of a lamp's strength that arrives at surfaces; below 0 on their back.
@@ -197,10 +291,10 @@ static Vec light_falloff(const gs_lamp &lamp, const Light3 &at, const Light3 &no
         return -light_dot(lamp.axis, normal);
     const Light3 towards = {lamp.place[0] - at.x, lamp.place[1] - at.y, lamp.place[2] - at.z};
     const Vec squared = max(fma(towards.z, towards.z, fma(towards.y, towards.y, towards.x * towards.x)), set1(1e-12f));
-    const Vec distance = sqrt(squared);
+    const Vec per = quotient(set1(1.0f), sqrt(squared));
     const Vec facing = fma(towards.z, normal.z, fma(towards.y, normal.y, towards.x * normal.x));
-    Vec share = facing / (distance * max(squared, set1(lamp.radius * lamp.radius)));
-    const Vec along = -light_dot(lamp.axis, towards) / distance;
+    Vec share = quotient(facing * per, max(squared, set1(lamp.radius * lamp.radius)));
+    const Vec along = -light_dot(lamp.axis, towards) * per;
     if (lamp.cone[0] > -1) {
         const float fade = lamp.cone[1] > 1e-6f ? lamp.cone[1] : 1e-6f;
         const Vec ramp = min(max((along - lamp.cone[0]) / fade, Vec{}), set1(1.0f));
@@ -221,65 +315,79 @@ static void light_of_world(const float *world, const Light3 &normal, bool two_si
     }
 }
 
-// The light of all lamps and the world, and without the shadows of meshes that are no proxies.
-struct LightSum {
-    Vec all[3], bare[3];
-};
-
-static LightSum light_sum(const gs_light &light, const Light3 &at, const Light3 &normal, bool two_sided, int64_t row) {
-    LightSum sum;
-    light_of_world(light.world, normal, two_sided, sum.all);
-    for (int c = 0; c < 3; ++c)
-        sum.bare[c] = sum.all[c];
-    Vec reaching[2] = {set1(1.0f), set1(1.0f)};
-    const gs_lamp *known = nullptr; // has the maps of `reaching`
-    for (int32_t i = 0; i < light.lamp_count; ++i) {
-        const gs_lamp &lamp = light.lamps[i];
-        Vec share = light_falloff(lamp, at, normal);
-        const Vec side = two_sided ? select(gt(Vec{}, share), set1(-1.0f), set1(1.0f)) : set1(1.0f);
-        share = max(side * share, Vec{});
-        if (!bits(gt(share, Vec{})))
-            continue;
-        if (two_sided || !known || known->maps[0] != lamp.maps[0] || known->maps[1] != lamp.maps[1] ||
-            known->size != lamp.size) {
-            const Vec off = side * light.slack;
-            const Light3 above = {fma(normal.x, off, at.x), fma(normal.y, off, at.y), fma(normal.z, off, at.z)};
-            const Light3 facing = {normal.x * side, normal.y * side, normal.z * side};
-            for (int k = 0; k < 2; ++k)
-                reaching[k] = lamp.maps[k] < 0 ? set1(1.0f)
-                              : lamp.size > 0
-                                  ? light_soft(light.maps[lamp.maps[k]], above, facing, light.slack, lamp.size, row)
-                                  : light_reaching(light.maps[lamp.maps[k]], above, light.slack);
-            known = &lamp;
+// Adds the light of lamps with the same shadows; without a known side of normals of one.
+static void light_lamps(const gs_light &light, const gs_lamp *lamps, int count, bool two_sided, LightBlock &block) {
+    LightList lit;
+    for (int i = 0; i < kLightRows; i += kLanes) {
+        const Light3 at = block.columns(block.at, i), normal = block.columns(block.normal, i);
+        Vec side = set1(1.0f), most = {};
+        for (int j = 0; j < count; ++j) {
+            Vec share = light_falloff(lamps[j], at, normal);
+            if (two_sided)
+                side = select(gt(Vec{}, share), set1(-1.0f), set1(1.0f));
+            share = max(side * share, Vec{});
+            store(block.share[j] + i, share);
+            most = max(most, share);
         }
-        const Vec bare = share * reaching[0], all = bare * reaching[1];
-        for (int c = 0; c < 3; ++c) {
-            sum.bare[c] = fma(bare, lamp.strength[c], sum.bare[c]);
-            sum.all[c] = fma(all, lamp.strength[c], sum.all[c]);
-        }
+        store(block.facing[0] + i, normal.x * side);
+        store(block.facing[1] + i, normal.y * side);
+        store(block.facing[2] + i, normal.z * side);
+        for (auto &reaching : block.reaching)
+            store(reaching + i, set1(1.0f));
+        lit.add(to_int(iota()) + i, gt(most, Vec{}));
     }
-    return sum;
+    for (int k = 0; k < 2 && lit.count; ++k) {
+        if (lamps->maps[k] < 0)
+            continue;
+        const gs_shadow_map &map = light.maps[lamps->maps[k]];
+        if (lamps->size > 0)
+            light_soft(map, block, lit, light.slack, lamps->size, block.reaching[k]);
+        else
+            lit.each([&](IVec rows, Mask) {
+                light_put(block.reaching[k], rows, light_reaching(map, block.above(rows, light.slack), light.slack));
+            });
+    }
+    for (int i = 0; i < kLightRows && lit.count; i += kLanes)
+        for (int j = 0; j < count; ++j) {
+            const Vec bare = load(block.share[j] + i) * load(block.reaching[0] + i);
+            const Vec all = bare * load(block.reaching[1] + i);
+            for (int c = 0; c < 3; ++c) {
+                store(block.bare[c] + i, fma(bare, lamps[j].strength[c], load(block.bare[c] + i)));
+                store(block.all[c] + i, fma(all, lamps[j].strength[c], load(block.all[c] + i)));
+            }
+        }
 }
 
-// Factors of colours, in place of the radiances `sum.all`.
-static void light_gains(const gs_surfaces &s, const Light3 &own, const uint32_t *id, LightSum &sum) {
+// The lamps from the first on that light a block together.
+static int light_shared(const gs_lamp *lamps, int count) {
+    int shared = 1;
+    while (shared < count && shared < kLightLamps && lamps[shared].maps[0] == lamps->maps[0] &&
+           lamps[shared].maps[1] == lamps->maps[1] && lamps[shared].size == lamps->size)
+        ++shared;
+    return shared;
+}
+
+// Factors of colours, in place of radiances `all`.
+static void light_gains(const gs_surfaces &s, const uint32_t *id, const Vec bare[3], Vec all[3]) {
     Vec captured[3];
     Mask known = gt(Vec{}, Vec{});
     if (s.captured) {
+        Vec own[3];
         gather<3>(s.captured, s.count, id, captured);
-        const Vec longest = max(max(max(own.x, -own.x), max(own.y, -own.y)), max(own.z, -own.z));
+        gather<3>(s.normals, s.count, id, own);
+        const Vec longest = max(max(max(own[0], -own[0]), max(own[1], -own[1])), max(own[2], -own[2]));
         known = both(both(gt(longest, Vec{}), gt(captured[0], Vec{})),
                      both(gt(captured[1], Vec{}), gt(captured[2], Vec{})));
     }
     for (int c = 0; c < 3; ++c) {
         Vec ratio = set1(1.0f);
         if (s.catches)
-            ratio = select(gt(sum.bare[c], Vec{}), sum.all[c] / sum.bare[c], ratio);
+            ratio = select(gt(bare[c], Vec{}), all[c] / bare[c], ratio);
         if (s.captured) {
-            const Vec lit = select(known, sum.all[c] / captured[c], set1(1.0f));
+            const Vec lit = select(known, all[c] / captured[c], set1(1.0f));
             ratio = (1.0f - s.share) * ratio + s.share * min(lit, set1(s.most));
         }
-        sum.all[c] = ratio;
+        all[c] = ratio;
     }
 }
 
@@ -291,23 +399,54 @@ GS_INLINE int light_rows(int64_t i, int64_t end, uint32_t id[kLanes]) {
     return lanes;
 }
 
-static void surface_light(const LightArgs &a, int64_t chunk) {
+// Rows [begin, end) of a chunk, at most kLightRows.
+static void light_block(const LightArgs &a, int64_t begin, int64_t end) {
     const gs_surfaces &s = *a.surfaces;
-    const int64_t begin = chunk * kChunk, end = begin + kChunk < s.count ? begin + kChunk : s.count;
-    for (int64_t i = begin; i < end; i += kLanes) {
+    const bool two_sided = a.gains && !s.captured;
+    LightBlock block;
+    for (int i = 0; i < kLightRows; i += kLanes) {
         uint32_t id[kLanes];
-        const int lanes = light_rows(i, end, id);
-        Vec place[3], normal[3];
+        light_rows(begin + i < end ? begin + i : begin, end, id);
+        Vec place[3], normal[3], world[3];
         gather<3>(s.places, s.count, id, place);
         gather<3>(s.normals, s.count, id, normal);
         const float *const m = s.matrix;
-        const Light3 own = {normal[0], normal[1], normal[2]}, from = {place[0], place[1], place[2]};
-        const Light3 at = {light_dot(m, from) + m[3], light_dot(m + 4, from) + m[7], light_dot(m + 8, from) + m[11]};
-        LightSum sum = light_sum(*a.light, at, light_turn(s.turn, own), a.gains && !s.captured, i);
-        if (a.gains)
-            light_gains(s, own, id, sum);
-        scatter<3>(a.out, id, lanes, sum.all);
+        const Light3 from = {place[0], place[1], place[2]};
+        const Light3 turned = light_turn(s.turn, {normal[0], normal[1], normal[2]});
+        const Vec at[3] = {light_dot(m, from) + m[3], light_dot(m + 4, from) + m[7], light_dot(m + 8, from) + m[11]};
+        const Vec axes[3] = {turned.x, turned.y, turned.z};
+        light_of_world(a.light->world, turned, two_sided, world);
+        for (int c = 0; c < 3; ++c) {
+            store(block.at[c] + i, at[c]);
+            store(block.normal[c] + i, axes[c]);
+            store(block.all[c] + i, world[c]);
+            store(block.bare[c] + i, world[c]);
+        }
     }
+    for (int32_t i = 0; i < a.light->lamp_count;) {
+        const gs_lamp *const lamps = a.light->lamps + i;
+        const int count = two_sided ? 1 : light_shared(lamps, a.light->lamp_count - i);
+        light_lamps(*a.light, lamps, count, two_sided, block);
+        i += count;
+    }
+    for (int64_t i = begin; i < end; i += kLanes) {
+        uint32_t id[kLanes];
+        const int lanes = light_rows(i, end, id);
+        Vec all[3], bare[3];
+        for (int c = 0; c < 3; ++c) {
+            all[c] = load(block.all[c] + (i - begin));
+            bare[c] = load(block.bare[c] + (i - begin));
+        }
+        if (a.gains)
+            light_gains(s, id, bare, all);
+        scatter<3>(a.out, id, lanes, all);
+    }
+}
+
+static void surface_light(const LightArgs &a, int64_t chunk) {
+    const int64_t begin = chunk * kChunk, end = begin + kChunk < a.surfaces->count ? begin + kChunk : a.surfaces->count;
+    for (int64_t i = begin; i < end; i += kLightRows)
+        light_block(a, i, i + kLightRows < end ? i + kLightRows : end);
 }
 
 GS_INLINE Vec light_power(Vec x, float exponent) {

@@ -266,6 +266,29 @@ def test_soft_shadows(isa: str, kind: str) -> None:
     assert soft[~blurred].mean() < 0.01
 
 
+@pytest.mark.parametrize("size", [0.0, 0.3])
+def test_lamps_with_the_same_shadows_add_up(isa: str, size: float) -> None:
+    """Oracle: the sum of the lamps alone; there are more than are summed at once."""
+    lamp, shadows, _ = plate("single")
+    rng = np.random.default_rng(0)
+    places = np.column_stack([rng.uniform(-2, 2, (COUNT, 2)), np.zeros(COUNT)]).astype(np.float32)
+    normals = rng.normal([0, 0, 1], size=(COUNT, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    surfaces = Surfaces(places=places, normals=normals.astype(np.float32), matrix=np.eye(4))
+    lamps = [
+        replace(lamp, size=size, place=(0.3 + 0.1 * k, 0.2, 4 - 0.9 * k), strength=(1, k, 2))
+        for k in range(6)
+    ]
+
+    def radiance(lamps: list[Lamp]) -> np.ndarray:
+        maps = [(shadows, None)] * len(lamps)
+        light = SurfaceLight(lamps=lamps, maps=maps, world=np.zeros((9, 3)), slack=0.01)
+        return surface_radiance(light, surfaces)
+
+    alone = sum(radiance([one]) for one in lamps)
+    np.testing.assert_allclose(radiance(lamps), alone, rtol=1e-5, atol=1e-6)
+
+
 def test_a_slope_does_not_shadow_itself(isa: str) -> None:
     """A plane that is drawn in its own map, in oblique light of a wide sun, is lit."""
     lamp, _, _ = plate("sun")
