@@ -79,7 +79,7 @@ def colour_text(metrics: Mapping[str, Any]) -> str:
     digits = {"psnr_cc": "PSNR {:.2f} dB", "ssim_cc": "SSIM {:.4f}", "lpips_cc": "LPIPS {:.4f}"}
     parts = [form.format(metrics[k]) for k, form in digits.items() if metrics.get(k) is not None]
     plain, corrected = metrics.get("psnr"), metrics.get("psnr_cc")
-    if plain is not None and corrected is not None and corrected < plain:
+    if plain is not None and corrected is not None and corrected <= plain - 0.1:
         parts[0] += " (lower: halves of a picture correct each other)"
     return f"; colour-corrected {', '.join(parts)}" if parts else ""
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..config import DataConfig
-from ..datasets.resolution import LARGEST_FACTOR, check_resolution
+from ..datasets.resolution import check_resolution, small_width_warnings
 from ..errors import ConfigError
 from ..io.images.png import SIGNED, write_png
 from ..io.lod_file import LOD_ENDING, is_lod_file
@@ -49,8 +49,6 @@ _WRITTEN = (".mp4", ".png")
 """Endings of single-file outputs; any other output is a folder of pictures."""
 _OTHER_FORMAT = re.compile(r"\.([a-z]{2,4}|blend|ksplat|m4v)")
 """Endings that mean a file instead of a folder."""
-_SMALL_WIDTH = 64
-"""Width of pictures, px, below which `-r` was probably meant as a divisor."""
 _DEPTH_STEPS = 60_000
 """16-bit values for the depth range of the first picture; the rest is for larger depths."""
 
@@ -175,8 +173,8 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
     _check_files(pictures, depths, overwrite=args.overwrite)
     if args.exposure is None and (gains != 1).any():
         status.print_line("Pictures are exposed as their photos; `--exposure even` avoids that.")
-    if LARGEST_FACTOR < args.resolution < _SMALL_WIDTH:
-        print_warnings([_small_text(shots)])
+    size = int(shots.widths[0]), int(shots.heights[0])
+    print_warnings(small_width_warnings(args.resolution, *size))
     model = model.drawn_by(device_of(args))
     work = _Work(model, shots, options, gains, status)
     if is_video:
@@ -189,20 +187,13 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
     return result | {
         "path": found.path or None,
         "pictures": len(shots.names),
-        "width": int(shots.widths[0]),
-        "height": int(shots.heights[0]),
+        "width": size[0],
+        "height": size[1],
         "splats": model.count,
         "fps": work.fps,
         "device": model.device.name,
         **(model.drawn() if isinstance(model, LodArgument) else {}),
     }
-
-
-def _small_text(shots: Cameras) -> str:
-    return (
-        f"Pictures are only {shots.widths[0]} x {shots.heights[0]} px: above {LARGEST_FACTOR} -r "
-        "is their width in pixels, not a divisor."
-    )
 
 
 def _empty_text(empty: int, count: int, *, near: float) -> str:

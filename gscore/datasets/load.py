@@ -17,7 +17,12 @@ from .masks import MaskChoice, choose_masks
 from .photo_headers import PhotoFit, check_fit, fit_photos, photo_warnings, up_from_exif
 from .points import RANDOM_POINTS, colors_from_photos, point_warnings, random_points
 from .read import read_capture
-from .resolution import check_resolution, scale_intrinsics, target_size
+from .resolution import (
+    check_resolution,
+    scale_intrinsics,
+    small_width_warnings,
+    target_size,
+)
 from .shots import warn_of_split_shots
 from .split import is_chosen, split_views, split_warnings
 from .undistort import Undistortion, plan_undistortion
@@ -64,6 +69,7 @@ def load_dataset(
     warnings += masks.warnings
     files, Ks = _files(views, fit, masks, config)
     warnings += _cut_off(views, files)
+    warnings += small_width_warnings(config.resolution, *files[0].size)
     narrow = sum(1 for file in files if file.photo_size[0] < config.resolution)
     if narrow:
         warnings.append(

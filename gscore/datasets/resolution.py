@@ -11,6 +11,19 @@ LARGEST_FACTOR = 8
 SMALLEST_WIDTH = 16
 """Least width, pixels; a smaller one is assumed to be a mistake."""
 
+_USUAL_WIDTH = 64
+"""Width, pixels, below which a divisor was probably meant."""
+
+
+def small_width_warnings(resolution: float, width: int, height: int) -> list[str]:
+    """A sentence if the option `-r` is a very small width of pictures of this size, px."""
+    if not LARGEST_FACTOR < resolution < _USUAL_WIDTH:
+        return []
+    return [
+        f"Pictures are only {width} x {height} px: above {LARGEST_FACTOR} -r is their width in "
+        "pixels, not a divisor."
+    ]
+
 
 def target_size(width: int, height: int, resolution: float, *, max_width: int) -> tuple[int, int]:
     """Size in pixels to scale a photo to, never larger than the photo.

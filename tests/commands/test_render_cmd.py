@@ -145,13 +145,16 @@ def test_the_documented_view_from_above(gscore, run_folder, tmp_path):
 
 def test_pictures_of_nothing_and_tiny_ones_get_a_warning(gscore, run_folder, tmp_path):
     """Oracle: the sentences; pictures with splats, and of usual sizes, have none."""
-    given = ("render", run_folder(), "-o", tmp_path / "out", "--view", "0", "1")
+    run = run_folder()
+    given = ("render", run, "-o", tmp_path / "out", "--view", "0", "1")
     code, _, err = gscore(*given, "--near", "1000", "-r", "96")
     assert code == 0 and "No splat is in 2 of 2 pictures" in err
     assert "near plane (1000 world units" in " ".join(err.split()) and "divisor" not in err
     code, _, err = gscore(*given, "-r", "16")
     assert code == 0 and "only 16 x 12 px: above 8 -r is their width in pixels" in err
     assert "No splat" not in err
+    code, _, err = gscore("eval", run, "-r", "16", "-o", tmp_path / "e")
+    assert code == 0 and "only 16 x 12 px: above 8 -r is their width" in " ".join(err.split())
 
 
 def test_transparency(gscore, run_folder, tmp_path, picture):

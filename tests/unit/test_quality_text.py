@@ -24,4 +24,5 @@ def test_low_figures_of_whole_trainings_have_a_verdict() -> None:
 def test_a_colour_correction_that_lowers_psnr_is_explained() -> None:
     """Oracle: both figures."""
     assert colour_text({"psnr": 24.0, "psnr_cc": 24.5}) == "; colour-corrected PSNR 24.50 dB"
+    assert colour_text({"psnr": 24.0, "psnr_cc": 23.95}) == "; colour-corrected PSNR 23.95 dB"
     assert "PSNR 23.90 dB (lower: halves" in colour_text({"psnr": 24.0, "psnr_cc": 23.9})
