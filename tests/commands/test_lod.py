@@ -88,7 +88,7 @@ def test_convert_writes_a_level_or_a_box(gscore, city, splats, tmp_path):
     inside = ((splats.means >= low) & (splats.means <= high)).all(axis=1)
     found = read_ply(tmp_path / "box.ply").means
     assert 5 < inside.sum() < 55
-    assert f"(read: {inside.sum()}, " in text  # the number of the whole level is unknown
+    assert f"; read: {inside.sum()} splats, " in text  # the number of the whole level is unknown
     assert sorted(map(tuple, found)) == sorted(map(tuple, splats.means[inside]))
     gscore("convert", city, tmp_path / "out.ply", *box, "--outside", "--quiet")
     assert len(read_ply(tmp_path / "out.ply")) == 60 - inside.sum()
