@@ -265,13 +265,16 @@ def facts_of_video(gscore, monkeypatch, folder, path, *options):
     return json.loads(out), err
 
 
-def test_a_video_goes_around_by_itself(gscore, run_folder, tmp_path, monkeypatch):
+def test_a_video_goes_around_by_itself(gscore, run_folder, tmp_path, cameras, monkeypatch):
     """Oracle: eight seconds of an orbit, and a sentence about it; chosen views as before."""
     pytest.importorskip("av")
     folder, path = run_folder(), tmp_path / "v.mp4"
     facts, err = facts_of_video(gscore, monkeypatch, folder, path, "--fps", "5")
     assert (facts["path"], facts["pictures"]) == ("orbit", 40)
     assert "Default path: an orbit around the focus of the cameras, 8.0 s." in err
+    write_cameras(tmp_path / "sided.json", cameras.subset(range(4)))
+    facts, err = facts_of_video(gscore, monkeypatch, folder, path, "-s", tmp_path / "sided.json")
+    assert "Default path: a swing about the focus of the cameras, which lack a side" in err
     facts, err = facts_of_video(gscore, monkeypatch, folder, path, "--frames", "7", "--quiet")
     assert (facts["path"], facts["pictures"], err) == ("orbit", 7, "")
     facts, err = facts_of_video(gscore, monkeypatch, folder, path, "--all")

@@ -102,6 +102,9 @@ def _some_path(cameras: Cameras, args: argparse.Namespace) -> Shots:
     try:
         shots = _along(cameras, "orbit", args)
         what = "an orbit around the focus of the cameras"
+        second, last = shots.cameras.viewmats[[1, -1]]
+        if len(shots.cameras) > 2 and np.allclose(second, last):  # the same way back
+            what = "a swing about the focus of the cameras, which lack a side of it"
     except ConfigError:  # the cameras have no common middle
         shots = _along(cameras, "spline", args)
         what = "a path through the cameras in their order, as they have no common middle"
