@@ -82,7 +82,7 @@ from .io.colmap.model import ColmapImage as ColmapImage
 from .io.colmap.model import ColmapModel as ColmapModel
 from .io.colmap.model import ColmapPoints as ColmapPoints
 from .io.exposure_json import EXPOSURE_FILE as EXPOSURE_FILE
-from .io.exposure_json import read_gains as read_gains
+from .io.exposure_json import read_exposures as read_exposures
 from .io.files import atomic_write as atomic_write
 from .io.files import file_errors as file_errors
 from .io.images.image_header import ImageInfo as ImageInfo

@@ -25,6 +25,7 @@ BOTTOM = {
     "json_text",
     "option_marks",
     "options",
+    "photo_exposure",
     "presets",
     "choices",
     "config",

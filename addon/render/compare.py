@@ -14,7 +14,7 @@ from ..cameras.objects import PhotoCamera, is_camera, photo_camera_of, rigid_vie
 from ..cameras.pictures import levels_of
 from ..cameras.render_camera import RenderCamera
 from ..compat import matrix_to_numpy
-from ..core import colorize, png_bytes, psnr, read_gains, read_header
+from ..core import colorize, png_bytes, psnr, read_exposures, read_header
 from ..interface.blocks import block_of
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats.read_chunked import ChunkedRead
@@ -130,11 +130,11 @@ class Comparing:
         check()
         stop = picture.stopped(check)
         rendered = picture.draw(model, self._view, self._options, stop=stop)
-        gains = [read_gains(Path(run)).get(self._photo) for run in sorted(self._runs)]
-        gain = gains[0] if len(gains) == 1 else None
-        if gain is not None:
-            rendered = rendered.exposed(gain, self._options.background)
-        return _compared(np.clip(rendered.rgb, 0, 1), target, check, exposed=gain is not None)
+        found = [read_exposures(Path(run)).get(self._photo) for run in sorted(self._runs)]
+        exposure = found[0] if len(found) == 1 else None
+        if exposure is not None:
+            rendered = rendered.exposed(exposure, self._options.background)
+        return _compared(np.clip(rendered.rgb, 0, 1), target, check, exposed=exposure is not None)
 
 
 def _compared(

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ..cameras.camera_math import project
-from ..core import read_cameras, read_gains
+from ..core import read_cameras, read_exposures
 from ..srgb import decode
 
 _CAMERAS = "cameras.json"
@@ -22,18 +22,18 @@ def white_level(run: Path, place: np.ndarray) -> float:
     Raises:
         GsError: a file of it is damaged.
     """
-    gains = read_gains(run)
-    if not gains or not (run / _CAMERAS).is_file():
+    exposures = read_exposures(run)
+    if not exposures or not (run / _CAMERAS).is_file():
         return 1.0
     cameras = read_cameras(run / _CAMERAS)
     levels = []
     for name, K, viewmat, *size in zip(
         cameras.names, cameras.Ks, cameras.viewmats, cameras.widths, cameras.heights, strict=True
     ):
-        if name not in gains:
+        if name not in exposures:
             continue
         with np.errstate(all="ignore"):  # behind the camera
             (pixel,), (depth,) = project(place[None], K, viewmat)
         if depth > 0 and (pixel >= 0).all() and (pixel < size).all():
-            levels.append(float(decode(1 / gains[name]).min()))
+            levels.append(float(decode(exposures[name].undo(np.ones(3))).min()))
     return max(levels, default=1.0)

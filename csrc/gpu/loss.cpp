@@ -1,5 +1,6 @@
 // Loss on a device: buffers, the order of its shaders, and the call that tests use.
 #include "loss.h"
+#include "exposure.h"
 #include "gpu.h"
 
 #include "gscore/loss.h"
@@ -14,7 +15,7 @@ namespace {
 // Pixels whose derivatives, nine floats each, have 32-bit indices in shaders.
 constexpr int64_t kMostPixels = kMostIndex / 9;
 
-static_assert(sizeof(gs_loss_frame) == 144 && sizeof(gs_gpu_loss_result) == 48);
+static_assert(sizeof(gs_loss_frame) == 168 && sizeof(gs_gpu_loss_result) == 48);
 
 } // namespace
 
@@ -60,8 +61,12 @@ void GpuLoss::record_input(Device &device, const LossInput &in) {
     f.has_gain = in.has_gain;
     f.has_alpha_terms = in.has_alpha_terms();
     f.fixed_background = in.fixed_background && in.has_gain;
-    for (int c = 0; c < 3; ++c)
-        f.gain[c] = in.has_gain ? in.gain[c] : 1;
+    for (int c = 0; c < 3; ++c) {
+        const ExposureCurve curve = exposure_curve(in.has_gain ? in.gain[c] : 1.0f);
+        f.gain[c] = curve.gain;
+        f.steep[c] = curve.steep;
+        f.dark[c] = curve.dark;
+    }
     std::copy_n(in.background, 3, f.background);
     f.ssim_weight = in.ssim_weight;
     f.mask_alpha = in.mask ? in.mask_alpha : 0;

@@ -33,6 +33,7 @@ struct gs_loss_frame {
     gs_uint has_mask, has_gain, has_alpha_terms;
     gs_uint fixed_background; /* 1: the derivative in ln gain takes the visible background as constant */
     float gain[3];            /* 1 without one */
+    float steep[3], dark[3];  /* of the curve of the exposure, see csrc/src/exposure.h */
     float background[3];
     float ssim_weight;
     float mask_alpha, see_through; /* weights of the terms of opacity */

@@ -33,7 +33,7 @@
 #include "gscore/raster.h"
 
 /* Changes whenever a struct, a signature or a value of this header or of gscore/raster.h changes. */
-#define GS_GPU_ABI_VERSION 5
+#define GS_GPU_ABI_VERSION 6
 
 /* Further values of gs_status. */
 enum {

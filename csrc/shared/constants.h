@@ -62,6 +62,14 @@
 #define GS_SSIM_C1 (0.01f * 0.01f)
 #define GS_SSIM_C2 (0.03f * 0.03f)
 
+/* Offset and power of the sRGB curve, 1.055 L^(1/2.4) - 0.055 (IEC 61966-2-1), by which photos are exposed, see
+ * csrc/src/exposure.h. */
+#define GS_EXPOSURE_OFFSET 0.055f
+#define GS_EXPOSURE_POWER 2.4f
+
+/* Rows in a row that dropout leaves out together; rows are neighbours, because they are sorted along a Morton curve. */
+#define GS_DROPOUT_ROWS 16
+
 /* Minimax polynomials for 2^x on [-0.5, 0.5], highest power first. Degree 5 reaches float precision and is the one in
  * use; the others show what it costs (tools/measure/kernel_error.py). */
 #define GS_EXP2_3 0.0550089329f, 0.242210969f, 0.693282902f, 1.0f

@@ -36,7 +36,7 @@ struct LossGrid {
     size_t stride() const { return size_t(ceil_div(3 * columns, 16) * 16 + 5 * kLossMargin); }
     // Scratch floats per thread.
     size_t scratch_floats() const {
-        const int rows_of_gain = 2; // the gains, repeated, and their sums
+        const int rows_of_gain = 7; // the curve, its limits under the mask, and sums
         return size_t(((2 + kLossDerivatives) * kLossRing + kLossMaps) * kLossGroup + rows_of_gain) * stride();
     }
 };

@@ -8,8 +8,11 @@
 // and V are computed from small numbers. Values are also shifted by -0.5, which does not change variances.
 #pragma once
 
+#include "exposure.h"
 #include "loss.h"
 #include "simd.h"
+
+#include <initializer_list>
 
 namespace gs::GS_NAMESPACE {
 
@@ -64,8 +67,17 @@ static inline Vec filter_along(const float *row) {
     return s;
 }
 
+// The curve of the exposure (exposure.h) for each float of a row; neutral without a gain.
+struct CurveRows {
+    float *gain, *offset, *steep, *dark;
+
+    float at(int i, float value) const {
+        return value < dark[i] ? value * steep[i] : value * gain[i] + offset[i];
+    }
+};
+
 // Pixels [begin, end) of a target row, shifted.
-static inline void read_row(const gs_loss_args &a, int row, int begin, int end, float *x, float *y) {
+static inline void read_row(const gs_loss_args &a, const CurveRows &curve, int row, int begin, int end, float *x, float *y) {
     const size_t at = size_t(row) * size_t(a.width) + size_t(begin);
     const float *image = a.image + 3 * at;
     const uint8_t *target = a.target + 3 * at;
@@ -73,7 +85,7 @@ static inline void read_row(const gs_loss_args &a, int row, int begin, int end, 
     const int n = 3 * (end - begin);
     if (a.mask_mode == GS_MASK_NONE) {
         for (int i = 0; i < n; ++i) {
-            x[i] = image[i] - kShift;
+            x[i] = curve.at(i, image[i]) - kShift;
             y[i] = float(target[i]) * kByte - kShift;
         }
         return;
@@ -82,18 +94,17 @@ static inline void read_row(const gs_loss_args &a, int row, int begin, int end, 
     const uint8_t *mask = a.mask + at;
     for (int i = 0; i < n; ++i) {
         const float m = float(mask[i / 3]) * kByte, v = float(target[i]) * kByte;
-        x[i] = (composite ? image[i] : image[i] * m) - kShift;
+        const float exposed = curve.at(i, image[i]);
+        x[i] = (composite ? exposed : exposed * m) - kShift;
         y[i] = (composite ? v * m + a.background[i % 3] * (1.0f - m) : v * m) - kShift;
     }
 }
 
-// The image's floats of a row, multiplied by the gain and shifted; clamped to white where the photo is white.
-static inline void expose(float *x, const float *y, const float *gain, int n) {
+// The image's floats of a row, clamped to white where the photo is white.
+static inline void clamp_to_white(float *x, const float *y, int n) {
     constexpr float white = 1.0f - kShift;
-    for (int i = 0; i < n; ++i) {
-        const float exposed = (x[i] + kShift) * gain[i] - kShift;
-        x[i] = y[i] >= white && exposed > white ? white : exposed;
-    }
+    for (int i = 0; i < n; ++i)
+        x[i] = y[i] >= white && x[i] > white ? white : x[i];
 }
 
 static inline void fill(float *row, int begin, int end, float value) {
@@ -152,13 +163,23 @@ class LossTile {
         for (LossRing &ring : derivatives_)
             ring = take_ring();
         down_ = scratch;
-        if (!in_.gain)
-            return;
-        gain_ = scratch + size_t(kLossMaps * kLossGroup) * stride_;
-        by_gain_ = gain_ + stride_;
-        for (int i = 0; i < int(stride_); ++i)
-            gain_[i] = in_.gain[i % 3];
-        fill(by_gain_, 0, int(stride_), 0.0f);
+        scratch += size_t(kLossMaps * kLossGroup) * stride_;
+        for (float **row : {&curve_.gain, &curve_.offset, &curve_.steep, &curve_.dark, &edge_, &lift_, &by_gain_}) {
+            *row = scratch;
+            scratch += stride_;
+        }
+        for (int c = 0; c < 3; ++c) {
+            const ExposureCurve curve = exposure_curve(in_.gain ? in_.gain[c] : 1.0f);
+            for (int i = c; i < int(stride_); i += 3) {
+                curve_.gain[i] = curve.gain;
+                curve_.offset[i] = curve.offset;
+                curve_.steep[i] = curve.steep;
+                curve_.dark[i] = curve.dark;
+                edge_[i] = curve.dark * curve.steep;
+                lift_[i] = GS_EXPOSURE_OFFSET;
+                by_gain_[i] = 0;
+            }
+        }
     }
 
     void run(double *sums) {
@@ -180,7 +201,7 @@ class LossTile {
         sums[1] = ssim_;
         sums[2] = mse_;
         sums[3] = sums[4] = sums[5] = 0;
-        for (int i = 0; gain_ && gradient && i < n_; ++i)
+        for (int i = 0; in_.gain && gradient && i < n_; ++i)
             sums[3 + i % 3] += double(by_gain_[i]);
     }
 
@@ -203,9 +224,9 @@ class LossTile {
             const int row = begin + j;
             float *const x = x_.row(group, j), *const y = y_.row(group, j);
             if (in_picture(row)) {
-                read_row(in_, row, from, to, x + at, y + at);
-                if (gain_)
-                    expose(x + at, y + at, gain_, 3 * (to - from));
+                read_row(in_, curve_, row, from, to, x + at, y + at);
+                if (in_.gain)
+                    clamp_to_white(x + at, y + at, 3 * (to - from));
             } else {
                 fill(x, at, at + 3 * (to - from), -kShift);
                 fill(y, at, at + 3 * (to - from), -kShift);
@@ -298,10 +319,10 @@ class LossTile {
                 const Vec sign = keep(gt(x, y), l1_weight) - keep(gt(y, x), l1_weight);
                 store(out + i, fnma(ssim_weight, v, sign));
             }
-            if (gain_)
-                chain_gain(xs, ys, out);
             const size_t at = size_t(begin + j) * size_t(w_) + size_t(left_);
             float *const v = a_.v_image + 3 * at;
+            if (in_.gain)
+                chain_gain(xs, ys, at, out);
             if (in_.mask_mode == GS_MASK_IGNORE)
                 for (int i = 0; i < n_; ++i)
                     v[i] = out[i] * (float(in_.mask[at + size_t(i / 3)]) * (1.0f / 255.0f));
@@ -310,14 +331,25 @@ class LossTile {
         }
     }
 
-    // Converts a row's gradient from x to the image, and accumulates that of ln gain.
-    void chain_gain(const float *xs, const float *ys, float *v) {
+    // Converts a row's gradient from x to the image, and accumulates that of ln gain: x plus the offset of the curve, or
+    // times its power in the dark. `at`: the row's first pixel, whose mask multiplies x.
+    void chain_gain(const float *xs, const float *ys, size_t at, float *v) {
         const Vec white = set1(1.0f - kShift);
+        if (in_.mask_mode == GS_MASK_IGNORE)
+            for (int i = 0; i < n_; ++i) {
+                const float m = float(in_.mask[at + size_t(i / 3)]) * (1.0f / 255.0f);
+                lift_[i] = GS_EXPOSURE_OFFSET * m;
+                edge_[i] = curve_.dark[i] * curve_.steep[i] * m;
+            }
         for (int i = 0; i < n_; i += kLanes) {
             const Vec x = load(xs + i), gradient = load(v + i);
             const Vec used = gradient - keep(both(ge(x, white), ge(load(ys + i), white)), gradient);
-            store(by_gain_ + i, fma(inside(i, used), x + kShift, load(by_gain_ + i)));
-            store(v + i, used * load(gain_ + i));
+            const Vec value = x + kShift, steep = load(curve_.steep + i);
+            const Mask bright = ge(value, load(edge_ + i));
+            const Vec in_dark = GS_EXPOSURE_POWER * value;
+            const Vec by_gain = in_dark + keep(bright, value + load(lift_ + i) - in_dark);
+            store(by_gain_ + i, fma(inside(i, used), by_gain, load(by_gain_ + i)));
+            store(v + i, used * (steep + keep(bright, load(curve_.gain + i) - steep)));
         }
     }
 
@@ -331,9 +363,10 @@ class LossTile {
     size_t stride_;
     // Inputs of the loss, two margins before the tile, and derivatives, one margin before it.
     LossRing x_, y_, derivatives_[kLossDerivatives];
-    float *down_;              // a group of rows of each map, filtered vertically
-    float *gain_ = nullptr;    // per float of a row; null: no gain
-    float *by_gain_ = nullptr; // sums over rows of the gradient in its logarithm
+    float *down_;            // a group of rows of each map, filtered vertically
+    CurveRows curve_;
+    float *edge_, *lift_;    // per float of a row: where x is bright, and the offset of the curve, both under the mask
+    float *by_gain_;         // sums over rows of the gradient in the logarithm of the gain
     double l1_ = 0, ssim_ = 0, mse_ = 0;
 };
 

@@ -12,6 +12,7 @@ from ..datasets import Dataset, load_dataset
 from ..errors import DatasetError
 from ..metrics.evaluate import masked_pair, target_picture
 from ..metrics.image import psnr, ssim
+from ..photo_exposure import PhotoExposure
 from ..raster.api import render_camera
 from ..splats import Splats
 from ..trainer.analysis.analysis import Analysis
@@ -261,6 +262,6 @@ def _pictures(trainer: Trainer, eval_views: Dataset | None) -> PictureOf:
             threads=trainer.config.threads,
             device="cpu",
         ).rgb
-        return rgb if gain is None else rgb * np.array(gain, np.float32)
+        return rgb if gain is None else PhotoExposure.of(gain).apply(rgb)
 
     return picture_of

@@ -324,7 +324,7 @@ def _doubts(
             "The training views of this model are unknown; the test views are held out only if it "
             "was trained with the same split."
         )
-    unknown = sum(name not in model.gains for name in measured)
+    unknown = sum(name not in model.exposures for name in measured)
     if course.exposure and course.exposure.get("learnt") and unknown:
         found.append(
             f"The exposures of {number(unknown)} of {count_text(len(measured), 'photo')} are "

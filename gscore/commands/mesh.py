@@ -24,6 +24,7 @@ from ..mesh.surface_mesh import (
     write_surface,
 )
 from ..mesh.texture import Photo
+from ..photo_exposure import NEUTRAL
 from ..quoting import brief
 from ..scene import Cameras
 from ..text_format import count_text
@@ -237,8 +238,8 @@ def _masks(dataset: Dataset | None) -> tuple[str, Callable[[int], np.ndarray | N
 def _photo(dataset: Dataset, model: ModelArgument, index: int) -> Photo:
     """A training photo in the mean exposure of the training, and its mask."""
     index = dataset.train[index]
-    gain = model.gains.get(dataset.names[index], np.ones(3))
-    rgb = dataset.image(index).astype(np.float32) / (255 * gain.astype(np.float32))
+    exposure = model.exposures.get(dataset.names[index], NEUTRAL)
+    rgb = exposure.undo(dataset.image(index).astype(np.float32) / np.float32(255))
     return rgb, dataset.mask(index)
 
 

@@ -198,7 +198,7 @@ def _measured(
         dataset,
         {index: _view(model, cameras, index) for index in indices},
         {index: model.picture(cameras, index, **how) for index in indices},
-        model.gains,
+        model.exposures,
         background=model.background,
         on_picture=_counter("measuring", total, show, control),
     )

@@ -19,6 +19,7 @@ from ..io.images.png import SIGNED, write_png
 from ..io.lod_file import LOD_ENDING, is_lod_file
 from ..io.output_paths import check_output_path, check_separate
 from ..lod.lod_renderer import LOD_PX, LodModel
+from ..photo_exposure import PhotoExposure
 from ..quoting import as_typed, brief, quoted
 from ..raster.api import Rendered
 from ..scene import Cameras
@@ -32,7 +33,7 @@ from .args.model_argument import (
     open_model,
 )
 from .parser import add_option, add_result_options, add_threads_option
-from .pictures.render_cameras import FPS, PATHS, exposure_gains, find_shots
+from .pictures.render_cameras import FPS, PATHS, find_exposures, find_shots
 from .pictures.stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .pictures.video import need_video, write_video
 from .terminal.output import (
@@ -166,17 +167,17 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
         "depths": args.depth is not None,
         "threads": args.threads,
     }
-    gains = exposure_gains(args.exposure, found, model, args.cameras)
+    exposures = find_exposures(args.exposure, found, model, args.cameras)
     pictures, depths = ([args.output], []) if is_video else _stills(args, shots.names)
     if is_video:
         _check_one_size(shots)
     _check_files(pictures, depths, overwrite=args.overwrite)
-    if args.exposure is None and (gains != 1).any():
+    if args.exposure is None and not all(one.neutral for one in exposures):
         status.print_line("Pictures are exposed as their photos; `--exposure even` avoids that.")
     size = int(shots.widths[0]), int(shots.heights[0])
     print_warnings(small_width_warnings(args.resolution, *size))
     model = model.drawn_by(device_of(args))
-    work = _Work(model, shots, options, gains, status)
+    work = _Work(model, shots, options, exposures, status)
     if is_video:
         write_video(args.output, (to_rgb(r) for r in work), fps=args.fps or found.fps or FPS)
         result: dict[str, Any] = {"files": [str(args.output)]}
@@ -256,12 +257,12 @@ class _Work:
         model: ModelArgument | LodArgument,
         shots: Cameras,
         options: dict[str, Any],
-        gains: np.ndarray,
+        exposures: Sequence[PhotoExposure],
         status: Status,
     ) -> None:
         self.shots = shots
         self._model, self._options, self._status = model, options, status
-        self._gains = gains
+        self._exposures = exposures
         self._seconds: list[float] = []
         self.empty = 0
         """Pictures without splats so far."""
@@ -280,8 +281,8 @@ class _Work:
             rendered = self._model.draw(shots.Ks[i], shots.viewmats[i], *size, **self._options)
             self._seconds.append(time.perf_counter() - began)
             self.empty += not rendered.alpha.any()
-            if (self._gains[i] != 1).any():
-                rendered = rendered.exposed(self._gains[i], self._options["background"])
+            if not self._exposures[i].neutral:
+                rendered = rendered.exposed(self._exposures[i], self._options["background"])
             yield rendered
             progress(i + 1, name)
 

@@ -9,30 +9,31 @@ import numpy as np
 
 from ..errors import FormatError
 from ..json_text import parse_json
+from ..photo_exposure import PhotoExposure
 from .files import atomic_write, read_bytes
 
 EXPOSURE_FILE = "exposure.json"
 
 
-def write_exposures(path: Path, gains: Mapping[str, np.ndarray]) -> None:
+def write_exposures(path: Path, exposures: Mapping[str, PhotoExposure]) -> None:
     """Write {name of the photo: [3][4]}, rows R, G, B: photo = matrix @ (r, g, b, 1).
 
     Args:
         path: The file.
-        gains: [3] gains per channel by photo name.
+        exposures: By photo name.
 
     Raises:
         GsError: the file cannot be written.
     """
     maps = {
-        name: np.column_stack([np.diag(gain.astype(np.float64)), np.zeros(3)]).tolist()
-        for name, gain in gains.items()
+        name: np.column_stack([np.diag(exposure.gain), exposure.offset]).tolist()
+        for name, exposure in exposures.items()
     }
     atomic_write(path, json.dumps(maps, indent=2).encode())
 
 
-def read_gains(run: Path | None) -> dict[str, np.ndarray]:
-    """Return the gains of the photos of a run, [3] float64 by name: the diagonals of its file.
+def read_exposures(run: Path | None) -> dict[str, PhotoExposure]:
+    """Return the exposures of the photos of a run by name: diagonals and last columns of its file.
 
     Empty without a run, or for one without exposures.
 
@@ -44,9 +45,9 @@ def read_gains(run: Path | None) -> dict[str, np.ndarray]:
         return {}
     try:
         maps: Any = parse_json(read_bytes(path))
-        gains = {str(name): np.diagonal(np.array(rows, np.float64)) for name, rows in maps.items()}
-        if any(gain.shape != (3,) or not (gain > 0).all() for gain in gains.values()):
+        found = {str(name): np.array(rows, np.float64) for name, rows in maps.items()}
+        if any(rows.shape != (3, 4) or not (rows.diagonal() > 0).all() for rows in found.values()):
             raise ValueError("expected matrices [3][4] with positive diagonals")
     except (ValueError, TypeError, AttributeError) as error:
         raise FormatError(f"{path} is damaged ({error}). Train again to replace it.") from error
-    return gains
+    return {name: PhotoExposure(rows.diagonal(), rows[:, 3]) for name, rows in found.items()}

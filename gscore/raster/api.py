@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import ShapeError
 from ..formats import read_decoded
+from ..photo_exposure import PhotoExposure
 from ..scene import Cameras, moved_viewmats, offset_between
 from ..sh import rgb_to_sh0
 from ..shared_constants import EPS2D
@@ -51,11 +52,14 @@ class Rendered:
     median_splat: np.ndarray | None = None
     """[H, W] int32, row of the splat of `median_depth`; -1 where that is 0."""
 
-    def exposed(self, gain: np.ndarray, background: tuple[float, float, float]) -> "Rendered":
-        """Return the picture with the splats multiplied by a gain, [3]; `background`, over which it
-        was rendered, stays."""
-        rest = np.array(background, np.float32) * (1 - self.alpha[..., None])
-        return replace(self, rgb=(self.rgb - rest) * gain.astype(np.float32) + rest)
+    def exposed(
+        self, exposure: PhotoExposure, background: tuple[float, float, float]
+    ) -> "Rendered":
+        """Return the picture with the splats exposed; `background`, over which it was rendered,
+        stays."""
+        alpha = self.alpha[..., None]
+        rest = np.array(background, np.float32) * (1 - alpha)
+        return replace(self, rgb=exposure.apply(self.rgb - rest, alpha) + rest)
 
 
 def render(

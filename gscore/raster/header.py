@@ -8,7 +8,7 @@ import ctypes as ct
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-ABI_VERSION = 14
+ABI_VERSION = 15
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL, MEDIAN_SPLAT = 1, 2, 4, 8, 32
 DEPTH_OUTPUTS = {

@@ -107,9 +107,9 @@ def image_loss_gradient(
     """`image_loss` and its gradient in one call, without autograd.
 
     `v_image` [H, W, 3] float32, contiguous, is overwritten with the gradient in `image`. With
-    `gain` [3] float32, above 0, the loss is that of gain times image; where the photo is white and
-    this product brighter, it counts as white and receives no gradient. The other arguments and
-    errors are those of `image_loss`.
+    `gain` [3] float32, above 0, the loss is that of the exposed image (`gscore.photo_exposure`);
+    where the photo is white and this image brighter, it counts as white and receives no gradient.
+    The other arguments and errors are those of `image_loss`.
     """
     args, _kept = _arguments(image, target, ssim_weight, mask, mask_mode, background, threads, gain)
     with _native.pool.lend() as raster:

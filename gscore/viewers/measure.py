@@ -8,6 +8,7 @@ import numpy as np
 
 from ..events import headline_psnr
 from ..metrics import evaluate
+from ..photo_exposure import NEUTRAL, PhotoExposure
 from ..raster.reference.rasterize import SplatTensors
 from ..raster.request import Frustum
 from .picture import modelled_picture
@@ -20,7 +21,7 @@ def measured(
     dataset: Any,
     views: Mapping[int, Frustum],
     own: Mapping[int, np.ndarray],
-    gains: Mapping[str, np.ndarray],
+    exposures: Mapping[str, PhotoExposure],
     *,
     background: tuple[float, float, float],
     on_picture: Callable[[], None],
@@ -33,7 +34,7 @@ def measured(
         dataset: The photos, as for `gscore.metrics.evaluate`.
         views: Cameras by their index in the dataset.
         own: [H, W, 3] pictures of gscore with the exposure of the photo, by index.
-        gains: Exposure gains [3] by photo; photos without one have the mean exposure.
+        exposures: By photo; photos without one have the mean exposure.
         background: sRGB.
         on_picture: Called after each modelled picture; may raise.
 
@@ -43,21 +44,21 @@ def measured(
         measurable.
     """
     names = dataset.scene.cameras.names
-    exposures = {index: gains.get(names[index], np.ones(3)) for index in views}
+    exposed = {index: exposures.get(names[index], NEUTRAL) for index in views}
     behind = dict.fromkeys(views, background)
     if dataset.mask_mode == "composite":  # the background of the photos has no exposure
-        behind = {index: tuple(np.divide(background, gain)) for index, gain in exposures.items()}
+        behind = {index: exposure.behind(background) for index, exposure in exposed.items()}
 
     def one(splats: SplatTensors, rules: ViewerRules) -> dict[str, float | None]:
         differences: list[float] = []
         pictures = {}
         for index, view in views.items():
             pictures[index] = modelled_picture(splats, view, rules, behind[index]).numpy()
-            target = np.clip(own[index] / exposures[index], 0, 1)
+            target = np.clip(exposed[index].undo(own[index]), 0, 1)
             differences.append(255 * float(np.abs(pictures[index] - target).mean()))
             on_picture()
-        exposed = {index: picture * exposures[index] for index, picture in pictures.items()}
-        scored = evaluate(exposed.__getitem__, dataset, views, background=background)
+        shown = {index: exposed[index].apply(picture) for index, picture in pictures.items()}
+        scored = evaluate(shown.__getitem__, dataset, views, background=background)
         return {
             "psnr": headline_psnr(scored.mean),
             "difference": math.fsum(differences) / len(differences),

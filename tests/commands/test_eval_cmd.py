@@ -14,9 +14,11 @@ from gscore.config_file import config_json, load_config
 from gscore.io.exposure_json import EXPOSURE_FILE, write_exposures
 from gscore.io.metrics_file import read_metrics
 from gscore.io.ply.splats import read_ply, write_splats
+from gscore.photo_exposure import NEUTRAL, PhotoExposure
 from gscore.sh import SH_C0
 from gscore.text_format import trust_text
 from tests.commands.conftest import STEPS
+from tests.light_changes import exposed_bytes
 
 
 def photo(capture, index):
@@ -206,7 +208,7 @@ def test_unknown_exposures_are_reported(gscore, run_folder, tmp_path):
     content = json.loads(path.read_text()) | {"exposure": exposure}
     path.write_text(json.dumps(content))
     for names in (content["train_views"], content["train_views"] + content["test_views"]):
-        write_exposures(folder / EXPOSURE_FILE, dict.fromkeys(names, np.ones(3)))
+        write_exposures(folder / EXPOSURE_FILE, dict.fromkeys(names, NEUTRAL))
         for split, known in (("train", True), ("test", len(names) > len(content["train_views"]))):
             out = ("-o", tmp_path / split, "--quiet", "--overwrite")
             code, _, err = gscore("eval", folder, "--split", split, *out)
@@ -218,8 +220,8 @@ def test_pictures_have_the_exposure_of_their_photo(gscore, run_folder, capture, 
     folder, dark, gain = run_folder(), tmp_path / "dark", np.array([0.5, 0.6, 0.7])
     shutil.copytree(capture, dark)
     for path in (dark / "images").iterdir():
-        pixels = np.asarray(Image.open(path).convert("RGB"), np.float64) * gain
-        Image.fromarray(pixels.round().astype(np.uint8)).save(path)
+        pixels = np.asarray(Image.open(path).convert("RGB"))
+        Image.fromarray(exposed_bytes(pixels, gain)).save(path)
 
     def worst() -> float:
         out = ("-o", tmp_path / "out", "--quiet", "--overwrite")
@@ -229,8 +231,8 @@ def test_pictures_have_the_exposure_of_their_photo(gscore, run_folder, capture, 
 
     assert worst() < 30
     names = [path.name for path in (dark / "images").iterdir()]
-    write_exposures(folder / EXPOSURE_FILE, dict.fromkeys(names, gain))
-    assert worst() > 55
+    write_exposures(folder / EXPOSURE_FILE, dict.fromkeys(names, PhotoExposure.of(gain)))
+    assert worst() > 45
     (folder / EXPOSURE_FILE).write_text('{"a": [[0, 0, 0, 0]]}')
     code, _, err = gscore("eval", folder, "--quiet")
     assert code == 2 and f"{EXPOSURE_FILE} is damaged" in " ".join(err.split())

@@ -15,6 +15,7 @@ from gscore.errors import ShapeError
 from gscore.io.cameras_json import read_cameras_json, write_cameras
 from gscore.io.exposure_json import EXPOSURE_FILE, write_exposures
 from gscore.io.ply.splats import write_splats
+from gscore.photo_exposure import PhotoExposure
 from gscore.raster.api import render
 
 
@@ -40,11 +41,11 @@ def test_all_views_of_a_run(gscore, run_folder, tmp_path, picture, capture):
 
 
 def test_pictures_are_exposed_as_photos(gscore, run_folder, tmp_path, picture, cameras):
-    """Oracle: the rasterizer's pictures over white times the gains in exposure.json, but for the
-    background."""
+    """Oracle: the rasterizer's pictures over white with the exposures of exposure.json, but for
+    the background."""
     folder = run_folder()
     gains = {f"a_{i}.png": np.array([0.5, 0.7, 1.0]) + i / 20 for i in range(9)}
-    write_exposures(folder / EXPOSURE_FILE, gains)
+    write_exposures(folder / EXPOSURE_FILE, {n: PhotoExposure.of(g) for n, g in gains.items()})
 
     def made(name, *arguments):
         out = tmp_path / "-".join(["out", *arguments])
@@ -55,7 +56,8 @@ def test_pictures_are_exposed_as_photos(gscore, run_folder, tmp_path, picture, c
 
     def expected(index, gain):
         seen = picture(index)
-        return as_bytes(seen.rgb * gain + 1 - seen.alpha[..., None]).astype(int)
+        alpha = seen.alpha[..., None]
+        return as_bytes((seen.rgb + 0.055 * alpha) * gain + 1 - 1.055 * alpha).astype(int)
 
     one = gains["a_5.png"]
     for arguments, gain in (((), None), (("--exposure", "even"), 1), (("--exposure", "a_5"), one)):

@@ -15,7 +15,7 @@ from gscore.errors import ShapeError
 from gscore.raster.gpu.gpu_loss import GpuLossValues, gpu_image_loss
 from gscore.raster.gpu.gpu_raster import GpuRaster
 from gscore.raster.loss import image_loss
-from gscore.raster.reference import image_loss_reference
+from gscore.raster.reference import image_loss_reference, unexposed_reference
 from gscore.raster.training_rasterizer import Picture
 from tests.gpu.programs import _opened, _print
 from tests.raster.test_loss import pictures
@@ -130,10 +130,11 @@ def by_twin(case: Case) -> dict[str, Any]:
     for leaf in (image, alpha):
         leaf.requires_grad_()
     gain = torch.tensor(GAIN).double().requires_grad_()
-    behind = (1 - alpha.detach())[..., None] * torch.tensor(BACKGROUND).double()
     shown = image
-    if case.mode == "composite":  # drawn over background / gain
-        shown = image + behind * (1 / gain - 1 / gain.detach())
+    if case.mode == "composite":  # the gain brings the colour behind the splats to the background
+        color = torch.tensor(BACKGROUND, dtype=torch.float64)
+        of = [unexposed_reference(color, by) for by in (gain, gain.detach())]
+        shown = image + (1 - alpha.detach())[..., None] * (of[0] - of[1])
     loss, ssim = image_loss_reference(
         shown,
         photo,

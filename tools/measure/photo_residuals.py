@@ -13,7 +13,8 @@ import numpy as np
 
 import gscore
 from gscore.config import DataConfig
-from gscore.io.exposure_json import read_gains
+from gscore.io.exposure_json import read_exposures
+from gscore.photo_exposure import NEUTRAL, PhotoExposure
 
 PHOTOS = 20
 """Most training photos, evenly spaced."""
@@ -34,10 +35,11 @@ def main() -> None:
     args = parser.parse_args()
     resolution = args.width if args.width == "auto" else int(args.width)
     photos = gscore.load_dataset(DataConfig(source=args.capture, resolution=resolution))
-    splats, gains = gscore.read_splats(args.run / "point_cloud.ply"), read_gains(args.run)
+    splats = gscore.read_splats(args.run / "point_cloud.ply")
+    exposures = read_exposures(args.run)
     radii, values, residuals = [], [], []
     for view in photos.train[:: -(-len(photos.train) // PHOTOS)]:
-        radius, value, residual = _residuals(photos, view, splats, gains)
+        radius, value, residual = _residuals(photos, view, splats, exposures)
         radii.append(radius)
         values.append(value)
         residuals.append(residual)
@@ -48,13 +50,16 @@ def main() -> None:
 
 
 def _residuals(
-    photos: gscore.Dataset, view: int, splats: gscore.Splats, gains: dict[str, np.ndarray]
+    photos: gscore.Dataset,
+    view: int,
+    splats: gscore.Splats,
+    exposures: dict[str, PhotoExposure],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return distance from the middle, mean value and residual of the pixels that count."""
     cameras, photo = photos.scene.cameras, photos.image(view) / 255.0
     height, width = photo.shape[:2]
     drawn = gscore.render(splats, cameras.Ks[view], cameras.viewmats[view], width, height)
-    picture = np.asarray(drawn.rgb) * gains.get(photos.names[view], np.ones(3))
+    picture = exposures.get(photos.names[view], NEUTRAL).apply(np.asarray(drawn.rgb))
     counts = (photo.min(-1) > DARKEST) & (photo.max(-1) < BRIGHTEST)
     counts &= (picture.min(-1) > DARKEST / 2) & (np.asarray(drawn.alpha).squeeze() > OPAQUE)
     down, across = np.mgrid[:height, :width]

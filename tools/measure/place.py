@@ -14,10 +14,10 @@ import numpy as np
 import gscore
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
-from gscore.io.exposure_json import read_gains
+from gscore.io.exposure_json import read_exposures
 
-STOPS = 2.2
-"""Stops of light per octave of an sRGB value, about: the exponent of the transfer curve."""
+STOPS = 2.4
+"""Stops of light per octave of a gain of sRGB values: the exponent of the transfer curve."""
 
 
 def main() -> None:
@@ -29,8 +29,9 @@ def main() -> None:
     metrics = json.loads((args.run / "metrics.json").read_text())
     held_out = {view["name"] for view in metrics["views"]}
     truth = json.loads((args.capture / "truth.json").read_text())["stops"]
-    gains = read_gains(args.run)
-    found = {n: STOPS * np.log2(g).mean() for n, g in gains.items()} or dict.fromkeys(truth, 0.0)
+    exposures = read_exposures(args.run)
+    stops = {n: STOPS * np.log2(e.gain).mean() for n, e in exposures.items()}
+    found = stops or dict.fromkeys(truth, 0.0)
     train = [name for name in truth if name not in held_out]
     shift = np.mean([found[name] - truth[name] for name in train])
     for title, names in (("training", train), ("held-out", sorted(held_out))):

@@ -25,7 +25,7 @@ from make_place import model  # noqa: E402
 from studio_maker import cameras, places, render  # noqa: E402
 
 from gscore.frontend import write_colmap  # noqa: E402
-from gscore.io.exposure_json import read_gains  # noqa: E402
+from gscore.io.exposure_json import read_exposures  # noqa: E402
 from gscore.io.images.png import write_png  # noqa: E402
 
 EXPOSURES = {"one": [0.0], "brackets": [-2.0, 0.0, 2.0], "dark": [-5.0, -2.5, 0.0]}
@@ -105,10 +105,10 @@ def world_of(run: Path, capture: Path) -> np.ndarray:
     bpy.ops.gscore.world_from_splats(width=512)
     image = next(i for i in bpy.data.images if i.name.endswith("Light"))
     pixels = np.array(image.pixels[:], np.float32).reshape(256, 512, 4)[::-1, :, :3]
-    truth, gains = json.loads((capture / "truth.json").read_text()), read_gains(run)
+    truth, exposures = json.loads((capture / "truth.json").read_text()), read_exposures(run)
     mean = np.mean(list(truth.values()))  # gains are 1 on average
-    stops = [2.2 * np.log2(gain).mean() for gain in gains.values()]
-    error = np.array(stops) - [truth[name] - mean for name in gains]
+    stops = [2.4 * np.log2(one.gain).mean() for one in exposures.values()]
+    error = np.array(stops) - [truth[name] - mean for name in exposures]
     print(
         f"{run.name}: gains off by {np.abs(error).mean():.2f} stops, {np.abs(error).max():.2f} max"
     )

@@ -35,6 +35,8 @@ float mask_at(uint pixel) { return loss.has_mask != 0 ? byte_of(loss.mask.at[pix
 // A channel of image and photo at a pixel, shifted.
 vec2 compared(uint pixel, int c) {
     float x = loss.rgb.at[3 * pixel + c], y = photo_at(3 * pixel + c);
+    if (loss.has_gain != 0)
+        x = x < loss.dark[c] ? x * loss.steep[c] : x * loss.gain[c] + GS_EXPOSURE_OFFSET * (loss.gain[c] - 1.0);
     if (loss.mask_mode == kMaskComposite) {
         float m = mask_at(pixel);
         y = y * m + loss.background[c] * (1.0 - m);
@@ -45,10 +47,8 @@ vec2 compared(uint pixel, int c) {
     }
     x -= kShift;
     y -= kShift;
-    if (loss.has_gain != 0) {
-        x = (x + kShift) * loss.gain[c] - kShift;
-        x = y >= kWhite && x > kWhite ? kWhite : x; // the photo is overexposed
-    }
+    if (loss.has_gain != 0 && y >= kWhite && x > kWhite)
+        x = kWhite; // the photo is overexposed
     return vec2(x, y);
 }
 

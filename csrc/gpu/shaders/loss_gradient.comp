@@ -54,8 +54,10 @@ void main() {
             float g = l1_weight * sign(d) - ssim_weight * (by.x + 2.0 * (v.x * by.y + d * by.z));
             if (loss.has_gain != 0) {
                 g = v.x >= kWhite && v.y >= kWhite ? 0.0 : g;
-                by_gain[c] = g * (v.x + kShift);
-                g *= loss.gain[c];
+                float x = v.x + kShift;
+                bool bright = x >= loss.dark[c] * loss.steep[c] * weight;
+                by_gain[c] = g * (bright ? x + GS_EXPOSURE_OFFSET * weight : GS_EXPOSURE_POWER * x);
+                g *= bright ? loss.gain[c] : loss.steep[c];
             }
             g *= weight;
             loss.rgb.at[3 * pixel + c] = g; // no other invocation reads this pixel

@@ -53,8 +53,12 @@ void main() {
         loss.result.at[2 + i] = floatBitsToUint(found[i]);
     for (uint c = 0; c < 3; ++c) {
         float slope = sums[GS_LOSS_BY_GAIN + c];
-        if (loss.fixed_background != 0)
-            slope -= sums[GS_LOSS_THROUGH + c] * loss.background[c] / loss.gain[c];
+        if (loss.fixed_background != 0) {
+            float behind = loss.background[c];
+            bool bright = behind >= loss.dark[c] * loss.steep[c];
+            slope -= sums[GS_LOSS_THROUGH + c] * (bright ? (behind + GS_EXPOSURE_OFFSET) / loss.gain[c]
+                                                         : GS_EXPOSURE_POWER * behind / loss.steep[c]);
+        }
         loss.result.at[8 + c] = floatBitsToUint(slope);
     }
 }

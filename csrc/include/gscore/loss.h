@@ -12,8 +12,9 @@ enum {
 
 /* loss = (1 - ssim_weight) * mean|x - y| + ssim_weight * (1 - mean SSIM(x, y)), with x the image, y the target.
  * SSIM (Wang et al. 2004): Gaussian window of 11 px, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, per channel.
- * With a gain, x is gain times image: the neutral picture with the photo's exposure. Where the photo is white (255) and
- * x is brighter, x counts as white and receives no gradient. */
+ * With a gain g, x is the image, a neutral sRGB picture, with the photo's exposure before it is multiplied by the mask:
+ * (image + o) g - o, o = GS_EXPOSURE_OFFSET, and image g^2.4 below the darkness where these lines meet. Where the photo is white (255) and x is brighter, x counts as white and receives
+ * no gradient. */
 typedef struct gs_loss_args {
     int32_t width, height;
     const float *image;    /* [H, W, 3] */

@@ -15,13 +15,14 @@ from ...datasets import Dataset
 from ...errors import ConfigError, DatasetError
 from ...formats import SplatFile, is_splat_file, read_splat_file
 from ...io.colmap.folder import find_model
-from ...io.exposure_json import read_gains
+from ...io.exposure_json import read_exposures
 from ...io.files import check_regular, is_file
 from ...io.ply.comments import stated_near
 from ...io.ply.splats import header_comments
 from ...io.runs import options_of_run
 from ...io.unsupported_formats import describe_unsupported
 from ...lod.lod_renderer import LodModel
+from ...photo_exposure import NEUTRAL, PhotoExposure
 from ...quoting import as_typed, brief
 from ...raster.api import Rendered, render, render_camera
 from ...raster.gpu.choice import CPU, Chosen
@@ -112,9 +113,9 @@ class ModelArgument:
         return render(self.splats, K, viewmat, width, height, **how)
 
     @cached_property
-    def gains(self) -> dict[str, np.ndarray]:
-        """Exposure gains of the run's photos, see `read_gains`."""
-        return read_gains(self.run)
+    def exposures(self) -> dict[str, PhotoExposure]:
+        """Exposures of the run's photos, see `read_exposures`."""
+        return read_exposures(self.run)
 
     def picture(
         self, cameras: Cameras, index: int, *, threads: int, mask_mode: str = "none"
@@ -123,10 +124,13 @@ class ModelArgument:
         measurements; a background behind `composite` masks is not exposed."""
         how = {"near": self.near, "antialias": self.antialias, "threads": threads}
         how |= {"device": self.device, "keep": True}
-        gain = self.gains.get(cameras.names[index], np.ones(3))
-        background = np.array(self.background) / (gain if mask_mode == "composite" else 1)
-        rgb = render_camera(self.splats, cameras, index, background=tuple(background), **how).rgb
-        return rgb if (gain == 1).all() else rgb * gain.astype(np.float32)
+        exposure = self.exposures.get(cameras.names[index], NEUTRAL)
+        background = self.background
+        if mask_mode == "composite":
+            background = exposure.behind(background)
+        return exposure.apply(
+            render_camera(self.splats, cameras, index, background=background, **how).rgb
+        )
 
 
 def trained_antialiased(train: TrainConfig | None) -> bool:

@@ -12,8 +12,9 @@ from ...datasets.camera_path_json import read_camera_path
 from ...datasets.resolution import LARGEST_FACTOR, scale_intrinsics, target_size
 from ...errors import ConfigError, DatasetError
 from ...io.cameras_json import read_cameras_json
-from ...io.exposure_json import read_gains
+from ...io.exposure_json import read_exposures
 from ...io.metrics_file import read_metrics
+from ...photo_exposure import NEUTRAL, PhotoExposure
 from ...scene import Cameras
 from ...upright import turn_cameras, upright_turns
 from ..args.model_argument import LodArgument, ModelArgument, is_capture
@@ -266,10 +267,10 @@ EVEN, PHOTO = "even", "photo"
 """Choices besides the name of a photo."""
 
 
-def exposure_gains(
+def find_exposures(
     choice: str | None, shots: Shots, model: ModelArgument | LodArgument, source: Path | None
-) -> np.ndarray:
-    """Return the gain of each picture, [P, 3] float64, 1 for the mean exposure.
+) -> list[PhotoExposure]:
+    """Return the exposure of each picture.
 
     Args:
         choice: `EVEN`, `PHOTO` (on a path that of the nearest camera), or the name or number of a
@@ -282,11 +283,11 @@ def exposure_gains(
         ConfigError: the run has no exposures.
         DatasetError: there is no such photo.
     """
-    even = np.ones((len(shots.cameras), 3))
+    even = [NEUTRAL] * len(shots.cameras)
     if choice == EVEN or (choice is None and shots.path):
         return even
-    gains = read_gains(model.run)
-    if not gains:
+    exposures = read_exposures(model.run)
+    if not exposures:
         if choice is None:
             return even
         raise ConfigError(
@@ -294,11 +295,12 @@ def exposure_gains(
             "model were not trained with exposures (`gscore train --exposure on`)."
         )
     if choice not in (None, PHOTO):
-        return even * gains[tuple(gains)[view_index(choice, tuple(gains))]]
+        names = tuple(exposures)
+        return [exposures[names[view_index(choice, names)]]] * len(even)
     names = shots.cameras.names
     if shots.path:
         photos = captured_cameras(source, model).cameras
         to_photos = photos.centers - shots.cameras.centers[:, None]
         nearest = np.linalg.norm(to_photos, axis=2).argmin(axis=1)
         names = [photos.names[i] for i in nearest]
-    return np.stack([gains.get(name, np.ones(3)) for name in names])
+    return [exposures.get(name, NEUTRAL) for name in names]

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from ...photo_exposure import PhotoExposure
 from ...raster.loss import LossValues, image_loss_gradient
 from ...raster.memory import empty
 from ...raster.training_rasterizer import Picture
@@ -98,7 +99,7 @@ def without_background(
     v_rgb: torch.Tensor,
     alpha: torch.Tensor,
 ) -> Color:
-    """Return the derivative in ln gain if `background_before_gain` follows the gain, so that the
+    """Return the derivative in ln gain if the background before the gain follows it, so that the
     visible background is constant.
 
     Args:
@@ -108,11 +109,11 @@ def without_background(
         v_rgb: [H, W, 3] gradient in the rendered image before the gain.
         alpha: [H, W] rendered opacity.
     """
-    if not any(background):
+    if not any(background):  # black stays black
         return v_log_gain
     through = torch.mv(v_rgb.reshape(-1, 3).t(), (1 - alpha).flatten()).tolist()
-    parts = zip(v_log_gain, through, background, gain, strict=True)
-    r, g, b = (whole - t * colour / by for whole, t, colour, by in parts)
+    slopes = PhotoExposure.of(gain).behind_by_log_gain(background).tolist()
+    r, g, b = (w + t * s for w, t, s in zip(v_log_gain, through, slopes, strict=True))
     return (r, g, b)
 
 

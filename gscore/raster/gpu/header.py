@@ -3,7 +3,7 @@
 from .. import header as base
 from ..header import struct
 
-ABI_VERSION = 5
+ABI_VERSION = 6
 STEPS_MAX = 3
 """Most steps in flight."""
 SH_OFF, SH_ACCUMULATE, SH_STEP = range(3)

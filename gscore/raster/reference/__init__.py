@@ -19,7 +19,7 @@ from .geometry import (
     quat_to_rotmat,
 )
 from .harmonics import sh_basis, sh_colors
-from .loss import image_loss_reference
+from .loss import image_loss_reference, unexposed_reference
 from .rasterize import (
     ProjectedSplats,
     ReferenceOutput,

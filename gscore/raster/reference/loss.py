@@ -7,7 +7,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ...shared_constants import SSIM_C1, SSIM_C2, SSIM_SIGMA, SSIM_WINDOW
+from ...shared_constants import (
+    EXPOSURE_OFFSET,
+    EXPOSURE_POWER,
+    SSIM_C1,
+    SSIM_C2,
+    SSIM_SIGMA,
+    SSIM_WINDOW,
+)
 
 
 def image_loss_reference(
@@ -30,12 +37,14 @@ def image_loss_reference(
         mask_mode: "none", "composite" (target = photo * mask + background * (1 - mask)) or
             "ignore" (image and photo are both multiplied by the mask).
         background: RGB used by "composite".
-        gain: [3] float64: the image is multiplied by it, and clamped to white where the target is
-            white.
+        gain: [3] float64: exposure of the image (`gscore.photo_exposure`), which is clamped to
+            white where the target is white.
 
     Returns:
         The scalar loss and the mean SSIM, zero padded.
     """
+    if gain is not None:
+        image = exposed_reference(image, gain)
     y = target.to(image.dtype) / 255
     m = None if mask is None or mask_mode == "none" else mask.to(image.dtype)[..., None] / 255
     if m is not None and mask_mode == "composite":
@@ -43,7 +52,6 @@ def image_loss_reference(
     elif m is not None:
         image, y = image * m, y * m
     if gain is not None:
-        image = image * gain
         image = torch.where((y >= 1) & (image > 1), torch.ones_like(image), image)
     taps = torch.arange(SSIM_WINDOW, dtype=image.dtype) - SSIM_WINDOW // 2
     taps = torch.exp(-(taps**2) / (2 * SSIM_SIGMA**2))
@@ -61,3 +69,18 @@ def image_loss_reference(
     )
     l1 = (image - y).abs().mean()
     return (1 - ssim_weight) * l1 + ssim_weight * (1 - ssim.mean()), ssim.mean()
+
+
+def exposed_reference(image: Tensor, gain: Tensor) -> Tensor:
+    """Exposure of a picture [..., 3] by a gain [3], differentiable in both (`photo_exposure`): the
+    lower of both lines for a gain above 1, the higher for others."""
+    bright = (image + EXPOSURE_OFFSET) * gain - EXPOSURE_OFFSET
+    dark = image * gain**EXPOSURE_POWER
+    return torch.where((bright < dark) == (gain > 1), bright, dark)
+
+
+def unexposed_reference(image: Tensor, gain: Tensor) -> Tensor:
+    """Inverse of `exposed_reference`."""
+    bright = (image + EXPOSURE_OFFSET) / gain - EXPOSURE_OFFSET
+    dark = image / gain**EXPOSURE_POWER
+    return torch.where((bright > dark) == (gain > 1), bright, dark)

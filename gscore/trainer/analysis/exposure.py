@@ -7,7 +7,7 @@ import numpy as np
 
 from ...config import Switch, TrainConfig
 from ...events import Decision
-from ...io.exposure_json import read_gains
+from ...io.exposure_json import read_exposures
 from ..views.photo_gains import STOP, PhotoGains
 from .analysis import Analysis
 from .photo_visit import TrackColors
@@ -45,10 +45,10 @@ def decide_exposure(config: TrainConfig, analysis: Analysis) -> Exposure:
         return Exposure()
     cameras, train = analysis.photos.scene.cameras, list(analysis.photos.train)
     if analysis.is_part and config.exposure is Switch.AUTO and config.start_splats is not None:
-        given = read_gains(config.start_splats.parent)
+        given = read_exposures(config.start_splats.parent)
         if given and all(cameras.names[i] in given for i in train):
             log_gains = np.zeros((len(cameras), 3))
-            log_gains[train] = np.log([given[cameras.names[i]] for i in train])
+            log_gains[train] = np.log([given[cameras.names[i]].gain for i in train])
             return Exposure(
                 gains=PhotoGains(train, log_gains, fixed=True),
                 decision=Decision("exposure", _OF_START),
@@ -147,9 +147,9 @@ _SMALLEST = 1e-3
 def fit_gains(colors: TrackColors, expected: np.ndarray) -> np.ndarray:
     """Return ln gains of the photos, zero on average, [V, 3] float64.
 
-    With c the colour of a point in a photo: ln c = colour of the point + gain of the photo +
-    residual. Points are eliminated from the normal equations; Huber weights, by the residual over
-    all channels, are recomputed in each round.
+    With c the colour of a point in a photo: ln (c + 0.055) = colour of the point + gain of the
+    photo + residual (`gscore.photo_exposure`). Points are eliminated from the normal equations;
+    Huber weights, by the residual over all channels, are recomputed in each round.
 
     Args:
         colors: Colours of points in photos; V photos.

@@ -15,6 +15,7 @@ from ...datasets.dataset import map_threads
 from ...datasets.tracks import Tracks, tracks_of
 from ...io.images.pillow_images import opened_picture
 from ...io.images.read_image import resize
+from ...shared_constants import EXPOSURE_OFFSET
 from ..photos.sky_search import PhotoCells, cells_of, sky_views
 
 _EXIF, _TIME, _APERTURE, _SPEED = 0x8769, 0x829A, 0x829D, 0x8827
@@ -104,8 +105,8 @@ def backdrop_share(image: np.ndarray, mask: np.ndarray | None, level: int) -> fl
 def colors_in_view(
     dataset: Dataset, tracks: Tracks, index: int, image: np.ndarray, mask: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows [M] of points and ln of their colours [M, 3] at their observations in one photo, except
-    dark, clipped and masked ones."""
+    """Rows [M] of points and ln of their colours + 0.055 [M, 3], see `gscore.photo_exposure`, at
+    their observations in one photo, except dark, clipped and masked ones."""
     cameras = dataset.scene.cameras
     height, width = image.shape[:2]
     small = max(1.0, max(height, width) / _SIDE)
@@ -120,7 +121,7 @@ def colors_in_view(
     good = (colors.min(axis=1) >= _DARK) & (colors.max(axis=1) <= _BRIGHT)
     if mask is not None and dataset.mask_mode != "none":
         good &= resize(np.dstack([mask] * 3), columns, lines)[v, u, 0] >= _SHOWN
-    return rows[good], np.log(colors[good] / 255.0)
+    return rows[good], np.log(colors[good] / 255.0 + EXPOSURE_OFFSET)
 
 
 @dataclass(frozen=True, kw_only=True)

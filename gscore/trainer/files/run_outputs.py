@@ -19,6 +19,7 @@ from ...io.ply.splats import MIP_COMMENT, origin_comment, write_splat_parts
 from ...io.poses_json import POSES_FILE, write_poses
 from ...io.runs import snapshots_in
 from ...metrics import Course, Evaluation, Metrics
+from ...photo_exposure import PhotoExposure
 from ...report import PictureCollector, cameras_section, splat_histograms, write_results
 from ..depth.report import DepthReport
 from ..distributed.process_group import ProcessGroup
@@ -184,7 +185,7 @@ class RunOutputs:
         gains, names = trainer.photo_parameters.all_gains(), trainer.photos.scene.cameras.names
         if gains is not None:
             views = [*trainer.photos.train, *trainer.photos.test]
-            by_name = {names[i]: gains[i] for i in views}
+            by_name = {names[i]: PhotoExposure.of(gains[i]) for i in views}
             write_exposures(self.folder.path / EXPOSURE_FILE, by_name)
         if trainer.photo_parameters.poses is not None:
             entries["poses"] = {

@@ -12,6 +12,7 @@ from ...config import Background, TrainConfig
 from ...engine.base import Color, DrawnPicture, Engine, EngineModel
 from ...engine.cpu.loss import mse_of_unmasked
 from ...live.viewer_protocol import FrameRequest
+from ...photo_exposure import PhotoExposure
 from ...raster import native_library
 from ...raster.loss import image_loss
 from ...raster.request import Frustum
@@ -19,7 +20,6 @@ from ...shared_constants import EPS2D, JACOBIAN_MARGIN, REACH
 from ..model.training_frame import TrainingFrame
 from ..photos.image_pyramid import ImagePyramid, SizedView, tiles_of_mask, training_camera
 from ..photos.view_sampler import Photos
-from .photo_gains import background_before_gain
 from .photo_parameters import PhotoParameters
 from .photo_poses import align_pose
 
@@ -147,7 +147,7 @@ class ModelRenderer:
         composited over it. Otherwise the background is part of the scene and exposed with it."""
         if gain is None or self.photos.mask_mode != "composite":
             return background
-        return background_before_gain(background, gain)
+        return PhotoExposure.of(gain).behind(background)
 
     def picture(self, index: int, *, background: Color) -> np.ndarray:
         """Render view `index` with the photo's gain, if any, that of a held-out photo predicted:
@@ -218,9 +218,7 @@ class ModelRenderer:
         """Render `view`, the view of photo `index` at any size, with the photo's gain."""
         gain = self.photo_parameters.gain_of(index)
         picture = self._draw(view, self.background_before_gain(background, gain)).rgb
-        if gain is not None:
-            picture *= np.array(gain, np.float32)
-        return picture
+        return picture if gain is None else PhotoExposure.of(gain).apply(picture)
 
     def _draw(
         self,

@@ -1,9 +1,9 @@
 """Photo gains: exposure and white balance of each photo as optimised factors by channel.
 
-The rendered image times the photo's gain is compared with the photo. Values are encoded (sRGB),
-where a change of exposure by s stops is a gain of about 2^(s / 2.2), and white balance a gain by
-channel. A gain is stored as three coefficients of `_BASIS`, so that Adam changes the exposure, the
-largest difference between photos, along one axis.
+The rendered image with the photo's gain is compared with the photo. Gains are those of encoded
+values (`gscore.photo_exposure`): a change of exposure by s stops is 2^(s / 2.4), and white balance
+a gain by channel. A gain is stored as three coefficients of `_BASIS`, so that Adam changes the
+exposure, the largest difference between photos, along one axis.
 """
 
 import math
@@ -17,7 +17,7 @@ from ...camera_neighbours import natural_key
 from ...engine.base import Color
 from .photo_adam import PhotoAdam, checked_array
 
-STOP = math.log(2.0) / 2.2
+STOP = math.log(2.0) / 2.4
 """ln of the gain of one stop, in encoded values."""
 _BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
 """Rows: ln gain of R, G and B by exposure, by warmth and by green; orthogonal."""
@@ -119,16 +119,6 @@ class PhotoGains:
 def as_gain(log_gain: np.ndarray) -> Color:
     """Gain of an ln gain [3], rounded to float32."""
     r, g, b = np.exp(log_gain).astype(np.float32).tolist()
-    return (r, g, b)
-
-
-def background_before_gain(background: Color, gain: Color) -> Color:
-    """Return the colour that equals `background` after multiplication by a gain.
-
-    For photos composited over a background, whose colour does not depend on the exposure: splats
-    are rendered over this colour instead.
-    """
-    r, g, b = (colour / by for colour, by in zip(background, gain, strict=True))
     return (r, g, b)
 
 

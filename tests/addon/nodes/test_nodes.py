@@ -17,6 +17,7 @@ from addon.splats import settings as splat_settings
 from addon.splats.edit import stats
 from addon.splats.filters import visible_mask
 from tests.addon import points
+from tests.light_changes import decode
 
 pytestmark = pytest.mark.usefixtures("built_anew")
 Make = Callable[..., Splats]
@@ -170,11 +171,6 @@ def test_ellipsoids(ob: bpy.types.Object, make_splats: Make) -> None:
         own[:3, :3] = turn * np.exp(splats.scales[row]) * 1.25
         own[:3, 3] = splats.means[row]
         np.testing.assert_allclose(got, world @ own, atol=2e-6)
-
-
-def decode(encoded: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
 def viridis(measure: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from addon.render import compare
 from addon.splats import objects
 from gscore.io.exposure_json import EXPOSURE_FILE, write_exposures
 from gscore.io.images.png import write_png
+from gscore.photo_exposure import PhotoExposure
 from tests.addon import splat_scenes as lab
 from tests.addon.calls import import_capture
 from tests.addon.drawn import drawn
@@ -57,8 +58,8 @@ def pixels(image: bpy.types.Image) -> np.ndarray:
 
 
 def test_the_picture_has_the_exposure_of_the_photo(studio, scene, tmp_path):
-    """Oracle: the picture without exposures times the gains in the run's exposure.json, but for
-    the background; without it, or for splats of two runs, the picture as it is."""
+    """Oracle: the picture without exposures, exposed as in the run's exposure.json, but for the
+    background; without it, or for splats of two runs, the picture as it is."""
     capture, _ = studio
     camera, scene.gscore.use_masks = capture.cameras[9], False
     ob = bpy.data.objects["s"]
@@ -67,7 +68,9 @@ def test_the_picture_has_the_exposure_of_the_photo(studio, scene, tmp_path):
     plain = compared(scene, camera, graph())
     before = pixels(plain.images["Render"])
     gain = np.array([0.5, 0.7, 0.9])
-    write_exposures(tmp_path / EXPOSURE_FILE, {photo_camera_of(camera).image: gain})
+    write_exposures(
+        tmp_path / EXPOSURE_FILE, {photo_camera_of(camera).image: PhotoExposure.of(gain)}
+    )
     found = compared(scene, camera, graph())
     after = pixels(found.images["Render"])
     background = float(lab.srgb(0.1))
@@ -75,8 +78,9 @@ def test_the_picture_has_the_exposure_of_the_photo(studio, scene, tmp_path):
     assert not plain.exposed and found.exposed and found.psnr < plain.psnr
     assert np.abs(after - before)[empty].max(initial=0) <= 4 / 255
     assert (after <= before + 1 / 255).all() and (after < before - 0.05).any()
-    solid = before[~empty].max(axis=0)  # opaque and bright: the gain alone
-    np.testing.assert_allclose(after[~empty].max(axis=0), solid * gain, atol=0.03)
+    solid = before[~empty].max(axis=0)  # opaque and bright
+    wanted = (solid + 0.055) * gain - 0.055
+    np.testing.assert_allclose(after[~empty].max(axis=0), wanted, atol=0.03)
     copy = ob.copy()
     capture.collection.objects.link(copy)
     stored_paths.write(copy, stored_paths.RUN, tmp_path / "other")

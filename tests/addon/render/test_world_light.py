@@ -14,6 +14,7 @@ from addon.render.light_probe import LightProbe, sky_irradiance, strongest_light
 from addon.render.white_level import white_level
 from gscore.io.cameras_json import write_cameras
 from gscore.io.exposure_json import write_exposures
+from gscore.photo_exposure import PhotoExposure
 from gscore.scene import Cameras
 from tests.addon import splat_scenes as lab
 
@@ -204,20 +205,20 @@ def write_run(folder: Path, away: float, gains: tuple[float, float]) -> None:
         names=("a.png", "b.png"),
     )
     write_cameras(folder / "cameras.json", cameras)
-    by_name = {name: np.full(3, gain) for name, gain in zip("ab", gains, strict=True)}
+    by_name = {name: PhotoExposure.of([gain] * 3) for name, gain in zip("ab", gains, strict=True)}
     write_exposures(folder / "exposure.json", {f"{n}.png": one for n, one in by_name.items()})
 
 
 def test_white_level(tmp_path):
-    """Oracle: the light whose sRGB value times the smallest gain of photos that show the place is
-    1; 1 if none does, or for a run without exposures, or with those of other photos."""
+    """Oracle: the light that the smallest gain of photos that show the place makes white, 1 over
+    gain^2.4; 1 if none does, or for a run without exposures, or with those of other photos."""
     ahead = np.array([4.0, 0, 0])
     assert white_level(tmp_path, ahead) == white_level(tmp_path / "none", ahead) == 1
-    for gains, value in (((0.5, 2), 2), ((1.25, 1.6), 0.8)):
+    for gains, least in (((0.5, 2), 0.5), ((1.25, 1.6), 1.25)):
         write_run(tmp_path, 1, gains)
-        assert white_level(tmp_path, ahead) == pytest.approx(((value + 0.055) / 1.055) ** 2.4)
+        assert white_level(tmp_path, ahead) == pytest.approx(least**-2.4)
         assert white_level(tmp_path, -ahead) == 1
-    write_exposures(tmp_path / "exposure.json", {"c.png": np.full(3, 0.5)})
+    write_exposures(tmp_path / "exposure.json", {"c.png": PhotoExposure.of([0.5] * 3)})
     assert white_level(tmp_path, ahead) == 1
 
 

@@ -21,7 +21,7 @@ from gscore.trainer.views.pose_math import moved_pose
 from tests.trainer.short_run import CONFIG
 
 POINTS = 40
-STOP = np.log(2) / 2.2
+STOP = np.log(2) / 2.4
 """ln gain of encoded values of one stop."""
 
 

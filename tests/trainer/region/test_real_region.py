@@ -11,7 +11,7 @@ import pytest
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.formats import read_splats
-from gscore.io.exposure_json import read_gains
+from gscore.io.exposure_json import read_exposures
 from gscore.io.region_file import read_region
 from gscore.metrics import evaluate
 from gscore.presets import preview
@@ -56,15 +56,15 @@ def test_a_region_of_plush_gets_better_and_the_rest_stays(tmp_path: Path) -> Non
     cameras = dataset.scene.cameras
     evaluated = RegionPhotos(dataset, RegionBox(read_region(region)), near=config.near)
 
-    gains, kept_gains = (read_gains(tmp_path / name) for name in ("whole", "again"))
+    exposures, kept = (read_exposures(tmp_path / name) for name in ("whole", "again"))
     for name in cameras.names:
-        np.testing.assert_allclose(kept_gains[name], gains[name], rtol=1e-9)
+        np.testing.assert_allclose(kept[name], exposures[name], rtol=1e-9)
 
     def worth(splats: object, photos: object, key: str) -> float:
         def picture(i: int) -> np.ndarray:
             size = int(cameras.widths[i]), int(cameras.heights[i])
             picture = render(splats, cameras.Ks[i], cameras.viewmats[i], *size).rgb
-            return np.clip(picture * gains[cameras.names[i]], 0, 1).astype(np.float32)
+            return np.clip(exposures[cameras.names[i]].apply(picture), 0, 1).astype(np.float32)
 
         return evaluate(picture, photos, dataset.test).mean[key]
 

@@ -12,15 +12,17 @@ import torch
 import gscore
 from gscore.config import Background
 from gscore.engine.cpu.loss import without_background
+from gscore.photo_exposure import PhotoExposure
 from gscore.raster.loss import image_loss_gradient
-from gscore.raster.reference import image_loss_reference, rasterize_reference
+from gscore.raster.reference import image_loss_reference, rasterize_reference, unexposed_reference
 from gscore.raster.request import Frustum, Settings
 from gscore.raster.training_rasterizer import TrainingRasterizer
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
 from gscore.trainer.views.photo_adam import rate_at
-from gscore.trainer.views.photo_gains import PhotoGains, background_before_gain
+from gscore.trainer.views.photo_gains import PhotoGains
+from tests.light_changes import exposed_bytes
 from tests.trainer.short_run import CONFIG
 
 BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
@@ -35,7 +37,7 @@ def some_gains(photos: Any, seed: int = 0, *, spread: float = 0.2) -> np.ndarray
 def exposed(photos: Any, log_gains: np.ndarray) -> Any:
     """The photos with these gains."""
     images = [
-        np.clip(image * np.exp(gain) + 0.5, 0, 255).astype(np.uint8)
+        exposed_bytes(image, np.exp(gain))
         for image, gain in zip(photos.images, log_gains, strict=True)
     ]
     return replace(photos, images=images)
@@ -106,7 +108,8 @@ def test_the_chain_from_the_loss_to_a_gain(known_splats: Any, photos: Any, mode:
     options = {"mask": mask, "mask_mode": mode, "background": background}
 
     rasterizer = TrainingRasterizer()
-    shown = background_before_gain(background, gain) if mode == "composite" else background
+    behind = PhotoExposure.of(gain).behind(background)
+    shown = behind if mode == "composite" else background
     picture = rasterizer.draw(raw, view, Settings(background=shown))
     v_rgb = torch.empty_like(picture.rgb)
     found = image_loss_gradient(picture.rgb, target, v_rgb, gain=torch.tensor(gain), **options)
@@ -120,7 +123,7 @@ def test_the_chain_from_the_loss_to_a_gain(known_splats: Any, photos: Any, mode:
         by = log_gain.exp()
         behind_all = torch.tensor(background, dtype=torch.float64)
         if mode == "composite":
-            behind_all = behind_all / by
+            behind_all = unexposed_reference(behind_all, by)
         out = rasterize_reference(
             *_activated(raw),
             torch.from_numpy(camera.viewmats[0]),

@@ -1,0 +1,24 @@
+"""Photos under another exposure, computed in linear light."""
+
+import numpy as np
+
+
+def decode(encoded: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB values (IEC 61966-2-1)."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def encode(light: np.ndarray) -> np.ndarray:
+    """sRGB values of linear light."""
+    high = 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
+    return np.where(light <= 0.0031308, 12.92 * light, high)
+
+
+def exposed_by(values: np.ndarray, gain: np.ndarray | float) -> np.ndarray:
+    """sRGB values of light times gain^2.4."""
+    return encode(decode(values) * np.asarray(gain) ** 2.4)
+
+
+def exposed_bytes(image: np.ndarray, gain: np.ndarray | float) -> np.ndarray:
+    """Image of uint8 exposed by a gain, clipped."""
+    return np.clip(255 * exposed_by(image / 255, gain) + 0.5, 0, 255).astype(np.uint8)
