@@ -1,7 +1,8 @@
 """Image pyramid: the views of a capture at the resolution of a training step."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -9,15 +10,17 @@ import numpy as np
 from ...datasets.resolution import scale_intrinsics
 from ...engine.base import StepPhoto
 from ...io.images.read_image import resize
+from ...metrics.machine import cores
 from ...raster import native_library
 from ...raster.request import Frustum
 from ...scene import Cameras
 from .view_sampler import Photos, training_camera
 
-AHEAD = 3
-"""Number of views that are prefetched."""
-_WORKERS = 2
-"""Threads that prefetch."""
+AHEAD, _WORKERS = 16, 8
+"""Most views that are prefetched, and threads for that: a card takes a step in a fraction of the
+time in which a photo is scaled."""
+_FEW_AHEAD, _FEW_WORKERS = 3, 2
+"""The same with a memory limit, because each photo is decoded there."""
 
 
 class SizedView(NamedTuple):
@@ -49,12 +52,18 @@ class SizedView(NamedTuple):
 class ImagePyramid:
     """Photos scaled down on first use, kept for one factor at a time.
 
-    With a memory limit the first photos are kept, which is optimal if each is used once per epoch,
-    and the next ones are prefetched in the background. The pixels do not depend on the limit.
+    The next ones are prefetched in the background. With a memory limit the first photos are kept,
+    which is optimal if each is used once per epoch. The pixels depend on neither.
     """
 
     def __init__(
-        self, photos: Photos, cameras: Cameras, *, near: float, limit: int | None = None
+        self,
+        photos: Photos,
+        cameras: Cameras,
+        *,
+        near: float,
+        limit: int | None = None,
+        threads: int = 0,
     ) -> None:
         """Create an empty pyramid.
 
@@ -63,6 +72,7 @@ class ImagePyramid:
             cameras: Cameras of `photos` in the training frame.
             near: Near plane, training units.
             limit: Bytes of photos to keep; None: all.
+            threads: Most threads that prefetch; 0: all cores.
         """
         self._photos = photos
         self._cameras = cameras
@@ -72,12 +82,15 @@ class ImagePyramid:
         self._kept: dict[int, SizedView] = {}
         self._nbytes = 0
         self._coming: dict[int, Future[SizedView]] = {}
-        self._pool = None if limit is None else ThreadPoolExecutor(_WORKERS, "gscore-photos")
+        self._ahead, workers = AHEAD, min(threads or cores(), _WORKERS)
+        if limit is not None:
+            self._ahead, workers = _FEW_AHEAD, _FEW_WORKERS
+        self._pool = ThreadPoolExecutor(workers, "gscore-photos")
 
-    def at(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> SizedView:
+    def at(self, index: int, factor: float, *, upcoming: Iterable[int] = ()) -> SizedView:
         """Return view `index` with sides divided by `factor` >= 1, K exact for the rounded size.
 
-        `upcoming`: the next views, for prefetching.
+        `upcoming`: the next views, for prefetching; only read where photos are missing.
         """
         if factor != self._factor:
             self._factor, self._kept, self._nbytes = factor, {}, 0
@@ -85,14 +98,14 @@ class ImagePyramid:
                 future.cancel()
             self._coming = {}
         found = self._kept.get(index)
+        if found is not None and self._limit is None:
+            return found
+        for i in (index, *islice(upcoming, self._ahead)):
+            if i not in self._kept and i not in self._coming:
+                self._coming[i] = self._pool.submit(self._scaled, i, factor)
         if found is None:
-            future = self._coming.pop(index, None)
-            found = self._scaled(index, factor) if future is None else future.result()
+            found = self._coming.pop(index).result()
             self._keep(index, found)
-        if self._pool is not None:
-            for i in upcoming[:AHEAD]:
-                if i not in self._kept and i not in self._coming:
-                    self._coming[i] = self._pool.submit(self._scaled, i, factor)
         return found
 
     def _keep(self, index: int, found: SizedView) -> None:

@@ -157,11 +157,11 @@ class ViewBatcher:
             rows.append(sampler.batch_neighbours(models))
         return [list(views) for views in zip(*rows, strict=True)]
 
-    def _upcoming(self, models: int) -> list[int]:
+    def _upcoming(self, models: int) -> Iterator[int]:
         """Next views of this rank, as far as the order is known."""
         rank, size = (self._group.rank, self._group.size) if self._group else (0, 1)
         batches = self._sampler.upcoming(AHEAD * size, models)[rank::size]
-        return [view for views in batches for view in views]
+        yield from (view for views in batches for view in views)
 
     def _step_background(self) -> Color:
         if self._background is Background.RANDOM:

@@ -1,7 +1,7 @@
 """Model renderer: images of the splats in training for viewers, metrics and decisions."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -131,7 +131,7 @@ class ModelRenderer:
         """View `index` with sides divided by `factor`, at its refined camera pose."""
         return self.photo_parameters.at_refined_pose(self.pyramid.view(index, factor), index)
 
-    def sized(self, index: int, factor: float, *, upcoming: Sequence[int] = ()) -> SizedView:
+    def sized(self, index: int, factor: float, *, upcoming: Iterable[int] = ()) -> SizedView:
         """View `index` with its photo, sides divided by `factor`, at its refined camera pose.
 
         `upcoming`: the next views, for prefetching.

@@ -111,6 +111,19 @@ def test_the_cache_is_bounded_and_the_next_views_come_in_time(
     assert len(counted) == 7
 
 
+def test_views_are_scaled_before_their_steps(photos: Any) -> None:
+    """Oracle: the views that were named, of which those that are kept are not made again; the
+    pixels of a pyramid that makes one at a time."""
+    pyramid, alone = (ImagePyramid(photos, photos.scene.cameras, near=0.01) for _ in range(2))
+    order = [5, 1, 7, 0, 3, 2]
+    for place, index in enumerate(order):
+        found = pyramid.at(index, 1.5, upcoming=order[place + 1 :])
+        assert sorted(pyramid._coming) == sorted(order[place + 1 :])
+        assert np.array_equal(found.image, alone.at(index, 1.5).image)
+    pyramid.at(5, 1.5, upcoming=(i for i in [6]))
+    assert not pyramid._coming, "a photo that is there asks for no others"
+
+
 def test_few_decoded_views_are_held(capture: Path) -> None:
     """Oracle: the bytes of a dataset that keeps all views."""
     data = DataConfig(source=capture)
