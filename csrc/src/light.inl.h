@@ -223,7 +223,8 @@ GS_INLINE void light_put(float *column, IVec rows, Vec v) {
         column[rows[l]] = v[l];
 }
 
-// Mean radius of the blur by meshes in front that hide a part of the lamp; 0 without any.
+// Radius of the blur by meshes in front that hide a part of the lamp; 0 without any. Its inverse is the root mean square
+// of theirs: the nearest surface blurs more than the outline behind it, which light would pass at contacts.
 static Vec light_blur_of(const gs_shadow_map &map, const LightPlane &plane, const LightDiscs &discs, float slack,
                          float size, Vec z, IVec rows) {
     const Vec cosine = gather(discs.turns[0], rows & (kLightTurns - 1)),
@@ -235,10 +236,10 @@ static Vec light_blur_of(const gs_shadow_map &map, const LightPlane &plane, cons
         const LightMesh mesh = light_mesh(map, plane.point(reach * x, reach * y), slack);
         const Vec blur = light_blur(map, size, mesh.z, mesh.depth);
         const Mask hides = both(mesh.hides, ge(blur, reach * point[2]));
-        sum += keep(hides, blur);
+        sum += keep(hides, quotient(set1(1.0f), max(blur * blur, set1(1e-30f))));
         count += keep(hides, set1(1.0f));
     }
-    return sum / max(count, set1(1.0f));
+    return sqrt(quotient(count, max(sum, set1(1e-30f))));
 }
 
 // Sum of the samples [first, last) of a soft shadow.

@@ -266,6 +266,54 @@ def test_soft_shadows(isa: str, kind: str) -> None:
     assert soft[~blurred].mean() < 0.01
 
 
+def test_a_soft_shadow_stays_dark_where_a_ball_stands(isa: str) -> None:
+    """Oracle: rays to many samples of the sun past a ball on the ground, in closed form; means of
+    the blurs of its upper side, which the map shows, let light pass below it."""
+    lamp, _, _ = plate("sun")
+    lamp = replace(lamp, axis=(0.9, 0.0, -0.43589), size=0.3)
+    u, v = np.meshgrid(np.linspace(0, np.pi, 40), np.linspace(0, 2 * np.pi, 80))
+    ball = np.stack([np.sin(u) * np.cos(v), np.sin(u) * np.sin(v), np.cos(u) + 1], -1)
+    k = np.arange(79 * 40).reshape(79, 40)[:, :-1].ravel()
+    square = 9 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
+    faces = [np.stack([k, k + 1, k + 41], 1), np.stack([k, k + 41, k + 40], 1)]
+    faces.append(np.array([[0, 1, 2], [0, 2, 3]]) + 3200)
+    rotation, size = turned(np.array(lamp.axis)), 512
+    viewmat = np.eye(4)
+    viewmat[:3, :3], viewmat[:3, 3] = rotation, [0, 0, 20]
+    K = np.array([[size / 10, 0, size / 2], [0, size / 10, size / 2], [0, 0, 1]])
+    drawn, farthest = mesh_nearness(
+        np.concatenate([ball.reshape(-1, 3), square]),
+        np.concatenate(faces).astype(np.int32),
+        *(K, viewmat, size, size),
+    )
+    shadows = ShadowMap(
+        depths=drawn[None],
+        rotations=rotation[None],
+        place=-rotation.T @ viewmat[:3, 3],
+        scale=size / 10,
+        parallel=True,
+        farthest=farthest,
+    )
+    flat = np.random.default_rng(0).uniform([-1, -1.2], [3, 1.2], (COUNT, 2))
+    places = np.column_stack([flat, np.zeros(COUNT)]).astype(np.float32)
+    up = np.tile(np.float32([0, 0, 1]), (COUNT, 1))
+    surfaces = Surfaces(places=places, normals=up, matrix=np.eye(4))
+    light = SurfaceLight(lamps=[lamp], maps=[(shadows, None)], world=np.zeros((9, 3)), slack=0.02)
+    bare = surface_radiance(replace(light, maps=[(None, None)]), surfaces)
+    found = surface_radiance(light, surfaces)[:, 0] / bare[:, 0]
+    turn = 2.39996 * np.arange(500)
+    disc = np.sqrt(np.linspace(0, 1, 500))[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1)
+    rays = lamp.size * disc @ rotation[:2] - np.array(lamp.axis)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    center = [0, 0, 1] - places.astype(np.float64)
+    near = center @ rays.T
+    wanted = (((center**2).sum(1)[:, None] - near**2 > 1) | (near < 0)).mean(1)
+    dark = wanted < 0.02
+    assert dark.sum() > 40
+    assert found[dark].mean() < 0.145
+    assert np.abs(found - wanted).mean() < 0.1
+
+
 @pytest.mark.parametrize("size", [0.0, 0.3])
 def test_lamps_with_the_same_shadows_add_up(isa: str, size: float) -> None:
     """Oracle: the sum of the lamps alone; there are more than are summed at once."""
