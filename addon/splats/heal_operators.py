@@ -153,11 +153,14 @@ class RemoveHealing(Editing, bpy.types.Operator):
         before = len(ob.data.vertices)
         if not len(left):
             raise ValueError(f"{guard.name} has only added splats: delete the object instead.")
-        ob = yield from separate_join.kept(guard, table, left)
+        if len(left) < before:
+            ob = yield from separate_join.kept(guard, table, left)
         if (mark := ob.data.attributes.get(attributes.HEALED)) is not None:
             ob.data.attributes.remove(mark)
         if edits := edits_of(ob):
             store(ob, [one for one in edits if not is_added(one)])
+        if len(left) == before:
+            return "No added splats are left; Replay Edits does not add them again either."
         return f"Removed {before - len(left):,} splats, {len(left):,} left."
 
 

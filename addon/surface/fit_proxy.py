@@ -163,10 +163,15 @@ def _fit(proxy: bpy.types.Object, near: _Near, mark: str) -> int:
     edges = np.linalg.norm(places[ends[::2]] - places[ends[1::2]], axis=1)
     gone = near.distances > _FARTHER * before + float(np.median(edges))
     if (colors := mesh.color_attributes.get(COLOR)) is not None:
-        rgba = np.empty(4 * len(places), np.float32)
+        added = np.where(gone[:, None], 0, shift)
+        if colors.domain == "CORNER":  # as Blender's tools may convert it
+            corners = np.empty(len(mesh.loops), np.int32)
+            mesh.attributes[".corner_vert"].data.foreach_get("value", corners)
+            added = added[corners]
+        rgba = np.empty(4 * len(added), np.float32)
         colors.data.foreach_get("color_srgb", rgba)
         rgba = rgba.reshape(-1, 4)
-        rgba[:, :3] += np.where(gone[:, None], 0, shift)
+        rgba[:, :3] += added
         colors.data.foreach_set("color_srgb", np.clip(rgba, 0, 1).ravel())
     _store(proxy, _Near(np.where(gone, before, near.distances), near.colors), mark)
     faces = len(mesh.polygons)

@@ -73,6 +73,26 @@ def test_what_was_erased_is_filled_and_removed_again(ob) -> None:
     assert not bpy.ops.gscore.remove_healing.poll()
 
 
+def test_healing_can_be_separated_and_removed(ob) -> None:
+    """What was separated is deleted as an object; what it was taken from forgets the record."""
+    assert bpy.ops.gscore.erase_splats() == {"FINISHED"}
+    left = objects.read(ob)
+    assert bpy.ops.gscore.heal_splats() == {"FINISHED"}
+    assert bpy.ops.gscore.separate_splats() == {"FINISHED"}
+    part = next(one for one in bpy.context.scene.objects if one.name == "wall part")
+    assert marks(part).all()
+    activate(part)
+    with pytest.raises(RuntimeError, match="has only added splats: delete the object"):
+        bpy.ops.gscore.remove_healing()
+    activate(ob)
+    mesh = ob.data.session_uid
+    assert bpy.ops.gscore.remove_healing() == {"FINISHED"}
+    assert ob.data.session_uid == mesh  # nothing was written
+    np.testing.assert_array_equal(objects.read(ob).means, left.means)
+    assert attributes.HEALED not in ob.data.attributes
+    assert ["healed" in one for one in replay.edits_of(ob)] == [False]
+
+
 def test_what_fills_a_hole_can_be_relit(ob) -> None:
     """With the normal of the wall and the captured light of the place, of which a tenth of the
     splats, such as restored ones, know nothing."""

@@ -259,6 +259,33 @@ def test_a_proxy_follows_edits(result: bpy.types.Object, tmp_path: Path) -> None
     np.testing.assert_allclose(after[0], np.clip(before[0] - [0, 0, 0.1], 0, 1), atol=1 / 255)
 
 
+@pytest.mark.parametrize("domain", ["CORNER", ""])
+def test_a_proxy_with_other_colors_is_updated(
+    result: bpy.types.Object, tmp_path: Path, domain: str
+) -> None:
+    """Colors of face corners follow what was painted; a proxy may have none."""
+    result.location, result.rotation_euler = (0, 0, 0), (0, 0, 0)
+    means = SURFACE.vertices.repeat(10, 0).astype(np.float32)
+    made = replace(splats(40), means=means, opacities=np.full(40, 5, np.float32))
+    made.sh0[:] = rgb_to_sh0(np.array([0.2, 0.4, 0.6]))
+    objects.refresh(result, made)
+    mesh = made_proxy(result, tmp_path).data
+    mesh.color_attributes.remove(mesh.color_attributes.active_color)
+    if domain:
+        colors = mesh.color_attributes.new("Color", "FLOAT_COLOR", domain)
+        colors.data.foreach_set("color_srgb", np.full(4 * len(mesh.loops), 0.5, np.float32))
+    made.sh0[:10] = rgb_to_sh0(np.array([0.2, 0.4, 0.5]))
+    objects.refresh(result, made)
+    bpy.context.view_layer.update()
+    assert bpy.ops.gscore.update_proxy() == {"FINISHED"}
+    assert not fit_proxy.is_stale(result)
+    if domain:
+        after = np.array([one.color_srgb[:3] for one in mesh.color_attributes["Color"].data])
+        first = np.array([one.vertex_index == 0 for one in mesh.loops])
+        np.testing.assert_allclose(after[first], [[0.5, 0.5, 0.4]] * first.sum(), atol=1e-3)
+        np.testing.assert_allclose(after[~first], 0.5, atol=1e-3)
+
+
 def test_an_edited_proxy_is_updated(result: bpy.types.Object, tmp_path: Path) -> None:
     """Faces need not be triangles: two were joined by hand."""
     result.location, result.rotation_euler = (0, 0, 0), (0, 0, 0)
