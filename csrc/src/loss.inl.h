@@ -71,13 +71,12 @@ static inline Vec filter_along(const float *row) {
 struct CurveRows {
     float *gain, *offset, *steep, *dark;
 
-    float at(int i, float value) const {
-        return value < dark[i] ? value * steep[i] : value * gain[i] + offset[i];
-    }
+    float at(int i, float value) const { return value < dark[i] ? value * steep[i] : value * gain[i] + offset[i]; }
 };
 
 // Pixels [begin, end) of a target row, shifted.
-static inline void read_row(const gs_loss_args &a, const CurveRows &curve, int row, int begin, int end, float *x, float *y) {
+static inline void read_row(const gs_loss_args &a, const CurveRows &curve, int row, int begin, int end, float *x,
+                            float *y) {
     const size_t at = size_t(row) * size_t(a.width) + size_t(begin);
     const float *image = a.image + 3 * at;
     const uint8_t *target = a.target + 3 * at;
@@ -363,10 +362,10 @@ class LossTile {
     size_t stride_;
     // Inputs of the loss, two margins before the tile, and derivatives, one margin before it.
     LossRing x_, y_, derivatives_[kLossDerivatives];
-    float *down_;            // a group of rows of each map, filtered vertically
+    float *down_; // a group of rows of each map, filtered vertically
     CurveRows curve_;
-    float *edge_, *lift_;    // per float of a row: where x is bright, and the offset of the curve, both under the mask
-    float *by_gain_;         // sums over rows of the gradient in the logarithm of the gain
+    float *edge_, *lift_; // per float of a row: where x is bright, and the offset of the curve, both under the mask
+    float *by_gain_;      // sums over rows of the gradient in the logarithm of the gain
     double l1_ = 0, ssim_ = 0, mse_ = 0;
 };
 

@@ -52,7 +52,7 @@ class PhotoErrors:
         worst = order[: int((psnr < middle - max(_FAR, _DEVIATIONS * spread)).sum())]
         if not 0 < len(worst) <= max(_MOST_SHARE * count, 1):
             return ""
-        named = [f"{brief(names[train[i]])} ({psnr[i]:.1f} dB)" for i in worst[:_NAMED]]
+        named = [f"{brief(names[train[int(i)]])} ({psnr[i]:.1f} dB)" for i in worst[:_NAMED]]
         more = " and others" if len(worst) > _NAMED else ""
         fits = count_text(len(worst), "training photo fits", "training photos fit")
         return (
