@@ -259,8 +259,9 @@ class StepRequest:
     place: int = 0
     """Index of the model among those that are trained in parallel."""
     drop_rate: float = 0.0
-    """Share of the splats that are not drawn: those whose uniform number of `DROPOUT_STREAM` is
-    less (Park et al. 2025); the opacity o of the others is o / (1 - rate), at most 0.999."""
+    """Share of the splats that are not drawn: those whose block of rows, see
+    `cpu.splat_terms.dropout_blocks`, has a smaller uniform number of `DROPOUT_STREAM`; the opacity
+    o of the others is o / (1 - rate), at most 0.999 (Park et al. 2025)."""
     noise: float = 0.0
     """Weight of the noise that moves faint splats after Adam, by covariance @ normal numbers of
     `NOISE_STREAM` (Kheradmand et al. 2024), see `cpu.splat_terms.add_noise`; 0: none."""

@@ -76,7 +76,8 @@ bool place(uint row, out Projection p) {
     }
     p.raised = p.opacity;
     if (frame.drop_rate > 0.0 && row >= training.frozen) {
-        uvec4 words = random_words(row - training.frozen, frame.step, frame.stream, uvec2(frame.seed_low, frame.seed_high));
+        uint block = (row - training.frozen + frame.step % GS_DROPOUT_ROWS) / GS_DROPOUT_ROWS;
+        uvec4 words = random_words(block, frame.step, frame.stream, uvec2(frame.seed_low, frame.seed_high));
         if (uniform_number(words) < frame.drop_rate)
             return false;
         p.raised = min(p.opacity / (1.0 - frame.drop_rate), GS_RAISED_MAX);

@@ -23,6 +23,7 @@ from ...raster.random_numbers import normal_rows, uniform_rows
 from ...raster.request import Frustum, Settings
 from ...raster.screen_gradients import add_screen_gradients
 from ...raster.training_rasterizer import TrainingRasterizer
+from ...shared_constants import DROPOUT_ROWS
 from ...splats import PARAMETERS
 from ...text_format import count_text
 from .. import base
@@ -32,7 +33,7 @@ from ..stage_timer import StageTimer
 from .loss import LossAndGradients, StepLoss
 from .model import CpuModel, Moments, accumulated_of
 from .pace import COST, current_pace
-from .splat_terms import add_noise, add_regularisers, drop_splats
+from .splat_terms import add_noise, add_regularisers, drop_splats, dropout_blocks
 from .surface_term import surface_terms
 
 _SKIPS = {
@@ -163,8 +164,10 @@ class CpuEngine(base.Engine[CpuModel]):
         opacities, leaf = model.params["opacities"], None
         if request.drop_rate > 0:
             leaf = opacities.detach().requires_grad_()
-            numbers = uniform_rows(len(leaf), **self._random(request, base.DROPOUT_STREAM))
-            opacities = drop_splats(leaf, request.drop_rate, numbers)
+            block = dropout_blocks(len(leaf), request.step)
+            random = self._random(request, base.DROPOUT_STREAM)
+            numbers = uniform_rows(len(leaf) // DROPOUT_ROWS + 2, **random)
+            opacities = drop_splats(leaf, request.drop_rate, numbers[block])
         picture = self._rasterizer.draw(
             tuple((model.params | {"opacities": opacities}).values()),
             request.view,

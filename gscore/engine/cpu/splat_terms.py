@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import torch
 
+from ...shared_constants import DROPOUT_ROWS
 from ..rotation import rotate
 from .model import CpuModel
 
@@ -55,6 +56,18 @@ _GONE = -30.0
 """Logit of a dropped splat: far below the opacity at which splats are drawn."""
 _MOST = 0.999
 """Highest opacity after compensation; the rasterizer clamps to 0.99 anyway."""
+
+
+def dropout_blocks(count: int, step: int) -> torch.Tensor:
+    """Return the block of each row in dropout, [count] int64: `DROPOUT_ROWS` rows in a row, that
+    begin at another row in each step.
+
+    Neighbours are left out together, because they would take the place of a single splat (DropAnSH,
+    arXiv 2602.20933, searches for them; here rows are sorted along a Morton curve anyway).
+    """
+    first = step % DROPOUT_ROWS
+    rows = torch.arange(first, first + count, dtype=torch.int64, device="cpu")
+    return rows // DROPOUT_ROWS
 
 
 def drop_splats(opacities: torch.Tensor, rate: float, numbers: torch.Tensor) -> torch.Tensor:

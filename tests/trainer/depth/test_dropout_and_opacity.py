@@ -142,7 +142,7 @@ def test_splats_left_out_are_not_drawn_and_do_not_change(photos: Any) -> None:
     whole.step()
     hidden = float((whole.model.params["opacities"].detach() == before).float().mean())
     assert hidden < 0.2
-    assert 0.4 < same < 0.65
+    assert 0.3 < same < 0.8  # 25 blocks of rows
 
 
 def test_masks_ask_for_opacity(make_photos: Any) -> None:
