@@ -12,6 +12,8 @@ from ..srgb import decode, encode
 
 NOTHING = 1e10
 """Depth of an empty pixel, as Blender's own engines write it."""
+_ROWS = 32
+"""Rows that are converted at once: fresh memory for temporary arrays takes longer than the rest."""
 EXPONENT = 2.2
 """Gamma with which Blender encodes overlays of a view's picture."""
 
@@ -29,15 +31,19 @@ def combined(rgb: np.ndarray, alpha: np.ndarray | None, *, to_scene: np.ndarray)
     Returns:
         [H, W, 4] float32, scene-linear, premultiplied, the bottom row first.
     """
-    out = np.ones((*rgb.shape[:2], 4), np.float32)
-    if alpha is not None:
-        out[..., :3] = decode(_straight(rgb, alpha)) * alpha[..., None]
-        out[..., 3] = alpha
-    else:
-        out[..., :3] = decode(rgb)
-    if not np.allclose(to_scene, np.eye(3), atol=1e-6):
-        out[..., :3] = out[..., :3] @ to_scene.T.astype(np.float32)
-    return np.ascontiguousarray(out[::-1])
+    out = np.empty((*rgb.shape[:2], 4), np.float32)
+    turns = not np.allclose(to_scene, np.eye(3), atol=1e-6)
+    for first in range(0, len(out), _ROWS):
+        rows = slice(first, first + _ROWS)
+        own = out[::-1][rows]
+        if alpha is not None:
+            own[..., :3] = decode(_straight(rgb[rows], alpha[rows])) * alpha[rows, :, None]
+            own[..., 3] = alpha[rows]
+        else:
+            own[..., :3], own[..., 3] = decode(rgb[rows]), 1
+        if turns:
+            own[..., :3] = own[..., :3] @ to_scene.T.astype(np.float32)
+    return out
 
 
 def over_view(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
