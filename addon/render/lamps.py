@@ -1,6 +1,7 @@
 """Lamps and world of a scene, as light for splats."""
 
 import zlib
+from functools import lru_cache
 
 import bpy
 import numpy as np
@@ -86,13 +87,21 @@ def _casters(
         place = np.append(*ball).tobytes()
     else:
         ball = None
-    return Casters(
-        proxy_key=b"".join(keys[True]) + place,
-        mesh_key=b"".join(keys[False]) + place,
-        proxies=tuple(found[True]),
-        meshes=tuple(found[False]),
-        splats=ball,
+    return _known_casters(
+        Casters(
+            proxy_key=b"".join(keys[True]) + place,
+            mesh_key=b"".join(keys[False]) + place,
+            proxies=tuple(found[True]),
+            meshes=tuple(found[False]),
+            splats=ball,
+        )
     )
+
+
+@lru_cache(maxsize=1)
+def _known_casters(casters: Casters) -> Casters:
+    """The last equal ones, whose mesh and ball are computed."""
+    return casters
 
 
 @bpy.app.handlers.persistent
@@ -109,6 +118,7 @@ def _after_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None 
 def _forget(*_: object) -> None:
     _copies.clear()
     _known.clear()
+    _known_casters.cache_clear()
 
 
 @bpy.app.handlers.persistent

@@ -226,6 +226,21 @@ def test_playback_moves_shadows(lit):
     assert keys[0] == keys[2]
 
 
+def test_lamps_move_over_known_meshes(lit):
+    """Only another mesh is measured anew."""
+    sun = lamp(lit, "SUN")
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.1, 0, 0.5))
+
+    def casters() -> Casters:
+        return lamps.scene_light(bpy.context.evaluated_depsgraph_get()).casters
+
+    first, cube = casters(), bpy.context.object
+    sun.rotation_euler = (0, 0, 0)
+    assert casters() is first
+    cube.location = (0.2, 0, 0.5)
+    assert casters().ball[0].tolist() == pytest.approx([0.2, 0, 0.5])
+
+
 def test_world(lit, tmp_path):
     """An even world, and an environment texture whose upper half is bright and blue."""
     lit.render.film_transparent = True
