@@ -27,7 +27,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         m = flags & 4 ? uint8_t(noise(0, 256)) : flags & 8 ? 0 : 255;
     gs_loss_args args = {width,          height,      image.data(), target.data(),   mask.data(),
                          flags >> 4 & 3, {0, 0.5, 1}, 0.2f,         1 + (flags >> 6)};
-    float gain[3] = {noise(0.5f, 2), 1, noise(0.5f, 2)};
+    float gain[3] = {noise(0.05f, 2), 1, noise(0.5f, 4)};
     args.gain = exposure & 1 ? gain : nullptr;
     float largest = 1;
     while (!in.empty()) {
@@ -50,7 +50,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     for (const float x : image)
         largest = std::isfinite(x) ? std::max(largest, std::fabs(x)) : INFINITY;
     for (int c = 0; args.gain && c < 3; ++c)
-        largest *= std::max(1.0f, std::fabs(gain[c]));
+        largest *= std::max(1.0f, std::pow(std::fabs(gain[c]), 2.4f)); // negative values are in the dark
     if (args.mask_mode == GS_MASK_COMPOSITE)
         for (const float b : args.background)
             largest = std::isfinite(b) ? std::max(largest, std::fabs(b)) : INFINITY;

@@ -7,9 +7,9 @@
 
 namespace gs {
 
-// Two lines that meet: values below `dark` are multiplied by `steep`, others by `gain` with `offset` added. The first is
-// the linear part of the curve, 12.92 L, the second exact where value and result are above it; both pass through the
-// same point, so that the exposure is continuous, monotonic, and keeps black.
+// Two lines that meet: values below `dark` are multiplied by `steep`, others by `gain` with `offset` added. The first
+// is the linear part of the curve, 12.92 L; the second is exact where value and result are above that part. The
+// exposure is continuous and monotonic, and black stays black.
 struct ExposureCurve {
     float gain, offset, steep, dark;
 };

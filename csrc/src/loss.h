@@ -36,8 +36,8 @@ struct LossGrid {
     size_t stride() const { return size_t(ceil_div(3 * columns, 16) * 16 + 5 * kLossMargin); }
     // Scratch floats per thread.
     size_t scratch_floats() const {
-        const int rows_of_gain = 7; // the curve, its limits under the mask, and sums
-        return size_t(((2 + kLossDerivatives) * kLossRing + kLossMaps) * kLossGroup + rows_of_gain) * stride();
+        const int rows_of_gradient = 2; // the mask, and sums of the derivatives in ln gain
+        return size_t(((2 + kLossDerivatives) * kLossRing + kLossMaps) * kLossGroup + rows_of_gradient) * stride();
     }
 };
 

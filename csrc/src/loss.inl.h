@@ -67,43 +67,35 @@ static inline Vec filter_along(const float *row) {
     return s;
 }
 
-// The curve of the exposure (exposure.h) for each float of a row; neutral without a gain.
-struct CurveRows {
-    float *gain, *offset, *steep, *dark;
-
-    float at(int i, float value) const { return value < dark[i] ? value * steep[i] : value * gain[i] + offset[i]; }
-};
-
-// Pixels [begin, end) of a target row, shifted.
-static inline void read_row(const gs_loss_args &a, const CurveRows &curve, int row, int begin, int end, float *x,
-                            float *y) {
-    const size_t at = size_t(row) * size_t(a.width) + size_t(begin);
-    const float *image = a.image + 3 * at;
-    const uint8_t *target = a.target + 3 * at;
-    constexpr float kByte = 1.0f / 255.0f;
-    const int n = 3 * (end - begin);
-    if (a.mask_mode == GS_MASK_NONE) {
-        for (int i = 0; i < n; ++i) {
-            x[i] = curve.at(i, image[i]) - kShift;
-            y[i] = float(target[i]) * kByte - kShift;
-        }
-        return;
-    }
-    const bool composite = a.mask_mode == GS_MASK_COMPOSITE;
-    const uint8_t *mask = a.mask + at;
-    for (int i = 0; i < n; ++i) {
-        const float m = float(mask[i / 3]) * kByte, v = float(target[i]) * kByte;
-        const float exposed = curve.at(i, image[i]);
-        x[i] = (composite ? exposed : exposed * m) - kShift;
-        y[i] = (composite ? v * m + a.background[i % 3] * (1.0f - m) : v * m) - kShift;
-    }
+// The mask of `pixels` pixels, for each float of them.
+static inline void read_mask(const uint8_t *mask, int pixels, float *weight) {
+    for (int i = 0; i < pixels; ++i)
+        weight[3 * i] = weight[3 * i + 1] = weight[3 * i + 2] = float(mask[i]) * (1.0f / 255.0f);
 }
 
-// The image's floats of a row, clamped to white where the photo is white.
-static inline void clamp_to_white(float *x, const float *y, int n) {
-    constexpr float white = 1.0f - kShift;
-    for (int i = 0; i < n; ++i)
-        x[i] = y[i] >= white && x[i] > white ? white : x[i];
+// Pixels [begin, end) of a row; the image is shifted by -`shift`, the photo by -kShift. `mask`: see read_mask.
+static inline void read_row(const gs_loss_args &a, const float *mask, int row, int begin, int end, float shift,
+                            float *x, float *y) {
+    const size_t at = 3 * (size_t(row) * size_t(a.width) + size_t(begin));
+    const float *image = a.image + at;
+    const uint8_t *target = a.target + at;
+    constexpr float kByte = 1.0f / 255.0f;
+    const int n = 3 * (end - begin);
+    if (a.mask_mode == GS_MASK_NONE)
+        for (int i = 0; i < n; ++i) {
+            x[i] = image[i] - shift;
+            y[i] = float(target[i]) * kByte - kShift;
+        }
+    else if (a.mask_mode == GS_MASK_IGNORE)
+        for (int i = 0; i < n; ++i) {
+            x[i] = image[i] * mask[i] - shift;
+            y[i] = float(target[i]) * kByte * mask[i] - kShift;
+        }
+    else
+        for (int i = 0; i < n; ++i) {
+            x[i] = image[i] - shift;
+            y[i] = float(target[i]) * kByte * mask[i] + a.background[i % 3] * (1.0f - mask[i]) - kShift;
+        }
 }
 
 static inline void fill(float *row, int begin, int end, float value) {
@@ -163,22 +155,18 @@ class LossTile {
             ring = take_ring();
         down_ = scratch;
         scratch += size_t(kLossMaps * kLossGroup) * stride_;
-        for (float **row : {&curve_.gain, &curve_.offset, &curve_.steep, &curve_.dark, &edge_, &lift_, &by_gain_}) {
-            *row = scratch;
-            scratch += stride_;
+        weight_ = scratch;
+        if (!in_.gain)
+            return;
+        by_gain_ = weight_ + stride_;
+        for (int i = 0; i < 3 * kLanes; ++i) {
+            const ExposureCurve curve = exposure_curve(in_.gain[i % 3]);
+            gain_[i] = curve.gain;
+            offset_[i] = curve.offset;
+            steep_[i] = curve.steep;
+            dark_[i] = curve.dark;
         }
-        for (int c = 0; c < 3; ++c) {
-            const ExposureCurve curve = exposure_curve(in_.gain ? in_.gain[c] : 1.0f);
-            for (int i = c; i < int(stride_); i += 3) {
-                curve_.gain[i] = curve.gain;
-                curve_.offset[i] = curve.offset;
-                curve_.steep[i] = curve.steep;
-                curve_.dark[i] = curve.dark;
-                edge_[i] = curve.dark * curve.steep;
-                lift_[i] = GS_EXPOSURE_OFFSET;
-                by_gain_[i] = 0;
-            }
-        }
+        fill(by_gain_, 0, int(stride_), 0.0f);
     }
 
     void run(double *sums) {
@@ -205,6 +193,8 @@ class LossTile {
     }
 
   private:
+    size_t pixel(int row, int column) const { return size_t(row) * size_t(w_) + size_t(column); }
+    static int next_channels(int c) { return c < 2 * kLanes ? c + kLanes : 0; }
     bool counts(int row) const { return top_ <= row && row < bottom_; }
     bool in_picture(int row) const { return 0 <= row && row < h_; }
     // `v`, at float `i` of the tile's row, without lanes beyond its end.
@@ -223,9 +213,11 @@ class LossTile {
             const int row = begin + j;
             float *const x = x_.row(group, j), *const y = y_.row(group, j);
             if (in_picture(row)) {
-                read_row(in_, curve_, row, from, to, x + at, y + at);
+                if (in_.mask_mode != GS_MASK_NONE)
+                    read_mask(in_.mask + pixel(row, from), to - from, weight_);
+                read_row(in_, weight_, row, from, to, in_.gain ? 0.0f : kShift, x + at, y + at);
                 if (in_.gain)
-                    clamp_to_white(x + at, y + at, 3 * (to - from));
+                    expose(x + at, y + at, 3 * (to - from));
             } else {
                 fill(x, at, at + 3 * (to - from), -kShift);
                 fill(y, at, at + 3 * (to - from), -kShift);
@@ -233,6 +225,20 @@ class LossTile {
             if (counts(row))
                 add_differences(x + 2 * kLossMargin, y + 2 * kLossMargin);
         }
+    }
+
+    // Exposes `n` floats of a row of the image, shifts them, and clamps them to white where the photo is white. A mask
+    // has multiplied them, and multiplies the offset and the limit of the curve.
+    void expose(float *x, const float *y, int n) {
+        const Vec white = set1(1.0f - kShift);
+        const bool masked = in_.mask_mode == GS_MASK_IGNORE;
+        for (int i = 0, c = 0; i < n; i += kLanes, c = next_channels(c)) {
+            const Vec v = load(x + i), weight = masked ? load(weight_ + i) : set1(1.0f);
+            const Vec bright = fma(v, load(gain_ + c), load(offset_ + c) * weight);
+            const Vec exposed = select(gt(load(dark_ + c) * weight, v), v * load(steep_ + c), bright) - kShift;
+            store(x + i, select(both(ge(load(y + i), white), gt(exposed, white)), white, exposed));
+        }
+        fill(x, n, ceil_div(n, kLanes) * kLanes, -kShift); // padding
     }
 
     void add_differences(const float *x, const float *y) {
@@ -318,37 +324,31 @@ class LossTile {
                 const Vec sign = keep(gt(x, y), l1_weight) - keep(gt(y, x), l1_weight);
                 store(out + i, fnma(ssim_weight, v, sign));
             }
-            const size_t at = size_t(begin + j) * size_t(w_) + size_t(left_);
-            float *const v = a_.v_image + 3 * at;
+            const size_t at = pixel(begin + j, left_);
+            const bool masked = in_.mask_mode == GS_MASK_IGNORE;
+            if (masked)
+                read_mask(in_.mask + at, n_ / 3, weight_);
             if (in_.gain)
-                chain_gain(xs, ys, at, out);
-            if (in_.mask_mode == GS_MASK_IGNORE)
-                for (int i = 0; i < n_; ++i)
-                    v[i] = out[i] * (float(in_.mask[at + size_t(i / 3)]) * (1.0f / 255.0f));
-            else
-                std::memcpy(v, out, size_t(n_) * sizeof(float));
+                chain_gain(xs, ys, masked, out);
+            for (int i = 0; masked && i < n_; ++i)
+                out[i] *= weight_[i];
+            std::memcpy(a_.v_image + 3 * at, out, size_t(n_) * sizeof(float));
         }
     }
 
-    // Converts a row's gradient from x to the image, and accumulates that of ln gain: x plus the offset of the curve, or
-    // times its power in the dark. `at`: the row's first pixel, whose mask multiplies x.
-    void chain_gain(const float *xs, const float *ys, size_t at, float *v) {
+    // Converts a row's gradient from x to the image, but for the mask, and accumulates that of ln gain: x plus the offset
+    // of the curve, or times its power in the dark. `masked`: x has been multiplied by `weight_`.
+    void chain_gain(const float *xs, const float *ys, bool masked, float *v) {
         const Vec white = set1(1.0f - kShift);
-        if (in_.mask_mode == GS_MASK_IGNORE)
-            for (int i = 0; i < n_; ++i) {
-                const float m = float(in_.mask[at + size_t(i / 3)]) * (1.0f / 255.0f);
-                lift_[i] = GS_EXPOSURE_OFFSET * m;
-                edge_[i] = curve_.dark[i] * curve_.steep[i] * m;
-            }
-        for (int i = 0; i < n_; i += kLanes) {
-            const Vec x = load(xs + i), gradient = load(v + i);
+        for (int i = 0, c = 0; i < n_; i += kLanes, c = next_channels(c)) {
+            const Vec x = load(xs + i), gradient = load(v + i), steep = load(steep_ + c);
+            const Vec weight = masked ? load(weight_ + i) : set1(1.0f);
             const Vec used = gradient - keep(both(ge(x, white), ge(load(ys + i), white)), gradient);
-            const Vec value = x + kShift, steep = load(curve_.steep + i);
-            const Mask bright = ge(value, load(edge_ + i));
-            const Vec in_dark = GS_EXPOSURE_POWER * value;
-            const Vec by_gain = in_dark + keep(bright, value + load(lift_ + i) - in_dark);
+            const Vec value = x + kShift;
+            const Mask bright = ge(value, load(dark_ + c) * steep * weight);
+            const Vec by_gain = select(bright, fma(set1(GS_EXPOSURE_OFFSET), weight, value), GS_EXPOSURE_POWER * value);
             store(by_gain_ + i, fma(inside(i, used), by_gain, load(by_gain_ + i)));
-            store(v + i, used * (steep + keep(bright, load(curve_.gain + i) - steep)));
+            store(v + i, used * select(bright, load(gain_ + c), steep));
         }
     }
 
@@ -362,10 +362,11 @@ class LossTile {
     size_t stride_;
     // Inputs of the loss, two margins before the tile, and derivatives, one margin before it.
     LossRing x_, y_, derivatives_[kLossDerivatives];
-    float *down_; // a group of rows of each map, filtered vertically
-    CurveRows curve_;
-    float *edge_, *lift_; // per float of a row: where x is bright, and the offset of the curve, both under the mask
-    float *by_gain_;      // sums over rows of the gradient in the logarithm of the gain
+    float *down_;    // a group of rows of each map, filtered vertically
+    float *weight_;  // the mask for each float of a row
+    float *by_gain_; // sums over rows of the gradient in the logarithm of the gain
+    // The curve (exposure.h) for the floats of three vectors, after which the channels repeat.
+    float gain_[3 * kLanes], offset_[3 * kLanes], steep_[3 * kLanes], dark_[3 * kLanes];
     double l1_ = 0, ssim_ = 0, mse_ = 0;
 };
 

@@ -427,23 +427,29 @@ void loss_gradient_matches_differences() {
     gs_raster_destroy(raster);
 }
 
-// Oracle: central differences of the loss; no gradient where photo and picture are white.
-void gains_have_the_gradient_of_the_exposed_picture() {
+// Oracle: central differences of the loss; no gradient where photo and picture are white. A tenth of the picture is in
+// the dark part of the curve, and a mask covers some pixels.
+void gains_have_the_gradient_of_the_exposed_picture(int mask_mode) {
     const int w = 41, h = 53;
     std::mt19937 rng(4);
     std::uniform_real_distribution<float> uniform;
     std::vector<float> image(size_t(3 * w * h)), gradient(image.size(), -777.0f);
-    std::vector<uint8_t> target(image.size());
+    std::vector<uint8_t> target(image.size()), mask(size_t(w * h));
     float gain[3] = {1.3f, 1, 0.6f};
+    for (uint8_t &m : mask)
+        m = uint8_t(uniform(rng) < 0.5f ? 255 : 60 + 190 * uniform(rng));
     for (size_t i = 0; i < image.size(); ++i) {
-        const bool white = i % 11 == 0;
+        const bool white = i % 11 == 0, dark = i % 11 == 5;
+        if (white)
+            mask[i / 3] = 255;
         target[i] = white ? 255 : uint8_t(40 + 170 * uniform(rng));
-        // Away from the kink of |x - y|, and from where white begins.
-        image[i] = (white ? 1.2f : float(target[i]) / 255 + (uniform(rng) < 0.5f ? -0.1f : 0.1f)) / gain[i % 3];
+        // Away from the kink of |x - y|, from where white begins, and from where the lines of the curve meet.
+        const float shift = uniform(rng) < 0.5f ? -0.1f : 0.1f;
+        image[i] = dark ? 0.012f : (white ? 1.2f : std::max(0.09f, float(target[i]) / 255 + shift)) / gain[i % 3];
     }
     gs_raster *raster = nullptr;
     CHECK(gs_raster_create(&raster) == GS_OK);
-    gs_loss_args args = {w, h, image.data(), target.data(), nullptr, GS_MASK_NONE, {}, 0.2f, 2, gain};
+    gs_loss_args args = {w, h, image.data(), target.data(), mask.data(), mask_mode, {}, 0.2f, 2, gain};
     gs_loss_result result = {};
     const auto loss = [&] {
         gs_loss_result found = {};
@@ -466,6 +472,8 @@ void gains_have_the_gradient_of_the_exposed_picture() {
     for (size_t i = 0; i < image.size(); i += 11)
         CHECK(gradient[i] == 0);
     for (size_t i = 5; i < image.size(); i += 97)
+        CHECK(close(double(gradient[i]), slope(image[i], 1e-2f)));
+    for (size_t i = 5; i < image.size(); i += 121) // in the dark
         CHECK(close(double(gradient[i]), slope(image[i], 1e-2f)));
     for (int c = 0; c < 3; ++c)
         CHECK(close(result.v_log_gain[c], slope(gain[c], 1e-2f * gain[c]) * double(gain[c])));
@@ -669,7 +677,8 @@ int main() {
         the_hosts_arithmetic_stays_its_own();
         exponentials_are_close();
         loss_gradient_matches_differences();
-        gains_have_the_gradient_of_the_exposed_picture();
+        for (const int mode : {GS_MASK_NONE, GS_MASK_IGNORE})
+            gains_have_the_gradient_of_the_exposed_picture(mode);
         adam_skips_rows_for_any_number_of_threads();
         adam_names_bad_arguments();
         packing_names_bad_arguments();

@@ -246,7 +246,7 @@ class StepRequest:
     shown_background: Color
     """Background colour of a `composite` mask, after the gain."""
     gain: Color | None = None
-    """Exposure gain of the photo; None: 1, without gradients."""
+    """Exposure gain of the photo (`gscore.photo_exposure`); None: 1, without gradients."""
     antialias: bool = False
     sh_degree: int
     """SH degree in use."""

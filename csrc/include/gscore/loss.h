@@ -12,9 +12,9 @@ enum {
 
 /* loss = (1 - ssim_weight) * mean|x - y| + ssim_weight * (1 - mean SSIM(x, y)), with x the image, y the target.
  * SSIM (Wang et al. 2004): Gaussian window of 11 px, sigma 1.5, zero padding, C1 = 0.01^2, C2 = 0.03^2, per channel.
- * With a gain g, x is the image, a neutral sRGB picture, with the photo's exposure before it is multiplied by the mask:
- * (image + o) g - o, o = GS_EXPOSURE_OFFSET, and image g^2.4 below the darkness where these lines meet. Where the photo is white (255) and x is brighter, x counts as white and receives
- * no gradient. */
+ * With a gain g, x is the image, a neutral sRGB picture, with the photo's exposure, before a mask multiplies it:
+ * (image + o) g - o, o = GS_EXPOSURE_OFFSET, and image g^2.4 below the value where these lines meet. Where the photo is
+ * white (255) and x is brighter, x counts as white and receives no gradient. */
 typedef struct gs_loss_args {
     int32_t width, height;
     const float *image;    /* [H, W, 3] */
@@ -24,7 +24,7 @@ typedef struct gs_loss_args {
     float background[3];   /* RGB, for GS_MASK_COMPOSITE */
     float ssim_weight;     /* 0 to 1 */
     int32_t threads;       /* 0: gs_default_threads() */
-    const float *gain;     /* [3] per channel, above 0; null: no gain */
+    const float *gain;     /* [3] per channel, above 0 and finite; null: no gain */
 } gs_loss_args;
 
 typedef struct gs_loss_result {

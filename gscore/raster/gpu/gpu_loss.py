@@ -61,7 +61,7 @@ def gpu_image_loss(
         mask: [H, W] uint8.
         mask_mode: "none", "composite" or "ignore".
         background: RGB of a "composite" mask.
-        gain: Factors of the image's channels, above 0.
+        gain: Exposure of the image by channel (`gscore.photo_exposure`), above 0.
         fixed_background: The derivative in ln gain takes the visible background as constant.
         alpha: [H, W] float32, rendered opacity.
         mask_alpha: Weight of the mean difference of opacity and mask.

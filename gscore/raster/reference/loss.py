@@ -72,15 +72,19 @@ def image_loss_reference(
 
 
 def exposed_reference(image: Tensor, gain: Tensor) -> Tensor:
-    """Exposure of a picture [..., 3] by a gain [3], differentiable in both (`photo_exposure`): the
-    lower of both lines for a gain above 1, the higher for others."""
+    """Exposure of a picture [..., 3] by a gain [3], differentiable in both (`photo_exposure`)."""
     bright = (image + EXPOSURE_OFFSET) * gain - EXPOSURE_OFFSET
-    dark = image * gain**EXPOSURE_POWER
-    return torch.where((bright < dark) == (gain > 1), bright, dark)
+    return torch.where(image < _darkness(gain), image * gain**EXPOSURE_POWER, bright)
 
 
 def unexposed_reference(image: Tensor, gain: Tensor) -> Tensor:
     """Inverse of `exposed_reference`."""
-    bright = (image + EXPOSURE_OFFSET) / gain - EXPOSURE_OFFSET
-    dark = image / gain**EXPOSURE_POWER
-    return torch.where((bright > dark) == (gain > 1), bright, dark)
+    steep, bright = gain**EXPOSURE_POWER, (image + EXPOSURE_OFFSET) / gain - EXPOSURE_OFFSET
+    return torch.where(image < _darkness(gain) * steep, image / steep, bright)
+
+
+def _darkness(gain: Tensor) -> Tensor:
+    """Value [3] where both lines meet, a constant; its limit for a gain of 1."""
+    gain = gain.detach()
+    meeting = EXPOSURE_OFFSET * (gain - 1) / (gain**EXPOSURE_POWER - gain)
+    return torch.where(gain == 1, EXPOSURE_OFFSET / (EXPOSURE_POWER - 1), meeting)
