@@ -20,13 +20,21 @@ class PhotoExposure(NamedTuple):
     gain: np.ndarray
     """[3] float64, R, G, B, above 0."""
     offset: np.ndarray
-    """[3] float64; 0 in files of other programs: the gain alone, in the dark too."""
+    """[3] float64; 0, as in files of gains of values: the gain alone, in the dark too."""
 
     @classmethod
     def of(cls, gain: Sequence[float] | np.ndarray) -> Self:
         """Return the exposure of a gain [3] of sRGB values, light times gain^2.4."""
         gain = np.asarray(gain, np.float64)
         return cls(gain, EXPOSURE_OFFSET * (gain - 1.0))
+
+    @property
+    def nearest_gain(self) -> np.ndarray:
+        """The gain [3] whose exposure is nearest: by least squares over values from 0 to 1, without
+        the dark. That of `of` itself."""
+        values = np.linspace(0.0, 1.0, 33)[:, None] + EXPOSURE_OFFSET
+        changed = (values - EXPOSURE_OFFSET) * self.gain + self.offset + EXPOSURE_OFFSET
+        return (values * changed).sum(axis=0) / (values**2).sum(axis=0)
 
     @property
     def neutral(self) -> bool:

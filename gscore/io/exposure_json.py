@@ -46,8 +46,11 @@ def read_exposures(run: Path | None) -> dict[str, PhotoExposure]:
     try:
         maps: Any = parse_json(read_bytes(path))
         found = {str(name): np.array(rows, np.float64) for name, rows in maps.items()}
-        if any(rows.shape != (3, 4) or not (rows.diagonal() > 0).all() for rows in found.values()):
-            raise ValueError("expected matrices [3][4] with positive diagonals")
+        if any(
+            rows.shape != (3, 4) or not np.isfinite(rows).all() or (rows.diagonal() <= 0).any()
+            for rows in found.values()
+        ):
+            raise ValueError("expected finite matrices [3][4] with positive diagonals")
     except (ValueError, TypeError, AttributeError) as error:
         raise FormatError(f"{path} is damaged ({error}). Train again to replace it.") from error
     return {name: PhotoExposure(rows.diagonal(), rows[:, 3]) for name, rows in found.items()}

@@ -233,9 +233,10 @@ def test_pictures_have_the_exposure_of_their_photo(gscore, run_folder, capture, 
     names = [path.name for path in (dark / "images").iterdir()]
     write_exposures(folder / EXPOSURE_FILE, dict.fromkeys(names, PhotoExposure.of(gain)))
     assert worst() > 45
-    (folder / EXPOSURE_FILE).write_text('{"a": [[0, 0, 0, 0]]}')
-    code, _, err = gscore("eval", folder, "--quiet")
-    assert code == 2 and f"{EXPOSURE_FILE} is damaged" in " ".join(err.split())
+    for bad in ("[[0, 0, 0, 0]]", "[[1, 0, 0, 1e999], [0, 1, 0, 0], [0, 0, 1, 0]]"):
+        (folder / EXPOSURE_FILE).write_text(f'{{"a": {bad}}}')
+        code, _, err = gscore("eval", folder, "--quiet")
+        assert code == 2 and f"{EXPOSURE_FILE} is damaged" in " ".join(err.split())
 
 
 def test_held_out_views_are_not_replaced_by_others(gscore, run_folder, tmp_path):

@@ -42,3 +42,19 @@ def test_a_background_is_the_same_after_the_exposure() -> None:
         exposure.apply(values * half, half), exposure.apply(values) / 2, atol=1e-6
     )
     assert exposure.apply(values).dtype == exposure.undo(values).dtype == np.float32
+
+
+def test_exposures_without_offsets_are_gains_of_values() -> None:
+    """Oracles: the product; a search for the nearest exposure of light."""
+    gain = np.array([0.7, 1.0, 1.4])
+    values = np.random.default_rng(0).random((40, 50, 3), np.float32)
+    old = PhotoExposure(gain, np.zeros(3))
+    assert old.apply(values).tobytes() == (values * gain.astype(np.float32)).tobytes()
+    np.testing.assert_allclose(old.undo(values), values / gain, rtol=1e-6)
+    tried = np.linspace(0.5, 1.5, 10001)
+    levels = np.linspace(0.0, 1.0, 33)[:, None]
+    for channel in range(3):
+        errors = (levels + 0.055) * tried - 0.055 - levels * gain[channel]
+        best = tried[(errors**2).sum(axis=0).argmin()]
+        assert abs(old.nearest_gain[channel] - best) <= 1e-4
+    np.testing.assert_allclose(PhotoExposure.of(gain).nearest_gain, gain, rtol=1e-12)

@@ -48,7 +48,7 @@ def decide_exposure(config: TrainConfig, analysis: Analysis) -> Exposure:
         given = read_exposures(config.start_splats.parent)
         if given and all(cameras.names[i] in given for i in train):
             log_gains = np.zeros((len(cameras), 3))
-            log_gains[train] = np.log([given[cameras.names[i]].gain for i in train])
+            log_gains[train] = np.log([given[cameras.names[i]].nearest_gain for i in train])
             return Exposure(
                 gains=PhotoGains(train, log_gains, fixed=True),
                 decision=Decision("exposure", _OF_START),

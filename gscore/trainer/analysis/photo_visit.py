@@ -76,7 +76,7 @@ class TrackColors:
     point: np.ndarray
     """[S] int64, row of the point."""
     log_color: np.ndarray
-    """[S, 3] float64, ln of encoded R, G, B in [0, 1]."""
+    """[S, 3] float64, ln of encoded R, G, B in [0, 1] + 0.055."""
     views: int
     """V."""
 

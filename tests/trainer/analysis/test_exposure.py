@@ -229,17 +229,21 @@ def test_exposed_photos_are_measured_as_photos(capture: Path, tmp_path: Path) ->
 
 
 def test_a_part_keeps_the_exposures_of_its_surroundings(photos: Any, tmp_path: Path) -> None:
-    """Oracle: the gains in the file beside the start splats, after a step of learning and a
-    restart too; none if the file lacks a training photo, and for a whole capture."""
+    """Oracle: the gains in the file beside the start splats, those of light nearest to gains of
+    values, after a step of learning and a restart too; none if the file lacks a training photo, and
+    for a whole capture."""
     cameras, rng = photos.scene.cameras, np.random.default_rng(0)
     config = TrainConfig(start_splats=tmp_path / "point_cloud.ply")
     analysis = Analysis(photos=photos, facts=PhotoFacts(), is_part=True)
     assert decide_exposure(config, analysis).gains is None
     given = {name: PhotoExposure.of(rng.uniform(0.8, 1.2, 3)) for name in cameras.names}
+    given[cameras.names[photos.train[0]]] = PhotoExposure(np.array([0.8, 1.0, 1.4]), np.zeros(3))
     write_exposures(tmp_path / "exposure.json", given)
     gains = decide_exposure(config, analysis).gains
     assert gains is not None
     expected = np.log([given[cameras.names[i]].gain for i in photos.train])
+    expected[0] = np.log(given[cameras.names[photos.train[0]]].nearest_gain)
+    assert np.abs(expected[0] - np.log([0.8, 1.0, 1.4])).max() > 0.01
     for _ in range(2):
         np.testing.assert_allclose(gains.log_gains[photos.train], expected, atol=1e-12)
         gains.learn(photos.train[0], (1.0, -2.0, 3.0), 0.1)
