@@ -234,9 +234,10 @@ def _pairs(full: bool) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
 
 
 def _image_loss(
-    image: np.ndarray, target: np.ndarray, *, mask: Any = None, **options: Any
+    image: np.ndarray, target: np.ndarray, *, mask: Any = None, gain: Any = None, **options: Any
 ) -> tuple[float, float, np.ndarray]:
-    """Loss, SSIM and gradient [H, W, 3], of the device or of `gscore.image_loss`."""
+    """Loss, SSIM and gradient [H, W, 3], of the device, of `image_loss`, or with a gain of
+    `image_loss_gradient`."""
     import torch
 
     from ..raster import loss
@@ -245,8 +246,13 @@ def _image_loss(
         with native.workspace() as raster:
             assert isinstance(raster, GpuRaster)
             words = None if mask is None else mask.numpy()
-            on_device = gpu_image_loss(raster, image, target, mask=words, **options)
+            on_device = gpu_image_loss(raster, image, target, mask=words, gain=gain, **options)
         return on_device.loss, on_device.ssim, on_device.v_image
+    if gain is not None:
+        v_image, shown = torch.empty(image.shape), torch.from_numpy(image)
+        options |= {"mask": mask, "gain": torch.tensor(gain)}
+        values = loss.image_loss_gradient(shown, torch.from_numpy(target), v_image, **options)
+        return values.loss, values.ssim, v_image.numpy()
     leaf = torch.from_numpy(image.copy()).requires_grad_()
     found = loss.image_loss(leaf, torch.from_numpy(target), mask=mask, **options)
     found.loss.backward()
@@ -298,11 +304,35 @@ def loss_by_autograd(full: bool) -> Iterator[Measure]:
             bound = 1e-4 if flat else 1e-5
             yield Measure(f"gradient{kind}", float(error.max()) / scale, bound, name)
             moved |= bool(np.abs(gradient).max() > 0)
+    yield from _exposed_losses(rng)
     target = (rng.random((40, 50, 3)) * 255).astype(np.uint8)
     found_ssim = _image_loss(target * np.float32(1 / 255), target)[1]
     yield Measure("identical pictures, 1 - SSIM", abs(1 - found_ssim), 1e-7)
     if not moved:
         raise EmptyTestError("all gradients are zero")
+
+
+def _exposed_losses(rng: np.random.Generator) -> Iterator[Measure]:
+    """Losses with gains, of pictures partly in the dark and below zero, with and without masks."""
+    import torch
+
+    from ..raster.reference import image_loss_reference
+
+    gain = (0.6, 1.0, 1.5)
+    image = (rng.random((33, 37, 3)) - 0.05).astype(np.float32)
+    target, soft = (rng.integers(0, 255, (33, 37, *rgb), np.uint8) for rgb in ((3,), ()))
+    for mode in ("none", "composite", "ignore"):
+        mask = None if mode == "none" else torch.from_numpy(soft)
+        options: dict[str, Any] = {"mask": mask, "mask_mode": mode, "background": (0.2, 0.5, 0.9)}
+        exact = torch.from_numpy(image.astype(np.float64)).requires_grad_()
+        factors = torch.tensor(gain, dtype=torch.float64)
+        true, _ = image_loss_reference(exact, torch.from_numpy(target), gain=factors, **options)
+        true.backward()
+        found, _, gradient = _image_loss(image, target, gain=gain, **options)
+        assert exact.grad is not None
+        error = np.abs(gradient - exact.grad.numpy()).max() / exact.grad.abs().max().item()
+        yield Measure("loss with a gain", abs(found - true.item()), 1e-6, mode)
+        yield Measure("gradient with a gain", float(error), 1e-5, mode)
 
 
 @case("S34", "metrics of 8-bit pictures", per_isa=False, needs=("scipy",))
