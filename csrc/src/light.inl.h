@@ -51,8 +51,8 @@ GS_INLINE LightSeen light_seen(const gs_shadow_map &map, const Light3 &at, float
     const Vec before = seen.z - slack;
     const float middle = 0.5f * float(map.size) - 0.5f;
     if (map.parallel) // beyond all meshes, each of them is in front
-        return {view, fma(seen.x, map.scale, set1(middle)), fma(seen.y, map.scale, set1(middle)), set1(1.0f),
-                max(map.farthest - before, Vec{}), seen.z};
+        return {view,       fma(seen.x, map.scale, set1(middle)), fma(seen.y, map.scale, set1(middle)),
+                set1(1.0f), max(map.farthest - before, Vec{}),    seen.z};
     const Vec scale = quotient(set1(map.scale), max(seen.z, set1(1e-9f)));
     return {view, fma(scale, seen.x, set1(middle)), fma(scale, seen.y, set1(middle)), before, set1(1.0f), seen.z};
 }
@@ -223,8 +223,9 @@ GS_INLINE void light_put(float *column, IVec rows, Vec v) {
         column[rows[l]] = v[l];
 }
 
-// Radius of the blur by meshes in front that hide a part of the lamp; 0 without any. Its inverse is the root mean square
-// of theirs: the nearest surface blurs more than the outline behind it, which light would pass at contacts.
+// Radius of the blur by meshes in front that hide a part of the lamp; 0 without any. Its inverse is the root mean
+// square of theirs: the map shows the side towards the lamp, which blurs more than the outline behind it, so that a
+// mean of the radii would let light pass at contacts.
 static Vec light_blur_of(const gs_shadow_map &map, const LightPlane &plane, const LightDiscs &discs, float slack,
                          float size, Vec z, IVec rows) {
     const Vec cosine = gather(discs.turns[0], rows & (kLightTurns - 1)),
