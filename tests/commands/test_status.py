@@ -184,7 +184,7 @@ def test_a_whole_training_in_a_terminal(capture, tmp_path) -> None:
         cwd=tmp_path,
     )  # fmt: skip
     text = "\n".join(shown.lines)
-    assert shown.code == 0 and shown.wrapped == [] and len(shown.lines) <= 17, text
+    assert shown.code == 0 and shown.wrapped == [] and len(shown.lines) <= 18, text
     assert text.count("views: PSNR") == 1 and "[#" not in text and "checkpoints" not in text
     assert "[###" in shown.raw and "growing" not in shown.raw and "polishing" not in shown.raw
     assert "gscore render run -o" in text

@@ -32,7 +32,8 @@ def test_its_results_are_read(run: Path) -> None:
 
 
 def test_its_checkpoint_continues_to_its_end(run: Path) -> None:
-    """Oracle: the splats that the earlier version had after step 60, with the same kernels."""
+    """Oracle: the splats that the earlier version had after step 60, with the same kernels; its
+    gains multiplied values and not light."""
     before = gscore.read_splats(run / "point_cloud.ply")
     (run / "metrics.json").unlink()
     done = Forked(
@@ -46,7 +47,7 @@ def test_its_checkpoint_continues_to_its_end(run: Path) -> None:
     after = gscore.read_splats(run / "point_cloud.ply")
     for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
         np.testing.assert_allclose(
-            getattr(after, name), getattr(before, name), rtol=1e-3, atol=1e-3
+            getattr(after, name), getattr(before, name), rtol=1e-3, atol=1e-2
         )
     metrics, earlier = ((f / "metrics.json").read_text() for f in (run, SAVED))
     assert json.loads(metrics)["psnr"] == pytest.approx(json.loads(earlier)["psnr"], abs=0.01)
