@@ -336,8 +336,8 @@ class LossTile {
         }
     }
 
-    // Converts a row's gradient from x to the image, but for the mask, and accumulates that of ln gain: x plus the offset
-    // of the curve, or times its power in the dark. `masked`: x has been multiplied by `weight_`.
+    // Converts a row's gradient from x to the image, but for the mask, and accumulates that of ln gain: x plus the
+    // offset of the curve, or times its power in the dark. `masked`: x has been multiplied by `weight_`.
     void chain_gain(const float *xs, const float *ys, bool masked, float *v) {
         const Vec white = set1(1.0f - kShift);
         for (int i = 0, c = 0; i < n_; i += kLanes, c = next_channels(c)) {

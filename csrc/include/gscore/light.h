@@ -59,8 +59,8 @@ typedef struct gs_surfaces {
  * around the surface, as wide as the nearest meshes blur them (Fernando 2005, percentage-closer soft shadows). */
 GS_API gs_status gs_surface_radiance(const gs_light *light, const gs_surfaces *surfaces, int32_t threads,
                                      float *radiance);
-/* Factor [N, 3] of linear colours under a light. Without `captured` the sides of normals are unknown: they are turned to
- * each lamp. */
+/* Factor [N, 3] of linear colours under a light. Without `captured` the sides of normals are unknown: they are turned
+ * to each lamp. */
 GS_API gs_status gs_surface_gains(const gs_light *light, const gs_surfaces *surfaces, int32_t threads, float *gains);
 
 /* Colours of splats whose linear light is multiplied. */

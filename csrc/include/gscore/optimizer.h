@@ -3,8 +3,8 @@
 
 #include "raster.h"
 
-/* Adam (Kingma and Ba 2015) over the parameters of N splats, one call per step, with GS_ADAM_BETA1, GS_ADAM_BETA2 and GS_ADAM_EPS. */
-/* Rows may have at most GS_ADAM_PENDING_SIZE - 1 pending steps before they are synchronised. */
+/* Adam (Kingma and Ba 2015) over the parameters of N splats, one call per step, with GS_ADAM_BETA1, GS_ADAM_BETA2 and
+ * GS_ADAM_EPS. Rows may have at most GS_ADAM_PENDING_SIZE - 1 pending steps before they are synchronised. */
 #define GS_ADAM_PENDING_SIZE 256
 
 /* Modes of a tensor in gs_adam_step. */
