@@ -76,18 +76,18 @@ def test_a_second_ctrl_c_ends_at_once(
     capture: Path, tmp_path: Path, begin: Callable[..., Forked]
 ) -> None:
     """Oracle: both sentences and no other output after the progress; intact checkpoints. The steps
-    take two seconds, so that the second key comes before the first is handled, and keys are half a
-    second apart, so that two do not become one on a busy machine."""
+    take five seconds, so that the second key comes before the run ends by the first, and keys are
+    two seconds apart, so that two do not become one on a busy machine."""
     code = (
         "import sys, time; from gscore.__main__ import main\n"
         "from gscore.trainer.trainer import Trainer; real = Trainer.advance\n"
-        "Trainer.advance = lambda self: (time.sleep(2), real(self))[1]; sys.exit(main())"
+        "Trainer.advance = lambda self: (time.sleep(5), real(self))[1]; sys.exit(main())"
     )
     process = begin([sys.executable, "-c", code, *command(capture, tmp_path, *LONG)[3:]])
     is_training(process, tmp_path)
     for _ in range(2):
         process.send_signal(signal.SIGINT)
-        time.sleep(0.5)
+        time.sleep(2)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert err.splitlines()[-2:] == [
