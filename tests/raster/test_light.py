@@ -266,6 +266,25 @@ def test_soft_shadows(isa: str, kind: str) -> None:
     assert soft[~blurred].mean() < 0.01
 
 
+def sun_map(
+    lamp: Lamp, vertices: np.ndarray, triangles: np.ndarray, *, size: int, width: float
+) -> ShadowMap:
+    """The shadow map of a sun: `size` px for `width` around the origin, drawn from 20 away."""
+    rotation, viewmat = turned(np.array(lamp.axis)), np.eye(4)
+    viewmat[:3, :3], viewmat[:3, 3] = rotation, [0, 0, 20]
+    scale = size / width
+    K = np.array([[scale, 0, size / 2], [0, scale, size / 2], [0, 0, 1]])
+    drawn, farthest = mesh_nearness(vertices, triangles.astype(np.int32), K, viewmat, size, size)
+    return ShadowMap(
+        depths=drawn[None],
+        rotations=rotation[None],
+        place=-rotation.T @ viewmat[:3, 3],
+        scale=scale,
+        parallel=True,
+        farthest=farthest,
+    )
+
+
 def test_a_soft_shadow_stays_dark_where_a_ball_stands(isa: str) -> None:
     """Oracle: rays to many samples of the sun past a ball on the ground, in closed form; means of
     the blurs of its upper side, which the map shows, let light pass below it."""
@@ -277,23 +296,9 @@ def test_a_soft_shadow_stays_dark_where_a_ball_stands(isa: str) -> None:
     square = 9 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
     faces = [np.stack([k, k + 1, k + 41], 1), np.stack([k, k + 41, k + 40], 1)]
     faces.append(np.array([[0, 1, 2], [0, 2, 3]]) + 3200)
-    rotation, size = turned(np.array(lamp.axis)), 512
-    viewmat = np.eye(4)
-    viewmat[:3, :3], viewmat[:3, 3] = rotation, [0, 0, 20]
-    K = np.array([[size / 10, 0, size / 2], [0, size / 10, size / 2], [0, 0, 1]])
-    drawn, farthest = mesh_nearness(
-        np.concatenate([ball.reshape(-1, 3), square]),
-        np.concatenate(faces).astype(np.int32),
-        *(K, viewmat, size, size),
-    )
-    shadows = ShadowMap(
-        depths=drawn[None],
-        rotations=rotation[None],
-        place=-rotation.T @ viewmat[:3, 3],
-        scale=size / 10,
-        parallel=True,
-        farthest=farthest,
-    )
+    vertices = np.concatenate([ball.reshape(-1, 3), square])
+    shadows = sun_map(lamp, vertices, np.concatenate(faces), size=512, width=10)
+    rotation = shadows.rotations[0]
     flat = np.random.default_rng(0).uniform([-1, -1.2], [3, 1.2], (COUNT, 2))
     places = np.column_stack([flat, np.zeros(COUNT)]).astype(np.float32)
     up = np.tile(np.float32([0, 0, 1]), (COUNT, 1))
@@ -344,23 +349,8 @@ def test_a_slope_does_not_shadow_itself(isa: str) -> None:
     normal = np.array([0.3, 0.2, 1.0]) / np.linalg.norm([0.3, 0.2, 1.0])
     corners = 9 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     heights = -(corners @ normal[:2]) / normal[2]
-    rotation, size = turned(np.array(lamp.axis)), 256
-    viewmat = np.eye(4)
-    viewmat[:3, :3], viewmat[:3, 3] = rotation, [0, 0, 20]
-    K = np.array([[size / 20, 0, size / 2], [0, size / 20, size / 2], [0, 0, 1]])
-    drawn, farthest = mesh_nearness(
-        np.column_stack([corners, heights]),
-        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
-        *(K, viewmat, size, size),
-    )
-    shadows = ShadowMap(
-        depths=drawn[None],
-        rotations=rotation[None],
-        place=-rotation.T @ viewmat[:3, 3],
-        scale=size / 20,
-        parallel=True,
-        farthest=farthest,
-    )
+    square = np.array([[0, 1, 2], [0, 2, 3]])
+    shadows = sun_map(lamp, np.column_stack([corners, heights]), square, size=256, width=20)
     rng = np.random.default_rng(0)
     flat = rng.uniform(-2, 2, (COUNT, 2))
     places = np.column_stack([flat, -(flat @ normal[:2]) / normal[2]]).astype(np.float32)
