@@ -200,7 +200,7 @@ def make_mesh(
     volume = Volume(keys, scale.voxel)
     with ThreadPoolExecutor(checked_threads(threads) or None) as pool:
         for index in steps.count("fusing", range(len(cameras))):
-            mask = masks(index) if index < count and mask_mode != "none" else None
+            mask = _mask(masks, mask_mode, index)
             volume.fuse(_view(draw, index, scale, mask, hides=mask_mode == "composite"), pool)
     mesh, covered = _surface(volume, request, scale, seen, steps)
     if request.texture is not None and photos is not None:
@@ -360,7 +360,7 @@ def _coarser(
 def _mask(
     masks: Callable[[int], np.ndarray | None], mask_mode: str, index: int
 ) -> np.ndarray | None:
-    return masks(index) if mask_mode != "none" else None
+    return masks(index) if mask_mode != "none" else None  # there are masks of photos alone
 
 
 def _points(

@@ -15,9 +15,7 @@ import gscore
 from gscore.config import DataConfig
 from gscore.datasets import load_dataset
 from gscore.io.exposure_json import read_exposures
-
-STOPS = 2.4
-"""Stops of light per octave of a gain of sRGB values: the exponent of the transfer curve."""
+from gscore.shared_constants import EXPOSURE_POWER
 
 
 def main() -> None:
@@ -30,7 +28,7 @@ def main() -> None:
     held_out = {view["name"] for view in metrics["views"]}
     truth = json.loads((args.capture / "truth.json").read_text())["stops"]
     exposures = read_exposures(args.run)
-    stops = {n: STOPS * np.log2(e.gain).mean() for n, e in exposures.items()}
+    stops = {n: EXPOSURE_POWER * np.log2(e.gain).mean() for n, e in exposures.items()}
     found = stops or dict.fromkeys(truth, 0.0)
     train = [name for name in truth if name not in held_out]
     shift = np.mean([found[name] - truth[name] for name in train])

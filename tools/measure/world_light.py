@@ -27,6 +27,7 @@ from studio_maker import cameras, places, render  # noqa: E402
 from gscore.frontend import write_colmap  # noqa: E402
 from gscore.io.exposure_json import read_exposures  # noqa: E402
 from gscore.io.images.png import write_png  # noqa: E402
+from gscore.shared_constants import EXPOSURE_POWER  # noqa: E402
 
 EXPOSURES = {"one": [0.0], "brackets": [-2.0, 0.0, 2.0], "dark": [-5.0, -2.5, 0.0]}
 """Stops, which photos have in turn. Lamps are clipped in all photos of `one` and `brackets`."""
@@ -107,7 +108,7 @@ def world_of(run: Path, capture: Path) -> np.ndarray:
     pixels = np.array(image.pixels[:], np.float32).reshape(256, 512, 4)[::-1, :, :3]
     truth, exposures = json.loads((capture / "truth.json").read_text()), read_exposures(run)
     mean = np.mean(list(truth.values()))  # gains are 1 on average
-    stops = [2.4 * np.log2(one.gain).mean() for one in exposures.values()]
+    stops = [EXPOSURE_POWER * np.log2(one.gain).mean() for one in exposures.values()]
     error = np.array(stops) - [truth[name] - mean for name in exposures]
     print(
         f"{run.name}: gains off by {np.abs(error).mean():.2f} stops, {np.abs(error).max():.2f} max"

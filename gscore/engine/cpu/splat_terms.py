@@ -59,8 +59,8 @@ _MOST = 0.999
 
 
 def dropout_blocks(count: int, step: int) -> torch.Tensor:
-    """Return the block of each row in dropout, [count] int64: `DROPOUT_ROWS` rows in a row, that
-    begin at another row in each step.
+    """Return the block of each row in dropout, [count] int64 below `count` // `DROPOUT_ROWS` + 2:
+    `DROPOUT_ROWS` rows in a row, that begin at another row in each step.
 
     Neighbours are left out together, because they would take the place of a single splat (DropAnSH,
     arXiv 2602.20933, searches for them; here rows are sorted along a Morton curve anyway).

@@ -15,9 +15,10 @@ import numpy as np
 
 from ...camera_neighbours import natural_key
 from ...engine.base import Color
+from ...shared_constants import EXPOSURE_POWER
 from .photo_adam import PhotoAdam, checked_array
 
-STOP = math.log(2.0) / 2.4
+STOP = math.log(2.0) / EXPOSURE_POWER
 """ln of the gain of one stop, in encoded values."""
 _BASIS = np.array([[1.0, 1.0, 1.0], [1.0, 0.0, -1.0], [-0.5, 1.0, -0.5]])
 """Rows: ln gain of R, G and B by exposure, by warmth and by green; orthogonal."""
