@@ -191,10 +191,13 @@ struct LightBlock {
     // The surfaces, off by a distance, and their planes.
     LightPlane plane(const gs_shadow_map &map, IVec rows, float slack) const {
         const Light3 side = columns(facing, rows);
-        return LightPlane(map, above(rows, slack), side);
+        return LightPlane(map, above(rows, side, slack), side);
     }
-    Light3 above(IVec rows, float slack) const {
-        const Light3 v = columns(at, rows), side = columns(facing, rows);
+    Light3 above(IVec rows, float slack) const { return above(rows, columns(facing, rows), slack); }
+
+  private:
+    Light3 above(IVec rows, const Light3 &side, float slack) const {
+        const Light3 v = columns(at, rows);
         return {fma(side.x, slack, v.x), fma(side.y, slack, v.y), fma(side.z, slack, v.z)};
     }
 };
