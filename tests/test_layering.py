@@ -27,6 +27,7 @@ BOTTOM = {
     "options",
     "photo_exposure",
     "presets",
+    "robust",
     "choices",
     "config",
     "config_command",

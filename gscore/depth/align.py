@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..robust import HUBER, SIGMA_PER_MEDIAN
 from ..text_format import count_text, number
 from .fit import NO_FIT, Fit, fit_of, scale_reason, tolerance
 from .maps import sample
@@ -29,8 +30,6 @@ _LEAST_SLOPE = 1e-3
 """Minimum slope of map on points, both in units of their spread."""
 _DRAWS = 500
 _ROUNDS = 20
-_HUBER = 1.345
-"""Huber's constant: 95 % efficiency on normal errors."""
 
 
 def align_official(values: np.ndarray, seen: Observations) -> Fit:
@@ -168,9 +167,9 @@ def _refined(
         inside = off <= near
         if int(inside.sum()) < 2:
             break
-        deviation = max(1.4826 * _weighted_median(off[inside], w[inside]), 1e-3 * near)
+        deviation = max(SIGMA_PER_MEDIAN * _weighted_median(off[inside], w[inside]), 1e-3 * near)
         inside &= off <= 3 * deviation
-        weight = w * np.minimum(1.0, _HUBER * deviation / np.maximum(off, 1e-300)) * inside
+        weight = w * np.minimum(1.0, HUBER * deviation / np.maximum(off, 1e-300)) * inside
         total = weight.sum()
         mean_m, mean_s = (weight * m).sum() / total, (weight * s).sum() / total
         covariance = (weight * (m - mean_m) * (s - mean_s)).sum()

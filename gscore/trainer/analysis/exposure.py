@@ -8,6 +8,7 @@ import numpy as np
 from ...config import Switch, TrainConfig
 from ...events import Decision
 from ...io.exposure_json import read_exposures
+from ...robust import HUBER, SIGMA_PER_MEDIAN
 from ..views.photo_gains import STOP, PhotoGains
 from .analysis import Analysis
 from .photo_visit import TrackColors
@@ -134,10 +135,6 @@ def stops_off_neighbours(log_gains: np.ndarray, centers: np.ndarray) -> np.ndarr
 
 _ROUNDS = 12
 """Rounds of reweighting; the gains change by less than 1e-3 in the last ones."""
-_TUNING = 1.345
-"""Standard deviations beyond which residuals are down-weighted (Huber 1964)."""
-_SIGMA = 1.4826
-"""Standard deviation per median absolute value, of a normal distribution."""
 _PRIOR = 1.0
 """Weight of the expected gain of a photo, in observations."""
 _SMALLEST = 1e-3
@@ -164,7 +161,7 @@ def fit_gains(colors: TrackColors, expected: np.ndarray) -> np.ndarray:
         rest = colors.log_color - gains[colors.view]
         residual = rest - _mean_by(point, rest, weight, points)[point]
         length = np.sqrt((residual**2).mean(axis=1))
-        limit = _TUNING * max(_SIGMA * float(np.median(length)), _SMALLEST)
+        limit = HUBER * max(SIGMA_PER_MEDIAN * float(np.median(length)), _SMALLEST)
         weight = np.minimum(1.0, limit / np.maximum(length, 1e-12))
     assert gains.shape == (views, 3)
     return gains - gains.mean(axis=0)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...quoting import brief
+from ...robust import SIGMA_PER_MEDIAN
 from ...text_format import count_text
 
 _FEWEST = 12
@@ -47,7 +48,7 @@ class PhotoErrors:
             return ""
         psnr = -10 * np.log10(np.maximum([self._last[i] for i in train], 1e-10))
         middle = float(np.median(psnr))
-        spread = 1.4826 * float(np.median(abs(psnr - middle)))
+        spread = SIGMA_PER_MEDIAN * float(np.median(abs(psnr - middle)))
         order = np.argsort(psnr, kind="stable")
         worst = order[: int((psnr < middle - max(_FAR, _DEVIATIONS * spread)).sum())]
         if not 0 < len(worst) <= max(_MOST_SHARE * count, 1):
