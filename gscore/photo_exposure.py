@@ -23,9 +23,9 @@ class PhotoExposure(NamedTuple):
     """[3] float64; 0, as in files of gains of values: the gain alone, in the dark too."""
 
     @classmethod
-    def of(cls, gain: Sequence[float] | np.ndarray) -> Self:
-        """Return the exposure of a gain [3] of sRGB values, light times gain^2.4."""
-        gain = np.asarray(gain, np.float64)
+    def of(cls, gain: Sequence[float] | np.ndarray | None) -> Self:
+        """Return the exposure of a gain [3] of sRGB values, light times gain^2.4; None: 1."""
+        gain = np.ones(3) if gain is None else np.asarray(gain, np.float64)
         return cls(gain, EXPOSURE_OFFSET * (gain - 1.0))
 
     @property
@@ -83,5 +83,5 @@ def _two_lines(
     return np.where(rgb < alpha * edge, rgb * below, rgb * above + alpha * offset)
 
 
-NEUTRAL = PhotoExposure.of(np.ones(3))
+NEUTRAL = PhotoExposure.of(None)
 """The mean exposure of a training."""

@@ -262,6 +262,6 @@ def _pictures(trainer: Trainer, eval_views: Dataset | None) -> PictureOf:
             threads=trainer.config.threads,
             device="cpu",
         ).rgb
-        return rgb if gain is None else PhotoExposure.of(gain).apply(rgb)
+        return PhotoExposure.of(gain).apply(rgb)
 
     return picture_of

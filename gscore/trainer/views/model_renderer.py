@@ -145,7 +145,7 @@ class ModelRenderer:
     def background_before_gain(self, background: Color, gain: Color | None) -> Color:
         """Background colour before the gain, so that `background` shows after it, if photos are
         composited over it. Otherwise the background is part of the scene and exposed with it."""
-        if gain is None or self.photos.mask_mode != "composite":
+        if self.photos.mask_mode != "composite":
             return background
         return PhotoExposure.of(gain).behind(background)
 
@@ -218,7 +218,7 @@ class ModelRenderer:
         """Render `view`, the view of photo `index` at any size, with the photo's gain."""
         gain = self.photo_parameters.gain_of(index)
         picture = self._draw(view, self.background_before_gain(background, gain)).rgb
-        return picture if gain is None else PhotoExposure.of(gain).apply(picture)
+        return PhotoExposure.of(gain).apply(picture)
 
     def _draw(
         self,
