@@ -319,7 +319,6 @@ class Session:
             result.mse,
             skipped=result.skipped,
             lost=result.lost_rows / max(self._trainer.models.trained_count, 1),
-            cleared=result.cleared_rows / max(self._trainer.models.trained_count, 1),
         )
         return self._config.watchdog and diverged
 

@@ -130,16 +130,16 @@ class StepEdits:
             frozen: Number of frozen splats, which count to the cap.
 
         Returns:
-            The result with the changes, and the numbers of rows that were reset or cleared.
+            The result with the changes and the number of rows that were reset.
         """
-        cleared, step = self.pruner.guided.count, result.step
+        step = result.step
         cap = plan.cap_for(self.view_batcher.factor) - frozen
         for member in members:
             with engine_errors(self.engine, f"after step {step}"):
                 change, lost_rows = self._edit(member, plan, strategy, step, cap)
             lost_rows += result.lost_rows
             result = result._replace(change=result.change + change, lost_rows=lost_rows)
-        return result._replace(cleared_rows=self.pruner.guided.count - cleared)
+        return result
 
     def _edit(
         self, member: EnsembleMember, plan: Plan, strategy: Policy, step: int, cap: int

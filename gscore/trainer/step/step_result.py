@@ -28,8 +28,6 @@ class StepResult(NamedTuple):
     """True if the update was skipped, because the loss was not finite or came from runaways."""
     lost_rows: int = 0
     """Number of runaway splats that were reset."""
-    cleared_rows: int = 0
-    """Number of splats that were removed in front of a guide mesh."""
 
 
 def result_of(numbers: StepNumbers, photos: int) -> StepResult:

@@ -19,14 +19,15 @@ SLOWER = 0.2
 _WINDOW = 50
 """Steps over which errors are smoothed; the first ones only initialize the mean."""
 _RATIO, _MARGIN = 1.7, 0.05
-"""Diverged: the error is above `_RATIO` times its best and `_MARGIN` above it (white against black
-is 1). Healthy runs stay below 1.2 times, although photos become sharper during the run."""
+"""Bad: the error is above `_RATIO` times its best and `_MARGIN` above it (white against black: 1).
+Healthy runs stay below 1.2 times, although photos become sharper during the run."""
+_PATIENCE = 150
+"""Diverged: bad for so many steps, or in the last one. Holes that a refinement leaves, where splats
+before a plain background are split or removed, fill within a hundred."""
 _SPOILT = 0.5
 """Diverged: more than this share of the last steps had no finite loss."""
 _LOST = 0.5
 """Diverged: this share of the splats was reset as runaways."""
-_EMPTIED = 0.01
-"""Share of the splats, removed in front of a guide mesh in one step, that leaves holes."""
 _FADES = 1000
 """Steps after which the weight of runaway splats has decayed to a third."""
 _HEALTHY = 1.2
@@ -60,9 +61,7 @@ class Watchdog:
         self._good = []
         self._begin(error)
 
-    def observe(
-        self, step: int, mse: float, *, skipped: bool, lost: float = 0.0, cleared: float = 0.0
-    ) -> bool:
+    def observe(self, step: int, mse: float, *, skipped: bool, lost: float = 0.0) -> bool:
         """Record a step; returns whether the run diverged.
 
         Args:
@@ -70,7 +69,6 @@ class Watchdog:
             mse: Mean squared error of its view.
             skipped: Whether its loss was not finite.
             lost: Share of the splats that were reset as runaways.
-            cleared: Share of the splats that were removed in front of a guide mesh.
         """
         self._lost += lost - self._lost / _FADES
         self._spoilt += (float(skipped) - self._spoilt) / _WINDOW
@@ -85,16 +83,14 @@ class Watchdog:
             # Resets darken the rendered images; the statistics restart after the recovery.
             self._quiet_until = step + self.plan.reset_every // 2
             self._best = math.inf
-        if cleared > _EMPTIED:
-            # Holes increase the error until the surfaces behind them are trained.
-            self._quiet_until = max(self._quiet_until, step + 2 * _WINDOW)
-            self._best = math.inf
         if self._spoilt > _SPOILT or self._lost > _LOST:
             return True
         if self._count < _WINDOW or step < self._quiet_until:
             return False
         self._best = min(self._best, self._error)
-        return self._error > max(_RATIO * self._best, self._best + _MARGIN)
+        bad = self._error > max(_RATIO * self._best, self._best + _MARGIN)
+        self._bad = self._bad + 1 if bad else 0
+        return self._bad >= _PATIENCE or (bad and step >= self.plan.iterations)
 
     def worth_keeping(self, step: int) -> bool:
         """Return whether the state after `step` should be kept as a good checkpoint."""
@@ -139,6 +135,7 @@ class Watchdog:
             "error": self._error,
             "best": None if math.isinf(self._best) else self._best,
             "count": self._count,
+            "bad": self._bad,
             "spoilt": self._spoilt,
             "lost": self._lost,
             "quiet_until": self._quiet_until,
@@ -153,11 +150,12 @@ class Watchdog:
             as_int("count", state["count"]),
         )
         self._best = math.inf if state["best"] is None else as_float("best", state["best"])
+        self._bad = as_int("bad", state.get("bad", 0))
         self._spoilt = as_float("spoilt", state["spoilt"])
         self._quiet_until = as_int("quiet_until", state["quiet_until"])
         self._lost = as_float("lost", state["lost"])
 
     def _begin(self, best: float) -> None:
-        self._error, self._best, self._count = 0.0, best, 0
+        self._error, self._best, self._count, self._bad = 0.0, best, 0, 0
         self._lost = 0.0
         self._spoilt, self._quiet_until = 0.0, 0

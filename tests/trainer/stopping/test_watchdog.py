@@ -49,35 +49,35 @@ def test_falling_noisy_and_level_errors_are_healthy() -> None:
     assert feed(dog(), errors) is None
 
 
-def test_holes_that_a_guide_leaves_are_no_divergence() -> None:
-    """Oracle: an error that doubles when a tenth of the splats is removed and recovers within a
-    hundred steps; a divergence without the removal, or without the recovery."""
-    errors = [0.1] * 100 + [0.4 - 0.003 * k for k in range(100)] + [0.1] * 100
-    assert feed(dog(), errors) is not None
-    for shares, healthy in (([0.1], True), ([0.005], False), ([0.1, 0.1, 0.1], True)):
-        watching = dog()
-        assert feed(watching, errors[:100]) is None
-        barked = []
-        for k, error in enumerate(errors[100:]):
-            share = shares[k // 30] if k % 30 == 0 and k // 30 < len(shares) else 0.0
-            barked.append(watching.observe(101 + k, error**2, skipped=False, cleared=share))
-        assert (not any(barked)) == healthy
-        assert feed(watching, [0.9] * 80, first=301) is not None
+def test_holes_that_fill_are_no_divergence() -> None:
+    """Oracle: an error that triples when a refinement leaves holes and falls within a hundred
+    steps, twice; the same without the fall, and a fall too late."""
+    filled = [0.1] * 300 + [0.4 - 0.003 * k for k in range(100)] + [0.1] * 300
+    assert feed(dog(), filled * 2) is None
+    assert feed(dog(), filled[:301] + [0.4] * 200) is not None
+    assert feed(dog(), filled[:301] + [0.4] * 150 + filled[301:]) is not None
+
+
+def test_a_bad_end_is_a_divergence() -> None:
+    """Oracle: fifty bad steps before the last one of the plan, or long before it."""
+    errors = [0.1] * 300 + [0.5] * 50
+    assert feed(dog(), errors, first=20_000 - len(errors) + 1) == 20_000
+    assert feed(dog(), errors, first=10_000) is None
 
 
 @pytest.mark.parametrize("bad", [0.5, 0.9, 30.0])
-def test_an_explosion_is_noticed_within_a_window(bad: float) -> None:
+def test_an_explosion_is_noticed(bad: float) -> None:
     """Oracle: 300 good steps, then an error far above 1.7 times the best."""
     watching = dog()
     assert feed(watching, [0.1] * 300) is None
-    barked = feed(watching, [bad] * 60, first=301)
+    barked = feed(watching, [bad] * 200, first=301)
     assert barked is not None
-    assert barked <= 350
+    assert 450 <= barked <= 500  # patience of 150 steps, in the window of 50
 
 
 def test_worse_than_the_start_is_noticed_even_if_it_was_never_better() -> None:
     """Oracle: the error before the first step, 0.3."""
-    assert feed(dog(), [0.6] * 60) == 50
+    assert feed(dog(), [0.6] * 200) == 50 + 149
     assert feed(dog(), [0.45] * 500) is None
 
 
@@ -111,7 +111,7 @@ def test_lowered_opacities_are_no_divergence() -> None:
     watching = dog()
     errors = [0.3 if 3000 <= step < 4200 or 6000 <= step < 7200 else 0.1 for step in range(1, 9000)]
     assert feed(watching, errors) is None
-    assert feed(watching, [0.4] * 60, first=10_001) is not None
+    assert feed(watching, [0.4] * 200, first=10_001) is not None
 
 
 def test_rescues_go_back_further_each_time_and_end() -> None:
@@ -137,9 +137,10 @@ def test_its_state_comes_back() -> None:
     one, other = dog(), dog()
     feed(one, [0.1] * 2000)
     one.keep(2000)
+    assert feed(one, [0.5] * 80, first=2001) is None
     other.restore(one.state())
     assert other.state() == one.state()
-    assert feed(one, [0.5] * 60, first=2001) == feed(other, [0.5] * 60, first=2001) is not None
+    assert feed(one, [0.5] * 90, first=2081) == feed(other, [0.5] * 90, first=2081) is not None
 
 
 FADING = replace(CONFIG, sh0_lr=8.0)
@@ -220,7 +221,7 @@ def test_a_run_that_cannot_be_rescued_ends_with_an_error(capture: Path, tmp_path
 def test_without_checkpoints_a_diverged_run_ends_at_once(capture: Path, tmp_path: Path) -> None:
     """Oracle: no state to go back to; with the watchdog off the run continues."""
     config = replace(ABSURD, checkpoint_seconds=0.0)
-    with pytest.raises(GsError, match=r"Training diverged: at step \d+ the image error was"):
+    with pytest.raises(GsError, match=r"Training diverged: at step \d+ \d\d% of the splats"):
         run(config, capture, tmp_path)
     events = run(replace(config, watchdog=False), capture, tmp_path, overwrite=True)
     assert events[-1].kind == "done"
