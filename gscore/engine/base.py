@@ -495,6 +495,10 @@ class Engine(Protocol[Model]):
             share: Share of the time of the following steps, above 0, at most 1.
         """
 
+    def shorten_submissions(self) -> None:
+        """Use submissions short enough for the device to draw a window in between, from now on;
+        changes no bit. Nothing on the CPU."""
+
     def keep_photos(self, room: int) -> None:
         """Let photos stay in the engine's own memory, up to `room` bytes of them."""
 

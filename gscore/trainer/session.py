@@ -190,6 +190,7 @@ class Session:
 
     def _render(self, request: FrameRequest) -> bytes:
         """Render a frame request to RGB bytes."""
+        self._trainer.engine.shorten_submissions()  # a viewer draws on the same device
         picture = self._trainer.renderer.render_request(request)
         pixels = np.clip(picture, 0, 1) * np.float32(255) + np.float32(0.5)
         return pixels.astype(np.uint8).tobytes()

@@ -12,6 +12,7 @@ import pytest
 from gscore import DataConfig, read_splats, render
 from gscore.config import Strategy
 from gscore.control import Control
+from gscore.engine.cpu.engine import CpuEngine
 from gscore.events import Progress
 from gscore.io.cameras_json import read_cameras_json
 from gscore.live.server import Server
@@ -55,10 +56,13 @@ def looking(port, make_request):
 
 
 @pytest.mark.parametrize("strategy", [Strategy.DEFAULT, Strategy.MCMC])
-def test_watching_changes_no_bit(capture, tmp_path, strategy):  # noqa: F811
-    """Oracle: the files of a training without a viewer; sizes of pictures vary meanwhile."""
-    config, data = replace(CONFIG, strategy=strategy), DataConfig(source=capture)
+def test_watching_changes_no_bit(capture, tmp_path, strategy, monkeypatch):  # noqa: F811
+    """Oracle: the files of a training without a viewer; sizes of pictures vary meanwhile, and the
+    device's submissions are short."""
+    config, data, short = replace(CONFIG, strategy=strategy), DataConfig(source=capture), []
+    monkeypatch.setattr(CpuEngine, "shorten_submissions", lambda _: short.append(1))
     train(config, data, tmp_path / "alone")
+    assert not short
     K, viewmat, width, height = camera(tmp_path / "alone")
 
     def request(number):
@@ -68,7 +72,7 @@ def test_watching_changes_no_bit(capture, tmp_path, strategy):  # noqa: F811
     port = free_port()
     with Server(LiveOptions(port=port), text="x") as server, looking(port, request) as seen:
         train(config, data, tmp_path / "watched", viewers=server.viewers)
-    assert len(seen) >= 5 and all(text == "x" for _, text in seen)
+    assert len(short) >= len(seen) >= 5 and all(text == "x" for _, text in seen)
     assert any(np.ptp(picture) > 50 for picture, _ in seen)
     for name in ("point_cloud.ply", "cameras.json"):
         one, other = (tmp_path / folder / name for folder in ("alone", "watched"))

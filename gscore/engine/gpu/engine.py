@@ -163,8 +163,12 @@ class GpuEngine(base.Engine[GpuModel]):
         """Pause after each step, see `Engine.use_share`."""
         self._share = share
         if share < 1:
-            lib = self._raster.library
-            self._raster.call(lib.gs_gpu_shorten_submissions, _SHARED_BYTES)
+            self.shorten_submissions()
+
+    def shorten_submissions(self) -> None:
+        """Use submissions of 20 ms, see `Engine.shorten_submissions`."""
+        lib = self._raster.library
+        self._raster.call(lib.gs_gpu_shorten_submissions, _SHARED_BYTES)
 
     def _start(self, pending: PendingStep, photo: StepPhoto, *, key: int | None = None) -> None:
         """Start a step in a free slot; `key`: of a photo that may stay on the device."""
