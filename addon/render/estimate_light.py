@@ -9,7 +9,7 @@ from bpy.props import EnumProperty
 from mathutils.kdtree import KDTree
 
 from .. import attributes
-from ..cameras.objects import cameras_of, root_of
+from ..cameras.objects import cameras_of, local_matrix, root_of
 from ..compat import matrix_to_numpy
 from ..core import sh0_to_rgb
 from ..process.incremental_tasks import Check, Steps, run_in_thread
@@ -90,7 +90,7 @@ def _surface(proxy: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     places = vertices_of(proxy.data)
     normals = np.empty_like(places)
     proxy.data.vertex_normals.foreach_get("vector", normals.ravel())
-    matrix = matrix_to_numpy(proxy.matrix_basis)
+    matrix = local_matrix(proxy)
     normals = normals @ np.linalg.inv(matrix[:3, :3])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return places @ matrix[:3, :3].T + matrix[:3, 3], normals

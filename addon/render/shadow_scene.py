@@ -127,6 +127,7 @@ def _twins(scene: bpy.types.Scene, other: bpy.types.Scene) -> list[bpy.types.Obj
             twin.visible_camera, twin.is_shadow_catcher = True, True
         if twin.data != proxy.data:
             twin.data = proxy.data
+        twin.matrix_parent_inverse = proxy.matrix_parent_inverse
         twin.matrix_basis = proxy.matrix_basis
         dress(scene, twin)
         found.append(twin)

@@ -135,7 +135,8 @@ def add_crop_box(context: bpy.types.Context, ob: bpy.types.Object) -> bpy.types.
 
 
 def apply_transform(guard: EditGuard) -> Steps[None]:
-    """Apply the object's own location, rotation and scale to its splats, exactly.
+    """Apply the object's own location, rotation and scale to its splats, exactly; its children,
+    such as a crop box, stay in place.
 
     Blender's own Apply transforms only the positions, not the ellipsoids and colours.
 
@@ -168,6 +169,9 @@ def apply_transform(guard: EditGuard) -> Steps[None]:
     lag.note(mesh, before)
     ob.matrix_parent_inverse = Matrix.Identity(4)
     ob.matrix_basis = Matrix.Identity(4)
+    for child in ob.children:
+        if child.parent_type == "OBJECT":
+            child.matrix_parent_inverse = Matrix(matrix.tolist()) @ child.matrix_parent_inverse
 
 
 def _check_unshared(ob: bpy.types.Object) -> None:

@@ -400,6 +400,10 @@ class ApplySplatTransform(_EditingObject, bpy.types.Operator):
     bl_idname = "gscore.apply_splat_transform"
     bl_label = "Apply Splat Transform"
 
+    def changes(self, context: bpy.types.Context) -> Iterable[bpy.types.ID]:
+        """The points, the object and its children, which stay in place."""
+        return *super().changes(context), *objects.active_splats(context).children
+
     def edit(self, context: bpy.types.Context, guard: EditGuard) -> Steps[str]:
         """Apply."""
         yield from edit.apply_transform(guard)

@@ -12,6 +12,7 @@ import numpy as np
 
 from .. import attributes
 from ..cameras.capture_transform import origin_of
+from ..cameras.objects import local_matrix
 from ..compat import matrix_to_numpy
 from ..core import (
     BackendError,
@@ -164,7 +165,7 @@ def _surface(obs: Sequence[bpy.types.Object], parts: list[_Part]) -> SurfaceMesh
     for ob, part in zip(obs, parts, strict=True):
         if (proxy := objects.proxy_of(ob)) is None:
             continue
-        mesh, matrix = proxy.data, part.matrix @ matrix_to_numpy(proxy.matrix_basis)
+        mesh, matrix = proxy.data, part.matrix @ local_matrix(proxy)
         triangles = triangles_of_mesh(mesh)
         colors = np.ones((len(triangles.vertices), 4), np.float32)
         layer = mesh.color_attributes.active_color

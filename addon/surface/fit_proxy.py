@@ -13,6 +13,7 @@ import numpy as np
 from mathutils.kdtree import KDTree
 
 from .. import attributes
+from ..cameras.objects import local_matrix
 from ..core import sh0_to_rgb
 from ..interface.base_operator import Condition
 from ..interface.blocks import block_of
@@ -21,7 +22,7 @@ from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..render.proxy import MADE
 from ..splats.objects import active_splats, proxy_of
 from ..splats.read_chunked import read_chunked
-from ..triangles import vertices_of
+from ..triangles import moved, vertices_of
 from .mesh_object import COLOR
 
 _FITTED = "gs_fitted"
@@ -96,7 +97,7 @@ class _Near(NamedTuple):
 
 
 def _near(places: np.ndarray, columns: dict[str, np.ndarray], check: Check) -> _Near:
-    """The nearest splats of places [V, 3] in their space; runs in a thread."""
+    """The nearest splats of places [V, 3]; runs in a thread."""
     means, base = columns[attributes.POSITION], columns[attributes.BASE]
     rows = np.flatnonzero(base[:, 3] >= _OPAQUE)
     distances, nearest = np.full(len(places), np.inf, np.float32), np.zeros(len(places), np.int64)
@@ -117,11 +118,13 @@ def _near(places: np.ndarray, columns: dict[str, np.ndarray], check: Check) -> _
 
 
 def _search(splats: bpy.types.Object, proxy: bpy.types.Object) -> Steps[_Near]:
-    """The nearest splats of the vertices of a proxy."""
-    places = vertices_of(proxy.data)
-    matrix = np.array(proxy.matrix_basis, np.float64)
-    places = places @ matrix[:3, :3].T + matrix[:3, 3]
+    """The nearest splats of the vertices of a proxy; distances in its own space, so that Apply
+    Splat Transform changes none."""
+    places, matrix = vertices_of(proxy.data), local_matrix(proxy)
+    if not abs(np.linalg.det(matrix[:3, :3])) > 1e-30:
+        raise ValueError(f"{proxy.name} has a scale of 0: set its scale to 1 first.")
     columns = yield from read_chunked(splats, [attributes.POSITION, attributes.BASE])
+    columns[attributes.POSITION] = moved(columns[attributes.POSITION], np.linalg.inv(matrix))
     return (yield from run_in_thread(partial(_near, places, columns), "Comparing with the splats"))
 
 

@@ -646,6 +646,20 @@ def test_apply_transform(ob: bpy.types.Object) -> None:
         bpy.ops.gscore.apply_splat_transform()
 
 
+def test_applied_transform_leaves_children_in_place(ob: bpy.types.Object) -> None:
+    """Oracle: the crop box in the world is the same, and so are the splats that it shows."""
+    bpy.ops.gscore.add_crop_box()
+    box = bpy.context.view_layer.objects.active
+    ob.location, ob.rotation_euler, ob.scale = (1, 2, 3), (0.1, 0.2, 0.3), (-2, 2, 2)
+    bpy.context.view_layer.update()
+    place, shown = np.array(box.matrix_world), visible_mask(ob)
+    assert shown.any() and not shown.all()
+    assert bpy.ops.gscore.apply_splat_transform() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(box.matrix_world, place, atol=1e-5)
+    np.testing.assert_array_equal(visible_mask(ob), shown)
+
+
 def test_applied_transform_still_knows_its_source(ob: bpy.types.Object, tmp_path: Path) -> None:
     """Oracle: the file in the source's world is the same before and after applying."""
     ob.rotation_euler.z = 1

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from addon import preferences, stored_paths
-from addon.core import rgb_to_sh0, write_splats
+from addon.core import read_surface, rgb_to_sh0, write_splats
 from addon.interface.base_operator import make_active
 from addon.panels.result import SurfacePanel
 from addon.process import poll_timer
 from addon.render import compositor
 from addon.render.proxy import attach
 from addon.splats import objects
+from addon.splats.exporting import proxy_path
 from addon.splats.objects import proxy_of
 from addon.surface import fit_proxy, make_mesh
 from addon.training.verb_jobs import follow
@@ -307,3 +308,49 @@ def test_an_edited_proxy_is_updated(result: bpy.types.Object, tmp_path: Path) ->
     assert bpy.ops.gscore.update_proxy() == {"FINISHED"}
     assert len(proxy.data.vertices) == 3
     assert len(proxy.data.polygons) < faces
+
+
+def test_an_applied_transform_leaves_the_proxy(result: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: no splat is gone, so no face is. Ten times the size, distances are ten times too."""
+    result.location, result.rotation_euler = (0, 0, 0), (0, 0, 0)
+    means = SURFACE.vertices.repeat(10, 0) + np.linspace(0.1, 0.5, 40)[:, None]
+    made = replace(splats(40), means=means.astype(np.float32), opacities=np.full(40, 5, np.float32))
+    objects.refresh(result, made)
+    proxy = made_proxy(result, tmp_path)
+    result.scale = (10, 10, 10)
+    bpy.context.view_layer.update()
+    place = np.array(proxy.matrix_world)
+    assert bpy.ops.gscore.apply_splat_transform() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(proxy.matrix_world, place, atol=1e-5)
+    assert bpy.ops.gscore.update_proxy() == {"FINISHED"}
+    assert len(proxy.data.polygons) == 4
+
+
+def test_a_joined_proxy_stays_in_place(result: bpy.types.Object, tmp_path: Path) -> None:
+    """Oracle: after Join, the proxy and its shadow catcher are where the proxy was; the exported
+    mesh is there too."""
+    other = result.copy()
+    other.data = result.data.copy()
+    bpy.context.scene.collection.objects.link(other)
+    proxy = made_proxy(result, tmp_path)
+    place = np.array(proxy.matrix_world)
+    other.location = (1, 0, 0)
+    result.select_set(True)
+    make_active(bpy.context, other)
+    result.select_set(True)
+    bpy.context.view_layer.update()
+    assert bpy.ops.gscore.join_splats() == {"FINISHED"}
+    bpy.context.scene.camera = next(ob for ob in bpy.data.objects if ob.type == "CAMERA")
+    compositor.set_up(bpy.context.scene)
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(proxy.matrix_world, place, atol=1e-5)
+    catcher = bpy.data.objects[f"{proxy.name} Catcher"]
+    for scene in bpy.data.scenes:
+        scene.view_layers[0].update()
+    np.testing.assert_allclose(catcher.matrix_world, place, atol=1e-5)
+    path = tmp_path / "joined.ply"
+    bpy.ops.gscore.export_splats(filepath=str(path), world="BLENDER", proxies=True)
+    saved = read_surface(proxy_path(path)).vertices
+    corners = SURFACE.vertices @ place[:3, :3].T + place[:3, 3]
+    np.testing.assert_allclose(saved, corners, atol=1e-4)
