@@ -5,13 +5,13 @@ import bpy
 from ..cameras.objects import is_camera
 from ..render import operators
 from ..render.composite_nodes import combine_node, is_older
-from ..render.compositing_scene import SPLAT_SCENE, helper
+from ..render.compositing_scene import SPLAT_SCENE, helper, missing_splats
 from ..render.engine import NAME
 from ..render.holdout_meshes import missing_holdouts
 from ..render.panels import draw_render
 from ..render.proxy import left_over
 from ..render.shadow_scene import missing as missing_casters
-from ..render.unsupported_settings import NOT_TAKEN_OVER
+from ..render.unsupported_settings import NOT_COMPOSITED, NOT_TAKEN_OVER
 from ..splats.objects import active_splats
 from ..stored_paths import RUN
 from .widgets import TabPanel, root, sentence
@@ -75,6 +75,8 @@ def draw_compositing(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     elif is_older(scene):
         text = "Compositing was set up by an earlier version: press the button again to update it."
         sentence(layout, text, icon="INFO")
+    elif names := missing_splats(scene, helper(scene, SPLAT_SCENE)):
+        sentence(layout, NOT_COMPOSITED.format(names), icon="INFO")
     elif names := missing_holdouts(scene, helper(scene, SPLAT_SCENE)):
         sentence(layout, NOT_TAKEN_OVER.format(names), icon="INFO")
     elif there and (names := missing_casters(scene)):

@@ -6,6 +6,8 @@ has no collections of its own, so visibility comes from the first view layer of 
 
 import bpy
 
+from ..splats.objects import is_splats
+
 MAIN_SCENE = "gs_main_scene"
 """Custom property of a splat-only scene: its main scene."""
 SPLAT_SCENE = "gs_splat_scene"
@@ -23,6 +25,15 @@ def helper(scene: bpy.types.Scene, key: str) -> bpy.types.Scene | None:
     main scene refers to those of the original, which are not its own."""
     other = scene.get(key)
     return other if isinstance(other, bpy.types.Scene) and other.get(MAIN_SCENE) == scene else None
+
+
+def missing_splats(main: bpy.types.Scene | None, splat_scene: bpy.types.Scene | None) -> str:
+    """Names of rendered splat objects of a main scene that its splat-only scene does not have."""
+    if main is None or splat_scene is None:
+        return ""
+    there = set(splat_scene.original.collection.objects)
+    rendered = (ob for ob in main.objects if is_splats(ob) and not ob.hide_render)
+    return ", ".join(ob.name for ob in rendered if ob not in there)
 
 
 def is_camera_visible(ob: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:

@@ -298,7 +298,7 @@ def rest(scene: bpy.types.Scene) -> None:
 
 def take_down(scene: bpy.types.Scene) -> None:
     """Undo `set_up`: nodes, the scenes of splats and world, and changes of displays and film.
-    Everything else in the tree stays.
+    Everything else in the tree stays, and the displays of splats that another scene composites.
 
     Raises:
         ValueError: nothing was set up, or the nodes are linked.
@@ -310,7 +310,9 @@ def take_down(scene: bpy.types.Scene) -> None:
     editable_check.check(*_changed(scene))
     if (tree := compat.compositor_tree(scene)) is not None:
         remove(tree)
-    for ob in filter(is_splats, scene.objects):
+    mains = (one for one in bpy.data.scenes if one != scene and helper(one, SPLAT_SCENE))
+    shared = {ob for one in mains for ob in one.objects}
+    for ob in filter(is_splats, set(scene.objects) - shared):
         for modifier in ob.modifiers:
             if modifier.type == "NODES":
                 modifier.show_render = True

@@ -16,12 +16,14 @@ from ..nodes import display
 from ..splats import lag
 from ..splats.objects import has_albedo, is_native, is_splats
 from .color import world_light, world_of
-from .compositing_scene import SPLAT_SCENE, main_scene
+from .compositing_scene import SPLAT_SCENE, main_scene, missing_splats
 from .holdout_meshes import is_holdout, may_hide, missing_holdouts
 from .passes import SWITCHES, splats_of
 from .shutter_lens import has_depth_of_field, has_motion_blur
 from .stereo import refusal
 
+NOT_COMPOSITED = "{} is not composited yet: press Composite Splats with Meshes again."
+"""Message about splats that were added after the set-up."""
 NOT_TAKEN_OVER = "Holdout of {} hides no splats yet: press Composite Splats with Meshes again."
 """Message about meshes that became holdouts after the set-up."""
 _DRAWN_BY_OTHERS = {
@@ -201,10 +203,8 @@ CHECKS = (
         lambda s: _others(s) if _composited(s) else "",
     ),
     Check("Holdout of {} hides no splats: only faces do.", _holdouts_without_faces),
-    Check(
-        NOT_TAKEN_OVER,
-        lambda s: missing_holdouts(main_scene(s.scene), s.scene),
-    ),
+    Check(NOT_COMPOSITED, lambda s: missing_splats(main_scene(s.scene), s.scene)),
+    Check(NOT_TAKEN_OVER, lambda s: missing_holdouts(main_scene(s.scene), s.scene)),
     Check(
         "Modifiers and shape keys of {} have no effect: only exports apply them.",
         lambda s: ", ".join(ob.name for ob in s.splats if _changes(ob)),

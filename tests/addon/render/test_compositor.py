@@ -125,6 +125,37 @@ def test_again_brings_up_to_date(mixed, tmp_path):
     assert lab.srgb(got[24, 40, :3]) == pytest.approx((0.1, 0.1, 0.1), abs=0.02)
 
 
+def test_splats_added_later_are_named(mixed, tmp_path, capfd):
+    """Oracle: the panel and the render name them until the button is pressed again; hidden ones
+    and those of other scenes are not missing."""
+    compositor.set_up(mixed)
+    sentence = unsupported_settings.NOT_COMPOSITED.format("more")
+    assert "is not composited" not in drawn(RenderPanel)
+    more = lab.add(mixed, lab.wall(3.0, (0.1, 0.1, 0.1), half=0.1), "more")
+    assert sentence in drawn(RenderPanel)
+    lab.render_exr(tmp_path)
+    assert sentence in "".join(capfd.readouterr())
+    more.hide_render = True
+    assert sentence not in drawn(RenderPanel)
+    more.hide_render = False
+    compositor.set_up(mixed)
+    assert sentence not in drawn(RenderPanel)
+
+
+def test_taking_down_a_linked_copy_keeps_the_original(mixed, tmp_path):
+    """Oracle: the picture of the original before; its splats are not drawn by Cycles too."""
+    compositor.set_up(mixed)
+    before = lab.render_exr(tmp_path, "before")
+    bpy.ops.scene.new(type="LINK_COPY")
+    compositor.set_up(bpy.context.scene)
+    compositor.take_down(bpy.context.scene)
+    assert not any(m.show_render for m in bpy.data.objects["splats"].modifiers)
+    bpy.context.window.scene = mixed
+    np.testing.assert_allclose(lab.render_exr(tmp_path, "after"), before, atol=1e-3)
+    compositor.take_down(mixed)
+    assert all(m.show_render for m in bpy.data.objects["splats"].modifiers)
+
+
 def test_the_view_is_followed(mixed, tmp_path):
     """Oracle: camera and pixel aspect of the meshes' scene; an error if it is too late."""
     other = compositor.set_up(mixed)
