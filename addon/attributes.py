@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from .core import Splats
+from .core import Splats, count_text
 
 POSITION, SCALE, ROTATION = "position", "scale", "rotation"
 BASE, SH = "radiance:base", "radiance:sh_"
@@ -162,7 +162,7 @@ def check_finite(values: np.ndarray, name: str, called: str) -> None:
     if not np.isfinite(values).all():
         bad = ~np.isfinite(values).all(axis=1)
         raise ValueError(
-            f"{called} has {int(bad.sum())} splats whose {name} is not finite, "
+            f"{called} has {count_text(int(bad.sum()), 'splat')} whose {name} is not finite, "
             f"the first is number {int(bad.argmax())}: delete them in Edit Mode."
         )
 
@@ -213,7 +213,7 @@ def sh_count(datablock: Any, *, called: str = "") -> int:
         raise ValueError(
             f"{called or datablock.name} lacks the attributes {', '.join(missing)} of its SH "
             f"degree: undo their deletion, or delete all {SH}<k> to go on without view-dependent "
-            f"colour."
+            f"color."
         )
     return count
 

@@ -42,6 +42,17 @@ def absolute(text: str, what: str) -> Path:
     return Path(os.path.abspath(bpy.path.abspath(text)))  # noqa: PTH100 - keeps symbolic links
 
 
+def chosen_file(text: str) -> Path:
+    """Absolute path of a file from the file browser.
+
+    Raises:
+        ValueError: the text is empty or a folder, as without a chosen file, or as `absolute`.
+    """
+    if not text.strip() or Path(bpy.path.abspath(text)).is_dir():
+        raise ValueError("No file is chosen: choose one in the file browser.")
+    return absolute(text, "File")
+
+
 def relative(path: Path, folder: Path | None = None) -> str:
     """A path for the .blend file: relative to it where possible.
 

@@ -143,6 +143,7 @@ from .sh import rgb_to_sh0 as rgb_to_sh0
 from .sh import sh0_to_rgb as sh0_to_rgb
 from .sh import sh_basis as sh_basis
 from .splats import cut_degree as cut_degree
+from .text_format import count_text as count_text
 from .text_format import trust_text as trust_text
 from .trainer.estimate.forecast import Estimate as Estimate
 from .trainer.estimate.forecast import estimate as estimate

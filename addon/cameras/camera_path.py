@@ -17,7 +17,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from ..core import Cameras, atomic_write, file_errors, write_cameras, write_nerfstudio_path
 from ..interface.base_operator import OnScene
 from ..interface.incremental_operator import IncrementalOperator
-from ..paths import absolute
+from ..paths import chosen_file
 from ..process import incremental_tasks
 from ..process.incremental_tasks import BUDGET, Check, Steps, run_in_thread
 from . import objects as co
@@ -196,7 +196,7 @@ class ExportCameraPath(IncrementalOperator, OnCapture, bpy.types.Operator, Expor
 
     def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Read the frames, then write in a thread."""
-        path, camera = absolute(self.filepath, "File"), context.scene.camera
+        path, camera = chosen_file(self.filepath), context.scene.camera
         if camera is None:
             raise ValueError("The scene has no camera. Make one the scene camera and animate it.")
         root = find_root(context, self.capture) if self.world == "CAPTURE" else None
@@ -245,7 +245,7 @@ class ImportCameraPath(IncrementalOperator, OnCapture, OnScene, bpy.types.Operat
 
     def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Read the file in a thread, then create the camera."""
-        path = absolute(self.filepath, "File")
+        path = chosen_file(self.filepath)
         root = find_root(context, self.capture) if self.world == "CAPTURE" else None
         options = {"root": root, "start": self.start, "numbered": self.numbered}
         set_up_scene = self.set_up_scene

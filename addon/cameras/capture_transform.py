@@ -321,7 +321,7 @@ class SetExtent(_Aligning, bpy.types.Operator):
         soft_max=1000.0,
         subtype="DISTANCE",
         unit="LENGTH",
-        description="Distance in metres between the two cameras that are farthest apart",
+        description="Distance in meters between the two cameras that are farthest apart",
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -200,7 +200,7 @@ class ExportCameras(Browsing, IncrementalOperator, OnCapture, bpy.types.Operator
         done = yield from work
         self.warn(done.warnings)
         moved = f", {done.moved} of them as moved in Blender" if done.moved else ""
-        return f"{done.path}: {done.views} cameras{moved}, {done.points} points"
+        return f"{done.path}: {done.views:,} cameras{moved}, {done.points:,} points"
 
 
 _shown: list[tuple[str, str, str]] = []

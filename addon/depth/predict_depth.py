@@ -153,7 +153,7 @@ def sheet(scene: bpy.types.Scene) -> Path:
     """
     path = capture_folder(scene) / options.DEPTHS / "contact_sheet.png"
     if not path.is_file():
-        raise ValueError(f"There is no {path}; Predict makes it together with the maps.")
+        raise ValueError(f"There is no {path}; Predict Depth Maps makes it with the maps.")
     return path
 
 

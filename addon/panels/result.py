@@ -225,7 +225,7 @@ _WORST = 5
 """Number of photos in the list."""
 _COLORS = (
     "Cameras: dark violet for the best photo, pale yellow for the worst. Splats: black for no "
-    "error, pale yellow for errors of {:.0%} or more, grey for splats that no photo shows."
+    "error, pale yellow for errors of {:.0%} or more, gray for splats that no photo shows."
 )
 
 

@@ -67,7 +67,7 @@ class Comparing:
         """
         if not is_camera(camera):
             raise ValueError(
-                f"{camera.name} is not the camera of a photo: choose one that Import Capture made."
+                f"{camera.name} is not the camera of a photo: choose one that Import Cameras made."
             )
         own = photo_camera_of(camera)
         self._camera, self._name, self._photo = camera.session_uid, camera.name, own.image

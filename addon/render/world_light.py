@@ -147,7 +147,8 @@ class MatchSun(_AtCursor, bpy.types.Operator):
             if clipped
             else "Its strength is that of the splats."
         )
-        return f"{lamp.name} stands {height:.0f} degrees above the horizon. {how}"
+        side = "above" if height >= 0 else "below"
+        return f"{lamp.name} stands {abs(height):.0f} degrees {side} the horizon. {how}"
 
 
 def image_of(world: bpy.types.World, found: LightProbe, seen: np.ndarray) -> bpy.types.Image:

@@ -182,7 +182,10 @@ class ChooseVideo(Browsing, OnScene, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         """Choose the video, and show the panel."""
-        chosen = Path(bpy.path.abspath(self.filepath or self.directory))
+        text = self.filepath or self.directory
+        chosen = Path(bpy.path.abspath(text))
+        if not text.strip():
+            raise ValueError("No video is chosen; choose a file.")
         if not chosen.exists():
             raise ValueError(f"There is no video {chosen}; choose a file.")
         context.scene.gscore.capture_path = relative(chosen.absolute())

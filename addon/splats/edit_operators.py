@@ -10,7 +10,7 @@ import numpy as np
 from bpy.props import BoolProperty, FloatProperty, FloatVectorProperty
 
 from .. import attributes, stored_paths
-from ..core import ConfigError, rgb_to_sh0, sh0_to_rgb
+from ..core import ConfigError, count_text, rgb_to_sh0, sh0_to_rgb
 from ..interface.base_operator import Condition, make_active
 from ..interface.blocks import with_uid
 from ..interface.incremental_operator import IncrementalOperator
@@ -145,7 +145,7 @@ class GradeSplats(Editing, bpy.types.Operator):
         name="Gain", description="New value of white", min=0.0, max=20.0, default=(1, 1, 1)
     )
     saturation: FloatProperty(
-        name="Saturation", description="Color saturation; 0: grey", min=0.0, max=10.0, default=1.0
+        name="Saturation", description="Color saturation; 0: gray", min=0.0, max=10.0, default=1.0
     )
     only_selected: BoolProperty(
         name="Only Selected",
@@ -336,7 +336,8 @@ class ReplayEdits(Editing, bpy.types.Operator):
         ob = yield from separate_join.kept(guard, table, rows)
         store(ob, [*own, *edits])
         ob.pop(DUE, None)
-        text = f"Replayed {len(edits)} edits of {name}: {before - own_left:,} splats erased"
+        count = count_text(len(edits), "edit")
+        text = f"Replayed {count} of {name}: {before - own_left:,} splats erased"
         if len(rows) > own_left:
             text += f", {len(rows) - own_left:,} added"
         more = f" {vain} of the edits found no hole to fill, or nothing to copy." if vain else ""

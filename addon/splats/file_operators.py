@@ -15,9 +15,10 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ..cameras.lookup import root_of_run
 from ..cameras.objects import root_of
-from ..core import LOD_ENDING, SPLAT_ENDINGS
+from ..core import LOD_ENDING, SPLAT_ENDINGS, count_text
 from ..interface.base_operator import Condition, OnScene, make_active
 from ..interface.incremental_operator import IncrementalOperator
+from ..paths import chosen_file
 from ..process.incremental_tasks import Steps
 from . import exporting, splat_files, splat_framing
 from .importing import importing_splats
@@ -141,7 +142,7 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
             raise ValueError("Select the splat object whose crop limits the import.")
         level = None if self.level < 0 else self.level
         requests = []
-        for path in paths or [Path(self.filepath)]:
+        for path in paths or [chosen_file(self.filepath)]:
             parent = active
             if self.under_capture and parent is None:
                 parent = root_of_run(context.scene, path)
@@ -170,7 +171,7 @@ class ImportSplats(ImportOperator, bpy.types.Operator, ImportHelper):
             splat_framing.turn_views(context.scene, here[-1])
             self.warn(splat_framing.set_camera(context.scene, here[-1], may_add=False))
         total = sum(len(ob.data.vertices) for ob in made)
-        return f"Imported {total:,} splats from {len(made)} file(s)."
+        return f"Imported {total:,} splats from {count_text(len(made), 'file')}."
 
 
 class ExportSplats(IncrementalOperator, bpy.types.Operator, ExportHelper):

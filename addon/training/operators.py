@@ -21,6 +21,7 @@ from ..interface.base_operator import (
     Waiting,
     make_active,
 )
+from ..interface.blocks import first_few
 from ..interface.images import show_image
 from ..paths import absolute, output_folder, relative
 from ..process import poll_timer
@@ -277,7 +278,7 @@ class AddGuides(OnScene, bpy.types.Operator):
         if not obs:
             raise ValueError("None of the selected objects is a mesh or can be converted to one.")
         collection = guides.add_to_guides(context.scene, self.role, obs)
-        return f"Added {len(obs)} objects to {collection.name}."
+        return f"Added {first_few([ob.name for ob in obs])} to {collection.name}."
 
 
 class ImportResult(ImportOperator, bpy.types.Operator):

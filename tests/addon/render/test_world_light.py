@@ -1,5 +1,6 @@
 """World from Splats and Match Sun. Oracle, unless stated otherwise: Cycles."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -132,9 +133,9 @@ def test_light_on_a_mesh(scene, tmp_path):
     np.testing.assert_allclose(got, linear, rtol=0.03)
 
 
-@pytest.mark.parametrize("direction", [(1, 0.5, 0.6), (-0.3, -1, 0.2), (0.1, 0, 1)])
-def test_sun_shines_from_the_bright_splats(scene, direction):
-    """Oracle: the direction of the splats that are bright."""
+@pytest.mark.parametrize("direction", [(1, 0.5, 0.6), (-0.3, -1, -0.2), (0.1, 0, 1)])
+def test_sun_shines_from_the_bright_splats(scene, direction, capfd):
+    """Oracle: the direction of the splats that are bright, in the message too."""
     lab.prepare(scene)
     lab.add(scene, lit(direction, 2.0))
     assert bpy.ops.gscore.match_sun(near=0.1) == {"FINISHED"}
@@ -143,6 +144,10 @@ def test_sun_shines_from_the_bright_splats(scene, direction):
     unit = Vector(direction).normalized()
     assert np.degrees(towards.angle(unit)) < 1.0
     assert 10 < np.degrees(sun.data.angle) < 22
+    side = "above" if direction[2] > 0 else "below"
+    height = np.degrees(abs(np.arcsin(unit.z)))
+    found = re.search(rf"(\d+) degrees {side} the horizon", "".join(capfd.readouterr()))
+    assert abs(int(found[1]) - height) < 1.5
     sun.rotation_euler = 0, 0, 0
     assert bpy.ops.gscore.match_sun(near=0.1) == {"FINISHED"}  # the same lamp, turned again
     assert [ob for ob in scene.objects if ob.type == "LIGHT"] == [sun]

@@ -276,6 +276,8 @@ def test_unsearchable_sources_are_refused(
         bpy.ops.gscore.find_cameras()
     with pytest.raises(RuntimeError, match="There is no video"):
         bpy.ops.gscore.choose_video(filepath=str(tmp_path / "gone.mp4"))
+    with pytest.raises(RuntimeError, match="No video is chosen"):
+        bpy.ops.gscore.choose_video()
     assert not called.exists()
 
 

@@ -155,7 +155,7 @@ def test_refuses(obs: list, tmp_path: Path) -> None:
     scales[7] = np.nan
     attributes.fill(obs[0].data, attributes.SCALE, "FLOAT_VECTOR", scales.ravel())
     export = Export(obs[:1], out, **options)
-    with pytest.raises(ValueError, match=r"^chair has 1 splats whose scale is not finite.* 7:"):
+    with pytest.raises(ValueError, match=r"^chair has 1 splat whose scale is not finite.* 7:"):
         finished(export)
     export.cancel()
     obs[0].data.attributes.remove(obs[0].data.attributes[attributes.SCALE])

@@ -112,6 +112,14 @@ def test_all_or_none(scene: bpy.types.Scene, paths: list[Path]) -> None:
     assert not bpy.data.objects and not bpy.data.meshes
 
 
+@pytest.mark.parametrize("name", ["import_splats", "import_camera_path", "export_camera_path"])
+def test_a_folder_is_no_file(scene: bpy.types.Scene, tmp_path: Path, name: str) -> None:
+    """The file browser gives its folder if no file is chosen."""
+    for chosen in ("", str(tmp_path)):
+        with pytest.raises(RuntimeError, match="No file is chosen"):
+            getattr(bpy.ops.gscore, name)(filepath=chosen)
+
+
 def test_undone_import_is_repeated(scene: bpy.types.Scene, paths: list[Path]) -> None:
     """Oracle: `import_splats`; undo removes meshes without users, complete ones too."""
     coming = begun(paths)
