@@ -1,15 +1,18 @@
-"""Photos under another exposure, computed in linear light."""
+"""sRGB values and linear light (IEC 61966-2-1) in float64, and photos under another exposure."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
-def decode(encoded: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB values (IEC 61966-2-1)."""
+def decode(encoded: ArrayLike) -> np.ndarray:
+    """Linear light of sRGB values from 0."""
+    encoded = np.asarray(encoded, np.float64)
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
-def encode(light: np.ndarray) -> np.ndarray:
+def encode(light: ArrayLike) -> np.ndarray:
     """sRGB values of linear light."""
+    light = np.asarray(light, np.float64)
     high = 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
     return np.where(light <= 0.0031308, 12.92 * light, high)
 

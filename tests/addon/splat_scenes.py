@@ -135,13 +135,6 @@ def truth(camera: bpy.types.Object, splats: Splats, size: tuple[int, int], **opt
     return render(splats, K, viewmat, width, height, near=data.clip_start, **options)
 
 
-def srgb(linear: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1 in float64."""
-    linear = np.asarray(linear, np.float64)
-    curve = 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055
-    return np.where(linear <= 0.0031308, 12.92 * linear, curve)
-
-
 def read_image(path: Path) -> np.ndarray:
     """Stored values of a picture file, [H, W, C] float32, the top row first."""
     image = bpy.data.images.load(str(path), check_existing=False)

@@ -34,6 +34,7 @@ from gscore.scene import Cameras, PointCloud, Scene
 from gscore.splats import Splats
 from gscore.text_format import size_text, time_text
 from tests.browser import page_after
+from tests.light_changes import decode
 
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 
@@ -370,9 +371,7 @@ def test_of_many_views_some_get_pictures():
 
 def test_colour_map_reads_in_grey():
     """Oracle: lightness (CIE L*) rises at every step, from black to nearly white."""
-    linear = colorize(np.linspace(0, 1, 256)) / 255.0
-    linear = np.where(linear <= 0.04045, linear / 12.92, ((linear + 0.055) / 1.055) ** 2.4)
-    y = linear @ [0.2126, 0.7152, 0.0722]
+    y = decode(colorize(np.linspace(0, 1, 256)) / 255.0) @ [0.2126, 0.7152, 0.0722]
     lightness = np.where(y > 0.008856, 116 * np.cbrt(y) - 16, 903.3 * y)
     assert lightness[0] < 1 and lightness[-1] > 95 and (np.diff(lightness) > 0).all()
 

@@ -28,6 +28,7 @@ from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import fake_python
 from tests.addon.trainings import splats, until
+from tests.light_changes import encode
 
 REAL = os.environ.get("GSCORE_TRAINER_PYTHON", "")
 needs_trainer = pytest.mark.skipif(not REAL, reason="GSCORE_TRAINER_PYTHON names no Python")
@@ -88,9 +89,7 @@ def test_errors_are_shown_and_taken_away(result: bpy.types.Object, tmp_path: Pat
     for i, camera in enumerate(cameras[:-1]):
         place = 0.0 if i == 1 else (best - (20.0 + i)) / (best - worst)
         srgb = colorize(np.array(0.15 + 0.85 * place)) / 255
-        linear = np.array(camera.color[:3])
-        again = np.where(linear > 0.0031308, 1.055 * linear ** (1 / 2.4) - 0.055, 12.92 * linear)
-        np.testing.assert_allclose(again, srgb, atol=1e-3)
+        np.testing.assert_allclose(encode(camera.color[:3]), srgb, atol=1e-3)
     assert tuple(cameras[-1].color) == own[-1]
     assert lookups.figures.wait(run)[0] is not None
     text = drawn(ErrorsPanel)

@@ -9,6 +9,7 @@ from addon.core import Rendered, Splats, render, transform_splats
 from addon.live import atlas, order
 from tests.addon import splat_scenes as lab
 from tests.addon.live import graphics
+from tests.light_changes import decode
 
 pytestmark = pytest.mark.graphics
 
@@ -335,7 +336,7 @@ def test_a_picture_lies_within_a_view(laid):
     alpha = rgba[..., 3:]
     straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 0)
     straight = np.clip(straight, 0, 1)
-    light = np.where(straight <= 0.04045, straight / 12.92, ((straight + 0.055) / 1.055) ** 2.4)
+    light = decode(straight)
     grey = np.array([0.5, 0.5, 0.5, 0.25])
     np.testing.assert_allclose(over, grey * (1 - alpha), atol=1e-5)
     want = np.concatenate([light, np.ones_like(alpha)], axis=2) * alpha + grey * (1 - alpha)

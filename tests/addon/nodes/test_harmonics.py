@@ -13,6 +13,7 @@ from addon.compat import splat_cloud_type
 from addon.nodes import harmonics
 from addon.nodes.display import modifier_of
 from tests.addon import splat_scenes as lab
+from tests.light_changes import encode
 
 SIZE = 200
 LIMIT = 3 / 255
@@ -30,7 +31,7 @@ def centres(scene: bpy.types.Scene, ob: bpy.types.Object, folder: Path, engine: 
     for vertex in ob.data.vertices:
         u, v, _ = world_to_camera_view(scene, scene.camera, ob.matrix_world @ vertex.co)
         found.append(picture[int((1 - v) * SIZE), int(u * SIZE)])
-    return np.clip(lab.srgb(np.array(found)), 0, 1)
+    return np.clip(encode(np.array(found)), 0, 1)
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from addon import attributes
 from addon.core import Splats
 from addon.splats import objects, write_chunked
 from tests.addon import splat_scenes
+from tests.light_changes import encode
 
 PLACES = {
     "plain": Matrix.Identity(4),
@@ -43,7 +44,7 @@ def mean_color(folder: Path, engine: str) -> np.ndarray:
     bpy.context.scene.render.engine = engine
     pixels = splat_scenes.render_exr(folder, engine).astype(np.float64)
     alpha = pixels[..., 3:]
-    colors = splat_scenes.srgb(pixels[..., :3] / np.maximum(alpha, 1e-6))
+    colors = encode(pixels[..., :3] / np.maximum(alpha, 1e-6))
     return (colors * alpha).sum((0, 1)) / alpha.sum()
 
 

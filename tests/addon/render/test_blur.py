@@ -15,6 +15,7 @@ from tests.addon import splat_scenes as lab
 from tests.addon.calls import import_sequence
 from tests.addon.drawn import Layout
 from tests.addon.render import test_mesh_holdout as meshes
+from tests.light_changes import encode
 
 LEVEL = 1 / 255
 
@@ -82,12 +83,12 @@ def test_splats_in_focus_are_sharp(scene, tmp_path):
     lab.prepare(scene, light=0.2)
     lab.add(scene, lab.wall(0.0, (0.2, 0.5, 0.8), half=0.8))
     lab.add(scene, lab.wall(0.001, (0.9, 0.5, 0.1), half=0.3), "smaller")
-    sharp = lab.srgb(lab.render_exr(tmp_path, "sharp")[..., :3])
+    sharp = encode(lab.render_exr(tmp_path, "sharp")[..., :3])
     open_lens(scene, 0.3, 4.0, 32)
-    focused = lab.srgb(lab.render_exr(tmp_path, "focused")[..., :3])
+    focused = encode(lab.render_exr(tmp_path, "focused")[..., :3])
     assert np.abs(focused - sharp).max() <= 2 * LEVEL
     scene.camera.data.dof.focus_distance = 2.0
-    blurred = lab.srgb(lab.render_exr(tmp_path, "blurred")[..., :3])
+    blurred = encode(lab.render_exr(tmp_path, "blurred")[..., :3])
     assert np.abs(blurred - sharp).max() > 40 * LEVEL
 
 

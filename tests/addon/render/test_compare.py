@@ -26,6 +26,7 @@ from gscore.photo_exposure import PhotoExposure
 from tests.addon import splat_scenes as lab
 from tests.addon.calls import import_capture
 from tests.addon.drawn import drawn
+from tests.light_changes import encode
 
 STUDIO = Path(__file__).parents[3] / "examples" / "studio"
 
@@ -73,7 +74,7 @@ def test_the_picture_has_the_exposure_of_the_photo(studio, scene, tmp_path):
     )
     found = compared(scene, camera, graph())
     after = pixels(found.images["Render"])
-    background = float(lab.srgb(0.1))
+    background = float(encode(0.1))
     empty = (np.abs(before - background) < 0.5 / 255).all(axis=2)
     assert not plain.exposed and found.exposed and found.psnr < plain.psnr
     assert np.abs(after - before)[empty].max(initial=0) <= 4 / 255
@@ -98,7 +99,7 @@ def test_psnr_and_pictures(studio, scene, percentage):
     width, height = own.width * percentage // 100, own.height * percentage // 100
     K = np.diag([width / own.width, height / own.height, 1]) @ own.K
     near = camera.data.clip_start / capture.root.scale[0]
-    background = (float(lab.srgb(0.1)),) * 3
+    background = (float(encode(0.1)),) * 3
     want = render(splats, K, own.viewmat, width, height, near=near, background=background)
     shown = np.clip(want.rgb, 0, 1)
     photo = lab.read_image(Path(own.photo))[..., :3]
@@ -159,7 +160,7 @@ def test_masks_of_the_capture_count(studio, scene):
         composite = compared(scene, camera, depsgraph)
         assert composite.psnr_masked is None and "gs_psnr_masked" not in camera
         corner = pixels(composite.images["Photo"])[mask[..., 0] == 0]
-        np.testing.assert_allclose(corner, lab.srgb(0.1), atol=1 / 255)
+        np.testing.assert_allclose(corner, encode(0.1), atol=1 / 255)
 
 
 def target_pieces(camera) -> Steps[photo_module.Target]:

@@ -11,6 +11,7 @@ from addon.render.pass_renderer import HOLDOUT_PASSES
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
 from tests.addon.mesh_scenes import emitter, glass, paint_world, plane
+from tests.light_changes import encode
 
 RED, SIZE = (0.9, 0.1, 0.1), (64, 48)
 
@@ -36,13 +37,13 @@ def test_meshes_before_and_behind(mixed, tmp_path):
     got = lab.render_exr(tmp_path)
     row = got[24]
     assert row[22, :3] == pytest.approx((0, 1, 0), abs=1e-3)
-    assert lab.srgb(row[38, :3]) == pytest.approx(RED, abs=0.01)
+    assert encode(row[38, :3]) == pytest.approx(RED, abs=0.01)
     assert row[62, :3] == pytest.approx((0, 0, 1), abs=0.02)
     assert row[62, 3] == pytest.approx(1, abs=1e-3)
     assert got[2, 62, 3] == 0
     assert bpy.context.scene.name == name
     # The wall alone, at a pixel without meshes: nothing is drawn twice or missing.
-    assert lab.srgb(got[24, 32, :3]) == pytest.approx(RED, abs=0.01)
+    assert encode(got[24, 32, :3]) == pytest.approx(RED, abs=0.01)
 
 
 def test_soft_splats_blend_with_meshes(mixed, tmp_path):
@@ -122,7 +123,7 @@ def test_again_brings_up_to_date(mixed, tmp_path):
     assert (other.camera, other.render.resolution_x) == (camera, 80)
     got = lab.render_exr(tmp_path)
     assert got.shape[:2] == (48, 80)
-    assert lab.srgb(got[24, 40, :3]) == pytest.approx((0.1, 0.1, 0.1), abs=0.02)
+    assert encode(got[24, 40, :3]) == pytest.approx((0.1, 0.1, 0.1), abs=0.02)
 
 
 def test_splats_added_later_are_named(mixed, tmp_path, capfd):
@@ -319,7 +320,7 @@ def test_held_out_splats_hide_all_that_is_behind_them(mixed, tmp_path):
     assert got[24, 62] == pytest.approx((0, 0, 1, 1), abs=1e-2)
     bpy.data.objects["cut"].location.z = -3.0  # behind everything
     got = lab.render_exr(tmp_path, "far")
-    assert lab.srgb(got[24, 38, :3]) == pytest.approx(RED, abs=0.01)
+    assert encode(got[24, 38, :3]) == pytest.approx(RED, abs=0.01)
     assert got[24, 62] == pytest.approx((0, 0, 1, 1), abs=1e-2)
 
 
@@ -338,11 +339,11 @@ def test_a_catcher_before_splats_darkens_them(mixed, tmp_path, z):
     compositor.set_up(mixed)
     row = lab.render_exr(tmp_path)[24]
     assert row[20, :3] == pytest.approx((0, 1, 0), abs=0.01)
-    assert lab.srgb(row[30, :3]) == pytest.approx(RED, abs=0.02)
+    assert encode(row[30, :3]) == pytest.approx(RED, abs=0.02)
     if z > 1:  # what is left is light of the green plane
         assert row[45, 0] < 0.05 * row[30, 0]
     else:
-        assert lab.srgb(row[45, :3]) == pytest.approx(RED, abs=0.02)
+        assert encode(row[45, :3]) == pytest.approx(RED, abs=0.02)
     assert row[45, 3] == pytest.approx(1, abs=0.01)
 
 
@@ -447,7 +448,7 @@ def test_held_out_meshes_hide_splats(mixed, tmp_path, capfd):
     got = lab.render_exr(tmp_path, "held")
     assert "Holdout" not in drawn(RenderPanel) + capfd.readouterr().out
     assert got[24, 22, 3] < 0.02 and before[24, 22, 3] > 0.99
-    assert lab.srgb(got[24, 38, :3]) == pytest.approx(RED, abs=0.01)
+    assert encode(got[24, 38, :3]) == pytest.approx(RED, abs=0.01)
     mixed.objects["before"].is_holdout = False
     np.testing.assert_array_equal(lab.render_exr(tmp_path, "after"), before)
 
@@ -472,7 +473,7 @@ def test_the_world_stays_behind_everything(mixed, tmp_path):
     got = lab.render_exr(tmp_path, "both")
     np.testing.assert_allclose(got[2, 62], before[2, 62], atol=0.01)
     np.testing.assert_allclose(got[24, 62], before[24, 62], atol=0.02)
-    assert lab.srgb(got[24, 38, :3]) == pytest.approx(RED, abs=0.01)
+    assert encode(got[24, 38, :3]) == pytest.approx(RED, abs=0.01)
     film = mixed.render.film_transparent
     paint_world(mixed, 0.7, 0.2, 0.1)
     mixed.render.film_transparent = film

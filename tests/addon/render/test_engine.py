@@ -21,6 +21,7 @@ from addon.render.viewport_copies import Copies
 from addon.splats import objects
 from tests.addon import splat_scenes as lab
 from tests.addon.calls import import_capture
+from tests.light_changes import encode
 
 ROOT = Path(__file__).parents[3]
 SIZE = (90, 70)
@@ -34,7 +35,7 @@ def test_png_shows_the_values_of_gscore(scene, tmp_path, light):
     splats = lab.blob()
     lab.add(scene, splats)
     got = lab.render_file(tmp_path / "a.png")
-    want = lab.truth(camera, splats, SIZE, background=(float(lab.srgb(light)),) * 3).rgb
+    want = lab.truth(camera, splats, SIZE, background=(float(encode(light)),) * 3).rgb
     assert np.abs(got[..., :3] - np.clip(want, 0, 1)).max() <= 1.01 * LEVEL
     assert np.std(want) > 0.05
 
@@ -89,7 +90,7 @@ def test_film_transparent(scene, tmp_path):
     seen = want.alpha > 0.05
     straight = want.rgb[seen] / want.alpha[seen][:, None]
     np.testing.assert_allclose(
-        lab.srgb(exr[seen][:, :3] / exr[seen][:, 3:]), straight, atol=2e-5, rtol=1e-4
+        encode(exr[seen][:, :3] / exr[seen][:, 3:]), straight, atol=2e-5, rtol=1e-4
     )
     png = lab.render_file(tmp_path / "b.png", mode="RGBA")
     assert np.abs(png[..., 3] - want.alpha).max() <= 0.51 * LEVEL + 1e-6
@@ -167,7 +168,7 @@ def test_percentage_and_pixel_aspect(scene, tmp_path, percentage, aspect):
     viewmat = np.diag([1.0, -1.0, -1.0, 1.0])
     viewmat[2, 3] = 4.0
     want = lab.render(splats, K, viewmat, width, height, near=camera.data.clip_start)
-    np.testing.assert_allclose(lab.srgb(got[..., :3]), want.rgb, atol=1e-4)
+    np.testing.assert_allclose(encode(got[..., :3]), want.rgb, atol=1e-4)
 
 
 def test_shift_moves_the_picture(scene, tmp_path):
@@ -192,7 +193,7 @@ def test_orthographic(scene, tmp_path):
     viewmat = np.diag([1.0, -1.0, -1.0, 1.0])
     viewmat[2, 3] = 4.0
     want = lab.render(splats, K, viewmat, 70, 70, near=0.1, orthographic=True)
-    np.testing.assert_allclose(lab.srgb(got[..., :3]), want.rgb, atol=1e-4)
+    np.testing.assert_allclose(encode(got[..., :3]), want.rgb, atol=1e-4)
     assert want.alpha.mean() > 0.1
 
 
@@ -215,7 +216,7 @@ def test_several_objects_with_their_transforms(scene, tmp_path):
     from addon.render.model import _concatenated
 
     want = lab.truth(camera, _concatenated(world), SIZE)
-    np.testing.assert_allclose(lab.srgb(got[..., :3]), want.rgb, atol=3e-4)
+    np.testing.assert_allclose(encode(got[..., :3]), want.rgb, atol=3e-4)
     assert want.alpha.mean() > 0.1
 
 
@@ -241,7 +242,7 @@ def test_hidden_objects(scene, tmp_path, how):
     shown, hidden = lab.blob(seed=1), lab.wall(2.0, (1, 0, 0))
     lab.add(scene, shown)
     _hide(lab.add(scene, hidden, "hidden"), how, scene)
-    got = lab.srgb(lab.render_exr(tmp_path)[..., :3])
+    got = encode(lab.render_exr(tmp_path)[..., :3])
     alone = lab.truth(camera, shown, SIZE).rgb
     assert (np.abs(got - alone).max() < 1e-4) == (how != "viewport")
 
@@ -261,7 +262,7 @@ def test_collection_instances(scene, tmp_path):
     matrix = np.diag([0.7, 0.7, 0.7, 1.0])
     matrix[:3, 3] = np.array([0.3, 0.2, 0.1]) - 0.7 * np.array([0, 0.5, 0])
     want = lab.truth(camera, transform_splats(splats, matrix), SIZE)
-    np.testing.assert_allclose(lab.srgb(got[..., :3]), want.rgb, atol=3e-4)
+    np.testing.assert_allclose(encode(got[..., :3]), want.rgb, atol=3e-4)
 
 
 def test_filters_reach_the_render_if_wanted(scene, tmp_path):
@@ -273,7 +274,7 @@ def test_filters_reach_the_render_if_wanted(scene, tmp_path):
     kept = splats.subset(1 / (1 + np.exp(-splats.opacities.astype(np.float64))) >= 0.8)
     for wanted, apply in ((kept, True), (splats, False)):
         ob.gscore.apply_filters_to_render = apply
-        got = lab.srgb(lab.render_exr(tmp_path)[..., :3])
+        got = encode(lab.render_exr(tmp_path)[..., :3])
         np.testing.assert_allclose(got, lab.truth(camera, wanted, SIZE).rgb, atol=1e-4)
     assert 50 < len(kept) < 350
 
@@ -447,7 +448,7 @@ def test_antialias_follows_the_objects(scene, tmp_path):
     assert np.abs(pictures[0] - pictures[1]).max() > 0.01
     for mark, request, want in ((False, "AUTO", 0), (True, "AUTO", 1), (True, "OFF", 0)):
         ob["gs_antialias"], scene.gscore_render.antialias = mark, request
-        got = lab.srgb(lab.render_exr(tmp_path)[..., :3])
+        got = encode(lab.render_exr(tmp_path)[..., :3])
         np.testing.assert_allclose(got, pictures[want], atol=1e-4)
 
 

@@ -12,6 +12,7 @@ from addon.render.engine import final_cache
 from addon.render.pass_renderer import PassRenderer
 from addon.render.shutter_lens import ShutterLens, View
 from tests.addon import splat_scenes as lab
+from tests.light_changes import encode
 
 SIZE = 90, 70
 
@@ -48,7 +49,7 @@ def mixed(camera: bpy.types.Object, splats: Splats, edge: float, light: float, *
     alpha = share * before.alpha + (1 - share) * all_of.alpha
     through = (1 - share) * (1 - all_of.alpha) if full else 0 * alpha
     rgb = share[..., None] * before.rgb + (1 - share)[..., None] * all_of.rgb
-    rgb = rgb + through[..., None] * lab.srgb(light)
+    rgb = rgb + through[..., None] * encode(light)
     there = alpha + through
     straight = np.divide(rgb, there[..., None], out=np.zeros_like(rgb), where=there[..., None] > 0)
     return np.dstack([straight, there])
@@ -81,7 +82,7 @@ def test_a_plane_hides_what_is_behind_it(scene, tmp_path, how, transparent):
     wanted = mixed(camera, splats, edge, 0.3, full=not transparent)
     np.testing.assert_allclose(got[..., 3], wanted[..., 3], atol=1e-5)
     seen = wanted[..., 3] > 0.05
-    straight = lab.srgb(got[..., :3] / np.maximum(got[..., 3:], 1e-9))
+    straight = encode(got[..., :3] / np.maximum(got[..., 3:], 1e-9))
     np.testing.assert_allclose(straight[seen], wanted[..., :3][seen], atol=2e-4)
     whole = lab.truth(camera, splats, SIZE)
     assert (whole.alpha[:, :44] - wanted[:, :44, 3]).max() > 0.5  # it hides much

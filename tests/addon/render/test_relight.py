@@ -19,6 +19,7 @@ from addon.render.shadow_maps import Casters
 from addon.triangles import Triangles
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
+from tests.light_changes import decode
 
 SIZE = (40, 40)
 COLOR = (0.5, 0.6, 0.3)
@@ -74,7 +75,7 @@ def by_cycles(scene: bpy.types.Scene, folder) -> np.ndarray:
     compat.use_nodes(albedo)
     albedo.node_tree.nodes.clear()
     shader = albedo.node_tree.nodes.new("ShaderNodeBsdfDiffuse")
-    linear = ((np.array(COLOR) + 0.055) / 1.055) ** 2.4
+    linear = decode(COLOR)
     shader.inputs["Color"].default_value = (*linear, 1)
     out = albedo.node_tree.nodes.new("ShaderNodeOutputMaterial")
     albedo.node_tree.links.new(shader.outputs[0], out.inputs["Surface"])
@@ -247,7 +248,7 @@ def test_world(lit, tmp_path):
     tree = compat.world_nodes(lit.world)
     tree.nodes["Background"].inputs[0].default_value = (0.3, 0.5, 0.7, 1)
     got = lab.render_exr(tmp_path, "ours")[16:24, 16:24, :3].mean((0, 1))
-    linear = ((np.array(COLOR) + 0.055) / 1.055) ** 2.4
+    linear = decode(COLOR)
     np.testing.assert_allclose(got, linear * [0.3, 0.5, 0.7], rtol=0.02)
     image = bpy.data.images.new("sky", 64, 32, float_buffer=True)
     image.colorspace_settings.name = "Linear Rec.709"
@@ -529,7 +530,7 @@ def test_many_lamps_and_none(lit, tmp_path):
         lit.collection.objects.link(one)
     assert "no lamp" not in drawn(LightPanel)
     got = lab.render_exr(tmp_path, "many")[12, 12, :3]
-    linear = ((np.array(COLOR) + 0.055) / 1.055) ** 2.4
+    linear = decode(COLOR)
     np.testing.assert_allclose(got, linear * 2 / np.pi, rtol=0.02)
 
 

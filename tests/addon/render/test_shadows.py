@@ -13,6 +13,7 @@ from addon.render.shadow_scene import SHADOW_SCENE, missing
 from addon.splats.objects import proxy_of
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
+from tests.light_changes import decode
 
 SIZE = (48, 48)
 COLOR = (0.8, 0.5, 0.2)
@@ -91,7 +92,7 @@ def test_shadows_are_those_on_a_plane(shadowed, tmp_path):
     ratio = by_cycles(scene, tmp_path, "with", cube=True) / by_cycles(
         scene, tmp_path, "without", cube=False
     )
-    light = ((np.array(COLOR) + 0.055) / 1.055) ** 2.4
+    light = decode(COLOR)
     wanted = ratio * light
     inside = (slice(10, 38), slice(30, 40))  # right of the cube, on the splats
     assert ratio[inside].min() < 0.5 < 0.95 < ratio[inside].max()

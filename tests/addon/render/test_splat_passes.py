@@ -17,6 +17,7 @@ from tests.addon import splat_scenes as lab
 from tests.addon.render import test_blur as blur
 from tests.addon.render.test_panorama import panoramic
 from tests.addon.render.test_relight import grid, know_light, lamp
+from tests.light_changes import decode
 
 SIZE = (60, 44)
 
@@ -167,7 +168,7 @@ def test_albedo_is_the_color_without_the_captured_light(two, tmp_path):
     colors, light = [], np.repeat([0.5, 0.75], [150, len(share) - 150])
     splats = lab.model_of(two.view_layers[0].depsgraph).splats
     srgb = np.maximum(splats.sh0[:, 0] * lab.SH_C0 + 0.5, 0).astype(np.float64)
-    colors = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    colors = decode(srgb)
     albedo = colors / light[:, None]
     name = compat.albedo_pass_name()
     found = render_passes(two, tmp_path)[name]

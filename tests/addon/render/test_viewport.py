@@ -21,6 +21,7 @@ from addon.render.selections import Tinted, marks_of
 from addon.splats import filters
 from addon.splats.point_attributes import zeroed
 from tests.addon import splat_scenes as lab
+from tests.light_changes import decode, encode
 
 
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
@@ -85,7 +86,7 @@ def test_painter_ends_with_the_full_picture(scene):
     wait(renderer)
     camera = request.camera
     want = render(splats, camera.K, camera.viewmat, 96, 64, near=camera.near)
-    np.testing.assert_allclose(lab.srgb(renderer.pixels[::-1, :, :3]), want.rgb, atol=1e-4)
+    np.testing.assert_allclose(encode(renderer.pixels[::-1, :, :3]), want.rgb, atol=1e-4)
     assert renderer.fresh and not renderer.problem
     renderer.fresh = False
     renderer.submit(request)  # an equal request: nothing to do
@@ -266,7 +267,7 @@ def test_hidden_and_selected_splats_in_edit_mode(scene: bpy.types.Scene) -> None
     def shot(request: viewport.Request) -> np.ndarray:
         model = SplatCache().model(request.placed)
         found = request.render(model, request.camera, lambda: False, CancelFlag())
-        return lab.srgb(found[::-1, :, :3])
+        return encode(found[::-1, :, :3])
 
     def truth(*parts: Splats) -> np.ndarray:
         whole = {n: np.concatenate([getattr(p, n) for p in parts]) for n in vars(parts[0])}
@@ -319,8 +320,7 @@ def test_overlay_has_the_views_colours() -> None:
     rgb = np.float32([[[0.4, 0.2, 0.1], [0.0, 0.0, 0.0]]])
     alpha = np.float32([[0.5, 0.0]])
     held = over_view(rgb, alpha)
-    decoded = np.where(held <= 0.04045, held / 12.92, ((held + 0.055) / 1.055) ** 2.4)
-    light = decoded if TEXTURES_ARE_ENCODED else held
+    light = decode(held) if TEXTURES_ARE_ENCODED else held
     behind = 0.3**EXPONENT
     mixed = (light[..., :3] + behind * (1 - alpha[..., None])) ** (1 / EXPONENT)
     want = (0.5 * np.array([0.8, 0.4, 0.2]) ** EXPONENT + 0.5 * behind) ** (1 / EXPONENT)

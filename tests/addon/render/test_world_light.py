@@ -18,6 +18,7 @@ from gscore.io.exposure_json import write_exposures
 from gscore.photo_exposure import PhotoExposure
 from gscore.scene import Cameras
 from tests.addon import splat_scenes as lab
+from tests.light_changes import decode, encode
 
 
 def panoramic(scene: bpy.types.Scene, place: tuple[float, ...]) -> bpy.types.Object:
@@ -129,7 +130,7 @@ def test_light_on_a_mesh(scene, tmp_path):
     scene.render.engine, scene.cycles.samples = "CYCLES", 256
     scene.cycles.use_denoising = False
     got = lab.render_exr(tmp_path, "cycles")[..., :3].mean((0, 1))
-    linear = ((np.array([0.5, 0.4, 0.3]) + 0.055) / 1.055) ** 2.4
+    linear = decode([0.5, 0.4, 0.3])
     np.testing.assert_allclose(got, linear, rtol=0.03)
 
 
@@ -232,7 +233,7 @@ def test_strength_of_a_sun_in_brackets(scene, tmp_path):
     them: the lamp has their irradiance, pi L sin^2 r for a disk. If that photo looks away, is no
     shorter than the others, or is one of hidden splats, three times that of the sky."""
     lab.prepare(scene)
-    level = 1.055 * 3 ** (1 / 2.4) - 0.055
+    level = float(encode(3))
     ob = lab.add(scene, lit((1, 0, 0), level))
     ob.rotation_euler, ob.location = (0, 0, 0.6), (2, 0, 0)
     bpy.context.view_layer.update()
@@ -310,7 +311,7 @@ def test_walls_of_a_proxy_shine(scene, tmp_path):
     scene.render.engine, scene.cycles.samples = "CYCLES", 256
     scene.cycles.use_denoising = False
     got = lab.render_exr(tmp_path, "cycles")[4:8, 4:8, :3].mean((0, 1))
-    linear = ((np.array([0.5, 0.4, 0.3]) + 0.055) / 1.055) ** 2.4
+    linear = decode([0.5, 0.4, 0.3])
     np.testing.assert_allclose(got, linear, rtol=0.03)
     world, scene.world = scene.world, bpy.data.worlds.new("other")
     bpy.context.view_layer.update()

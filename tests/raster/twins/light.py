@@ -5,6 +5,7 @@ import numpy as np
 
 from gscore.raster.light import SUN, Lamp, ShadowMap, SurfaceLight, Surfaces
 from gscore.sh import sh_basis
+from tests.light_changes import decode, encode
 
 _SIDES = [sign * np.eye(3)[k] for k in range(3) for sign in (1.0, -1.0)]
 
@@ -95,16 +96,6 @@ def gains(
         return (1 - share) * kept + share * np.minimum(
             np.where(known[:, None], white / captured, 1), most
         )
-
-
-def decode(values: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB (IEC 61966-2-1)."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-
-
-def encode(light: np.ndarray) -> np.ndarray:
-    """The inverse."""
-    return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 def scaled(sh0: np.ndarray, shN: np.ndarray, factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
