@@ -32,7 +32,7 @@ struct Kernels {
     // Returns the number of pairs evaluated.
     int64_t (*blend_backward)(const BlendBackwardArgs &, uint32_t outputs, uint32_t tile);
     void (*project_backward)(const ProjectBackwardArgs &, int64_t chunk);
-    // One tile of `loss_grid`; `scratch` holds its scratch_floats().
+    // One tile of a `LossGrid`; `scratch` holds its scratch_floats().
     void (*image_loss)(const LossArgs &, int tile, float *scratch);
     // One chunk of rows; returns how many had gradients that are not finite.
     int64_t (*adam_step)(const AdamArgs &, int64_t chunk);

@@ -197,7 +197,6 @@ static inline Vec to_float(IVec v) { return __builtin_convertvector(v, Vec); }
 
 static inline Vec fma(Vec a, float b, Vec c) { return fma(a, set1(b), c); }
 static inline Vec fma(float a, Vec b, Vec c) { return fma(set1(a), b, c); }
-static inline float clamp01(float x) { return x < 0 ? 0 : x > 1 ? 1 : x; }
 
 // x / y to float precision with few operations: an AVX-512 division takes as long as ten multiplications.
 static inline Vec quotient(Vec x, Vec y) {

@@ -22,10 +22,10 @@ _QUALITY = 90
 
 
 def synthetic_scene(
-    count: int = 100_000, width: int = 640, height: int = 360, seed: int = 0
+    count: int = 100_000, width: int = 640, height: int = 360
 ) -> tuple[Splats, Cameras]:
-    """A seeded cloud of small splats in front of one camera, for machines without a capture."""
-    rng = np.random.default_rng(seed)
+    """A cloud of small splats in front of one camera, for machines without a capture."""
+    rng = np.random.default_rng(0)
     z = rng.uniform(2, 5, count)
     means = np.stack(
         [rng.uniform(-0.65, 0.65, count) * z, rng.uniform(-0.375, 0.375, count) * z, z], axis=1

@@ -70,10 +70,10 @@ def labels(curves: Sequence[Curve]) -> list[str]:
     return [f"{curve.label}, {curve.width} px" for curve in curves]
 
 
-def measured_steps(iterations: int, count: int = _POINTS) -> list[int]:
-    """About `count` steps from 1/50 of the run to its end, evenly spaced in the logarithm."""
+def measured_steps(iterations: int) -> list[int]:
+    """About a dozen steps from 1/50 of the run to its end, evenly spaced in the logarithm."""
     first = max(iterations // 50, 1)
-    return sorted({int(s) for s in np.geomspace(first, iterations, count).round()})
+    return sorted({int(s) for s in np.geomspace(first, iterations, _POINTS).round()})
 
 
 def measure_variant(

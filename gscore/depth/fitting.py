@@ -42,7 +42,7 @@ def align_views(
     folder: Path,
     samples: list[Samples | None],
     *,
-    kind: DepthKind,
+    kind: DepthKind = DepthKind.AUTO,
     joint: bool = True,
 ) -> Alignment:
     """Scale and offset of every map in `folder` by the method `data.depth_align`.
@@ -55,7 +55,7 @@ def align_views(
         dataset: The capture.
         folder: Folder of the maps.
         samples: Samples of the maps by view.
-        kind: Kind of the maps.
+        kind: Kind of the maps; AUTO: detected from the points.
         joint: Align maps to each other too and estimate the errors; False: to the points only,
             which is much faster.
 

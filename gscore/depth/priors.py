@@ -63,7 +63,6 @@ def load_priors(
     data: DataConfig,
     dataset: Dataset,
     *,
-    kind: DepthKind = DepthKind.AUTO,
     joint: bool = True,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Priors:
@@ -72,7 +71,6 @@ def load_priors(
     Args:
         data: Options `depths` (empty: `depths`) and `depth_align`.
         dataset: The capture at training resolution.
-        kind: Kind of the maps; AUTO: detected from the points.
         joint: Align maps to each other too, not to points only; takes seconds, for maps that
             supervise a training. Maps of held-out views are excluded from it.
         on_progress: Called with (done, total) while the maps are read.
@@ -90,7 +88,7 @@ def load_priors(
     ]
     seen = observations(data, dataset)
     samples = view_samples(maps, seen, dataset)
-    alignment = align_views(data, dataset, folder.root, samples, kind=kind, joint=joint)
+    alignment = align_views(data, dataset, folder.root, samples, joint=joint)
     total = len(dataset)
     views: list[DepthPrior | None] = []
 

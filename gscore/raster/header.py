@@ -1,7 +1,7 @@
 """Constants and structs of csrc/include/gscore and csrc/shared, which document them, for ctypes.
 
-`arguments.py` fills structs with addresses; `stereo.py`, `mesh.py` and `match.py` those of stereo,
-meshes and descriptors. All check the arrays first.
+`arguments.py` fills structs with addresses; `stereo_depth.py`, `mesh.py`, `match.py` and `light.py`
+those of stereo, meshes, descriptors and light. All check the arrays first.
 """
 
 import ctypes as ct
@@ -27,9 +27,8 @@ THREADS_MAX = 1024
 ADAM_ALL, ADAM_VISIBLE, ADAM_WAIT = 0, 1, 2
 ADAM_PENDING_SIZE = 256
 MASK_MODES = {"none": 0, "composite": 1, "ignore": 2}
-STEREO_SOURCES_MAX, STEREO_RADIUS_MAX, STEREO_SIDE_MAX = 8, 7, 8192
-STEREO_PLANES_MIN, STEREO_PLANES_MAX = 3, 1024
-DESCRIPTOR_SIZE, DESCRIPTORS_MAX = 128, 1 << 20
+STEREO_PLANES_MAX = 1024
+DESCRIPTOR_SIZE = 128
 OK, BAD_ARGUMENT, OUT_OF_MEMORY, CANCELLED = 0, 1, 2, 3
 
 _KINDS = {

@@ -11,12 +11,6 @@ from . import _native, arguments, header
 from .buffers import UINT8, address
 from .request import CancelFlag
 
-MOST_SOURCES = header.STEREO_SOURCES_MAX
-"""Maximum number of source photos."""
-MOST_PLANES = header.STEREO_PLANES_MAX
-MAX_NEIGHBOURS = 255
-"""Maximum number of maps in the consistency check of one."""
-
 
 @dataclass(frozen=True)
 class Warp:

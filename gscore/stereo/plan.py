@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..depth.observations import PointVisibility
-from ..raster.stereo_depth import MOST_PLANES, StereoView
+from ..raster.header import STEREO_PLANES_MAX
+from ..raster.stereo_depth import StereoView
 from ..scene import Cameras
 from ..transforms import SMALLEST
 
@@ -118,7 +119,7 @@ def planes_of(plan: ViewPlan, views: Sequence[StereoView]) -> int:
             a, b = (end[:2, front] / end[2, front] for end in ends)
             moved.append(float(np.median(np.hypot(*(b - a)))))
     path = float(np.median(moved)) if moved else 0.0
-    most = min(PLANES, MOST_PLANES)
+    most = min(PLANES, STEREO_PLANES_MAX)
     return int(np.clip(np.ceil(min(path / _STEP, most)) + 1, _FEWEST_PLANES, most))
 
 

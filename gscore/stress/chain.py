@@ -15,6 +15,8 @@ from .compare import require_covered, row_errors
 from .native import BACKGROUND
 from .scenes import SplatScene, first_scene_without
 
+_MARGIN = 1e-3
+"""Distance from the limit of a clamped quantity within which differences may cross it."""
 _LONG_STEP = 1e-3
 """Step of the five-point formula: truncation (step^4) and rounding (1e-16 / step) are both about
 1e-13 of the value for functions that vary over lengths of one."""
@@ -47,7 +49,7 @@ def relative(actual: np.ndarray, true: np.ndarray, *, floor: float = 0.01) -> fl
     return float((np.abs(actual - true) / scale).max())
 
 
-def has_kink(scene: SplatScene, *, eps2d: float = EPS2D, margin: float = 1e-3) -> bool:
+def has_kink(scene: SplatScene) -> bool:
     """Whether a clamped quantity of a splat (colour, slope, compensation) is near its limit."""
     import torch
 
@@ -65,17 +67,17 @@ def has_kink(scene: SplatScene, *, eps2d: float = EPS2D, margin: float = 1e-3) -
     covars2d = reference.project_covariance(
         reference.covariance_to_camera(covars, t["viewmat"]), jacobian
     )
-    _, compensation = reference.conic(covars2d, eps2d)
+    _, compensation = reference.conic(covars2d, EPS2D)
     offsets = t["means"] + t["viewmat"][:3, :3].T @ t["viewmat"][:3, 3]
     basis = reference.sh_basis(offsets / offsets.norm(dim=1, keepdim=True), 3)
-    kinked = (slopes[None] - limits[:, None]).abs().min() < margin
+    kinked = (slopes[None] - limits[:, None]).abs().min() < _MARGIN
     above = compensation - COMPENSATION_MIN
     kinked |= bool((above.abs() < 1e-5).any() and (above > 0).any())
     for degree in range(4):
         count = (degree + 1) ** 2
         stored = torch.cat([t["sh0"], t["shN"]], 1)[:, :count]
         color = 0.5 + torch.einsum("nk,nkc->nc", basis[:, : stored.shape[1]], stored)
-        kinked |= color.abs().min() < margin
+        kinked |= color.abs().min() < _MARGIN
     return bool(kinked)
 
 

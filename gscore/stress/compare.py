@@ -80,9 +80,7 @@ def row_errors(actual: np.ndarray, true: np.ndarray) -> np.ndarray:
     return (np.abs(a - t)[seen] / np.maximum(length[seen], floor)[:, None]).ravel()
 
 
-def gradient_measures(
-    drawn: Drawn, truth: Truth, *, median: float = MEDIAN, tail: float = TAIL
-) -> list[Measure]:
+def gradient_measures(drawn: Drawn, truth: Truth) -> list[Measure]:
     """Median and 99.9th percentile of the worst parameter; the camera is one row."""
     medians, tails = {}, {}
     for name, true in truth.gradients.items():
@@ -96,8 +94,8 @@ def gradient_measures(
         tails[name] = float(np.quantile(errors, 0.999))
     worst = max(tails, key=lambda name: tails[name])
     return [
-        Measure("gradient, median", max(medians.values()), median),
-        Measure("gradient, 99.9 %", tails[worst], tail, f"worst: {worst}"),
+        Measure("gradient, median", max(medians.values()), MEDIAN),
+        Measure("gradient, 99.9 %", tails[worst], TAIL, f"worst: {worst}"),
     ]
 
 

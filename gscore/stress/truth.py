@@ -59,7 +59,6 @@ def request_of(inputs: dict[str, Any], **options: Any) -> tuple[Any, Frustum, Se
 def reference_truth(
     scene: SplatScene,
     *,
-    seed: int = 5,
     gradients: bool = True,
     weigh: tuple[str, ...] = PICTURES,
     **options: Any,
@@ -68,7 +67,6 @@ def reference_truth(
 
     Args:
         scene: Splats and camera.
-        seed: Seed of the weights.
         gradients: Whether to compute gradients.
         weigh: Pictures in the differentiated sum.
         **options: raw, sh_degree, antialias, near, far, eps2d, orthographic, as in `native.draw`.
@@ -101,7 +99,7 @@ def reference_truth(
             "median_depth": out.median_depth,
         }
         band = reference.boundary_band(given, view, settings)
-        weights = random_weights(scene, seed, *weigh)
+        weights = random_weights(scene, 5, *weigh)
         for name in weights:
             weights[name][band.numpy()] = 0
         grads: dict[str, np.ndarray] = {}

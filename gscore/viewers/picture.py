@@ -19,7 +19,7 @@ from ..raster.reference.geometry import (
 )
 from ..raster.reference.harmonics import sh_colors
 from ..raster.reference.rasterize import SH_COUNT_TO_DEGREE, SplatTensors
-from ..raster.request import CancelFlag, Frustum
+from ..raster.request import Frustum
 from ..shared_constants import COMPENSATION_MIN, QUAT_MIN, SH_C0
 from .coding import rounded, stored
 from .light import to_linear, to_srgb
@@ -95,7 +95,6 @@ def drawn_picture(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     *,
     threads: int = 0,
-    cancel: CancelFlag | None = None,
     device: GpuRaster | None = None,
 ) -> Tensor:
     """`modelled_picture` by the native rasterizer: float32, differentiable in scales, opacities,
@@ -110,7 +109,6 @@ def drawn_picture(
         rules: Of the viewer.
         background: sRGB.
         threads: 0: all cores.
-        cancel: Set it from another thread to stop.
         device: An open device that draws; None: the CPU.
 
     Returns:
@@ -140,7 +138,6 @@ def drawn_picture(
         eps2d=rules.eps2d * share,
         antialias=rules.compensated,
         threads=threads,
-        cancel=cancel,
         device=device,
     ).rgb
     return to_srgb(rgb) if rules.linear else rgb

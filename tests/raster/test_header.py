@@ -45,6 +45,7 @@ CONSTANTS = {
     "GS_MASK_NONE": header.MASK_MODES["none"],
     "GS_MASK_COMPOSITE": header.MASK_MODES["composite"],
     "GS_MASK_IGNORE": header.MASK_MODES["ignore"],
+    "GS_STEREO_PLANES_MAX": header.STEREO_PLANES_MAX,
     "GS_OK": header.OK,
     "GS_BAD_ARGUMENT": header.BAD_ARGUMENT,
     "GS_OUT_OF_MEMORY": header.OUT_OF_MEMORY,

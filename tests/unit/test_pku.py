@@ -573,7 +573,7 @@ NPZ = "data_NeuS/000000/cameras_sphere.npz"
             "per_frame",
             lambda r: shutil.rmtree(r / "per_frame/000000/images"),
             DatasetError,
-            r"no photo folder images or image in .*000000 \(there are pha,rgba\)",
+            r"no photo folder images or image in .*000000 \(there are pha, rgba\)",
         ),
         (
             "per_frame",

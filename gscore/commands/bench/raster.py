@@ -85,8 +85,6 @@ def bench_raster(
     *,
     repeats: int = 5,
     threads: int = 0,
-    disable: int = 0,
-    image_gradient_seed: int = 0,
 ) -> RasterBench:
     """Measure forward and backward passes of `views`.
 
@@ -96,12 +94,10 @@ def bench_raster(
         views: Indices into `cameras`.
         repeats: Passes per view; the fastest counts.
         threads: 0: all cores.
-        disable: Bits of `header.NO_*`.
-        image_gradient_seed: Seed of the image gradients, which are dense and random.
     """
     arrays = [torch.from_numpy(np.ascontiguousarray(getattr(splats, n))) for n in PARAMETERS]
     grads = {name: torch.zeros_like(a) for name, a in zip(PARAMETERS, arrays, strict=True)}
-    rng = np.random.default_rng(image_gradient_seed)
+    rng = np.random.default_rng(0)  # of dense gradients of the picture
     best = []
     pixels = tiles = useful = 0
     with _native.pool.lend() as raster:
@@ -113,7 +109,7 @@ def bench_raster(
             pictures = {"rgb": zeros(height, width, 3), "alpha": zeros(height, width)}
             v_rgb = torch.from_numpy(rng.normal(size=(height, width, 3)).astype(np.float32))
             frustum = Frustum(cameras.viewmats[view], cameras.Ks[view], width, height)
-            settings = Settings(threads=threads, disable=disable)
+            settings = Settings(threads=threads)
             counting = replace(settings, outputs=header.COUNT_USEFUL)
             raster.forward(arrays, frustum, counting, pictures)
             useful += raster.stats()["useful_pairs"]

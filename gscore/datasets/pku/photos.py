@@ -44,21 +44,21 @@ def pictures_by_camera(folder: Path) -> dict[int, Path]:
     return dict(sorted(pictures.items()))
 
 
-def photo_folder_name(root: Path, name: str, *, default: str = "images") -> str:
-    """Name of the photo folder in `root`: `name`, or for the default one of the usual names.
+def photo_folder_name(root: Path, name: str) -> str:
+    """Name of the photo folder in `root`: `name`, or for the default, `images`, a usual name.
 
     Raises:
         DatasetError: there is none.
     """
-    names = PLAIN_FOLDERS if name == default else (name,)
+    names = PLAIN_FOLDERS if name == "images" else (name,)
     for folder in names:
         if (root / folder).is_dir():
             return folder
     others = sorted(path.name for path in root.iterdir() if path.is_dir()) if root.is_dir() else []
+    there = f" (there are {', '.join(others)})" if others else ""
     raise DatasetError(
-        f"There is no photo folder {' or '.join(names)} in {root}"
-        f"{f' (there are {chr(44).join(others)})' if others else ''}. Give its name "
-        "with `--images`."
+        f"There is no photo folder {' or '.join(names)} in {root}{there}. Give its name with "
+        "`--images`."
     )
 
 
