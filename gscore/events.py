@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar
@@ -31,6 +32,15 @@ KINDS: dict[str, type[Event]] = {}
 
 Show = Callable[[Event], None]
 """Receives each event."""
+
+
+def seconds_left(began: float, done: int, total: int) -> float:
+    """Remaining seconds of `total` equal pieces of work, of which `done` were finished since
+    `began`, a time of `time.monotonic`; NaN: unknown."""
+    if not 0 < done <= total:
+        return math.nan
+    return (time.monotonic() - began) / done * (total - done)
+
 
 TOPICS = {
     "chosen_device": "Device",

@@ -13,7 +13,7 @@ from ..config import DataConfig
 from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..errors import Cancelled, ConfigError, GsError
-from ..events import EvalDone, EvalProgress, Show, Warn, headline_psnr
+from ..events import EvalDone, EvalProgress, Show, Warn, headline_psnr, seconds_left
 from ..formats import format_to_write, write_splat_file
 from ..hold_out import SPLIT
 from ..io.metrics_file import metrics_problem, read_metrics
@@ -293,8 +293,8 @@ class _Views:
             self._errors.add(view, rendered, target, weights)
         psnr = headline_psnr(values)
         worth = "identical" if psnr is None else f"{psnr_name(values)} {psnr:.2f} dB"
-        done, total = place + 1, len(self._indices)
-        left = (time.monotonic() - self._began) / done * (total - done)
+        done, total = place + 1, len(self._views.indices)
+        left = seconds_left(self._began, done, total)
         text = f"{values['name']}: {worth}"
         self._show(EvalProgress(done=done, total=total, view=text, eta_s=left))
 

@@ -10,7 +10,7 @@ from typing import Any
 from ..control import Control
 from ..datasets import Dataset, load_dataset
 from ..errors import Cancelled, ConfigError, DatasetError
-from ..events import RefitDone, RefitProgress, Show, Warn
+from ..events import RefitDone, RefitProgress, Show, Warn, seconds_left
 from ..formats import files_of, format_to_write, write_splat_file
 from ..io.ply.comments import near_comment
 from ..quoting import brief
@@ -146,7 +146,7 @@ def _counter(phase: str, total: int, show: Show, control: Control) -> Callable[[
         if control.stopping:
             raise Cancelled(_STOPPED)
         done += 1
-        show(_progress(phase, done, total, (time.monotonic() - began) / done * (total - done)))
+        show(_progress(phase, done, total, seconds_left(began, done, total)))
 
     return count
 

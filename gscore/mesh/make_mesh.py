@@ -13,6 +13,7 @@ import numpy as np
 from ..camera_neighbours import pairs_with_views_between
 from ..config import checked_threads
 from ..errors import Cancelled, ConfigError, DatasetError
+from ..events import seconds_left
 from ..extras import need
 from ..io.system_memory import available_memory_bytes
 from ..quoting import quoted
@@ -229,8 +230,7 @@ class _Steps:
         began = time.monotonic()
         for done, item in enumerate(items, start=1):
             yield item
-            left = (time.monotonic() - began) / done * (len(items) - done)
-            self.report(phase, done, len(items), left)
+            self.report(phase, done, len(items), seconds_left(began, done, len(items)))
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable
 
-from ..events import SfmProgress, Show, Warn
+from ..events import SfmProgress, Show, Warn, seconds_left
 from .forecast import Forecast
 
 
@@ -38,8 +38,7 @@ class SearchProgress:
         began = time.monotonic()
 
         def count(done: int, under_way: int = 0) -> None:
-            own, passed = done - before, time.monotonic() - began
-            eta = passed / own * (total - done) if own else math.nan
+            eta = seconds_left(began, done - before, total - before)
             self.report(phase, done, total, eta, under_way)
 
         return count

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..control import Control
 from ..errors import Cancelled, DatasetError, FormatError
-from ..events import FramesDone, FramesProgress, Show, Warn
+from ..events import FramesDone, FramesProgress, Show, Warn, seconds_left
 from ..quoting import as_typed, brief
 from ..text_format import count_text, number, time_text
 from .frame_folder import FrameFolder
@@ -371,7 +371,7 @@ class _Extraction:
             if spent - reported < 0.2 and done != total:
                 return
             reported = spent
-            left = spent / done * (total - done) if total >= done else float("nan")
+            left = seconds_left(began, done, total)
             self._show(FramesProgress(phase=phase, done=done, total=total, eta_s=left))
 
         return report

@@ -22,7 +22,7 @@ from ...depth.priors import fit_table
 from ...depth.samples import Samples, unusable, view_samples
 from ...depth.sheet import write_sheet
 from ...errors import BackendError, Cancelled, ConfigError, FormatError
-from ...events import DepthDone, DepthProgress, Saved, Show, Warn
+from ...events import DepthDone, DepthProgress, Saved, Show, Warn, seconds_left
 from ...extras import need
 from ...io.output_paths import check_output_path
 from ...quoting import brief
@@ -307,7 +307,7 @@ class _Progress:
             self._message.predicted = done
         elif self._control.stopping:
             raise Cancelled(f"Depth was stopped while {self._phase}.")
-        left = (time.monotonic() - self._start) / done * (total - done)
+        left = seconds_left(self._start, done, total)
         self._show(DepthProgress(done=done, total=total, view=name, eta_s=left, phase=self._phase))
 
 

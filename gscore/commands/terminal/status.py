@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Self, TextIO
 
+from ...events import seconds_left
 from ...option_marks import show_flags
 
 _LINE_PERIOD = 10.0
@@ -108,8 +109,8 @@ class Counted:
 
     def __call__(self, done: int, *parts: str) -> None:
         """Show the number of finished pieces, followed by `parts`."""
-        left = (time.monotonic() - self._began) / done * (self._total - done)
-        head = [f"{clock(left)} left", f"{self._what} {done} of {self._total}"]
+        left = clock(seconds_left(self._began, done, self._total))
+        head = [f"{left} left", f"{self._what} {done} of {self._total}"]
         last = done == self._total
         self._status.show([*head, *parts], share=done / self._total, immediate=last)
 
