@@ -3,6 +3,7 @@
 import argparse
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.output_paths import check_output_path
 from ..io.ply.comments import near_comment, stated_near
 from ..io.region_file import read_region
-from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
+from ..metrics import Course, Evaluation, Metrics, evaluate, find_lpips, headline, lpips_warnings
 from ..metrics.coverage import coverage, state_coverage
 from ..metrics.photo_mismatch import photo_mismatch_warnings
 from ..metrics.photo_renders import PhotoRenders
@@ -28,6 +29,7 @@ from ..metrics.splat_errors import SplatErrors
 from ..metrics.trust import trust_between, trust_figures
 from ..quoting import as_typed, brief
 from ..raster import native_library
+from ..raster.gpu.choice import Chosen
 from ..raster.request import Frustum
 from ..report import PictureCollector, cameras_section, splat_histograms, write_results
 from ..report.colormap import brightest, error_map
@@ -118,91 +120,44 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[dict[str, Any], Path]:
+    """Measure and write the results; returns the content of metrics.json and its folder."""
     _show_phase(show, "Reading the splats")
     lpips, lpips_reason = find_lpips(args.lpips, threads=args.threads, download=args.lpips_download)
     model = open_model(model_path(args))
     device = device_of(args, cancel=lambda: control.stopping, warn=False)
     model = model.drawn_by(device)
-    output = args.output or model.run
-    if output is None:
-        raise ConfigError(
-            f"{model.path} is not in the folder of a run; give a folder for metrics.json with -o"
-            + ("." if args.source else " and the capture with -s.")
-        )
-    check_folder(output)
-    config = data_config_of(args, model)
-    _check_output(output, config, model, overwrite=args.overwrite)
-    if args.error_map is not None:
-        format_to_write(args.error_map)
-        if args.error_map.resolve() == model.path.resolve():
-            raise ConfigError(
-                f"{args.error_map} is the model itself; give another file for the map."
-            )
-        check_replaced([args.error_map], overwrite=args.overwrite)
+    output, config = _checked_output(args, model)
     _show_phase(show, f"Reading the capture {config.source}")
-    dataset = load_dataset(config)
-    cameras = model.world_of(dataset.scene.cameras)
-    notes: list[str] = []
-    own = model.data
-    if own is not None and config.source.resolve() != own.source.resolve():
-        own = None
-    if own is not None:
-        dataset, notes = _of_region(dataset, model)
-    foreign = "" if own is not None else _other_capture(model, cameras)
-    notes += [foreign] if foreign else []
-    split, indices = views_of(args.split, dataset)
-    split = "all" if foreign and split == "train" else split  # the run was not trained on them
-    if own is not None and split == "test":
-        notes += _trained_views(config, own, [dataset.names[i] for i in indices])
-    if output == model.run and split != "test" and read_metrics(output).get("split") == "test":
-        raise ConfigError(
-            f"{output} contains the metrics of held-out views; give a folder with -o for those of "
-            f"the {'training' if split == 'train' else 'other'} views."
-        )
+    views = _measured_views(args.split, model, config, output)
+    dataset, names = views.dataset, views.cameras.names
     course = _of_the_training(model)
     problem = metrics_problem(output) if output == model.run else ""
-    warnings = [*notes, *model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
+    warnings = [*views.notes, *model.warnings, *dataset.warnings, *lpips_warnings(lpips_reason)]
     warnings += [sentence for sentence in (problem, device.note) if sentence]
-    warnings += [
-        *_stopped(model, course),
-        *_doubts(
-            model,
-            dataset,
-            course,
-            requested_split=args.split,
-            measured=[dataset.names[i] for i in indices],
-        ),
-    ]
-    pictures = PictureCollector(count=len(indices))
+    warnings += [*_stopped(model, course), *_doubts(model, views, course, args.split)]
+    pictures = PictureCollector(count=len(views.indices))
     errors = None
     if args.error_map is not None:
         errors = SplatErrors(model.splats, antialias=model.antialias, threads=args.threads)
     evaluation = evaluate(
         lambda index: model.picture(
-            cameras, index, threads=args.threads, mask_mode=dataset.mask_mode
+            views.cameras, index, threads=args.threads, mask_mode=dataset.mask_mode
         ),
         dataset,
-        indices,
+        views.indices,
         lpips=lpips,
         lpips_reason=lpips_reason,
         background=model.background,
-        on_view=_Views(model, cameras, indices, pictures, errors, show, control),
+        on_view=_OnView(model, views, pictures, errors, show, control),
     )
-    how = {"near": model.near, "antialias": model.antialias, "threads": args.threads}
-    renders = PhotoRenders(model.splats, cameras, device=device, **how)
-    if split == "test":
-        state_coverage(evaluation, coverage(renders, dataset))
-    # Backgrounds alike in all views, of masks or of another scene, confirm any model.
-    if dataset.mask_mode != "composite" and not foreign:
-        evaluation.mean.update(trust_figures(trust_between(renders, dataset.train)))
+    _state_trust(evaluation, model, views, device, threads=args.threads)
     warnings += photo_mismatch_warnings(
         headline_psnr(evaluation.mean), f"The splats of {brief(str(model.path))}"
     )
-    names = cameras.names
     metrics = Metrics(
         evaluation=evaluation,
-        split=split,
-        train_views=[] if foreign else [names[i] for i in dataset.train],
+        split=views.split,
+        train_views=[] if views.foreign else [names[i] for i in dataset.train],
         test_views=[names[i] for i in dataset.test],
         mask_mode=dataset.mask_mode,
         background=model.background,
@@ -232,9 +187,104 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
     else:
         for sentence in warnings:
             show(Warn(message=sentence))
-    views = {view["name"]: headline_psnr(view) for view in content["views"]}
-    show(EvalDone(split=split, path=str(output), views=views, **mapped))
+    psnrs = {view["name"]: headline_psnr(view) for view in content["views"]}
+    show(EvalDone(split=views.split, path=str(output), views=psnrs, **mapped))
     return content | mapped, output
+
+
+def _checked_output(args: argparse.Namespace, model: ModelArgument) -> tuple[Path, DataConfig]:
+    """The folder of the results, and the options of the capture; raises GsError if a file there or
+    the error map would replace another one."""
+    output = args.output or model.run
+    if output is None:
+        raise ConfigError(
+            f"{model.path} is not in the folder of a run; give a folder for metrics.json with -o"
+            + ("." if args.source else " and the capture with -s.")
+        )
+    check_folder(output)
+    config = data_config_of(args, model)
+    _check_output(output, config, model, overwrite=args.overwrite)
+    if args.error_map is not None:
+        format_to_write(args.error_map)
+        if args.error_map.resolve() == model.path.resolve():
+            raise ConfigError(
+                f"{args.error_map} is the model itself; give another file for the map."
+            )
+        check_replaced([args.error_map], overwrite=args.overwrite)
+    return output, config
+
+
+@dataclass(frozen=True, kw_only=True)
+class _MeasuredViews:
+    """The views that are measured."""
+
+    dataset: Dataset
+    """The capture, limited to the trained region of the run."""
+    cameras: Cameras
+    """Its cameras in the world of the splats."""
+    split: str
+    indices: list[int]
+    """Views of `dataset`."""
+    foreign: bool
+    """Whether the photos are not those of the run."""
+    notes: list[str]
+    """Sentences for the user."""
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the views."""
+        return [self.dataset.names[i] for i in self.indices]
+
+
+def _measured_views(
+    split: str | None, model: ModelArgument, config: DataConfig, output: Path
+) -> _MeasuredViews:
+    """Read a capture and choose the views of `split`; None: the test views, all without any."""
+    dataset = load_dataset(config)
+    cameras = model.world_of(dataset.scene.cameras)
+    own, foreign = model.data, ""
+    notes: list[str] = []
+    if own is not None and config.source.resolve() == own.source.resolve():
+        dataset, notes = _of_region(dataset, model)
+    else:
+        own, foreign = None, _other_capture(model, cameras)
+        notes = [foreign] if foreign else []
+    split, indices = views_of(split, dataset)
+    split = "all" if foreign and split == "train" else split  # the run was not trained on them
+    if own is not None and split == "test":
+        notes += _trained_views(config, own, [dataset.names[i] for i in indices])
+    if output == model.run and split != "test" and read_metrics(output).get("split") == "test":
+        raise ConfigError(
+            f"{output} contains the metrics of held-out views; give a folder with -o for those of "
+            f"the {'training' if split == 'train' else 'other'} views."
+        )
+    return _MeasuredViews(
+        dataset=dataset,
+        cameras=cameras,
+        split=split,
+        indices=indices,
+        foreign=bool(foreign),
+        notes=notes,
+    )
+
+
+def _state_trust(
+    evaluation: Evaluation,
+    model: ModelArgument,
+    views: _MeasuredViews,
+    device: Chosen,
+    *,
+    threads: int,
+) -> None:
+    """Add to an evaluation how far its figures hold: coverage of the test views, and agreement with
+    photos between the training views."""
+    how = {"near": model.near, "antialias": model.antialias, "threads": threads}
+    renders = PhotoRenders(model.splats, views.cameras, device=device, **how)
+    if views.split == "test":
+        state_coverage(evaluation, coverage(renders, views.dataset))
+    # Backgrounds alike in all views, of masks or of another scene, confirm any model.
+    if views.dataset.mask_mode != "composite" and not views.foreign:
+        evaluation.mean.update(trust_figures(trust_between(renders, views.dataset.train)))
 
 
 def _show_phase(show: Show, what: str) -> None:
@@ -257,20 +307,19 @@ def _write_map(path: Path, model: ModelArgument, errors: SplatErrors) -> dict[st
     return {"error_map": str(path), "error_bright": bright}
 
 
-class _Views:
+class _OnView:
     """Callback for each view: stores pictures, accumulates errors of splats, shows progress."""
 
     def __init__(
         self,
         model: ModelArgument,
-        cameras: Cameras,
-        indices: list[int],
+        views: _MeasuredViews,
         pictures: PictureCollector,
         errors: SplatErrors | None,
         show: Show,
         control: Control,
     ) -> None:
-        self._model, self._cameras, self._indices = model, cameras, indices
+        self._model, self._views = model, views
         self._pictures, self._errors = pictures, errors
         self._show, self._control = show, control
         self._began = time.monotonic()
@@ -287,7 +336,7 @@ class _Views:
             raise Cancelled(_STOPPED)
         self._pictures(place, target, rendered, weights, values)
         if self._errors is not None:
-            at, of = self._indices[place], self._cameras
+            at, of = self._views.indices[place], self._views.cameras
             size = int(of.widths[at]), int(of.heights[at])
             view = Frustum(of.viewmats[at], of.Ks[at], *size, self._model.near)
             self._errors.add(view, rendered, target, weights)
@@ -310,24 +359,19 @@ def _stopped(model: ModelArgument, course: Course) -> list[str]:
 
 
 def _doubts(
-    model: ModelArgument,
-    dataset: Dataset,
-    course: Course,
-    *,
-    requested_split: str | None,
-    measured: Sequence[str],
+    model: ModelArgument, views: _MeasuredViews, course: Course, requested_split: str | None
 ) -> list[str]:
     """Sentences on the limits of the figures."""
     found = []
-    if model.data is None and dataset.test and requested_split != "all":
+    if model.data is None and views.dataset.test and requested_split != "all":
         found.append(
             "The training views of this model are unknown; the test views are held out only if it "
             "was trained with the same split."
         )
-    unknown = sum(name not in model.exposures for name in measured)
+    unknown = sum(name not in model.exposures for name in views.names)
     if course.exposure and course.exposure.get("learnt") and unknown:
         found.append(
-            f"The exposures of {number(unknown)} of {count_text(len(measured), 'photo')} are "
+            f"The exposures of {number(unknown)} of {count_text(len(views.indices), 'photo')} are "
             "unknown, so their pictures have the mean exposure and PSNR is lower where exposures "
             "differ."
         )
