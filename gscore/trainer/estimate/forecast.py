@@ -1,7 +1,7 @@
 """Forecast of a training before it starts: seconds and memory, without torch."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -265,14 +265,7 @@ def estimate(
         BackendError: The native library is missing.
     """
     widths, heights = np.array(sizes, np.int64).reshape(-1, 2).T
-    pixels = widths * heights
-    free = free_memory() if free is None else free
-    largest, total = int(pixels.max(initial=1)), int(pixels.sum())
-    guides = (config.guide_surface is not None) + (config.guide_free is not None)
-    maps = depth_bytes(total) * (depths + guides)
-    photos = total * (4 if masks else 3)
-    network = lpips_file(config.lpips)
-    lpips = bool(named_net(config.lpips)) or (network is not None and network.is_file())
+    cloud = points if cloud is None else cloud
     # Whether photos agree is not known yet. Whole photos that agree are faster to train; a subject
     # may be faster or slower, so both cases are evaluated.
     count = len(sizes)
@@ -282,49 +275,25 @@ def estimate(
     if subject and (agreed := config_where_photos_agree(config, photos=count, points=points)):
         expected.append(agreed)
     models = max(models for _, models in expected)
+    memory = _memory(
+        config,
+        widths,
+        heights,
+        masks=masks,
+        depths=depths,
+        cloud=cloud,
+        decoding=decoding,
+        joined=models > 1,
+        free=free_memory() if free is None else free,
+    )
 
-    def needed(splats: int, pixels: int) -> int:
-        return training_bytes(
-            splats=splats,
-            sh_degree=config.sh_degree,
-            pixels=pixels,
-            lpips=lpips,
-            joined=models > 1,
-            surface=config.surface_weight > 0,
-        )
-
-    stay, at_start = point_bytes(points if cloud is None else cloud, splats=config.max_splats)
-    rest = maps + stay + max(needed(config.max_splats, largest), at_start)
-    decode_again = decodes_again(config, photos, views=len(sizes), rest=rest)
-    cached = photo_memory(photos, config, decode_again=decode_again)
-    to_read = stay + decoding  # before everything else is there
-    kept = cache_bytes(config, photos, all_of_them=cached, rest=max(rest, to_read), free=free)
-    if kept is not None or decode_again:
-        rest += decoding
-    if kept is not None:
-        kept = cache_bytes(config, photos, all_of_them=cached, rest=rest, free=free)
-    cached = cached if kept is None else kept
-    rest = max(rest, to_read)
-    fits = free is None or rest + cached <= free
-    fitting_splats, fitting_width = 0, 0
-    if not fits and free is not None:
-        widest = int(widths.max(initial=1))
-        room = 0.9 * free - cached - maps - stay - (0 if kept is None else decoding)
-
-        def fit(splats: int, width: int) -> bool:
-            # Photos beyond the cache are decoded repeatedly, so only the largest view must fit.
-            view = largest * (width / widest) ** 2
-            return max(needed(splats, int(view)), at_start) <= room
-
-        fitting_splats, fitting_width = _fitting(fit, config.max_splats, widest)
-
-    def paced(config: TrainConfig, models: int, *, drops: bool) -> float:
+    def steps_seconds(config: TrainConfig, models: int, *, drops: bool) -> float:
         plan = Plan.of(
             config,
             extent=1.0,
             points=points,
             side=int(min(widths.min(initial=1 << 30), heights.min(initial=1 << 30))),
-            pixels=int(pixels.mean()) if len(pixels) else 1,
+            pixels=int((widths * heights).mean()) if count else 1,
             subject=subject,
             drops=drops,
             models=models,
@@ -333,31 +302,114 @@ def estimate(
 
     reading_pace = machine_pace(config.threads) if pace is None or device_memory else pace
     pace = reading_pace if pace is None else pace
-    reading = reading_seconds(
-        points if cloud is None else cloud, total if stored is None else stored, config.threads
-    )
+    stored = int((widths * heights).sum()) if stored is None else stored
     seconds = config.time_budget
     if not seconds:
-        seconds = pace * max(paced(*case, drops=n > 0) for n, case in enumerate(expected))
+        seconds = pace * max(steps_seconds(*case, drops=n > 0) for n, case in enumerate(expected))
     return Estimate(
         seconds=seconds,
-        reading_seconds=reading_pace * reading,
-        peak_bytes=RUNTIME + rest + cached,
-        free_bytes=free,
-        photo_bytes=cached,
-        photos_kept=kept is None,
-        decodes_again=decode_again and kept is None,
-        fits=fits,
-        fitting_splats=fitting_splats,
-        fitting_width=fitting_width,
+        reading_seconds=reading_pace * reading_seconds(cloud, stored, config.threads),
+        peak_bytes=RUNTIME + memory.rest + memory.photos,
+        free_bytes=memory.free,
+        photo_bytes=memory.photos,
+        photos_kept=memory.keeps_all,
+        decodes_again=memory.decodes_again and memory.keeps_all,
+        fits=memory.fits,
+        fitting_splats=memory.fitting[0],
+        fitting_width=memory.fitting[1],
         device=_device_estimate(
             config,
-            largest,
+            int((widths * heights).max(initial=1)),
             widest=int(widths.max(initial=1)),
             models=models,
             free=device_memory,
         ),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Memory:
+    """Predicted memory of the process, bytes."""
+
+    photos: int
+    """Decoded photos that stay."""
+    keeps_all: bool
+    """Whether all photos stay."""
+    decodes_again: bool
+    """Whether photos are decoded again for each training resolution."""
+    rest: int
+    """Everything else, without Python and torch."""
+    free: int | None
+    """Available; None: unknown."""
+    fitting: tuple[int, int]
+    """Most splats and largest width of photos that fit, see `Estimate`; 0 also where all fit."""
+
+    @property
+    def fits(self) -> bool:
+        """Whether the memory is sufficient."""
+        return self.free is None or self.rest + self.photos <= self.free
+
+
+def _memory(
+    config: TrainConfig,
+    widths: np.ndarray,
+    heights: np.ndarray,
+    *,
+    masks: bool,
+    depths: bool,
+    cloud: int,
+    decoding: int,
+    joined: bool,
+    free: int | None,
+) -> _Memory:
+    """Predict the memory of the process; arguments as for `estimate`, `joined` as for
+    `training_bytes`."""
+    pixels, widest = widths * heights, int(widths.max(initial=1))
+    largest, total = int(pixels.max(initial=1)), int(pixels.sum())
+    guides = (config.guide_surface is not None) + (config.guide_free is not None)
+    maps = depth_bytes(total) * (depths + guides)
+    network = lpips_file(config.lpips)
+    lpips = bool(named_net(config.lpips)) or (network is not None and network.is_file())
+    stay, at_start = point_bytes(cloud, splats=config.max_splats)
+
+    def needed(splats: int, pixels: int) -> int:
+        step = training_bytes(
+            splats=splats,
+            sh_degree=config.sh_degree,
+            pixels=pixels,
+            lpips=lpips,
+            joined=joined,
+            surface=config.surface_weight > 0,
+        )
+        return max(step, at_start)
+
+    photos = total * (4 if masks else 3)
+    rest = maps + stay + needed(config.max_splats, largest)
+    decode_again = decodes_again(config, photos, views=len(widths), rest=rest)
+    cached = photo_memory(photos, config, decode_again=decode_again)
+    to_read = stay + decoding  # before everything else is there
+    kept = cache_bytes(config, photos, all_of_them=cached, rest=max(rest, to_read), free=free)
+    if kept is not None or decode_again:
+        rest += decoding
+    if kept is not None:
+        kept = cache_bytes(config, photos, all_of_them=cached, rest=rest, free=free)
+    memory = _Memory(
+        photos=cached if kept is None else kept,
+        keeps_all=kept is None,
+        decodes_again=decode_again,
+        rest=max(rest, to_read),
+        free=free,
+        fitting=(0, 0),
+    )
+    if memory.fits or free is None:
+        return memory
+    room = 0.9 * free - memory.photos - maps - stay - (0 if kept is None else decoding)
+
+    def fit(splats: int, width: int) -> bool:
+        # Photos beyond the cache are decoded repeatedly, so only the largest view must fit.
+        return needed(splats, int(largest * (width / widest) ** 2)) <= room
+
+    return replace(memory, fitting=_fitting(fit, config.max_splats, widest))
 
 
 def _device_estimate(
