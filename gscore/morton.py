@@ -1,4 +1,4 @@
-"""Morton order of points and detection of far outliers, for the division into blocks."""
+"""Morton order of points, and their distances from their middle."""
 
 import numpy as np
 
@@ -16,13 +16,14 @@ def morton_order(means: np.ndarray) -> np.ndarray:
     low, high = np.quantile(means[:: max(1, len(means) // 100_000)], (0.001, 0.999), axis=0)
     top = (1 << _BITS) - 1
     steps = (means.astype(np.float64) - low) / np.maximum(high - low, 1e-30)
-    cells = (np.clip(steps, 0, 1) * top).astype(np.uint64)
-    return np.argsort(
-        _spread(cells[:, 0])
-        | _spread(cells[:, 1]) << np.uint64(1)
-        | _spread(cells[:, 2]) << np.uint64(2),
-        kind="stable",
-    )
+    return cell_order((np.clip(steps, 0, 1) * top).astype(np.uint64))
+
+
+def cell_order(cells: np.ndarray) -> np.ndarray:
+    """[N] indices along the Z-order curve through cells [N, 3] uint64, below 2^21 each; rows in one
+    cell keep their order."""
+    x, y, z = (_spread(cells[:, axis]) for axis in range(3))
+    return np.argsort(x | y << np.uint64(1) | z << np.uint64(2), kind="stable")
 
 
 def _spread(values: np.ndarray) -> np.ndarray:

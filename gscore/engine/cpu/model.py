@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from ...morton import cell_order
 from ...raster import adam
 from ...raster.memory import zeros
 from ...raster.request import Frustum
@@ -362,9 +363,7 @@ def morton_order(means: torch.Tensor) -> torch.Tensor:
     points = np.nan_to_num(means.numpy().astype(np.float64))
     low, high = morton_bounds(points[:: max(1, len(points) // 4096)])
     cells = (points - low) / np.maximum(high - low, 1e-30) * (_CELLS - 1)
-    cells = np.clip(cells, 0, _CELLS - 1).astype(np.uint32)
-    x, y, z = (_spread(cells[:, axis]) for axis in range(3))
-    return torch.from_numpy(np.argsort(x | y << 1 | z << 2, kind="stable"))
+    return torch.from_numpy(cell_order(np.clip(cells, 0, _CELLS - 1).astype(np.uint64)))
 
 
 _CELLS = 1024
@@ -375,10 +374,3 @@ def morton_bounds(sample: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     points = np.nan_to_num(sample.astype(np.float64))
     low, high = np.percentile(points, (1, 99), axis=0)
     return low, high
-
-
-def _spread(x: np.ndarray) -> np.ndarray:
-    """Insert two zero bits after each bit of numbers below 1024."""
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        x = (x | x << shift) & mask
-    return x
