@@ -163,29 +163,30 @@ class Faults:
         expect(process.returncode == 0, f"the undisturbed run failed: {err[-500:]}")
         self.results_seconds = (written(output / "report.html") - written(output / LAST)) / 1e9
         self.sound = outcome(output)
+        self.undisturbed = f"undisturbed run: splats {self.sound['point_cloud.ply']}"
 
-    def compare(self, output: Path) -> None:
+    def _compare(self, output: Path) -> None:
         """Check that the outcome equals that of the undisturbed run, without temporary files."""
         found = outcome(output)
         others = [name for name, value in self.sound.items() if found[name] != value]
         expect(not others, f"{', '.join(others)} differ from an undisturbed run")
         expect(not list(output.rglob(".*.tmp")), "temporary files are left")
 
-    def resumed(self, output: Path, *extra: str) -> subprocess.CompletedProcess:
+    def _resumed(self, output: Path, *extra: str) -> subprocess.CompletedProcess:
         """Resume to the end and compare with the undisturbed run."""
         ended = finish(command(output, "--resume", *extra))
         expect(ended.returncode == 0, f"resume failed: {ended.stderr[-500:]}")
-        self.compare(output)
+        self._compare(output)
         return ended
 
-    def again(self, output: Path) -> None:
+    def _again(self, output: Path) -> None:
         """Resume, or restart without a checkpoint, and compare."""
         if checkpoints(output):
-            self.resumed(output)
+            self._resumed(output)
             return
         ended = finish(command(output, "--overwrite"))
         expect(ended.returncode == 0, f"restart failed: {ended.stderr[-500:]}")
-        self.compare(output)
+        self._compare(output)
 
     def kill_at_random_moments(self) -> str:
         """kill -9 at a random moment, while a checkpoint is written, or while results are written.
@@ -206,7 +207,7 @@ class Faults:
             process.kill()
             if process.wait() != -signal.SIGKILL:  # it ended before the kill
                 expect(process.returncode == 0, f"a run ended with {process.returncode}")
-                self.compare(output)
+                self._compare(output)
                 shutil.rmtree(output)
                 continue
             kills += 1
@@ -214,7 +215,7 @@ class Faults:
             tally["half a checkpoint"] += any((output / "checkpoints").glob(".*.tmp"))
             if output.exists():
                 shutil.copytree(output, copy)
-            self.again(copy)
+            self._again(copy)
             tally["same"] += 1
             shutil.rmtree(copy)
             if stage(output) == "results" and self.random.random() < 0.5:
@@ -258,7 +259,7 @@ class Faults:
                 expect(good, f"with {size} the checkpoints of these steps are kept: {kept}")
                 results.append(f"{size}: {len(kept)} kept")
                 subprocess.run(["mount", "-o", "remount,size=200m", str(place)], check=True)
-                self.again(output)
+                self._again(output)
         kept = ", ".join(results)
         return f"“{message[:60]}...”; {kept} and complete; the same result after making room"
 
@@ -323,7 +324,7 @@ class Faults:
                 process.send_signal(number)
                 time.sleep(0.05)
             codes.append(process.wait(timeout=LIMIT))
-            self.resumed(output)
+            self._resumed(output)
         expect(codes == [143, 129, 130], f"exit codes {codes}")
         return f"exit codes {', '.join(map(str, codes))}; resumed bit-equal"
 
@@ -335,18 +336,18 @@ class Faults:
         process.stdout.close()
         expect(process.wait(timeout=LIMIT) == 141, f"exit code {process.returncode}")
         expect("Traceback" not in process.stderr.read(), "a traceback")
-        self.resumed(output)
+        self._resumed(output)
         output = self.work / "pipes"
         process = start(command(output, "--events", "jsonl"), stdin=subprocess.PIPE)
         expect(wait_for(process, lambda: len(checkpoints(output)) > 0), "no checkpoint")
         process.communicate(timeout=LIMIT)  # closes stdin
         expect(process.returncode == 0, f"exit code {process.returncode}")
-        self.resumed(output)
+        self._resumed(output)
         closed = self.work / "closed"
         line = " ".join(f"'{word}'" for word in command(closed)) + " <&- >&- 2>&-"
         ended = finish(["sh", "-c", line])
         expect(ended.returncode == 0, ended.stderr[-500:])
-        self.compare(closed)
+        self._compare(closed)
         return "end of either: checkpoint, resumed bit-equal; closed from the start: bit-equal"
 
     def clock_jumps(self) -> str:
@@ -359,7 +360,7 @@ class Faults:
         )
         ended = finish([sys.executable, "-c", code, *command(output)[3:]])
         expect(ended.returncode == 0, ended.stderr[-500:])
-        self.compare(output)
+        self._compare(output)
         spent = json.loads((output / "metrics.json").read_text())["train_seconds"]
         expect(0 < spent < LIMIT, f"reported training time {spent} s")
         return f"bit-equal, {spent:.1f} s of training reported"
@@ -380,18 +381,27 @@ class Faults:
         message = sentence(finish(command(output, "--resume")))
         expect("config.json" in message and "not a JSON config file" in message, message)
         (output / "config.json").write_text(config)
-        ended = self.resumed(output)
+        ended = self._resumed(output)
         expect(f"{last.name} is damaged" in ended.stderr, "no warning on the checkpoint")
         return "config.json: rejected by name; checkpoint: reported, skipped, resumed bit-equal"
 
 
-def main() -> int:
-    """Run all faults or the given ones; the exit code is 1 if a criterion was violated."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=50)
+def main(faults_of: type, description: str | None, *, kills: int) -> int:
+    """Inject the faults, the public methods of a class, or those given as arguments.
+
+    Args:
+        faults_of: Class of the faults; `undisturbed` of an instance describes the runs that are
+            compared with.
+        description: Of the program.
+        kills: Default number of kills.
+
+    Returns:
+        Exit code: 1 if a criterion was violated.
+    """
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--kills", type=int, default=kills)
     parser.add_argument("--seed", type=int, default=0)
-    helpers = {"compare", "resumed", "again"}
-    names = [name for name in vars(Faults) if not name.startswith("_") and name not in helpers]
+    names = [name for name in vars(faults_of) if not name.startswith("_")]
     parser.add_argument("faults", nargs="*", metavar="FAULT", help=", ".join(names))
     args = parser.parse_args()
     for number in (signal.SIGINT, signal.SIGHUP):
@@ -400,8 +410,8 @@ def main() -> int:
     os.environ["PYTHONPATH"] = str(ROOT)
     harm = 0
     with tempfile.TemporaryDirectory(prefix="gscore-faults-") as folder:
-        faults = Faults(Path(folder), kills=args.kills, seed=args.seed)
-        print(f"undisturbed run: splats {faults.sound['point_cloud.ply']}", flush=True)
+        faults = faults_of(Path(folder), kills=args.kills, seed=args.seed)
+        print(faults.undisturbed, flush=True)
         for name in args.faults or names:
             began = time.monotonic()
             try:
@@ -416,4 +426,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(Faults, __doc__, kills=50))

@@ -4,7 +4,6 @@ Criteria: the result has the bits of undisturbed ranks, no written file is lost,
 sentence on rank 0, with exit code 2 on all ranks.
 """
 
-import argparse
 import os
 import random
 import re
@@ -12,7 +11,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
 from pathlib import Path
@@ -21,13 +19,11 @@ from faults import (
     CAPTURE,
     LIMIT,
     OPTIONS,
-    ROOT,
-    CannotError,
-    HarmError,
     checkpoints,
     expect,
     file_system,
     is_writing,
+    main,
     outcome,
     start,
     wait_for,
@@ -72,6 +68,7 @@ class Faults:
         began = time.monotonic()
         self._end(self._start(output))
         self.seconds = time.monotonic() - began
+        self.undisturbed = f"undisturbed ranks: {self.seconds:.0f} s"
         self.sound = outcome(output)
 
     def kill_random_ranks(self) -> str:
@@ -152,31 +149,6 @@ class Faults:
         expect(not (output / ".torchrun").exists(), "the file for restarts is left")
 
 
-def main() -> int:
-    """Run all faults or the given ones; the exit code is 1 if a criterion was violated."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0)
-    names = [name for name in vars(Faults) if not name.startswith("_")]
-    parser.add_argument("faults", nargs="*", metavar="FAULT", help=", ".join(names))
-    args = parser.parse_args()
-    os.environ |= {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    harm = 0
-    with tempfile.TemporaryDirectory(prefix="gscore-ranks-") as folder:
-        faults = Faults(Path(folder), kills=args.kills, seed=args.seed)
-        print(f"undisturbed ranks: {faults.seconds:.0f} s", flush=True)
-        for name in args.faults or names:
-            began = time.monotonic()
-            try:
-                text, word = getattr(faults, name)(), "passed"
-            except CannotError as reason:
-                text, word = str(reason), "skipped"
-            except (HarmError, subprocess.TimeoutExpired) as error:
-                text, word, harm = str(error), "FAILED", harm + 1
-            took = time.monotonic() - began
-            print(f"{word:8} {name.replace('_', ' ')}: {text} ({took:.0f} s)", flush=True)
-    return 1 if harm else 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    os.environ["OMP_NUM_THREADS"] = "1"
+    sys.exit(main(Faults, __doc__, kills=20))
