@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..io.images.pixels import as_uint8
 from ..sh import rgb_to_sh0
 from ..splats import Splats
 
@@ -34,7 +35,7 @@ def colorize(values: np.ndarray) -> np.ndarray:
     Returns:
         [..., 3] uint8 sRGB.
     """
-    return _TABLE[(np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)]
+    return _TABLE[as_uint8(values)]
 
 
 def _table() -> np.ndarray:

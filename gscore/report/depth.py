@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..io.images.pixels import as_uint8
 from ..text_format import count_text
 from .colormap import colorize
 from .pictures import data_uri, shrink, size_within
@@ -112,7 +113,7 @@ class DepthPictures:
         shapes["rendered"] = rendered / top
         uris = {"photo": data_uri(shrink(photo, size))}
         for kind, values in shapes.items():
-            levels = (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
+            levels = as_uint8(values)
             uris[kind] = data_uri(colorize(shrink(levels, size) / 255.0))
         self.views.append(
             DepthViewPictures(name=name, width=size[0], height=size[1], numbers=numbers, uris=uris)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..extras import need
+from ..io.images.pixels import as_uint8
 from .colormap import colorize
 
 MAX_WIDTH = 640
@@ -100,7 +101,7 @@ def thumbnails(
     height, width = pictures[0].shape[:2]
     for widest in _WIDTHS:
         size = size_within(width, height, min(widest, MAX_WIDTH))
-        small = [shrink(_bytes(picture), size) for picture in pictures]
+        small = [shrink(as_uint8(picture), size) for picture in pictures]
         # Errors are averaged before they are coloured, because colours cannot be averaged.
         small = [colorize(p / 255.0) if i in colored else p for i, p in enumerate(small)]
         encoded = [_jpeg(picture) for picture in small]
@@ -134,10 +135,6 @@ def size_within(width: int, height: int, widest: int) -> tuple[int, int]:
     """Size within a square of `widest` pixels at the same aspect; never enlarged."""
     scale = min(1.0, widest / max(width, height))
     return max(1, round(width * scale)), max(1, round(height * scale))
-
-
-def _bytes(picture: np.ndarray) -> np.ndarray:
-    return (np.clip(picture, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
 
 def _pil() -> Any:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..io.images.pixels import as_uint8
 from ..raster.api import render
 from ..scene import Cameras, PointCloud, Scene
 from ..sh import rgb_to_sh0, sh0_to_rgb
@@ -105,7 +106,7 @@ def toy_photos(
         rgb = render(splats, K, viewmat, size, size, device="cpu").rgb
         if not rgb.mean() > 0.1:
             raise EmptyTestError("a photo of the toy capture is nearly black")
-        images.append((np.clip(rgb, 0, 1) * 255 + 0.5).astype(np.uint8))
+        images.append(as_uint8(rgb))
     rng = np.random.default_rng(seed + 1)
     points = splats.means.astype(np.float64) + rng.normal(size=splats.means.shape) * 0.03
     colors = np.clip(sh0_to_rgb(splats.sh0[:, 0]) * 255, 0, 255).astype(np.uint8)

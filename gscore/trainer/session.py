@@ -7,13 +7,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..config import DataConfig
 from ..config_file import to_dict
 from ..control import Control
 from ..errors import DatasetError, FormatError, GsError
 from ..events import Decision, Eval, Event, Preview, Saved, Snapshot, Started, Warn, headline_psnr
+from ..io.images.pixels import as_uint8
 from ..io.runs import checkpoints_in
 from ..live.viewer_clients import ViewerClients
 from ..live.viewer_protocol import FrameRequest
@@ -192,8 +191,7 @@ class Session:
         """Render a frame request to RGB bytes."""
         self._trainer.engine.shorten_submissions()  # a viewer draws on the same device
         picture = self._trainer.renderer.render_request(request)
-        pixels = np.clip(picture, 0, 1) * np.float32(255) + np.float32(0.5)
-        return pixels.astype(np.uint8).tobytes()
+        return as_uint8(picture).tobytes()
 
     @contextmanager
     def _checkpoint_on_error(self) -> Iterator[None]:

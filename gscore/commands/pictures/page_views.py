@@ -10,6 +10,7 @@ from ...config import DataConfig
 from ...datasets import Dataset
 from ...errors import ConfigError, GsError
 from ...io.cameras_json import read_cameras_json
+from ...io.images.pixels import as_uint8
 from ...io.metrics_file import read_metrics
 from ...io.ply.comments import stated_up
 from ...metrics.evaluate import target_picture
@@ -129,8 +130,7 @@ def _photos(
         picture, _ = target_picture(
             dataset.image(index), dataset.mask(index), dataset.mask_mode, background
         )
-        small = (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
-        small = np.ascontiguousarray(np.rot90(small, turns[index]))
+        small = np.ascontiguousarray(np.rot90(as_uint8(picture), turns[index]))
         size = size_within(small.shape[1], small.shape[0], _PHOTO_SIDE)
         found[index] = data_uri(shrink(small, size))
         progress(done + 1, dataset.names[index])

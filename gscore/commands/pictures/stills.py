@@ -8,6 +8,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from ...io.files import atomic_write, is_unnameable
+from ...io.images.pixels import as_uint8
 from ...io.images.png import SIGNED, write_png
 from ...raster.api import Rendered
 
@@ -55,7 +56,7 @@ def _is_odd(letter: str) -> bool:
 
 def to_rgb(rendered: Rendered) -> np.ndarray:
     """[H, W, 3] uint8, the picture over its background."""
-    return (np.clip(rendered.rgb, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    return as_uint8(rendered.rgb)
 
 
 def to_rgba(rendered: Rendered) -> np.ndarray:
@@ -65,8 +66,7 @@ def to_rgba(rendered: Rendered) -> np.ndarray:
     """
     alpha = rendered.alpha[..., None]
     color = np.divide(rendered.rgb, alpha, out=np.zeros_like(rendered.rgb), where=alpha > 1e-4)
-    both = np.concatenate([color, alpha], axis=2)
-    return (np.clip(both, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    return as_uint8(np.concatenate([color, alpha], axis=2))
 
 
 def write_depth_npy(path: Path, depth: np.ndarray) -> None:

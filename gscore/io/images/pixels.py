@@ -1,4 +1,4 @@
-"""Pixels of a picture in any Pillow mode as 8-bit arrays."""
+"""Pixels as 8-bit arrays: of a picture in any Pillow mode, and of numbers."""
 
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,11 @@ _DARKEST = 4096
 """Least maximum of a 16-bit picture; a darker one has unscaled values of 8 or 12 bits."""
 _PIXELS_A_STRIP = 1 << 20
 _WHITE_IS_ZERO, _PHOTOMETRIC = 0, 262
+
+
+def as_uint8(values: np.ndarray) -> np.ndarray:
+    """Numbers from 0 to 1, clamped, as 0 to 255 uint8."""
+    return (np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
 def has_alpha(image: Any) -> bool:

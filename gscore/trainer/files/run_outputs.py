@@ -13,6 +13,7 @@ from ...events import Decision
 from ...io.block_record import RUN_BLOCK, read_block
 from ...io.cameras_json import write_cameras
 from ...io.exposure_json import EXPOSURE_FILE, write_exposures
+from ...io.images.pixels import as_uint8
 from ...io.images.png import write_png
 from ...io.ply.comments import near_comment
 from ...io.ply.splats import MIP_COMMENT, origin_comment, write_splat_parts
@@ -91,7 +92,7 @@ class RunOutputs:
     def write_preview(self, picture: np.ndarray) -> Any:
         """Write a rendered image, [H, W, 3] float, as a preview."""
         path = self.folder.preview(self.trainer.steps)
-        write_png(path, (np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8))
+        write_png(path, as_uint8(picture))
         return path
 
     def write_summary(
