@@ -174,7 +174,10 @@ class _Work:
             self._keep("count", lambda _: most_important(self._importance(), count))
         if (size := request.size) is not None:
             if bytes_of is None:
-                raise ConfigError("The file size of these splats cannot be computed.")
+                raise ConfigError(
+                    "The file size of these splats cannot be computed; give the number to keep "
+                    "instead."
+                )
             self._keep("file size", lambda s: self._fitting(s, size * 1e6, bytes_of))
 
     def place(self, request: EditRequest) -> None:

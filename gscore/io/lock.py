@@ -89,7 +89,7 @@ class FolderLock:
                 file = self._path.open("a+", encoding="utf-8")
             except FileExistsError:
                 raise ConfigError(
-                    f"{self._folder} is a file; an output folder is needed."
+                    f"{self._folder} is a file; a folder is needed. Choose another output."
                 ) from None
             except DatasetError as error:
                 raise ConfigError(

@@ -182,7 +182,7 @@ def make_mesh(
         if photos is None:
             raise ConfigError("`--texture` needs the photos of the capture; give it with -s.")
     if not len(cameras):
-        raise DatasetError("There are no cameras, and a mesh is made of what they see.")
+        raise DatasetError("There are no cameras to render depths from; give a capture with some.")
     steps = _Steps(report, cancelled)
     count = len(cameras)
     if request.between and mask_mode == "none":
@@ -301,7 +301,10 @@ def _measured(
         points.append(found[:: max(1, len(found) // _COMPARED)])
     seen = np.concatenate(depths)
     if not len(seen):
-        raise DatasetError("The cameras see no surface: the splats are transparent or outside.")
+        raise DatasetError(
+            "The cameras show no surface: the splats are transparent, or outside the pictures. "
+            "Give the capture of these splats."
+        )
     near = float(np.quantile(seen, _NEARER))
     width = float(np.quantile(np.concatenate(widths), _NEARER))
     voxel, far = request.voxel or _PIXELS * width, request.far or _FAR * near
@@ -335,7 +338,7 @@ def _allocated(
             keys, scale = _coarser(keys, scale, request, why)
     if not len(keys):
         raise DatasetError(
-            "The cameras see no surface within the region, the masks and the farthest depth; "
+            "The cameras show no surface within the region, the masks and the farthest depth; "
             "check these options."
         )
     return keys, scale

@@ -171,11 +171,15 @@ class Lpips:
             )
         except Exception as error:  # onnxruntime has no common base for its errors
             raise FormatError(
-                f"{path} is not an ONNX graph that onnxruntime can load: {error}"
+                f"{path} is not an ONNX graph that onnxruntime can load: {error}. Export or copy "
+                "it again."
             ) from error
         inputs = [i.name for i in self._session.get_inputs()]
         if len(inputs) != 2:
-            raise FormatError(f"{path} must take two pictures, got the inputs {inputs}.")
+            raise FormatError(
+                f"{path} is not an LPIPS network: expected two inputs, pictures, got {inputs}. "
+                "Export it again."
+            )
         self._inputs = inputs
         self.path = path
         """The ONNX file."""

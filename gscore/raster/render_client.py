@@ -178,7 +178,7 @@ class RenderClient:
                 return answer["stats"]
             for key in answer["need"]:
                 self._put(server, key, arrays[key], cancel)
-        raise RenderServerError("The render server lost the splats.")
+        raise RenderServerError("The render server lost the splats twice; render again.")
 
     def _put(self, server: ServerProcess, key: str, array: np.ndarray, cancel: CancelFlag) -> None:
         """Send an array, in parts of the size of a picture."""

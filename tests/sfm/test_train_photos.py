@@ -158,7 +158,8 @@ def test_a_file_as_output_is_refused_at_once(
     (tmp_path / "film.mp4").write_bytes(b"x")
     assert _train(mine, "-o", tmp_path / place) == 2
     assert capsys.readouterr().err.splitlines() == [
-        f"gscore train: error: {tmp_path / 'film.mp4'} is a file; a folder is needed."
+        f"gscore train: error: {tmp_path / 'film.mp4'} is a file; a folder is needed. "
+        "Choose another output."
     ]
 
 

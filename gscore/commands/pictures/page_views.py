@@ -15,6 +15,7 @@ from ...io.metrics_file import read_metrics
 from ...io.ply.comments import stated_up
 from ...metrics.evaluate import target_picture
 from ...page.page import PageCamera
+from ...quoting import brief
 from ...report.pictures import data_uri, shrink, size_within
 from ...scene import Cameras
 from ...upright import turn_cameras, up_of, upright_turns
@@ -169,7 +170,9 @@ def _without_cameras(model: ModelArgument, warnings: list[str]) -> PageViews:
     """A view of most splats from the front; splat files have y down unless they state another up
     axis."""
     if not len(model.splats):
-        raise ConfigError("There are no splats to show.")
+        raise ConfigError(
+            f"{brief(str(model.path))} contains no splats to show; give another model."
+        )
     low, middle, high = np.percentile(model.splats.means.astype(np.float64), (10, 50, 90), axis=0)
     axis = stated_up(model.file.comments)
     up, forward = _UP_AND_FORWARD.get(axis, _UP_AND_FORWARD["-Y"])

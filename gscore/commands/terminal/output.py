@@ -96,7 +96,7 @@ def check_folder(folder: Path) -> None:
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
     if not existing.is_dir():
-        raise ConfigError(f"{existing} is a file; a folder is needed.")
+        raise ConfigError(f"{existing} is a file; a folder is needed. Choose another output.")
     if not os.access(existing, os.W_OK | os.X_OK):
         why = "the disk is read-only" if _is_read_only(existing) else "permission denied"
         raise ConfigError(f"Cannot write into {existing}: {why}; choose another output.")

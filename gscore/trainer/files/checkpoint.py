@@ -120,7 +120,8 @@ def load(path: Path) -> Checkpoint:
     if content.get("format") != FORMAT:
         raise FormatError(
             f"{path} was written by gscore {brief(str(content.get('gscore')))} in format "
-            f"{brief(str(content.get('format')))}; this gscore reads format {FORMAT}."
+            f"{brief(str(content.get('format')))}; this gscore reads format {FORMAT}. "
+            "Resume with that version, or start a new run."
         )
     warnings: list[str] = []
     with checkpoint_errors(path):
