@@ -11,8 +11,7 @@ import numpy as np
 from ..errors import ConfigError, DatasetError, FormatError
 from ..io.cameras_json import read_cameras_json
 from ..io.colmap.lenses import NO_PINHOLE
-from ..io.files import atomic_write, read_bytes
-from ..json_text import parse_json
+from ..io.files import atomic_write, read_json
 from ..quoting import quoted
 from ..scene import Cameras
 from ..text_format import count_text
@@ -51,10 +50,7 @@ def read_camera_path(path: str | Path) -> MovingCamera:
         FormatError: it is another file, or one of its cameras cannot be rendered.
     """
     path = Path(path)
-    try:
-        data = parse_json(read_bytes(path))
-    except ValueError as error:
-        raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
+    data = read_json(path)
     if isinstance(data, list):
         moving = MovingCamera(cameras=read_cameras_json(path), fps=None)
     elif isinstance(data, dict) and isinstance(data.get("camera_path"), list):

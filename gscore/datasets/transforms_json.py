@@ -13,12 +13,11 @@ from ..errors import DatasetError, FormatError
 from ..io.colmap.folder import is_safe_name
 from ..io.colmap.lenses import MODELS_BY_NAME
 from ..io.colmap.model import ColmapCamera
-from ..io.files import LONGEST_NAME, is_file, read_bytes
+from ..io.files import LONGEST_NAME, is_file, read_json
 from ..io.images.read_image import IMAGE_ENDINGS, read_info
 from ..io.ply.points import read_point_cloud
 from ..io.unsupported_formats import describe_unsupported
-from ..json_text import parse_json
-from ..quoting import quoted
+from ..quoting import first_few, quoted
 from ..scene import FARTHEST, PointCloud
 from ..transforms import viewmat_from_opengl
 from .capture import Capture, View, listing, repeated
@@ -105,10 +104,7 @@ def load_transforms(path: Path) -> dict[str, Any]:
         DatasetError: the file is missing.
         FormatError: it is another file.
     """
-    try:
-        data = parse_json(read_bytes(path))
-    except ValueError as error:
-        raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
+    data = read_json(path)
     if not isinstance(data, dict) or not isinstance(data.get("frames"), list):
         raise FormatError(
             describe_unsupported(path)

@@ -11,7 +11,7 @@ from ..json_text import parse_json
 from ..quoting import brief, quoted
 from ..scene import FARTHEST, Cameras, checked_origin, is_focal
 from ..transforms import invert_rigid
-from .files import atomic_write, read_bytes
+from .files import atomic_write, read_bytes, read_json
 
 WORLD_FILE = "world.json"
 _LARGEST = (1e-6, 1e6)
@@ -129,10 +129,7 @@ def read_cameras_json(path: str | Path) -> Cameras:
         FormatError: it is not JSON, or an entry lacks a key or has numbers of the wrong shape.
     """
     path = Path(path)
-    try:
-        entries = parse_json(read_bytes(path))
-    except ValueError as error:
-        raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
+    entries = read_json(path)
     if not isinstance(entries, list):
         raise FormatError(
             f"{path} must be a list of cameras, got {type(entries).__name__}. Export it again."

@@ -14,9 +14,10 @@ import time
 from collections.abc import Callable, Iterator
 from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-from ..errors import DatasetError, GsError
+from ..errors import DatasetError, FormatError, GsError
+from ..json_text import parse_json
 from ..quoting import brief
 
 _of_thread = threading.local()
@@ -219,6 +220,19 @@ def read_bytes(path: str | Path) -> bytes:
             return file.read()
     except (OSError, ValueError) as error:
         raise DatasetError(f"Cannot read {brief(path)}: {reason(error)}") from error
+
+
+def read_json(path: str | Path) -> Any:
+    """Content of a JSON file, see `parse_json`.
+
+    Raises:
+        DatasetError: as `read_bytes`.
+        FormatError: it is not JSON.
+    """
+    try:
+        return parse_json(read_bytes(path))
+    except ValueError as error:
+        raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
 
 
 def is_file(path: str | Path) -> bool:

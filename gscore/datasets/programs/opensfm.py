@@ -13,8 +13,7 @@ import numpy as np
 
 from ...errors import FormatError
 from ...io.colmap.model import ColmapCamera
-from ...io.files import read_bytes
-from ...json_text import parse_json
+from ...io.files import read_json
 from ...quoting import quoted
 from ...scene import PointCloud
 from ...text_format import count_text
@@ -35,10 +34,7 @@ def read_opensfm(path: Path) -> PosedPhotos:
         FormatError: it is another file, a value is missing or unusable, or COLMAP has no model of a
             lens.
     """
-    try:
-        data = parse_json(read_bytes(path))
-    except ValueError as error:
-        raise FormatError(f"{path} is not JSON: {error}. Copy or export it again.") from error
+    data = read_json(path)
     parts = data if isinstance(data, list) else [data]
     if not parts or not all(
         isinstance(part, dict) and all(isinstance(part.get(k), dict) for k in ("cameras", "shots"))
