@@ -4,6 +4,7 @@ import reprlib
 import shlex
 import shutil
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,12 @@ def brief(text: str | Path | Exception) -> str:
     text = str(text)
     cut = text[: _LONGEST + 1].encode("utf-8", "replace").decode("utf-8").replace("\0", "?")
     return cut if len(cut) <= _LONGEST else f"{cut[: _LONGEST - 3]}..."
+
+
+def first_few(names: Sequence[str], most: int = 5) -> str:
+    """The first names, for a message, and the number of the others: a, b and 3 more."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(map(brief, names[:most])) + more
 
 
 def as_typed(*words: str | Path) -> str:

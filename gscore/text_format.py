@@ -4,12 +4,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from .events import ENDED, MASKED_OF, headline_psnr
-from .quoting import brief
+from .quoting import brief, first_few
 
 _LOW_PSNR = 20.0
 """PSNR, dB, below which differences are obvious: shapes are blurred or doubled."""
-_LISTED = 5
-"""Most names in a sentence."""
 
 
 def number_text(value: float | None, digits: int) -> str:
@@ -120,10 +118,9 @@ def worst_view_text(metrics: Mapping[str, Any]) -> str:
     ]
     text = f"Worst view, colour-corrected: {', '.join(parts)}." if parts else ""
     if left_out := metrics.get("not_covered"):
-        names = ", ".join(map(brief, left_out[:_LISTED]))
-        names += " and others" if len(left_out) > _LISTED else ""
         count = count_text(len(left_out), "view is", "views are")
-        text += f" {count} not counted here, as training photos show less than 90 %: {names}."
+        text += f" {count} not counted here, as training photos show less than 90 %: "
+        text += f"{first_few(left_out)}."
     return text.strip()
 
 

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from ..config import DataConfig
-from ..datasets.capture import listing
 from ..io.unsupported_formats import unread_cameras
-from ..quoting import as_typed
+from ..quoting import as_typed, first_few
 from ..sfm.heic import header_of, readable
 from ..sfm.panorama import possible_panoramas, refused_panoramas
 from ..sfm.photos import (
@@ -76,7 +75,7 @@ def photos_text(facts: dict[str, Any]) -> list[str]:
     ]
     if facts["unread"]:
         left_out = count_text(len(facts["unread"]), "photo")
-        lines.append(f"  {left_out} of unsupported formats: {listing(facts['unread'], 3)}")
+        lines.append(f"  {left_out} of unsupported formats: {first_few(facts['unread'], 3)}")
     if not facts["enough"]:
         least = count_text(LEAST, "photo")
         return [*lines, f"  at least {least} with overlap are needed, better 30 or more"]

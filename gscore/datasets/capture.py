@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from ..io.colmap.model import ColmapCamera
-from ..quoting import brief
 from ..scene import PointCloud
 
 
@@ -59,11 +58,6 @@ class Capture:
     from their content."""
     warnings: tuple[str, ...] = field(default=())
     """Messages for the user."""
-
-
-def listing(names: list[str], most: int = 5) -> str:
-    """First few names, for a message."""
-    return ", ".join(map(brief, names[:most])) + (", ..." if len(names) > most else "")
 
 
 def repeated(names: list[str]) -> list[str]:

@@ -14,9 +14,10 @@ from ..io.colmap.model import ColmapPoints, PointIndex
 from ..io.files import is_file, read_bytes
 from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
+from ..quoting import first_few
 from ..scene import PointCloud, within_reach
 from ..text_format import count_text
-from .capture import Capture, View, listing, repeated
+from .capture import Capture, View, repeated
 from .folder import Folder
 
 
@@ -40,7 +41,7 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
     if duplicates := repeated(names):
         raise DatasetError(
             f"The COLMAP model in {model.path} has several images of the same name: "
-            f"{listing(duplicates)}. Export the model from COLMAP again."
+            f"{first_few(duplicates)}. Export the model from COLMAP again."
         )
     root = _photo_root(config, names)
     if photos_required and not root.is_dir():
@@ -56,14 +57,14 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
         raise DatasetError(
             f"{len(missing)} of the {count_text(len(names), 'image')} of the model in "
             f"{model.path} are missing "
-            f"in {root} ({count_text(len(folder), 'image')} there): {listing(missing)}. Give the "
+            f"in {root} ({count_text(len(folder), 'image')} there): {first_few(missing)}. Give the "
             "folder of the photos that COLMAP was run on with `--images`."
         )
     if missing:
         rest = f"; going on with the other {len(names) - len(missing)}" if photos_required else ""
         warnings.append(
             f"{len(missing)} of the {count_text(len(names), 'image')} of the model are missing "
-            f"in {root}: {listing(missing)}{rest}."
+            f"in {root}: {first_few(missing)}{rest}."
         )
     renamed = [
         f"{name} -> {file.relative_to(root).as_posix()}"
@@ -73,7 +74,7 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
     if renamed:
         warnings.append(
             f"{count_text(len(renamed), 'image is', 'images are')} named differently in {root}; "
-            f"used: {listing(renamed, 3)}."
+            f"used: {first_few(renamed, 3)}."
         )
     seen = _observed(model)
     points = PointCloud(points=model.points.xyz, colors=model.points.rgb)
@@ -143,15 +144,15 @@ def unplaced_photos_text(others: Sequence[Sequence[str]], alone: Sequence[str]) 
     """
     messages = [
         f"{count_text(len(other), 'photo forms', 'photos form')} a separate model and "
-        f"{'is' if len(other) == 1 else 'are'} left out: {listing(list(other))}. If it is the same "
-        "scene, take photos between the two; if not, use separate folders."
+        f"{'is' if len(other) == 1 else 'are'} left out: {first_few(list(other))}. If it is the "
+        "same scene, take photos between the two; if not, use separate folders."
         for other in others
     ]
     if alone:
         messages.append(
             f"{count_text(len(alone), 'photo matches', 'photos match')} no other: "
-            f"{listing(list(alone))}. Take photos between these and the others, or remove them if "
-            "they are blurred or show another scene."
+            f"{first_few(list(alone))}. Take photos between these and the others, or remove them "
+            "if they are blurred or show another scene."
         )
     return messages
 

@@ -9,9 +9,8 @@ from pathlib import Path
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.colmap.folder import has_model
-from ..quoting import quoted
+from ..quoting import first_few, quoted
 from ..text_format import count_text
-from .capture import listing
 from .pku.case import find_video
 from .programs import find_program
 from .transforms_json import find_transforms
@@ -114,7 +113,7 @@ def choose_frames(frames: list[SequenceFrame], text: str) -> list[SequenceFrame]
             known = sorted(numbers)
             raise DatasetError(
                 f"There is no frame {part.strip()}: the sequence has "
-                f"{count_text(len(known), 'frame')}, {listing([str(n) for n in known], _LISTED)}"
+                f"{count_text(len(known), 'frame')}, {first_few([str(n) for n in known], _LISTED)}"
                 f"{f' up to {known[-1]}' if len(known) > _LISTED else ''}."
             )
         chosen |= picked

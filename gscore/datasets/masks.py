@@ -17,8 +17,9 @@ from ..io.images.read_image import (
     read_info,
     read_mask,
 )
+from ..quoting import first_few
 from ..text_format import count_text, number
-from .capture import Capture, View, listing
+from .capture import Capture, View
 from .dataset import map_threads
 from .folder import Folder
 
@@ -173,7 +174,7 @@ def masks_of_views(
     if missing:
         return files, [
             f"{len(missing)} of {count_text(len(views), 'view')} have no mask in {where}: "
-            f"{listing(missing)}; all of their pixels count."
+            f"{first_few(missing)}; all of their pixels count."
         ]
     return files, []
 

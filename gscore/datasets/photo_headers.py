@@ -11,9 +11,10 @@ from ..errors import DatasetError, GsError
 from ..io.files import open_regular
 from ..io.images.image_header import ImageInfo
 from ..io.images.read_image import read_info
+from ..quoting import first_few
 from ..text_format import count_text
 from ..upright import find_up
-from .capture import View, listing
+from .capture import View
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +116,7 @@ def _copies(views: Sequence[View], cancelled: Callable[[], bool]) -> list[str]:
     named = [f"{views[copy].name} of {views[first].name}" for first, copy in pairs]
     return [
         f"{count_text(len(pairs), 'photo is a copy', 'photos are copies')} of others: "
-        f"{listing(named, 3)}. Copies count twice, and a test view that is a "
+        f"{first_few(named, 3)}. Copies count twice, and a test view that is a "
         f"copy of a training view does not test anything; remove them."
     ]
 
@@ -133,7 +134,8 @@ def _flipped(views: Sequence[View], infos: Sequence[ImageInfo], fit: PhotoFit) -
         return []
     return [
         f"The EXIF rotation of {count_text(len(unsure), 'photo')} is ignored, as in COLMAP: "
-        f"{listing(unsure)}. If the cameras were made from rotated photos, save the photos rotated."
+        f"{first_few(unsure)}. If the cameras were made from rotated photos, save the photos "
+        "rotated."
     ]
 
 
@@ -147,7 +149,7 @@ def _other_sizes(views: Sequence[View], fit: PhotoFit) -> list[str]:
         return []
     return [
         f"{count_text(len(other), 'photo has', 'photos have')} another size than the camera; "
-        f"intrinsics are scaled by the actual ratio: {listing(other, 2)}."
+        f"intrinsics are scaled by the actual ratio: {first_few(other, 2)}."
     ]
 
 

@@ -7,10 +7,9 @@ import numpy as np
 
 from ..errors import FormatError
 from ..io.colmap.model import ColmapCamera
-from ..quoting import quoted
+from ..quoting import first_few, quoted
 from ..scene import FARTHEST, FOCAL_RANGE, Scene, distances, is_focal
 from ..text_format import count_text, number
-from .capture import listing
 
 _SKEW = 1e-3
 """Largest skew, share of the focal length: residue of decomposing a float32 projection matrix."""
@@ -97,7 +96,7 @@ def position_warnings(scene: Scene) -> Iterator[str]:
     middle = np.median(centers, axis=0)
     far, times = _far(centers, middle)
     if len(far):
-        names = listing([scene.cameras.names[i] for i in far])
+        names = first_few([scene.cameras.names[i] for i in far])
         yield (
             f"{names}: {times:.0f} times farther from the other cameras than these from each "
             "other. Sizes and learning rates depend on the farthest camera; leave such views out."
@@ -128,7 +127,7 @@ def axis_warnings(scene: Scene) -> Iterator[str]:
     off = np.abs(cameras.Ks[:, :2, 2] / sizes - 0.5).max(axis=1)
     wrong = np.flatnonzero(off > _OFF_AXIS)
     if len(wrong):
-        names = listing([cameras.names[i] for i in wrong])
+        names = first_few([cameras.names[i] for i in wrong])
         yield (
             f"{names}: the principal point is {off.max():.0f} times the picture's size from its "
             "middle; no lens does that. Check the intrinsics."

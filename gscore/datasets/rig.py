@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DatasetError
+from ..quoting import first_few
 from ..scene import PointCloud, camera_centers
 from ..text_format import count_text
-from .capture import Capture, View, listing
+from .capture import Capture, View
 from .pku.photos import camera_number
 
 _FARTHEST = 0.02
@@ -104,7 +105,7 @@ def with_rig(capture: Capture, rig: Capture, *, where: Path, rig_at: Path) -> Ca
     lone = [view.name for view in capture.views if _key(view.name) not in targets]
     if lone:
         warnings.append(
-            f"{count_text(len(lone), 'view is', 'views are')} not in {rig_at}: {listing(lone)}."
+            f"{count_text(len(lone), 'view is', 'views are')} not in {rig_at}: {first_few(lone)}."
         )
     return replace(
         capture,

@@ -11,9 +11,10 @@ from ..errors import GsError
 from ..io.images.image_header import ORIENTATION
 from ..io.images.pillow_images import opened_picture, pillow
 from ..io.images.read_image import TURNS
+from ..quoting import first_few
 from ..scene import camera_centers
 from ..text_format import count_text
-from .capture import View, listing
+from .capture import View
 from .dataset import map_threads
 
 _SIDE = 64
@@ -136,7 +137,7 @@ def warn_of_split_shots(
             twins.setdefault(i, j)
     if not twins:
         return train, test, []
-    named = listing([f"{views[i].name} of {views[j].name}" for i, j in twins.items()], 3)
+    named = first_few([f"{views[i].name} of {views[j].name}" for i, j in twins.items()], 3)
     what = count_text(len(twins), "training photo shows", "training photos show")
     shown = f"{what} the same picture as a test view: {named}."
     if not chosen or len(twins) == len(train):

@@ -7,9 +7,8 @@ from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..hold_out import FORMS
 from ..io.files import read_bytes
-from ..quoting import quoted
+from ..quoting import first_few, quoted
 from ..text_format import count_text, number
-from .capture import listing
 from .folder import same_name
 
 
@@ -132,7 +131,7 @@ def _listed(names: Sequence[str], path: Path) -> set[int]:
         raise DatasetError(
             f"{path} has {count_text(len(unknown), 'view')} that the capture does not have, or "
             "not only once: "
-            f"{listing(unknown)}. An example of a name is "
+            f"{first_few(unknown)}. An example of a name is "
             f"{names[0]}."
         )
     return {next(iter(lookup[same_name(name)])) for name in wanted}

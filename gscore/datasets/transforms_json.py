@@ -20,7 +20,7 @@ from ..io.unsupported_formats import describe_unsupported
 from ..quoting import first_few, quoted
 from ..scene import FARTHEST, PointCloud
 from ..transforms import viewmat_from_opengl
-from .capture import Capture, View, listing, repeated
+from .capture import Capture, View, repeated
 from .poses import check_focal, rigid_matrix
 
 FILES = ("transforms.json", "transforms_train.json")
@@ -76,18 +76,18 @@ def read_transforms(config: DataConfig, *, photos_required: bool = True) -> Capt
     if photos_required and 2 * len(missing) > total:
         raise DatasetError(
             f"{len(missing)} of the {total} images of {path} are missing in {root}: "
-            f"{listing(missing)}. Put them there, or export the capture again."
+            f"{first_few(missing)}. Put them there, or export the capture again."
         )
     warnings = []
     if missing:
         rest = f"; going on with the other {len(views)}" if photos_required else ""
         warnings.append(
             f"{len(missing)} of the {total} images of {path} are missing in {root}: "
-            f"{listing(missing)}{rest}."
+            f"{first_few(missing)}{rest}."
         )
     names = [view.name for view in views]
     if twice := repeated(names):
-        raise DatasetError(f"{path} lists images twice: {listing(twice)}. Export it again.")
+        raise DatasetError(f"{path} lists images twice: {first_few(twice)}. Export it again.")
     return Capture(
         root=root,
         views=views,

@@ -4,12 +4,12 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..datasets.capture import listing
 from ..datasets.shots import stem_of
 from ..depth.stated import StatedDepth
 from ..errors import GsError
 from ..io.images.read_image import read_info
 from ..io.unsupported_formats import unread_cameras
+from ..quoting import first_few
 from ..sfm.heic import conversion_hint, readable, size_of
 from ..sfm.photos import LEAST, list_photos, mask_folder, photo_folder, photo_folder_warning
 from ..text_format import count_text
@@ -130,7 +130,7 @@ def photo_folder_facts(source: Path) -> CaptureFacts:
     if unread:
         left = count_text(len(unread), "photo is of a kind", "photos are of kinds")
         hint = conversion_hint(unread)
-        text = f"{left} that is not read: {listing(unread, 2)}. To use them, {hint}."
+        text = f"{left} that is not read: {first_few(unread, 2)}. To use them, {hint}."
         problems.append(Problem(is_error=False, text=text))
     return CaptureFacts(
         source=source,

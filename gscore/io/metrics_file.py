@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import DatasetError
 from ..json_text import parse_json
-from ..quoting import as_typed
+from ..quoting import as_typed, first_few
 from .files import read_bytes
 
 _LARGEST = 1 << 53
@@ -41,8 +41,7 @@ def _read(path: Path) -> tuple[dict[str, Any], str]:
         return {}, f"{file} is damaged: an object was expected; {again}"
     odd = [key for key, value in content.items() if not _is_sound(key, value)]
     sound = {key: value for key, value in content.items() if key not in odd}
-    names = ", ".join(key[:40] for key in odd[:3]) + (" and others" if len(odd) > 3 else "")
-    return sound, f"{file} is damaged: {names} cannot be; {again}" if odd else ""
+    return sound, f"{file} is damaged: {first_few(odd)} cannot be; {again}" if odd else ""
 
 
 def is_number(value: Any) -> bool:

@@ -9,10 +9,10 @@ from typing import Any
 
 from .._version import __version__
 from ..control import Control
-from ..datasets.capture import listing
 from ..errors import DatasetError
 from ..events import SfmDone, SfmEstimated, Show, strict_json
 from ..io.runs import MADE_OF
+from ..quoting import first_few
 from ..raster import native_library
 from ..text_format import count_text
 from . import database, masks, photos, pycolmap_stages
@@ -99,7 +99,7 @@ class _Search:
         if unread:
             self._progress.warn(
                 f"{count_text(len(unread), 'photo')} of unsupported formats left out: "
-                f"{listing(unread, 3)}. To use them, {conversion_hint(unread)}."
+                f"{first_few(unread, 3)}. To use them, {conversion_hint(unread)}."
             )
         self._stamps = [stamp(name, self._root / name) for name in names]  # before they are read
         read = photos.read_photos(
@@ -173,7 +173,7 @@ class _Search:
         if lost:
             names = {photo.alias: photo.name for photo in work.photos}
             raise DatasetError(
-                f"COLMAP cannot read {listing([names[alias] for alias in lost])}. Save them as "
+                f"COLMAP cannot read {first_few([names[alias] for alias in lost])}. Save them as "
                 "JPEG or PNG."
             )
         forecast.has_features(sum(found))

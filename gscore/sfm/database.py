@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..datasets.capture import listing
+from ..quoting import first_few
 from ..text_format import count_text
 from .pycolmap_thread import colmap
 
@@ -145,7 +145,9 @@ def failure_reason(found: Overlap, names: dict[str, str]) -> str:
             "did not move. Walk around the subject and take photos from different places."
         )
     alone = f" {count_text(len(found.alone), 'photo matches', 'photos match')} no other: "
-    alone = f"{alone}{listing([names[alias] for alias in found.alone], 3)}." if found.alone else ""
+    alone = (
+        f"{alone}{first_few([names[alias] for alias in found.alone], 3)}." if found.alone else ""
+    )
     return (
         f"No cameras found: the photos overlap too little. Of the {photos}, "
         f"{count_text(found.pairs, 'pair matches', 'pairs match')}, which is not enough for a "

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ..datasets.capture import listing
 from ..errors import ConfigError
 from ..io.colmap.lenses import NO_PINHOLE
+from ..quoting import first_few
 from ..text_format import count_text
 from .search_request import USUAL_LENS, SearchRequest
 
@@ -123,8 +123,8 @@ def refused_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
     if parts := [name for name, how in photos.items() if how == PARTIAL]:
         return (
             f"{count_text(len(parts), 'photo is a panorama', 'photos are panoramas')} of a part "
-            f"of all directions (cylindrical or equirectangular, by XMP): {listing(parts, 3)}. No "
-            "lens model fits them: leave them out."
+            f"of all directions (cylindrical or equirectangular, by XMP): {first_few(parts, 3)}. "
+            "No lens model fits them: leave them out."
         )
     names = [name for name, how in photos.items() if how == STATED]
     what = count_text(len(names), "photo shows", "photos show")
@@ -145,7 +145,7 @@ def refused_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str:
     if not names:
         return ""
     return (
-        f"{what} all directions (360-degree panoramas, {why}): {listing(names, 3)}. {_HOW}. "
+        f"{what} all directions (360-degree panoramas, {why}): {first_few(names, 3)}. {_HOW}. "
         f"{excuse}"
     )
 
@@ -164,7 +164,7 @@ def possible_panoramas(photos: Mapping[str, str], request: SearchRequest) -> str
         return ""
     return (
         f"{count_text(len(names), 'photo is', 'photos are')} twice as wide as high, as "
-        f"360-degree panoramas are: {listing(names, 3)}. If they show all directions, no search "
+        f"360-degree panoramas are: {first_few(names, 3)}. If they show all directions, no search "
         f"can use them as they are. {_HOW}."
     )
 

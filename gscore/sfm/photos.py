@@ -7,7 +7,6 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ..camera_neighbours import natural_key
-from ..datasets.capture import listing
 from ..datasets.dataset import map_threads
 from ..datasets.folder import without_masks
 from ..datasets.masks import masks_inside
@@ -23,7 +22,7 @@ from ..io.images.read_image import IMAGE_ENDINGS
 from ..io.runs import SEARCH_RECORD
 from ..io.unsupported_formats import unread_cameras
 from ..json_text import parse_json
-from ..quoting import brief
+from ..quoting import brief, first_few
 from ..text_format import count_text, number
 from .heic import conversion_hint, is_heic, readable
 from .panorama import panorama_of
@@ -115,7 +114,7 @@ def check_photo_count(root: Path, names: list[str], unread: list[str]) -> None:
     if unread:
         other = (
             f" {count_text(len(unread), 'photo is', 'photos are')} in an unsupported format "
-            f"({listing(unread, 2)}): {conversion_hint(unread)}."
+            f"({first_few(unread, 2)}): {conversion_hint(unread)}."
         )
     raise DatasetError(
         f"{root} contains {count_text(len(names), 'photo') if names else 'no photos'}, but at "
@@ -214,7 +213,7 @@ def one_of_each(root: Path, photos: list[Photo]) -> tuple[list[Photo], list[str]
     named = [f"{first[copy].name} of {first[one].name}" for one, copy in pairs]
     return [photo for photo in photos if photo.name not in left_out], [
         f"{count_text(len(pairs), 'photo shows', 'photos show')} the same picture as another and "
-        f"{'is' if len(pairs) == 1 else 'are'} left out: {listing(named, 3)}."
+        f"{'is' if len(pairs) == 1 else 'are'} left out: {first_few(named, 3)}."
     ]
 
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..datasets.capture import listing
 from ..datasets.colmap_source import unplaced_photos_text
-from ..quoting import as_typed, brief
+from ..quoting import as_typed, brief, first_few
 from ..text_format import count_text, number, time_text
 from .gps_scale import Gps
 
@@ -85,12 +84,12 @@ class SearchResult:
         if self.blurred:
             messages.append(
                 f"{count_text(len(self.blurred), 'photo is', 'photos are')} more blurred than the "
-                f"others: {listing(list(self.blurred))}. Without them splats become sharper."
+                f"others: {first_few(list(self.blurred))}. Without them splats become sharper."
             )
         if self.jumps:
             messages.append(
                 f"The exposure jumps in {count_text(len(self.jumps), 'photo')}: "
-                f"{listing(list(self.jumps))}. Lock it in the camera, or equalise the photos."
+                f"{first_few(list(self.jumps))}. Lock it in the camera, or equalise the photos."
             )
         if self.reprojection_px > _BLURRED:
             messages.append(

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ..datasets.capture import listing
 from ..errors import ConfigError, DatasetError, GsError
 from ..io.cameras_json import write_up
 from ..io.files import atomic_write, link_or_copy, read_bytes, reason
 from ..io.lock import FolderLock
 from ..io.runs import SEARCH_RECORD
 from ..json_text import parse_json
+from ..quoting import first_few
 from ..text_format import count_text
 from .photos import Photo, stamp
 
@@ -253,7 +253,7 @@ def _stamp(photo: Photo, path: Path) -> list[Any] | None:
 def _changed(names: list[str]) -> str:
     return (
         f"{count_text(len(names), 'photo')} changed while the cameras were searched: "
-        f"{listing(names, 3)}."
+        f"{first_few(names, 3)}."
     )
 
 

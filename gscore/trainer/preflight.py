@@ -5,11 +5,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..datasets.capture import listing
 from ..datasets.poses import axis_warnings, position_warnings
 from ..errors import DatasetError
 from ..formats import is_antialiased
 from ..metrics.photo_mismatch import photo_mismatch_warnings
+from ..quoting import first_few
 from ..text_format import count_text, number
 from .trainer import Trainer
 
@@ -91,7 +91,7 @@ def _empty_views(trainer: Trainer) -> Iterator[str]:
             "points, or the PLY of `--start-splats`, belong to one capture."
         )
     if empty:
-        names = listing([trainer.photos.scene.cameras.names[i] for i in empty])
+        names = first_few([trainer.photos.scene.cameras.names[i] for i in empty])
         yield (
             f"{len(empty)} of {count_text(len(checked), 'checked training view')} show no splats "
             f"at the start and may stay empty: {names}."

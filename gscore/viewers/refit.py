@@ -95,7 +95,10 @@ def refit(
         adam.step()
         fall.step()
         if not math.isfinite(value):
-            raise GsError(f"The loss of step {step} of the refit is not finite.")
+            raise GsError(
+                f"Step {step} of the refit: the loss is not finite. Check the splats and photos, "
+                "or give fewer `--iterations`."
+            )
         on_step(step, value)
     found = {name: value.detach().numpy() for name, value in fitted.items()}
     return Splats(means=splats.means, quats=splats.quats, **found)

@@ -219,7 +219,7 @@ class TestMissing:
             _load(capture.root)
         message = str(caught.value)
         assert "8 of the 9 images" in message and "view_01.png" in message
-        assert "view_05.png, ..." in message and str(capture.root / "images") in message
+        assert "view_05.png and 3 more" in message and str(capture.root / "images") in message
         assert "--images" in message
 
     def test_folders(self, make_capture: Callable, tmp_path: Path) -> None:

@@ -7,12 +7,11 @@ from pathlib import Path
 import pytest
 
 import gscore
-from gscore.datasets.capture import listing
 from gscore.datasets.pku.cams import read_cam
 from gscore.errors import FormatError
 from gscore.io.colmap.binary import read_images
 from gscore.io.colmap.text import read_cameras
-from gscore.quoting import as_typed, brief, quoted
+from gscore.quoting import as_typed, brief, first_few, quoted
 
 PACKAGE = Path(gscore.__file__).parent
 LARGE = 50_000_000
@@ -48,7 +47,8 @@ def test_long_values_are_cut(value: object) -> None:
 def test_unprintable_text_is_replaced() -> None:
     """Oracle: text that UTF-8 can encode."""
     assert brief("a\0b\ud800").encode() == b"a?b?"
-    assert len(listing(["n" * 1000] * 9)) < 1100
+    assert len(first_few(["n" * 1000] * 9)) < 1100
+    assert first_few(["a", "b", "c"], 2) == "a, b and 1 more" and first_few(["a"]) == "a"
 
 
 def test_readers_repeat_no_megabytes(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from ...io.files import reason
 from ...io.lod_index import KIND
 from ...io.ply.splats import header_comments
 from ...json_text import parse_json
-from ...quoting import brief
+from ...quoting import brief, first_few
 from .status import wrapped
 
 _NAMELESS = (".spz", ".splat", ".usd", ".usda", ".usdc", ".usdz", ".bin")
@@ -114,12 +114,6 @@ def other_files(folder: Path, known: Collection[str]) -> str:
     with contextlib.suppress(OSError, ValueError):  # writing there reports the error
         names = sorted(p.name for p in folder.iterdir() if not p.name.startswith("."))
     return first_few([name for name in names if name not in known])
-
-
-def first_few(names: Sequence[str], most: int = 3) -> str:
-    """The first names for a message, and the count of the others; empty if there are none."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(brief(name) for name in names[:most]) + more
 
 
 _HEAD = 1 << 16

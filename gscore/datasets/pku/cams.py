@@ -12,10 +12,10 @@ from ...io.colmap.folder import has_model
 from ...io.colmap.model import ColmapCamera
 from ...io.files import read_bytes
 from ...io.images.read_image import read_info
-from ...quoting import brief, quoted
+from ...quoting import brief, first_few, quoted
 from ...scene import PointCloud
 from ...text_format import count_text
-from ..capture import Capture, View, listing
+from ..capture import Capture, View
 from ..colmap_source import read_colmap
 from ..poses import pinhole_camera, rigid_matrix
 from .photos import VIEW_FOLDER, camera_number, mattes, photo_folder_name, pictures_by_camera
@@ -154,14 +154,14 @@ def read_per_view(
     if 2 * len(missing) > total or not photos:
         raise DatasetError(
             f"Frame {frame} is missing in {len(missing)} of the {count_text(total, 'view')} in "
-            f"{path}: {listing(missing)}. Extract the frames of all videos."
+            f"{path}: {first_few(missing)}. Extract the frames of all videos."
         )
     names = {number: f"image_c_{number:03d}_f_{frame:06d}.png" for number in photos}
     capture = _with_cams(case, path, photos, names, soft)
     if not missing:
         return capture
     warning = f"Frame {frame} is missing in {len(missing)} of the {count_text(total, 'view')}: "
-    return replace(capture, warnings=(*capture.warnings, f"{warning}{listing(missing)}."))
+    return replace(capture, warnings=(*capture.warnings, f"{warning}{first_few(missing)}."))
 
 
 def _with_cams(
@@ -177,7 +177,7 @@ def _with_cams(
             f"{case / 'cams'} has {count_text(len(cams), 'camera')}, numbers {min(cams)} to "
             f"{max(cams)}, but "
             f"none for {len(without)} of the {count_text(len(photos), 'photo')} in {root}: "
-            f"{listing(without)}. "
+            f"{first_few(without)}. "
             f"Number the camera files as the photos, or use another layout of the data set."
         )
     warnings = []
@@ -185,7 +185,7 @@ def _with_cams(
     if unused:
         warnings.append(
             f"No photo belongs to {len(unused)} of the cameras in {case / 'cams'}: "
-            f"{listing(unused)}."
+            f"{first_few(unused)}."
         )
     views = []
     for number, photo in photos.items():

@@ -14,10 +14,10 @@ from ...config import DataConfig
 from ...errors import ConfigError, DatasetError, FormatError, GsError
 from ...io.images.read_image import read_info
 from ...io.npy import read_npy
-from ...quoting import brief
+from ...quoting import brief, first_few
 from ...scene import FARTHEST, PointCloud
 from ...text_format import count_text
-from ..capture import Capture, View, listing
+from ..capture import Capture, View
 from ..colmap_source import read_colmap
 from ..poses import pinhole_camera, rigid_matrix
 from ..rig import with_rig
@@ -49,7 +49,7 @@ def read_neus(
         raise DatasetError(
             f"{path / _FILE} has {count_text(len(projections), 'camera')}, {path / images} has "
             f"{len(photos)} "
-            f"numbered photos ({listing([photo.name for photo in photos.values()])}). Copy the "
+            f"numbered photos ({first_few([photo.name for photo in photos.values()])}). Copy the "
             f"frame again."
         )
     soft = mattes(path, images)

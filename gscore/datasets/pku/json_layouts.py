@@ -5,11 +5,11 @@ from typing import Any
 
 from ...config import DataConfig
 from ...errors import DatasetError, FormatError
-from ...quoting import quoted
+from ...quoting import first_few, quoted
 from ...scene import PointCloud
 from ...text_format import number
 from ...transforms import invert_rigid, viewmat_from_opengl
-from ..capture import Capture, View, listing
+from ..capture import Capture, View
 from ..poses import pinhole_camera, rigid_matrix
 from ..transforms_json import inside, load_transforms, views_of_file
 from .photos import PLAIN_FOLDERS
@@ -94,14 +94,14 @@ def _capture(
     if photos_required and 2 * len(missing) > total:
         raise DatasetError(
             f"{len(missing)} of the {number(total)} photos of {file} are missing in {root}: "
-            f"{listing(sorted(missing))}. Put them there, or choose another frame."
+            f"{first_few(sorted(missing))}. Put them there, or choose another frame."
         )
     warnings = []
     if missing:
         rest = f"; going on with the other {total - len(missing)}" if photos_required else ""
         warnings.append(
             f"{len(missing)} of the {number(total)} photos of {file} are missing in {root}: "
-            f"{listing(sorted(missing))}{rest}."
+            f"{first_few(sorted(missing))}{rest}."
         )
     kept = [v for name, v in views.items() if not (photos_required and name in missing)]
     return Capture(

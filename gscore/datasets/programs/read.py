@@ -15,10 +15,11 @@ from ...io.files import read_bytes
 from ...io.images.read_image import IMAGE_ENDINGS, read_info
 from ...io.npy import read_npy
 from ...io.ply.points import read_point_cloud
+from ...quoting import first_few
 from ...scene import PointCloud, camera_centers
 from ...text_format import count_text
 from ...transforms import invert_rigid
-from ..capture import Capture, View, listing, repeated
+from ..capture import Capture, View, repeated
 from ..folder import is_marked_mask, masks_by_photos, same_name
 from ..poses import rigid_matrix
 from . import metashape, realityscan
@@ -133,7 +134,7 @@ def read_program(
     warnings = (
         [
             f"{count_text(len(found.others), 'further camera file')} in {found.root} not read: "
-            f"{listing([path.name for path in found.others])}; {found.path.name} is."
+            f"{first_few([path.name for path in found.others])}; {found.path.name} is."
         ]
         if found.others
         else []
@@ -145,7 +146,9 @@ def read_program(
         if (view := _view(photos, shot, file, mask, photos_required)) is not None
     ]
     if twice := repeated([view.name for view in views]):
-        raise DatasetError(f"{found.path} has several cameras for {listing(twice)}. Export again.")
+        raise DatasetError(
+            f"{found.path} has several cameras for {first_few(twice)}. Export again."
+        )
     if any(shot.size is None for shot in listed.photos):
         warnings += _rotation_warnings(found, views)
     points, point_warnings = _points(found, listed.points, views)
@@ -169,7 +172,7 @@ def _missing_warnings(
     if not count or (photos_required and 2 * len(missing) > count):
         raise DatasetError(
             f"{len(missing)} of the {count_text(count, 'photo')} of {found.path} are missing in "
-            f"{photos.root}: {listing(missing)}. Put them there, or give their folder with "
+            f"{photos.root}: {first_few(missing)}. Put them there, or give their folder with "
             "`--images`."
         )
     if not missing:
@@ -177,7 +180,7 @@ def _missing_warnings(
     rest = f"; going on with the other {count - len(missing)}" if photos_required else ""
     return [
         f"{len(missing)} of the {count_text(count, 'photo')} of {found.path} are missing in "
-        f"{photos.root}: {listing(missing)}{rest}."
+        f"{photos.root}: {first_few(missing)}{rest}."
     ]
 
 
@@ -200,7 +203,7 @@ def _rotation_warnings(found: ProgramFile, views: list[View]) -> list[str]:
     if not turned:
         return []
     return [
-        f"EXIF rotates {count_text(len(turned), 'photo')} by 90 degrees ({listing(turned)}), but "
+        f"EXIF rotates {count_text(len(turned), 'photo')} by 90 degrees ({first_few(turned)}), but "
         f"{found.path} does not state whether its cameras include the rotation; they are used as "
         "stored. If that is wrong, save the photos rotated, and align them again."
     ]
@@ -236,8 +239,8 @@ class _Photos:
         best = [other for other, n in zip(found, shared, strict=True) if n == max(shared)]
         if len(best) > 1:
             raise DatasetError(
-                f"{of} lists the photo {name}, which may be any of {listing(best)} in {self.root}. "
-                "Give the photos different names, and export the cameras again."
+                f"{of} lists the photo {name}, which may be any of {first_few(best)} in "
+                f"{self.root}. Give the photos different names, and export the cameras again."
             )
         return self.root / best[0]
 

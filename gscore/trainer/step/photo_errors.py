@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...quoting import brief
+from ...quoting import brief, first_few
 from ...robust import SIGMA_PER_MEDIAN
 from ...text_format import count_text
 
@@ -18,7 +18,6 @@ _FAR, _DEVIATIONS = 5.0, 5.0
 deviation. Two of plush's 59 photos are, by 13 and 15 dB, of horse's and southbuilding's none."""
 _MOST_SHARE = 0.1
 """Share of the photos above which there is no usual one to compare with."""
-_NAMED = 3
 
 
 class PhotoErrors:
@@ -53,11 +52,10 @@ class PhotoErrors:
         worst = order[: int((psnr < middle - max(_FAR, _DEVIATIONS * spread)).sum())]
         if not 0 < len(worst) <= max(_MOST_SHARE * count, 1):
             return ""
-        named = [f"{brief(names[train[int(i)]])} ({psnr[i]:.1f} dB)" for i in worst[:_NAMED]]
-        more = " and others" if len(worst) > _NAMED else ""
+        named = [f"{brief(names[train[int(i)]])} ({psnr[i]:.1f} dB)" for i in worst]
         fits = count_text(len(worst), "training photo fits", "training photos fit")
         return (
             f"{fits} far worse than the others, whose median is {middle:.1f} dB: "
-            f"{', '.join(named)}{more}. Blur, a wrong camera, other light or something that moved "
+            f"{first_few(named, 3)}. Blur, a wrong camera, other light or something that moved "
             "harms the model; training without may be better."
         )
