@@ -1,6 +1,8 @@
 """`gscore train`: training with the option names of 3DGS, and its results."""
 
 import argparse
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -8,11 +10,17 @@ from typing import TYPE_CHECKING
 
 from ..config import DataConfig, TrainConfig
 from ..control import Control
+from ..errors import ConfigError, DatasetError
 from ..events import CONVERGED, ENDED, FINISHED, TARGET, Show, Warn
 from ..io.output_paths import check_output_path
-from ..io.runs import other_files_in_run
+from ..io.runs import CAPTURE, other_files_in_run
+from ..io.unsupported_formats import describe_unsupported
 from ..presets import RECIPES
-from ..quoting import as_typed
+from ..quoting import as_typed, first_few
+from ..sfm import SearchRequest, find_cameras
+from ..sfm.output_path import has_no_cameras
+from ..sfm.photos import check_no_cameras_above, photos_of, same_photos
+from ..sfm.staging import frames_request, is_staged, of_frames, photos_from, stage_photos
 from ..text_format import (
     colour_text,
     count_text,
@@ -24,6 +32,7 @@ from ..text_format import (
     views_text,
     worst_view_text,
 )
+from ..video import extract_frames, is_video
 from .args.data_options import add_data_options
 from .args.option_names_3dgs import add_3dgs_names
 from .args.run_options import Set, declare
@@ -32,24 +41,13 @@ from .args.viewer_options import add_live_options, check_live_options, viewer_cl
 from .block_runs import train_blocks, wants_blocks
 from .parser import add_option
 from .terminal.interrupt import under_torchrun
-from .terminal.output import check_folder, first_few
+from .terminal.output import check_folder
 from .terminal.run_job import STOPPED, add_output_options, run_verb
 from .torchrun import agent, train_distributed
 
 if TYPE_CHECKING:  # training imports torch, which takes seconds to load and would delay --help
     from ..trainer.distributed.process_group import ProcessGroup
     from ..trainer.files.run_result import TrainResult
-from collections.abc import Callable
-from dataclasses import replace
-
-from ..errors import ConfigError, DatasetError
-from ..io.runs import CAPTURE
-from ..io.unsupported_formats import describe_unsupported
-from ..sfm import SearchRequest, find_cameras
-from ..sfm.output_path import has_no_cameras
-from ..sfm.photos import check_no_cameras_above, photos_of, same_photos
-from ..sfm.staging import frames_request, is_staged, of_frames, photos_from, stage_photos
-from ..video import extract_frames, is_video
 
 _FOUND = ("source", "images", "masks", "invert_masks")
 """Options that change where the cameras were found first."""
