@@ -49,33 +49,8 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
             f"There is no image folder {root}. Give the folder of both the photos and the model, "
             f"and the name of the photo folder in it with `--images`."
         )
-    folder = Folder(root)
-    files = folder.find_images(names)
-    warnings = [*model.warnings, *search_warnings(config.source, len(names))]
-    missing = [name for name, file in zip(names, files, strict=True) if file is None]
-    if photos_required and 2 * len(missing) > len(names):
-        raise DatasetError(
-            f"{len(missing)} of the {count_text(len(names), 'image')} of the model in "
-            f"{model.path} are missing "
-            f"in {root} ({count_text(len(folder), 'image')} there): {first_few(missing)}. Give the "
-            "folder of the photos that COLMAP was run on with `--images`."
-        )
-    if missing:
-        rest = f"; going on with the other {len(names) - len(missing)}" if photos_required else ""
-        warnings.append(
-            f"{len(missing)} of the {count_text(len(names), 'image')} of the model are missing "
-            f"in {root}: {first_few(missing)}{rest}."
-        )
-    renamed = [
-        f"{name} -> {file.relative_to(root).as_posix()}"
-        for name, file in zip(names, files, strict=True)
-        if file is not None and file != root / name
-    ]
-    if renamed:
-        warnings.append(
-            f"{count_text(len(renamed), 'image is', 'images are')} named differently in {root}; "
-            f"used: {first_few(renamed, 3)}."
-        )
+    files, warnings = _photo_files(model, names, root, required=photos_required)
+    warnings = [*model.warnings, *search_warnings(config.source, len(names)), *warnings]
     seen = _observed(model)
     points = PointCloud(points=model.points.xyz, colors=model.points.rgb)
     views = [
@@ -101,6 +76,41 @@ def read_colmap(config: DataConfig, *, photos_required: bool = True) -> Capture:
         masks_are=block.masks_are if block else "",
         warnings=tuple(warnings),
     )
+
+
+def _photo_files(
+    model: ColmapModel, names: list[str], root: Path, *, required: bool
+) -> tuple[list[Path | None], list[str]]:
+    """The photo of each image of the model in `root`, None where it is missing, and messages.
+
+    Raises:
+        DatasetError: most photos are missing, and `required`.
+    """
+    folder = Folder(root)
+    files = folder.find_images(names)
+    missing = [name for name, file in zip(names, files, strict=True) if file is None]
+    count = f"{len(missing)} of the {count_text(len(names), 'image')} of the model"
+    if required and 2 * len(missing) > len(names):
+        raise DatasetError(
+            f"{count} in {model.path} are missing in {root} ({count_text(len(folder), 'image')} "
+            f"there): {first_few(missing)}. Give the folder of the photos that COLMAP was run on "
+            "with `--images`."
+        )
+    warnings = []
+    if missing:
+        rest = f"; going on with the other {len(names) - len(missing)}" if required else ""
+        warnings.append(f"{count} are missing in {root}: {first_few(missing)}{rest}.")
+    renamed = [
+        f"{name} -> {file.relative_to(root).as_posix()}"
+        for name, file in zip(names, files, strict=True)
+        if file is not None and file != root / name
+    ]
+    if renamed:
+        warnings.append(
+            f"{count_text(len(renamed), 'image is', 'images are')} named differently in {root}; "
+            f"used: {first_few(renamed, 3)}."
+        )
+    return files, warnings
 
 
 def _photo_root(config: DataConfig, names: list[str]) -> Path:

@@ -112,7 +112,7 @@ def train(
 
 
 def _width_of(output: Path) -> int | None:
-    """The width limit of the run in a folder, which tells the presets of CPU and cards apart; None:
+    """The width limit of the run in a folder, by which the presets of CPU and cards differ; None:
     no config.json can be read."""
     try:
         return load_config(output / "config.json")[0].max_width
@@ -234,7 +234,7 @@ def _open_engine(
     config = start.config
     how = {
         "report": once_a_device(lambda text: emit(Warn(message=f"{text}.", code=DEVICE))),
-        "cancel": lambda: bool(control.stop_reason),
+        "cancel": lambda: control.stopping,
     }
     if config.device != "auto":
         engine, note = open_engine(config.device, threads=config.threads, **how)

@@ -429,18 +429,9 @@ class Session:
             interrupted=lambda: self._control.stopping,
         )
 
-    def _finish(self) -> TrainResult:
-        with self._checkpoint_on_error():
-            self._observe(self._trainer.read_all)
-        if self._has_diverged:
-            self._rescue()
-        trainer, reason = self._trainer, self._steering.reason
-        if trainer.group:
-            trainer.collect()
-            if reason:  # workers of a stopped run receive its exit code later
-                trainer.group.shutdown()
-        finished, reason = bool(reason), reason or self._control.stop_reason
-        self._run_control_commands()  # a snapshot requested just before the stop
+    def _warn_of_result(self) -> None:
+        """Emit warnings about the training as a whole: splats removed near cameras, outliers."""
+        trainer = self._trainer
         cleared = trainer.pruner.around.count
         if cleared > _MANY_CLEARED * trainer.models.trained_count:
             self.warn(
@@ -452,6 +443,21 @@ class Session:
         names, train = trainer.photos.scene.cameras.names, list(trainer.photos.train)
         if worse := trainer.photo_errors.outliers(names, train, trainer.steps):
             self.warn(worse, "photos")
+
+    def _finish(self) -> TrainResult:
+        """Write the results and evaluate; returns the result of the run."""
+        with self._checkpoint_on_error():
+            self._observe(self._trainer.read_all)
+        if self._has_diverged:
+            self._rescue()
+        trainer, reason = self._trainer, self._steering.reason
+        if trainer.group:
+            trainer.collect()
+            if reason:  # workers of a stopped run receive its exit code later
+                trainer.group.shutdown()
+        finished, reason = bool(reason), reason or self._control.stop_reason
+        self._run_control_commands()  # a snapshot requested just before the stop
+        self._warn_of_result()
         with self._checkpoint_on_error():
             self._checkpoint(keep=1 if finished else _CHECKPOINTS_KEPT, finished=finished)
         splats = trainer.finish()
