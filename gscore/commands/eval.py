@@ -21,15 +21,13 @@ from ..io.metrics_file import metrics_problem, read_metrics
 from ..io.output_paths import check_output_path
 from ..io.ply.comments import near_comment, stated_near
 from ..io.region_file import read_region
-from ..metrics import Course, Evaluation, Metrics, evaluate, find_lpips, headline, lpips_warnings
-from ..metrics.coverage import coverage, state_coverage
+from ..metrics import Course, Metrics, evaluate, find_lpips, headline, lpips_warnings
 from ..metrics.photo_mismatch import photo_mismatch_warnings
 from ..metrics.photo_renders import PhotoRenders
 from ..metrics.splat_errors import SplatErrors
-from ..metrics.trust import trust_between, trust_figures
+from ..metrics.trust import state_reach
 from ..quoting import as_typed, brief
 from ..raster import native_library
-from ..raster.gpu.choice import Chosen
 from ..raster.request import Frustum
 from ..report import PictureCollector, cameras_section, splat_histograms, write_results
 from ..report.colormap import brightest, error_map
@@ -150,7 +148,9 @@ def _measure(args: argparse.Namespace, show: Show, control: Control) -> tuple[di
         background=model.background,
         on_view=_OnView(model, views, pictures, errors, show, control),
     )
-    _state_trust(evaluation, model, views, device, threads=args.threads)
+    how = {"near": model.near, "antialias": model.antialias, "threads": args.threads}
+    renders = PhotoRenders(model.splats, views.cameras, device=device, **how)
+    state_reach(evaluation, renders, dataset, split=views.split, foreign=views.foreign)
     warnings += photo_mismatch_warnings(
         headline_psnr(evaluation.mean), f"The splats of {brief(str(model.path))}"
     )
@@ -266,25 +266,6 @@ def _measured_views(
         foreign=bool(foreign),
         notes=notes,
     )
-
-
-def _state_trust(
-    evaluation: Evaluation,
-    model: ModelArgument,
-    views: _MeasuredViews,
-    device: Chosen,
-    *,
-    threads: int,
-) -> None:
-    """Add to an evaluation how far its figures hold: coverage of the test views, and agreement with
-    photos between the training views."""
-    how = {"near": model.near, "antialias": model.antialias, "threads": threads}
-    renders = PhotoRenders(model.splats, views.cameras, device=device, **how)
-    if views.split == "test":
-        state_coverage(evaluation, coverage(renders, views.dataset))
-    # Backgrounds alike in all views, of masks or of another scene, confirm any model.
-    if views.dataset.mask_mode != "composite" and not views.foreign:
-        evaluation.mean.update(trust_figures(trust_between(renders, views.dataset.train)))
 
 
 def _show_phase(show: Show, what: str) -> None:

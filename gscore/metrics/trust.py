@@ -9,7 +9,10 @@ import numpy as np
 
 from ..camera_neighbours import LARGEST_TURN, pairs_with_views_between
 from ..raster.request import Frustum
+from ..sampling import evenly_spaced
 from ..scene import Cameras, camera_centers
+from .coverage import coverage, state_coverage
+from .evaluate import Evaluation
 from .photo_renders import PhotoRenders, Warped
 
 _SIDE = 64
@@ -40,13 +43,12 @@ def trust_between(renders: PhotoRenders, train: Sequence[int]) -> list[dict[str,
     if len(train) < 2:
         return []
     pairs = list(pairs_with_views_between(cameras, train))
-    chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), _MOST_VIEWS)).round().astype(int)
     return [
         {
             "between": [cameras.names[a], cameras.names[b]],
             "trust": trust(renders, train, _halfway(renders, a, b)),
         }
-        for a, b in (pairs[i] for i in chosen)
+        for a, b in evenly_spaced(pairs, _MOST_VIEWS)
     ]
 
 
@@ -90,6 +92,31 @@ def trust_figures(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "trust_median": median(each["trust"] for each in found),
         "trust_lowest": dict(min(found, key=lambda each: each["trust"])),
     }
+
+
+def state_reach(
+    evaluation: Evaluation,
+    renders: PhotoRenders,
+    photos: Any,
+    *,
+    split: str,
+    foreign: bool = False,
+) -> None:
+    """Add to an evaluation what holds for other views than the measured ones: which test views the
+    training photos cover, and the trust in the views between these.
+
+    Args:
+        evaluation: The metrics, changed in place.
+        renders: Renders of the training photos.
+        photos: Dataset with `train`, `test`, `mask_mode` and `mask(i)`.
+        split: The measured views: test, train or all.
+        foreign: Whether the photos are not those of the training.
+    """
+    if split == "test":
+        state_coverage(evaluation, coverage(renders, photos))
+    # Backgrounds alike in all views, of masks or of another scene, confirm any model.
+    if photos.mask_mode != "composite" and not foreign:
+        evaluation.mean.update(trust_figures(trust_between(renders, photos.train)))
 
 
 def _shown(warped: Warped, count: int) -> tuple[np.ndarray, np.ndarray]:

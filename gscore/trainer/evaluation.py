@@ -8,13 +8,12 @@ import numpy as np
 
 from ..errors import Cancelled
 from ..metrics import Evaluation, Lpips, LpipsNet, evaluate
-from ..metrics.coverage import coverage, state_coverage
 from ..metrics.image import psnr
 from ..metrics.photo_renders import PhotoRenders
-from ..metrics.trust import trust_between, trust_figures
+from ..metrics.trust import state_reach
 from ..report import PictureCollector
+from ..sampling import evenly_spaced
 from ..splats import Splats
-from .photos.view_sampler import evenly_spaced
 from .trainer import Trainer
 
 _TRAIN_VIEWS_SHOWN = 8
@@ -89,11 +88,10 @@ class Evaluator:
         return found
 
     def state_reach(self, found: Evaluation, splats: Splats) -> None:
-        """Add to the final evaluation what the training photos tell about other views: which of the
-        held-out ones they cover, and the trust in those between them.
+        """Add what holds for other views than the measured ones, see `metrics.trust.state_reach`.
 
         Args:
-            found: The metrics, changed in place.
+            found: The metrics of the final splats, changed in place.
             splats: The final splats.
         """
         trainer = self._trainer
@@ -105,10 +103,7 @@ class Evaluator:
             antialias=trainer.config.antialias,
             threads=trainer.config.threads,
         )
-        if self.split == "test":
-            state_coverage(found, coverage(renders, photos))
-        if photos.mask_mode != "composite":  # a background alike in all views confirms any model
-            found.mean.update(trust_figures(trust_between(renders, photos.train)))
+        state_reach(found, renders, photos, split=self.split)
 
     @property
     def _aligns(self) -> bool:
