@@ -28,6 +28,7 @@ BOTTOM = {
     "photo_exposure",
     "presets",
     "robust",
+    "sampling",
     "choices",
     "config",
     "config_command",

@@ -184,11 +184,11 @@ def _measured(
     show: Show,
     control: Control,
 ) -> dict[str, Any]:
-    from ..viewers.measure import evenly_spaced, measured
+    from ..viewers.measure import measured, strided
     from ..viewers.refit import tensors_of
 
     split, indices = views_of(None, dataset)
-    indices = evenly_spaced(indices, args.views)
+    indices = strided(indices, args.views)
     viewers = [*VIEWERS.values()] if args.all_viewers else [rules]
     total = 2 * len(viewers) * len(indices)
     how = {"threads": args.threads, "mask_mode": dataset.mask_mode}

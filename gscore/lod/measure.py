@@ -12,6 +12,7 @@ from ..io.lod_file import LodFile, lod_chunks_of
 from ..io.lod_index import CHILDREN, LodIndex, LodLevel
 from ..raster.api import render
 from ..raster.gpu.choice import CPU, Chosen
+from ..sampling import evenly_spaced
 from ..splats import Splats
 
 _CHUNKS = 4
@@ -54,7 +55,7 @@ def _level_psnr(file: LodFile, level: int, against: int, device: Chosen) -> floa
     """PSNR over some chunks, dB; None if none of them has an error or covers pixels."""
     total = pixels = 0.0
     count = len(file.index.levels[level].counts)
-    for chunk in np.unique(np.linspace(0, count - 1, _CHUNKS).round().astype(int)).tolist():
+    for chunk in evenly_spaced(range(count), _CHUNKS):
         share = CHILDREN ** (level - against)
         fine = [
             Splats(**file.chunk(against, one)) for one in range(chunk * share, (chunk + 1) * share)

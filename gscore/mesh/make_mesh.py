@@ -18,6 +18,7 @@ from ..extras import need
 from ..io.system_memory import available_memory_bytes
 from ..quoting import quoted
 from ..raster.api import Rendered, render_camera
+from ..sampling import evenly_spaced
 from ..scene import Cameras
 from ..splats import Splats
 from ..text_format import size_text
@@ -146,7 +147,7 @@ def make_mesh(
     threads: int = 0,
     **how: Any,
 ) -> SurfaceMesh:
-    """The surface that cameras see of splats, as triangles with colours.
+    """The surface of splats in the pictures of cameras, as triangles with colours.
 
     Median depths and normals of the cameras are fused into truncated signed distances (Curless and
     Levoy 1996), whose zero level is contoured (Lorensen and Cline 1987; Lewiner et al. 2003).
@@ -171,7 +172,7 @@ def make_mesh(
         BackendError: a package is missing, or the device cannot draw.
         Cancelled: `cancelled` returned True.
         ConfigError: the volume does not fit into memory.
-        DatasetError: there are no cameras, or they see no surface.
+        DatasetError: there are no cameras, or no surface in their pictures.
     """
     request = request or MeshRequest()
     need("skimage.measure", PURPOSE)
@@ -290,8 +291,7 @@ def _measured(
     steps: _Steps,
 ) -> tuple[_Scale, np.ndarray]:
     """The scale, and points [P, 3] of the surfaces in some views, at any depth."""
-    count = len(draw.cameras)
-    chosen = sorted({round(i) for i in np.linspace(0, count - 1, min(_SAMPLED, count))})
+    chosen = evenly_spaced(range(len(draw.cameras)), _SAMPLED)
     depths, widths, points = [], [], []
     for index in steps.count("measuring", chosen):
         K, depth = draw.coarse(index)

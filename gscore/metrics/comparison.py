@@ -203,8 +203,8 @@ def _warnings(runs: Sequence[ComparedRun], names: Sequence[str], *, lpips: bool)
             + ": a run that was trained on a photo has the advantage there."
         )
     for run in runs:
-        asked = 0 if run.options.get("time_budget") else run.options.get("iterations") or 0
-        if stopped := stopped_text(run.metrics, asked):
+        requested = 0 if run.options.get("time_budget") else run.options.get("iterations") or 0
+        if stopped := stopped_text(run.metrics, requested):
             found.append(f"{run.label} was {stopped}: its metrics are of an incomplete training.")
     nets = [run.metrics.get("lpips_net") for run in runs]
     if not lpips and all(nets):

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..raster.request import Frustum
+from ..sampling import evenly_spaced
 from .evaluate import Evaluation
 from .photo_renders import PhotoRenders
 
@@ -64,8 +65,7 @@ def coverage(renders: PhotoRenders, photos: Any) -> dict[str, float]:
         Shares in [0, 1]; 1 for a view without pixels that count.
     """
     cameras, train = renders.cameras, list(photos.train)
-    places = np.linspace(0, len(train) - 1, min(len(train), _MOST_PHOTOS)).round().astype(int)
-    used = np.array(train)[places]
+    used = np.array(evenly_spaced(train, _MOST_PHOTOS))
     shares = {}
     for index in photos.test:
         view = renders.frustum(index, _CELLS)

@@ -72,7 +72,7 @@ def measured(
     return {"psnr": headline_psnr(scored.mean)}, found
 
 
-def evenly_spaced(indices: list[int], count: int) -> list[int]:
-    """At most `count` of the indices, from the first, at even distances."""
+def strided(indices: list[int], count: int) -> list[int]:
+    """At most `count` of the indices, from the first on, with a constant stride."""
     step = max(1, -(-len(indices) // max(count, 1)))
     return indices[::step]

@@ -10,6 +10,7 @@ from ...edit.pipeline import EditViews
 from ...io.images.png import SIGNED, write_png
 from ...metrics.image import psnr
 from ...raster.api import Rendered, render_camera
+from ...sampling import evenly_spaced
 from ...scene import Cameras
 from ...splats import Splats
 from ..terminal.status import Counted, Status
@@ -44,9 +45,8 @@ def picture_loss(
 ) -> PictureLoss:
     """Difference of pictures, clamped to [0, 1], over black, in at most `most` even views."""
     cameras = views.cameras
-    count = min(most, len(cameras))
-    chosen = np.linspace(0, len(cameras) - 1, count).round().astype(int).tolist()
-    progress = Counted(status, count, "view")
+    chosen = evenly_spaced(range(len(cameras)), most)
+    progress = Counted(status, len(chosen), "view")
     found: dict[str, float] = {}
     for done, i in enumerate(chosen, start=1):
         pictures = [_picture(splats, cameras, i, views) for splats in (after, before)]

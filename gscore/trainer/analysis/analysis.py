@@ -1,4 +1,4 @@
-"""Analysis: all that a training knows about its capture and its start before the first step."""
+"""Analysis: facts about a capture, and the start of its training, before the first step."""
 
 from dataclasses import dataclass, field
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from ...report.depth import DepthPictures, DepthSection, depth_errors
-from ..photos.view_sampler import Photos, evenly_spaced
+from ...sampling import evenly_spaced
+from ..photos.view_sampler import Photos
 from .setup import DepthSetup
 
 _MOST_VIEWS = 24

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from ...config import Stereo, TrainConfig
 from ...datasets import Dataset
 from ...events import Decision
+from ...sampling import evenly_spaced
 from ...scene import PointCloud
 from ...stereo import dense_points, stereo_maps
 from ...text_format import count_text, number
-from ..photos.view_sampler import evenly_spaced
 from ..schedule.caps import max_stereo_points
 
 _MOST_VIEWS = 120

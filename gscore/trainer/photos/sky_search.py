@@ -15,10 +15,11 @@ from PIL import Image
 
 from ...config import Switch, TrainConfig
 from ...events import Decision
+from ...sampling import evenly_spaced
 from ...scene import Cameras, PointCloud
 from ...text_format import count_text, number
 from ...upright import up_of
-from .view_sampler import Photos, evenly_spaced
+from .view_sampler import Photos
 
 _MOST_PHOTOS = 120
 """Most photos divided into cells, evenly spaced."""

@@ -55,13 +55,6 @@ def training_camera(
     return Frustum(viewmat.astype(np.float32), K.astype(np.float32), width, height, near)
 
 
-def evenly_spaced(indices: Sequence[int], most: int) -> list[int]:
-    """Return at most `most` evenly spaced elements of `indices`."""
-    if len(indices) <= most:
-        return list(indices)
-    return [indices[i] for i in np.linspace(0, len(indices) - 1, most).round().astype(int)]
-
-
 def mixed(indices: Sequence[int], most: int) -> list[int]:
     """Return at most `most` elements of `indices` from all parts, ascending. Their stride has no
     small factor, so that of photos bracketed by exposure, which repeat every few, all kinds are

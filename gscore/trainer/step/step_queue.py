@@ -1,4 +1,4 @@
-"""Step queue: steps that an engine was asked for, whose results are read in their order later."""
+"""Step queue: steps requested of an engine, whose results are read later, in their order."""
 
 import math
 from collections import deque

@@ -12,6 +12,7 @@ from ...engine.cpu.pace import COST
 from ...events import CONVERGED, FINISHED, TARGET
 from ...metrics.evaluate import target_picture
 from ...metrics.image import psnr
+from ...sampling import evenly_spaced
 from ..estimate.cost import Cost
 from ..evaluation import Evaluator
 from ..model.checkpoint_schema import as_int, as_measurements
@@ -40,9 +41,7 @@ class StoppingCriteria:
         self._config = config
         self._trainer = trainer
         self._evaluator = evaluator
-        count = min(len(evaluator.indices), _VIEWS)
-        places = np.linspace(0, len(evaluator.indices) - 1, count).round().astype(int)
-        self._views = [evaluator.indices[i] for i in places]
+        self._views = evenly_spaced(evaluator.indices, _VIEWS)
         self._measured: list[tuple[int, float]] = []
         """Step and PSNR, dB, of each measurement."""
         self.length = 0

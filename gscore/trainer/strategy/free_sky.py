@@ -8,10 +8,10 @@ import numpy as np
 import torch
 
 from ...raster.memory import zeros
+from ...sampling import evenly_spaced
 from ...scene import Cameras
 from ..photos.sky import BEYOND
 from ..photos.sky_search import Sky
-from ..photos.view_sampler import evenly_spaced
 
 _FEWEST = 2
 """Least photos whose sky a splat covers, as single ones may be wrong."""

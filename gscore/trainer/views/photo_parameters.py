@@ -14,8 +14,8 @@ from .photo_gains import HeldOutGains, PhotoGains, as_gain
 from .photo_poses import PhotoPoses, PoseCheck
 
 _START, _STOP = 0.1, 0.8
-"""Shares of the run between which poses are refined: before, splats are too coarse to tell; at the
-end they adapt to the final poses."""
+"""Shares of the run between which poses are refined: before, the splats are too coarse; at the end
+they adapt to the final poses."""
 
 
 @dataclass(eq=False)
