@@ -18,6 +18,7 @@ from ..page.page import Page, PageCamera, most_splats, write_page
 from ..quoting import quoted
 from ..raster.api import render
 from ..report.html_parts import PAGE, link_page
+from ..report.pictures import size_within
 from ..splats import Splats
 from ..text_format import count_text, number, size_text
 from .args.device_option import add_device_option, device_of
@@ -198,11 +199,10 @@ def difference(
     }
 
 
-def _drawn(model: ModelArgument, splats: Splats, camera: PageCamera, threads: int) -> Any:
+def _drawn(model: ModelArgument, splats: Splats, camera: PageCamera, threads: int) -> np.ndarray:
     """[H, W, 3] float64 in [0, 1]."""
     old = camera.width, camera.height
-    scale = min(1.0, _WIDEST / max(old))
-    size = max(1, round(old[0] * scale)), max(1, round(old[1] * scale))
+    size = size_within(*old, _WIDEST)
     K = scale_intrinsics(camera.K, old, size)
     options = {"background": model.background, "near": model.near, "antialias": model.antialias}
     options |= {"device": model.device, "keep": True}

@@ -46,6 +46,11 @@ def target_size(width: int, height: int, resolution: float, *, max_width: int) -
         factor = float(resolution)
     else:
         factor = max(1.0, width / resolution)
+    return divided_size(width, height, factor)
+
+
+def divided_size(width: int, height: int, factor: float) -> tuple[int, int]:
+    """Size in pixels with the sides divided by `factor`, at least 1 x 1."""
     return max(1, round(width / factor)), max(1, round(height / factor))
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..datasets import Dataset
 from ..datasets.decode import ViewFile
+from ..datasets.resolution import divided_size
 from ..depth.fit import Fit
 from ..depth.maps import CONFIDENCE, PNG_UNIT, MapFolder, stem
 from ..depth.origin import STEREO_RECORD, read_record, write_record
@@ -94,7 +95,7 @@ def _as_taken(file: ViewFile, one: StereoMap) -> tuple[np.ndarray, np.ndarray]:
     height, width = one.inverse_depth.shape
     factor = max(file.plan.width / width, 1.0)
     camera = file.plan.camera
-    size = max(1, round(camera.width / factor)), max(1, round(camera.height / factor))
+    size = divided_size(camera.width, camera.height, factor)
     x, y = np.meshgrid(
         (np.arange(size[0]) + 0.5) * (camera.width / size[0]),
         (np.arange(size[1]) + 0.5) * (camera.height / size[1]),

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..datasets import Dataset
 from ..datasets.dataset import map_threads
-from ..datasets.resolution import scale_intrinsics
+from ..datasets.resolution import divided_size, scale_intrinsics
 from ..depth.observations import point_visibility
 from ..io.images.read_image import resize
 from ..raster.stereo_depth import Checked, StereoView, SweepResult, check, sweep
@@ -49,8 +49,7 @@ def small_photo(dataset: Dataset, index: int, *, side: int, rim: int) -> SmallPh
         mask = None
     cameras = dataset.scene.cameras
     old = int(cameras.widths[index]), int(cameras.heights[index])
-    factor = max(1.0, max(old) / side)
-    new = max(1, round(old[0] / factor)), max(1, round(old[1] / factor))
+    new = divided_size(*old, max(1.0, max(old) / side))
     image = resize(image, *new)
     grey = (image.astype(np.float32) @ _GREY + np.float32(0.5)).astype(np.uint8)
     counts = None

@@ -3,6 +3,7 @@
 import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,7 @@ class RunOutputs:
         text = ", ".join(f"{name}={value!r}" for name, value in arguments.items())
         folder.write_text("cfg_args", f"Namespace({text})")
 
-    def write_splats(self, path: Any) -> None:
+    def write_splats(self, path: Path) -> None:
         """Write the current splats in COLMAP world units."""
         trainer = self.trainer
         # Viewers that know this comment compensate opacities as in training.
@@ -81,7 +82,7 @@ class RunOutputs:
             comments=comments,
         )
 
-    def write_snapshot(self) -> Any:
+    def write_snapshot(self) -> Path:
         """Write the current splats for a front end; the last two files are kept."""
         path = self.folder.snapshot(self.trainer.steps)
         self.write_splats(path)
@@ -89,7 +90,7 @@ class RunOutputs:
             old.unlink(missing_ok=True)
         return path
 
-    def write_preview(self, picture: np.ndarray) -> Any:
+    def write_preview(self, picture: np.ndarray) -> Path:
         """Write a rendered image, [H, W, 3] float, as a preview."""
         path = self.folder.preview(self.trainer.steps)
         write_png(path, as_uint8(picture))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...datasets.resolution import scale_intrinsics
+from ...datasets.resolution import divided_size, scale_intrinsics
 from ...engine.base import StepPhoto
 from ...io.images.read_image import resize
 from ...metrics.machine import cores
@@ -119,7 +119,7 @@ class ImagePyramid:
         rounded size."""
         cameras = self._cameras
         old = int(cameras.widths[index]), int(cameras.heights[index])
-        new = max(1, round(old[0] / factor)), max(1, round(old[1] / factor))
+        new = divided_size(*old, factor)
         K = scale_intrinsics(cameras.Ks[index], old, new) if new != old else cameras.Ks[index]
         return training_camera(cameras.viewmats[index], K, *new, self._near)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from ...engine.base import CostModel
 from ...engine.cpu.pace import COST
-from ...events import Progress
+from ...events import Progress, finite
 from ..estimate.cost import Cost
 from ..model.checkpoint_schema import as_float, as_int, as_records
 from ..schedule.plan import Plan
@@ -106,7 +106,7 @@ class ProgressMeter:
         if step // every > (step - photos) // every or step == self.plan.iterations:
             if len(self.history) % _ROWS_A_FIT == 0:
                 self._fit_memory()
-            row = {key: _finite(value) for key, value in self._figures().items()}
+            row = finite(self._figures())
             self.history.append(row | {"photo_factor": photo_factor})
 
     @property
@@ -192,7 +192,3 @@ class ProgressMeter:
         self._step = as_int("step", state.get("step", 0))
         self._splats = as_int("splats", state.get("splats", self._splats))
         self._expect(as_float("pace", state.get("pace", self.pace), low=0))
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
