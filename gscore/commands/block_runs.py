@@ -10,7 +10,6 @@ from ..io.runs import checkpoints_in, results_in
 from ..quoting import brief
 from ..text_format import count_text
 from .args.train_request import TrainRequest
-from .terminal.interrupt import under_torchrun
 from .torchrun import agent, train_distributed, train_in_turn
 
 if TYPE_CHECKING:
@@ -35,11 +34,9 @@ def train_blocks(request: TrainRequest, lead: Lead) -> int:
         DatasetError: there are no blocks.
     """
     if request.block is None:
-        if under_torchrun():
-            return train_in_turn(request, lambda request, group: _all(request, lead, group))
-        return _all(request, lead, None)
+        return train_in_turn(request, lambda request, group: _all(request, lead, group))
     one = _one(request, _found(request, [request.block])[0], resume=request.resume)
-    return train_distributed(one, lead) if under_torchrun() else lead(one, None)
+    return train_distributed(one, lead)
 
 
 def _all(request: TrainRequest, lead: Lead, group: "ProcessGroup | None") -> int:

@@ -17,7 +17,6 @@ from . import train as train_command
 from .args.run_options import declare, passed_options
 from .args.train_request import TrainRequest
 from .args.viewer_options import viewer_clients_of
-from .terminal.interrupt import under_torchrun
 from .terminal.output import check_folder, other_files
 from .terminal.run_job import run_verb
 from .torchrun import agent, train_in_turn
@@ -62,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     def work(request: TrainRequest, group: "ProcessGroup | None") -> int:
         return _run(request, options, group)
 
-    return train_in_turn(request, work) if under_torchrun() else work(request, None)
+    return train_in_turn(request, work)
 
 
 def _run(request: TrainRequest, given: dict[str, Any], group: "ProcessGroup | None") -> int:

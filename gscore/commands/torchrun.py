@@ -27,12 +27,14 @@ _OWN = {
 def train_distributed(
     request: TrainRequest, lead: Callable[[TrainRequest, "ProcessGroup | None"], int]
 ) -> int:
-    """Run as the rank of the environment; returns the exit code.
+    """Run as the rank of the environment, or alone without torchrun; returns the exit code.
 
     Args:
         request: What to train.
         lead: Trains, as rank 0 of a process group or alone.
     """
+    if not under_torchrun():
+        return lead(request, None)
     from ..trainer.distributed.process_group import (
         ProcessGroup,
         restarted,
@@ -55,12 +57,15 @@ def train_distributed(
 def train_in_turn(
     request: TrainRequest, work: Callable[[TrainRequest, "ProcessGroup | None"], int]
 ) -> int:
-    """Share work whose pieces each run on one rank; returns the exit code.
+    """Share work whose pieces each run on one rank, or do it alone without torchrun; returns the
+    exit code.
 
     Args:
         request: What to train.
-        work: Does the pieces of this rank; the request of ranks other than 0 are quiet.
+        work: Does the pieces of this rank; the requests of ranks other than 0 are quiet.
     """
+    if not under_torchrun():
+        return work(request, None)
     from ..trainer.distributed.process_group import (
         ProcessGroup,
         RankLostError,

@@ -40,7 +40,6 @@ from .args.train_request import TrainRequest
 from .args.viewer_options import add_live_options, check_live_options, viewer_clients_of
 from .block_runs import train_blocks, wants_blocks
 from .parser import add_option
-from .terminal.interrupt import under_torchrun
 from .terminal.output import check_folder
 from .terminal.run_job import STOPPED, add_output_options, run_verb
 from .torchrun import agent, train_distributed
@@ -107,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
     request = TrainRequest.of(args)
     if wants_blocks(request):
         return train_blocks(request, _run)
-    return train_distributed(request, _run) if under_torchrun() else _run(request, None)
+    return train_distributed(request, _run)
 
 
 def _run(request: TrainRequest, group: "ProcessGroup | None") -> int:
