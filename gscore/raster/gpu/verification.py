@@ -48,7 +48,7 @@ def verified(
     if not again and (found := device.verdict) is not None:
         return found
     verdict = _tested(device, report or (lambda _: None), cancel, seconds)
-    # Injected faults tell nothing about the device to later programs.
+    # Injected faults are none of the device, so later programs test it again.
     keep_verdict(device.key, verdict, in_files=not os.environ.get("GSCORE_GPU_FAULT"))
     return verdict
 

@@ -50,3 +50,8 @@ class Analysis:
     """True for a region or a block, whose surroundings are other splats."""
     photo_cache: int | None = None
     """Bytes of photos to keep in memory; None: all."""
+
+    @property
+    def cloud(self) -> PointCloud:
+        """The start points."""
+        return self.photos.scene.points if self.points is None else self.points

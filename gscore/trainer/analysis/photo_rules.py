@@ -156,7 +156,7 @@ def photo_rules(config: TrainConfig, analysis: Analysis) -> PhotoRules:
         backdrop=analysis.facts.backdrop,
         sky=_with_sky(analysis),
     ).decided(config, photos)
-    cloud = photos.scene.points if analysis.points is None else analysis.points
+    cloud = analysis.cloud
     points = min(len(cloud), max_splats_per_model(config, rules.models))
     if start is not None:
         return replace(rules, points=len(start))

@@ -59,7 +59,7 @@ def training_start(
     photos, start, frozen = analysis.photos, analysis.start, None
     if analysis.region is not None and start is not None:
         start, frozen = split_frozen(start, analysis.region, config, frame)
-    cloud = photos.scene.points if analysis.points is None else analysis.points
+    cloud = analysis.cloud
     cloud = replace(cloud, points=frame.similarity.points_to_training(cloud.points))
     # One k-d tree for all uses, because for many points it is larger than a model.
     near = NearestPoints(cloud.points, queries=count)
