@@ -10,6 +10,7 @@ import numpy as np
 from gscore.io.colmap.folder import write_model
 from gscore.io.colmap.model import ColmapCamera, ColmapImage, ColmapModel, ColmapPoints
 from gscore.transforms import rotmat_to_quat
+from tests.unit.png_files import chunk
 
 SIZE = 48, 36
 """Width and height of a photo as stored, pixels."""
@@ -30,12 +31,6 @@ def stored(shown: np.ndarray, orientation: int) -> np.ndarray:
 
 def png(pixels: np.ndarray, orientation: int) -> bytes:
     """A file of pixels [H, W, 3] uint8 with that orientation in EXIF."""
-
-    def chunk(kind: bytes, body: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-        )
-
     exif = b"MM\0*" + struct.pack(">IHHHIHHI", 8, 1, 0x0112, 3, 1, orientation, 0, 0)
     height, width = pixels.shape[:2]
     rows = b"".join(b"\0" + row.tobytes() for row in pixels)

@@ -10,6 +10,7 @@ from PIL import Image
 
 from gscore.depth.maps import DepthKind, MapFolder, read_map, sample, stem, to_inverse
 from gscore.errors import BackendError, DatasetError, FormatError
+from tests.unit.png_files import chunk
 
 
 def _write_exr(path, channels):
@@ -144,11 +145,6 @@ def test_16_bit_colour_png_is_refused(tmp_path):
     """Oracle: a PNG of three channels of 16 bits, which would lose 8."""
     import struct
     import zlib
-
-    def chunk(kind, body):
-        return (
-            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-        )
 
     head = struct.pack(">IIBBBBB", 2, 1, 16, 2, 0, 0, 0)
     data = zlib.compress(b"\0" + bytes(range(12)))

@@ -20,6 +20,7 @@ from gscore.trainer.depth.targets import DepthTargets
 from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
 from tests.exact_depth_maps import exact_depth_maps
+from tests.trainer.trainer_bits import bits
 
 SPLATS = toy_splats(9, count=2500)
 SIZE = 96
@@ -69,12 +70,6 @@ def trainer_of(kind: str, config: TrainConfig, photos: Any, masked: Any) -> Trai
     if kind == "everything":
         return Trainer(config, Analysis(photos=masked[0], depth=masked[1]))
     return Trainer(config, Analysis(photos=photos))
-
-
-def bits(trainer: Trainer) -> tuple[dict[str, bytes], dict[str, Any]]:
-    """All tensors and all other state of the next step."""
-    tensors = {k: t.contiguous().numpy().tobytes() for k, t in trainer.tensors().items()}
-    return tensors, trainer.state()
 
 
 def run(trainer: Trainer, steps: int) -> Trainer:

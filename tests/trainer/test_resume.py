@@ -15,6 +15,7 @@ from gscore.trainer.files import checkpoint
 from gscore.trainer.run import train
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
+from tests.trainer.trainer_bits import bits
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
 
@@ -28,11 +29,6 @@ def near(make_photos: Callable[..., Any]) -> Any:
     photos = make_photos()
     photos.scene.cameras.Ks[:, :2, :2] *= 3
     return photos
-
-
-def bits(trainer: Trainer) -> tuple[dict[str, bytes], dict[str, Any]]:
-    tensors = {k: t.contiguous().numpy().tobytes() for k, t in trainer.tensors().items()}
-    return tensors, trainer.state()
 
 
 @pytest.mark.parametrize("strategy", list(Strategy))

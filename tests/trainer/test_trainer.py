@@ -20,6 +20,7 @@ from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.schedule import plan as schedules
 from gscore.trainer.trainer import Trainer
 from tests.trainer.short_run import CONFIG
+from tests.trainer.trainer_bits import tensor_bits
 
 
 def psnr(trainer: Trainer, index: int) -> float:
@@ -66,10 +67,6 @@ SHORT = TrainConfig(
 )
 
 
-def all_bits(trainer: Trainer) -> dict[str, bytes]:
-    return {name: t.contiguous().numpy().tobytes() for name, t in trainer.tensors().items()}
-
-
 @pytest.mark.parametrize("strategy", list(Strategy))
 def test_same_bits_for_any_number_of_threads(photos: Any, strategy: Strategy) -> None:
     """Oracle: bit equality of all state after 60 steps with refinements, resets and noise."""
@@ -80,7 +77,7 @@ def test_same_bits_for_any_number_of_threads(photos: Any, strategy: Strategy) ->
         )
         for _ in range(60):
             trainer.step()
-        seen.append(all_bits(trainer))
+        seen.append(tensor_bits(trainer))
     assert len(trainer.model) > 150
     assert seen[0] == seen[1] == seen[2]
 
@@ -214,7 +211,7 @@ def test_ignored_pixels_have_no_gradient(make_photos: Callable[..., Any]) -> Non
         trainer = Trainer(SHORT, Analysis(photos=photos))
         for _ in range(20):
             trainer.step()
-        results.append(all_bits(trainer))
+        results.append(tensor_bits(trainer))
     assert results[0] == results[1]
 
 
@@ -270,10 +267,10 @@ def broken_loss(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_loss_that_is_not_finite_teaches_nothing_and_ends_in_an_error(photos: Any) -> None:
     """Oracle: equal bits of the parameters; an error at the hundredth step."""
     trainer = Trainer(replace(SHORT, sh_degree=0), Analysis(photos=photos))
-    before = {k: v for k, v in all_bits(trainer).items() if k != "generator"}
+    before = {k: v for k, v in tensor_bits(trainer).items() if k != "generator"}
     for _ in range(99):
         assert trainer.step().skipped
-    assert {k: v for k, v in all_bits(trainer).items() if k != "generator"} == before
+    assert {k: v for k, v in tensor_bits(trainer).items() if k != "generator"} == before
     with pytest.raises(GsError, match="diverged"):
         trainer.step()
 

@@ -14,6 +14,7 @@ from gscore.io.ply import elements
 from gscore.io.ply.comments import stated_up
 from gscore.io.ply.splats import read_ply, read_ply_parts, write_splats
 from gscore.splats import Splats
+from tests.equal_splats import assert_equal_splats
 
 
 @pytest.fixture
@@ -44,11 +45,6 @@ def _rewritten(path: Path, splats: Splats, **columns: np.ndarray | None) -> None
     plyfile.PlyData([plyfile.PlyElement.describe(np.array(rows), "vertex")]).write(str(path))
 
 
-def _assert_equal(a: Splats, b: Splats) -> None:
-    for item in fields(Splats):
-        np.testing.assert_array_equal(getattr(a, item.name), getattr(b, item.name), item.name)
-
-
 def test_the_filter_of_mip_splatting_is_applied(splats: Splats, tmp_path: Path) -> None:
     """Oracle: sizes and opacities by the formula of the paper, worked out splat by splat; a splat
     with a zero filter keeps its bits, also where the file is read in parts."""
@@ -64,7 +60,7 @@ def test_the_filter_of_mip_splatting_is_applied(splats: Splats, tmp_path: Path) 
         assert 1 / (1 + np.exp(-float(found.opacities[k]))) == pytest.approx(opacity, rel=1e-5)
     assert (found.scales[0] == splats.scales[0]).all() and found.opacities[0] == splats.opacities[0]
     assert found.opacities[39] < splats.opacities[39] - 1
-    _assert_equal(found, next(read_ply_parts(tmp_path / "a.ply", 40)))
+    assert_equal_splats(found, next(read_ply_parts(tmp_path / "a.ply", 40)))
 
 
 def test_the_picture_of_a_filtered_model(splats: Splats, tmp_path: Path) -> None:
@@ -162,7 +158,7 @@ def test_comments_cost_no_letter_of_the_rows(
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(elements, "_PlainHeader", Counted)
-        _assert_equal(read_ply(tmp_path / "b.ply"), splats)
+        assert_equal_splats(read_ply(tmp_path / "b.ply"), splats)
     assert 100 < len(asked) < 1000
 
 

@@ -22,6 +22,7 @@ from gscore.trainer.files import checkpoint
 from gscore.trainer.trainer import Trainer
 from tests.exact_depth_maps import exact_depth_maps
 from tests.trainer.short_run import CONFIG
+from tests.trainer.trainer_bits import tensor_bits
 
 EVERYTHING = replace(CONFIG, drop_rate=0.3, alpha_weight=0.1, coarse_factor=2.0)
 
@@ -44,10 +45,6 @@ def targets(photos: Any, known_splats: Any) -> DepthTargets:
     return DepthTargets(
         exact_depth_maps(photos, known_splats, unaligned=(1, 4)), train=photos.train, views=8
     )
-
-
-def bits(trainer: Trainer) -> dict[str, bytes]:
-    return {name: t.contiguous().numpy().tobytes() for name, t in trainer.tensors().items()}
 
 
 def run(trainer: Trainer, steps: int) -> Trainer:
@@ -109,10 +106,10 @@ def test_depth_off_is_the_training_without_depth(
     without = run(Trainer(CONFIG, Analysis(photos=photos)), 30)
     weightless = replace(CONFIG, depth_weight=0.0, depth_weight_final=0.0)
     with_zero = run(Trainer(weightless, Analysis(photos=photos, depth=targets)), 30)
-    assert bits(without) == bits(with_zero)
+    assert tensor_bits(without) == tensor_bits(with_zero)
     assert asked == [False] * 60
     supervised = run(Trainer(CONFIG, Analysis(photos=photos, depth=targets)), 30)
-    assert bits(supervised) != bits(without)
+    assert tensor_bits(supervised) != tensor_bits(without)
     assert asked[60:] == [True] * 30
 
 
@@ -183,7 +180,7 @@ def test_resume_with_everything_on_is_bit_equal(
         checkpoint.check_same_inputs(found, resumed)
         resumed.restore(found.trainer, found.tensors)
         run(resumed, 60 - stop)
-        assert bits(resumed) == bits(whole), f"resumed at step {stop}"
+        assert tensor_bits(resumed) == tensor_bits(whole), f"resumed at step {stop}"
         assert resumed.state() == whole.state()
 
 
@@ -212,5 +209,5 @@ def test_same_bits_for_any_number_of_threads(masked: Any, targets: DepthTargets)
     seen = []
     for threads in (1, 3):
         config = replace(EVERYTHING, threads=threads)
-        seen.append(bits(run(Trainer(config, Analysis(photos=masked, depth=targets)), 40)))
+        seen.append(tensor_bits(run(Trainer(config, Analysis(photos=masked, depth=targets)), 40)))
     assert seen[0] == seen[1]

@@ -7,11 +7,7 @@ import pytest
 
 from gscore.config import Strategy, TrainConfig
 from gscore.trainer.estimate.cost import Cost
-from gscore.trainer.schedule.plan import Plan
-
-
-def plan_of(config: TrainConfig, points: int = 10_000, side: int = 300) -> Plan:
-    return Plan.of(config, extent=2.0, points=points, side=side, pixels=side * side)
+from tests.trainer.schedule.test_plan import plan_of
 
 
 def test_seconds_after_is_the_sum_of_steps() -> None:
