@@ -23,6 +23,7 @@ from ..config import MOST_THREADS
 from ..errors import BackendError, ConfigError, GsError
 from ..events import Failed
 from ..extras import install_hint, missing, package_facts
+from ..io.files import reason
 from ..quoting import brief, quoted
 from ..text_format import count_text
 from .parser import Parser, UsageExit, nearest, sentence
@@ -74,14 +75,10 @@ _EXAMPLES = {
 }
 """Last line of a verb's help."""
 _DISK_ERRORS = {
-    errno.ENOSPC: "the disk is full; free some space or choose another output",
-    errno.EDQUOT: "your disk quota is used up; free some space or choose another output",
-    errno.EROFS: "the file system is read-only; choose another output",
-    errno.EACCES: "permission denied; check the rights or choose another path",
-    errno.EPERM: "the operation is not permitted; check the rights or choose another path",
-    errno.ENAMETOOLONG: "the name is too long for the file system; give a shorter one",
-    errno.ELOOP: "links lead in a circle; give another path",
+    *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM),
+    *(errno.ENAMETOOLONG, errno.ELOOP),
 }
+"""Refusals of the system that a user can mend; others are errors inside gscore."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -191,8 +188,8 @@ def _message(prog: str, error: BaseException) -> str:
             return missing(error.name or "", f"`{prog}`")
         case MemoryError():
             return "out of memory; try fewer splats or smaller pictures."
-        case OSError() if (why := _DISK_ERRORS.get(error.errno or 0)) is not None:
-            return f"{brief(error.filename or 'output')}: {why}."
+        case OSError() if error.errno in _DISK_ERRORS:
+            return f"{brief(error.filename or 'output')}: {reason(error)}"
     return ""
 
 

@@ -275,6 +275,7 @@ _REASONS = {
     errno.EISDIR: "it is a folder, a file was expected.",
     errno.ENOENT: "there is no such file.",
     errno.ENAMETOOLONG: "the name is too long for the file system. Choose a shorter one.",
+    errno.ELOOP: "links lead in a circle. Give another path.",
     errno.EFBIG: "the file system does not support files of this size.",
 }
 

@@ -8,6 +8,7 @@ from ..config import DataConfig, TrainConfig, limited_as, unlimited
 from ..config_file import differences, load_config
 from ..errors import ConfigError, FormatError, GsError
 from ..formats import read_decoded
+from ..io.files import reason
 from ..option_marks import mark_option
 from .files import checkpoint
 from .files.checkpoint import Checkpoint
@@ -161,5 +162,5 @@ def _rename_damaged(path: Path, step: int) -> str:
     try:
         path.replace(renamed)
     except OSError as error:
-        raise GsError(f"Cannot rename the damaged {path}: {error.strerror}.") from error
+        raise GsError(f"Cannot rename the damaged {path}: {reason(error)}") from error
     return f"{path.name} is damaged (now {renamed.name}); continuing from step {step} before it."

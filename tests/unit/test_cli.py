@@ -89,8 +89,8 @@ def fake(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
     ("error", "code", "words"),
     [
         (DatasetError("No photos in x."), 2, "gscore info: error: No photos in x.\n"),
-        (OSError(errno.ENOSPC, "full", "out/a.ply"), 2, "out/a.ply: the disk is full; free some"),
-        (OSError(errno.EROFS, "ro", "out/a.ply"), 2, "the file system is read-only"),
+        (OSError(errno.ENOSPC, "full", "out/a.ply"), 2, "out/a.ply: the disk is full. Free some"),
+        (OSError(errno.EROFS, "ro", "out/a.ply"), 2, "the disk is read-only"),
         (OSError(errno.EACCES, "no", "out/a.ply"), 2, "permission denied"),
         (MemoryError(), 2, "out of memory; try fewer splats"),
         (ModuleNotFoundError("no", name="torch"), 2, 'pip install "gscore[train]"'),

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import BackendError, GsError
 from ...extras import missing, package_facts
+from ...io.files import reason
 
 _ENCODERS = ("libx264", "libopenh264", "h264_videotoolbox", "mpeg4")
 """Tried in this order; the first two and the last are software."""
@@ -65,9 +66,7 @@ def write_video(path: Path, pictures: Iterable[np.ndarray], *, fps: float) -> No
                     file.mux(packet)
         temporary.replace(path)
     except OSError as error:
-        raise GsError(
-            f"Cannot write {path}: {error.strerror or error}; choose another output."
-        ) from error
+        raise GsError(f"Cannot write {path}: {reason(error)}") from error
     finally:
         temporary.unlink(missing_ok=True)
 

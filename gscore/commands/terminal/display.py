@@ -216,7 +216,7 @@ def _texts(event: Event) -> Iterator[str]:
                 f"surfaces up to a depth of {event.far:.3g}: {size_text(event.volume_bytes)}"
             )
         case Started() if event.step:
-            # What was found of the photos was said when it began.
+            # The decisions on the photos were shown when the run began.
             yield resumed_text(event)
             yield from filter(None, [event.decision("viewer")])
         case Started():
