@@ -24,7 +24,9 @@ def test_photos_that_fit_far_worse_are_named() -> None:
     """Oracle: one photo at 15 dB, below a median of 27.5."""
     said = errors_of({8: 15.0})
     assert said.startswith("1 training photo fits far worse than the others, whose median is 27.")
-    assert "08.jpg (15.0 dB)." in said
+    assert "08.jpg (15.0 dB)." in said and "symmetric" not in said
+    several = errors_of(dict.fromkeys(TRAIN[1::4], 12.0))
+    assert several.startswith("4 training photos fit far worse") and "symmetric" in several
 
 
 def test_photos_that_fit_alike_are_not_named() -> None:

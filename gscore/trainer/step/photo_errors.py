@@ -16,8 +16,9 @@ _STEPS = 10
 _FAR, _DEVIATIONS = 5.0, 5.0
 """Distance from the median PSNR down to an outlier: dB, and standard deviations by the median
 deviation. Two of plush's 59 photos are, by 13 and 15 dB, of horse's and southbuilding's none."""
-_MOST_SHARE = 0.1
+_MOST_SHARE = 0.3
 """Share of the photos above which there is no usual one to compare with."""
+_NAMED = 3
 
 
 class PhotoErrors:
@@ -53,9 +54,11 @@ class PhotoErrors:
         if not 0 < len(worst) <= max(_MOST_SHARE * count, 1):
             return ""
         named = [f"{brief(names[train[int(i)]])} ({psnr[i]:.1f} dB)" for i in worst]
+        several = len(worst) > _NAMED
+        hint = " SfM may have confused two sides of a symmetric object." if several else ""
         fits = count_text(len(worst), "training photo fits", "training photos fit")
         return (
             f"{fits} far worse than the others, whose median is {middle:.1f} dB: "
-            f"{first_few(named, 3)}. Blur, a wrong camera, other light or something that moved "
-            "harms the model; training without may be better."
+            f"{first_few(named, _NAMED)}. Blur, a wrong camera, other light or something that "
+            f"moved harms the model; training without may be better.{hint}"
         )
