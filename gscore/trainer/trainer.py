@@ -158,6 +158,8 @@ class Trainer:
             first_degree=start.first.sh_degree,
         )
         self._queue = StepQueue(self.engine)
+        self._used: list[bool] = []
+        """Whether each model took the last step that was read, or skipped it."""
         self.photo_errors = PhotoErrors()
         """Errors of the training photos in their last steps, since the start or resume."""
         self._requesting: StepStart | None = None
