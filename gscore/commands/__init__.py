@@ -84,7 +84,7 @@ _DISK_ERRORS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; returns the exit code and never raises for errors that a user can cause."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    with interrupts() as interrupt, safe_streams("gscore", interrupt.output_lost):
+    with interrupts() as interrupt, safe_streams(interrupt.output_lost):
         code = _main(arguments, interrupt)
     return code or interrupt.exit_code
 

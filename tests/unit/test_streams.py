@@ -38,7 +38,7 @@ def test_lost_output_has_an_exit_code(
 
     monkeypatch.setattr(sys, "stdout", Broken())
     interrupt = Interrupt()
-    with safe_streams("gscore", interrupt.output_lost):
+    with safe_streams(interrupt.output_lost):
         sys.stdout.write("hello")
         sys.stdout.write("again")
     assert interrupt.exit_code == code
@@ -84,6 +84,6 @@ def test_a_terminal_gets_no_commands() -> None:
 def test_the_streams_are_back_afterwards() -> None:
     """Oracle: the original objects."""
     before = sys.stdout, sys.stderr
-    with safe_streams("gscore", lambda code: None):
+    with safe_streams(lambda code: None):
         assert isinstance(sys.stdout, SafeStream)
     assert (sys.stdout, sys.stderr) == before

@@ -219,11 +219,10 @@ class SafeStream:
 
 
 @contextmanager
-def safe_streams(prog: str, on_lost: Callable[[int], None]) -> Iterator[None]:
+def safe_streams(on_lost: Callable[[int], None]) -> Iterator[None]:
     """Context in which all three streams exist, and stdout and stderr are `SafeStream`.
 
     Args:
-        prog: Name of the program, for messages.
         on_lost: Called with an exit code when writing to a stream fails.
     """
 
@@ -234,7 +233,7 @@ def safe_streams(prog: str, on_lost: Callable[[int], None]) -> Iterator[None]:
             on_lost(HUNG_UP)
         else:
             on_lost(_CANNOT_WRITE)
-            print(f"{prog}: error: Cannot write the output: {reason(error)}", file=sys.stderr)
+            print(f"gscore: error: Cannot write the output: {reason(error)}", file=sys.stderr)
 
     for descriptor, name in enumerate(_NAMES):
         if getattr(sys, name) is None:
