@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -267,7 +268,8 @@ def check_without_cameras(capture: Path) -> None:
 
 
 @contextlib.contextmanager
-def _as_gs_error(place: Path) -> Any:
+def _as_gs_error(place: Path) -> Iterator[None]:
+    """Context that turns a refusal of the system into a GsError that names `place`."""
     try:
         yield
     except OSError as error:
