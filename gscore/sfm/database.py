@@ -24,9 +24,15 @@ class Overlap:
     pairs: int
     """Number of pairs of photos with enough verified matches."""
     flat: int
-    """Number of these pairs that a rotation or a plane explains."""
+    """Number of these pairs that a rotation, a plane or no motion explains."""
+    still: int
+    """Number of these pairs with most matches at equal pixels."""
     alone: tuple[str, ...]
     """Aliases of the photos in none of these pairs."""
+
+
+_STILL = 1.0
+"""Pixels up to which the median match of a pair is at the same place in both photos."""
 
 
 def overlap(database: Path, *, least: int) -> Overlap:
@@ -42,17 +48,27 @@ def overlap(database: Path, *, least: int) -> Overlap:
     with p.Database.open(database) as link:
         names = {image.image_id: image.name for image in link.read_all_images()}
         features = [link.num_keypoints_for_image(i) for i in names]
+        places = {i: np.asarray(link.read_keypoints(i))[:, :2] for i in names}
         numbers, geometries = link.read_two_view_geometries()
     found = [
-        (p.pair_id_to_image_pair(number), geometry.config)
+        (p.pair_id_to_image_pair(number), geometry)
         for number, geometry in zip(numbers, geometries, strict=True)
         if len(geometry.inlier_matches) >= least
     ]
+    moved = [
+        places[one][geometry.inlier_matches[:, 0]] - places[other][geometry.inlier_matches[:, 1]]
+        for (one, other), geometry in found
+    ]
+    still = [float(np.median(abs(shift).max(axis=1))) < _STILL for shift in moved]
     joined = {i for pair, _ in found for i in pair}
     return Overlap(
         features=np.array(features, np.int64),
         pairs=len(found),
-        flat=sum(kind in flat for _, kind in found),
+        flat=sum(
+            is_still or geometry.config in flat
+            for (_, geometry), is_still in zip(found, still, strict=True)
+        ),
+        still=sum(still),
         alone=tuple(name for i, name in names.items() if i not in joined),
     )
 
@@ -115,6 +131,8 @@ _FEW_FEATURES = 100
 """Number of features of the median photo below which missing texture is the reason."""
 _MOSTLY_FLAT = 0.8
 """Share of pairs without parallax from which missing parallax is the reason."""
+_MOSTLY_STILL = 0.5
+"""Share of pairs with matches at equal pixels from which a still background is the reason."""
 
 
 def failure_reason(found: Overlap, names: dict[str, str]) -> str:
@@ -137,6 +155,13 @@ def failure_reason(found: Overlap, names: dict[str, str]) -> str:
         return (
             f"No cameras found: no two of the {photos} overlap. Take more photos, so that each "
             "overlaps most of the previous one."
+        )
+    if found.still >= _MOSTLY_STILL * found.pairs:
+        return (
+            f"No cameras found: in {found.still} of the {count_text(found.pairs, 'pair')} of "
+            "photos that overlap most of the matches are at the same pixels: the camera did not "
+            "move, or the subject turned in front of a still background. Walk around the subject, "
+            "or hide the background by masks."
         )
     if found.flat >= _MOSTLY_FLAT * found.pairs:
         return (

@@ -10,11 +10,12 @@ from PIL import Image, ImageFilter
 
 from gscore.camera_neighbours import natural_key
 from gscore.errors import DatasetError
-from gscore.sfm.database import Overlap, failure_reason
+from gscore.sfm.database import Overlap, failure_reason, overlap
 from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, RECONSTRUCTION, Forecast
 from gscore.sfm.pairs import further_parts, in_parts, sequential_pairs
 from gscore.sfm.photo_quality import PhotoQuality, blurred, exposure_jumps, measure_quality
 from gscore.sfm.photos import Photo, by_camera, list_photos, read_photos, stamp
+from gscore.sfm.pycolmap_thread import colmap
 from gscore.sfm.search_result import SearchResult, lens_text
 
 from .conftest import STUDIO
@@ -125,15 +126,32 @@ def test_reasons_name_the_first_that_holds() -> None:
     names = {f"{i:06}.jpg": f"{i}.jpg" for i in range(4)}
     many = np.array([900, 900, 900, 900])
     cases = {
-        "too little texture": Overlap(np.array([3, 5, 900, 8]), 0, 0, ()),
-        "no two of the": Overlap(many, 0, 0, ()),
-        "no parallax": Overlap(many, 6, 6, ()),
-        "2.jpg": Overlap(many, 2, 0, ("000002.jpg",)),
+        "too little texture": Overlap(np.array([3, 5, 900, 8]), 0, 0, 0, ()),
+        "no two of the": Overlap(many, 0, 0, 0, ()),
+        "no parallax": Overlap(many, 6, 6, 2, ()),
+        "a still background": Overlap(many, 6, 5, 3, ()),
+        "2.jpg": Overlap(many, 2, 0, 0, ("000002.jpg",)),
     }
-    for words, overlap in cases.items():
-        assert words in failure_reason(overlap, names)
-    none = Overlap(np.zeros(4, np.int64), 0, 0, ())
+    for words, found in cases.items():
+        assert words in failure_reason(found, names)
+    none = Overlap(np.zeros(4, np.int64), 0, 0, 0, ())
     assert "Half of the 4 photos have no features, at least 100" in failure_reason(none, names)
+
+
+def test_matches_at_the_same_pixels_are_still(tmp_path: Path) -> None:
+    """Oracle: one photo with a square at another place, as of a turntable before a wall."""
+    rng = np.random.default_rng(0)
+    wall = rng.integers(0, 255, (60, 60, 3), np.uint8).repeat(8, 0).repeat(8, 1)
+    (tmp_path / "photos").mkdir()
+    for i in range(3):
+        photo = wall.copy()
+        photo[200:280, 180 + 20 * i : 260 + 20 * i] = 255
+        Image.fromarray(photo).save(tmp_path / f"photos/{i}.png")
+    database, p = tmp_path / "database.db", colmap()
+    p.extract_features(database, tmp_path / "photos", device=p.Device.cpu)
+    p.match_exhaustive(database, device=p.Device.cpu)
+    found = overlap(database, least=15)
+    assert (found.pairs, found.flat, found.still) == (3, 3, 3)
 
 
 def test_the_verdict_names_what_to_do() -> None:
