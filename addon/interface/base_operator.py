@@ -118,7 +118,9 @@ def browse(context: bpy.types.Context, operator: bpy.types.Operator) -> set[str]
 
 
 def make_active(context: bpy.types.Context, ob: bpy.types.Object) -> None:
-    """Select only one object, and make it active."""
+    """Select only one object, and make it active; another active object returns to Object Mode."""
+    if (before := context.object) is not None and before != ob and before.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")  # else it would stay in its mode, inactive
     make_active_in(context.view_layer, ob)
 
 

@@ -117,7 +117,7 @@ def read(ob: bpy.types.Object, *, rest: bool = True) -> Splats:
     if ob.type not in {"MESH", "POINTCLOUD"}:
         raise ValueError(f"{ob.name} is not a splat object: it is a {ob.type.lower()}.")
     catch_up(ob)
-    with _readable(ob) as data:
+    with readable(ob) as data:
         return attributes.read(data, rest=rest)
 
 
@@ -235,7 +235,7 @@ def hide_points(scene: bpy.types.Scene, root: bpy.types.Object, *, hidden: bool 
 
 
 @contextmanager
-def _readable(ob: bpy.types.Object) -> Iterator[bpy.types.ID]:
+def readable(ob: bpy.types.Object) -> Iterator[bpy.types.ID]:
     """The object's data; in Edit Mode, where attributes are not accessible, a copy."""
     if ob.mode != "EDIT":
         yield ob.data

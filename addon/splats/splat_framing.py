@@ -17,7 +17,7 @@ def frame_of(ob: bpy.types.Object) -> tuple[np.ndarray, float]:
     opacity, so that haze of faint splats counts little.
 
     Raises:
-        ValueError: there are none, or their attributes are not accessible in Edit Mode.
+        ValueError: there are none.
     """
     return framing.ball(*_shown(ob))
 
@@ -86,7 +86,7 @@ def _shown(ob: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """[M, 3] means and [M] weights of splats."""
     placed = in_world(ob)
     if not len(placed):
-        raise ValueError(f"{ob.name} has no splats to show, or is in Edit Mode.")
+        raise ValueError(f"{ob.name} has no splats to show.")
     return placed, opacities(ob)
 
 
@@ -95,17 +95,16 @@ _MOST = 200_000
 
 
 def in_world(ob: bpy.types.Object) -> np.ndarray:
-    """[M, 3] float64: means in Blender's world; an even sample of many splats.
-
-    M is 0 without splats, or in Edit Mode, where attributes are not accessible.
+    """[M, 3] float64: means in Blender's world; an even sample of many splats. M is 0 for none.
 
     Raises:
         ValueError: as `objects.catch_up`, or positions are missing or not finite.
     """
     objects.catch_up(ob)
-    if not len(ob.data.vertices):
+    found = _some(ob, attributes.POSITION)
+    if not len(found):
         return np.zeros((0, 3))
-    x, y, z = _some(ob, attributes.POSITION).T.astype(np.float64)
+    x, y, z = found.T.astype(np.float64)
     matrix = compat.matrix_to_numpy(ob.matrix_world)
     # Spelled out, because starting the threads of a matrix product takes longer than the product.
     return np.stack([a * x + b * y + c * z + d for a, b, c, d in matrix[:3]]).T
@@ -122,5 +121,8 @@ def opacities(ob: bpy.types.Object) -> np.ndarray:
 
 def _some(ob: bpy.types.Object, name: str) -> np.ndarray:
     """An even sample of the rows of an attribute."""
-    values = attributes.column(ob.data, name)
+    with objects.readable(ob) as data:
+        if not len(data.vertices):  # an empty mesh has no attributes
+            return np.zeros((0, 4))
+        values = attributes.column(data, name)
     return values[:: -(-len(values) // _MOST) or 1]

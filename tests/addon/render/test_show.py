@@ -4,6 +4,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import pytest
 
 from addon.splats import splat_framing
 from tests.addon import splat_scenes as lab
@@ -41,6 +42,32 @@ def test_after_a_training_it_shows_what_was_trained(scene: bpy.types.Scene) -> N
     bpy.context.view_layer.objects.active = None
     assert bpy.ops.gscore.show_splats(trained=True) == {"FINISHED"}
     assert bpy.context.object == other
+
+
+def test_splats_in_edit_mode_are_shown(scene: bpy.types.Scene) -> None:
+    """Oracle: the frame of Object Mode, moved with the splats; Edit Mode stays."""
+    ob = lab.add(scene, lab.blob())
+    middle, radius = splat_framing.frame_of(ob)
+    bpy.context.view_layer.objects.active = ob
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.transform.translate(value=(1, 2, 3))
+    assert bpy.ops.gscore.show_splats() == {"FINISHED"}
+    assert ob.mode == "EDIT" and scene.render.engine == "GSCORE_SPLATS"
+    moved, same = splat_framing.frame_of(ob)
+    np.testing.assert_allclose(moved - middle, (1, 2, 3), atol=1e-5)
+    np.testing.assert_allclose(same, radius, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["show_splats", "select_result"])
+def test_another_object_leaves_its_mode(scene: bpy.types.Scene, name: str) -> None:
+    """Oracle: as after a click on an object in Object Mode, no inactive one is in Edit Mode."""
+    scene.gscore.result = lab.add(scene, lab.blob())
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert getattr(bpy.ops.gscore, name)() == {"FINISHED"}
+    assert bpy.context.object == scene.gscore.result and cube.mode == "OBJECT"
 
 
 def test_the_frame_holds_most_splats_and_no_sky(scene: bpy.types.Scene) -> None:
