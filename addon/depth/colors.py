@@ -70,7 +70,7 @@ def _verdict(ob: bpy.types.Object, report: DepthReport) -> str | None:
 
 
 class ColorCameras(ShowsColors, bpy.types.Operator):
-    """Color the cameras by their depth maps: green accepted, red refused, grey without a map"""
+    """Color the cameras by their depth maps: green accepted, red refused, gray without a map"""
 
     bl_idname = "gscore.color_cameras"
     bl_label = "Color Cameras"

@@ -308,8 +308,8 @@ def region_of_added(ob: bpy.types.Object) -> np.ndarray:
 
 
 class TrainHealed(Starting, bpy.types.Operator):
-    """Train the splats around what Heal and Clone added again, in the background, so that photos
-    correct it; all others are frozen. Undo restores the earlier splats"""
+    """Train the box around the splats that Heal and Clone added, in the background, so that photos
+    correct them; all other splats are frozen. Undo restores the earlier splats"""
 
     bl_idname = "gscore.train_healed"
     bl_label = "Train Healed Region"

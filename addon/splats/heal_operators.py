@@ -30,7 +30,7 @@ from .replay import (
 
 class HealSplats(Editing, bpy.types.Operator):
     """Fill a hole with splats from around it, on a smooth surface through its border: the hole in
-    the crop box, without one where splats were last erased by Erase Splats"""
+    the crop box, or without a crop box where Erase Splats last removed splats"""
 
     bl_idname = "gscore.heal_splats"
     bl_label = "Heal Splats"
