@@ -169,9 +169,7 @@ def apply_transform(guard: EditGuard) -> Steps[None]:
     lag.note(mesh, before)
     ob.matrix_parent_inverse = Matrix.Identity(4)
     ob.matrix_basis = Matrix.Identity(4)
-    for child in ob.children:
-        if child.parent_type == "OBJECT":
-            child.matrix_parent_inverse = Matrix(matrix.tolist()) @ child.matrix_parent_inverse
+    objects.keep_children(ob, Matrix(np.linalg.inv(matrix).tolist()))
 
 
 def _check_unshared(ob: bpy.types.Object) -> None:

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from .. import attributes, stored_paths
 from ..cameras.objects import points_of
@@ -232,6 +233,14 @@ def hide_points(scene: bpy.types.Scene, root: bpy.types.Object, *, hidden: bool 
     points = points_of(root)
     if points is not None and points.mode != "EDIT":
         hide(points, scene, hidden=hidden)
+
+
+def keep_children(ob: bpy.types.Object, change: Matrix) -> None:
+    """Keep the children of an object, such as its crop box, in place after its matrix was
+    multiplied by `change` from the right."""
+    for child in ob.children:
+        if child.parent_type == "OBJECT":
+            child.matrix_parent_inverse = change.inverted() @ child.matrix_parent_inverse
 
 
 @contextmanager

@@ -23,7 +23,7 @@ from ..core import (
 from ..process.incremental_tasks import Check
 from . import conversion
 from .filters import crop_matrix, is_cropped
-from .objects import ANTIALIAS
+from .objects import ANTIALIAS, keep_children
 
 UP_AXES = {
     "-Y": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]),
@@ -180,6 +180,7 @@ def match_capture_origin(ob: bpy.types.Object, origin: np.ndarray | None) -> Non
     shift = offset_between(origin, before)
     if shift.any():
         ob.matrix_basis = ob.matrix_basis @ Matrix.Translation(shift)
+        keep_children(ob, Matrix.Translation(shift))
     note_origin(ob, origin)
 
 

@@ -13,6 +13,7 @@ from addon.cameras.camera_path import NERFSTUDIO
 from addon.cameras.importing import ImportedCapture
 from addon.compat import matrix_to_numpy
 from addon.core import DataConfig, Splats, read_capture, read_colmap, write_colmap, write_splat_file
+from addon.splats import objects, splat_files, splat_framing
 from gscore.datasets.camera_path_json import read_camera_path
 from gscore.formats import read_splat_file
 from tests.addon.calls import (
@@ -170,3 +171,19 @@ def test_reimport_keeps_the_origin_and_warns_of_another_capture(
     reported = import_capture(scene, other).warnings
     assert any("local origin" in one and made.root.name in one for one in reported)
     assert capture_transform.ORIGIN not in import_capture(scene, other).root
+
+
+def test_a_crop_box_stays_where_the_origin_changes(scene, make_splats) -> None:
+    """Oracle: splats about another origin, and their crop box, are where both were."""
+    ob = objects.create(make_splats(50), "splats")
+    splat_files.match_capture_origin(ob, np.array([100.0, 200.0, 0.0]))
+    bpy.context.view_layer.objects.active = ob
+    bpy.ops.gscore.add_crop_box()
+    place = np.array(bpy.context.object.matrix_world)
+    before = splat_framing.in_world(ob)
+    splats = make_splats(50)
+    objects.refresh(ob, replace(splats, means=splats.means - np.float32([1, 2, 0])))
+    splat_files.match_capture_origin(ob, np.array([101.0, 202.0, 0.0]))
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(splat_framing.in_world(ob), before, atol=1e-5)
+    np.testing.assert_allclose(bpy.context.object.matrix_world, place, atol=1e-5)
