@@ -128,6 +128,7 @@ from .raster.light import Surfaces as Surfaces
 from .raster.light import scaled_colors as scaled_colors
 from .raster.light import surface_gains as surface_gains
 from .raster.light import surface_radiance as surface_radiance
+from .raster.mesh import mesh_backs as mesh_backs
 from .raster.mesh import mesh_depth as mesh_depth
 from .raster.mesh import mesh_nearness as mesh_nearness
 from .raster.render_client import RenderClient as RenderClient

@@ -83,7 +83,6 @@ class SceneLight:
             lamps=self.lamps,
             maps=[(found.get((proxies.key, s)), found.get((meshes.key, s))) for s in sources],
             world=self.world,
-            slack=self.casters.slack if found else 0.0,
         )
 
     @property
@@ -115,12 +114,12 @@ def forget_maps() -> None:
 
 def _source(lamp: Lamp) -> str:
     """Differs if shadows fall otherwise."""
-    return repr((lamp.kind, lamp.axis if lamp.kind == SUN else lamp.source))
+    return repr((lamp.kind, lamp.axis if lamp.kind == SUN else lamp.source, lamp.size > 0))
 
 
 def _map_of(casters: Casters, lamp: Lamp) -> ShadowMap:
     axis = np.array(lamp.axis) if lamp.kind == SUN else None
-    return shadow_map(casters, np.array(lamp.source), axis)
+    return shadow_map(casters, np.array(lamp.source), axis, soft=lamp.size > 0)
 
 
 def harmonics(normals: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..core import ShadowMap, mesh_depth, mesh_nearness
+from ..core import ShadowMap, mesh_backs, mesh_depth, mesh_nearness
 from ..triangles import Triangles, joined, repeated
 
 _SIZE = 1024
@@ -90,13 +90,17 @@ def ball_of(places: np.ndarray) -> tuple[np.ndarray, float]:
     return (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-9)
 
 
-def shadow_map(casters: Casters, place: np.ndarray, axis: np.ndarray | None) -> ShadowMap:
+def shadow_map(
+    casters: Casters, place: np.ndarray, axis: np.ndarray | None, *, soft: bool
+) -> ShadowMap:
     """Draw the meshes from a lamp.
 
     Args:
         casters: At least one mesh.
         place: World position [3].
         axis: Unit vector along which it shines [3], if it is a sun.
+        soft: Whether it has a size: far sides of meshes are drawn too, but not of proxies, whose
+            ground hides them, nor around a lamp among the meshes.
     """
     center, radius = casters.ball
     if axis is not None:
@@ -126,6 +130,10 @@ def shadow_map(casters: Casters, place: np.ndarray, axis: np.ndarray | None) -> 
 
     with ThreadPoolExecutor(min(os.cpu_count() or 1, len(views))) as pool:
         farthest = list(pool.map(draw, views, depths))
+    backs = None
+    if soft and casters.meshes and len(views) == 1:
+        given = mesh.vertices, mesh.triangles, K, views[0], _SIZE, _SIZE
+        backs = mesh_backs(*given, orthographic=parallel, threads=0)
     turns = np.stack(views)[:, :3, :3]
     return ShadowMap(
         depths=depths,
@@ -134,6 +142,8 @@ def shadow_map(casters: Casters, place: np.ndarray, axis: np.ndarray | None) -> 
         scale=float(scale),
         parallel=parallel,
         farthest=farthest[0],
+        slack=casters.slack,
+        backs=None if backs is None else backs[None],
     )
 
 

@@ -28,7 +28,18 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     const int side = 2 + in.byte() % 30, views = in.byte() % 2 ? 6 : 1, rest = in.byte() % 25;
     std::vector<float> depths = some(in, noise, size_t(views * side * side), hostile);
     const std::vector<float> rotations = some(in, noise, size_t(9 * views), hostile);
-    gs_shadow_map map = {side, views, depths.data(), rotations.data(), {0, 0, 1}, noise(0, 20), in.byte() % 2, 5, 9};
+    const std::vector<float> backs = some(in, noise, depths.size(), hostile);
+    gs_shadow_map map = {side,
+                         views,
+                         depths.data(),
+                         in.byte() % 2 ? backs.data() : nullptr,
+                         rotations.data(),
+                         {0, 0, 1},
+                         noise(0, 20),
+                         in.byte() % 2,
+                         5,
+                         9,
+                         0.01f};
     std::vector<gs_lamp> lamps(in.byte() % 4);
     for (gs_lamp &lamp : lamps) {
         lamp = {in.byte() % 2,
@@ -46,7 +57,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     bool wrong = false;
     for (const gs_lamp &lamp : lamps)
         wrong = wrong || lamp.maps[1] > 0;
-    gs_light light = {{}, int32_t(lamps.size()), lamps.data(), 1, &map, 0.01f};
+    gs_light light = {{}, int32_t(lamps.size()), lamps.data(), 1, &map};
     for (float &value : light.world)
         value = noise(-1, 1);
     const std::vector<float> places = some(in, noise, 3 * count, hostile),
@@ -59,7 +70,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         surfaces.matrix[5 * k] = surfaces.turn[4 * k] = 1;
     surfaces.share = noise(0, 1), surfaces.catches = in.byte() % 2, surfaces.most = 16;
     if (hostile) {
-        float *const numbers[] = {&map.scale,      &map.farthest,  &map.nearest,        &map.place[2],    &light.slack,
+        float *const numbers[] = {&map.scale,      &map.farthest,  &map.nearest,        &map.place[2],    &map.slack,
                                   &light.world[9], &surfaces.most, &surfaces.matrix[3], &surfaces.turn[0]};
         *numbers[in.byte() % std::size(numbers)] = in.hostile();
         for (gs_lamp &lamp : lamps)

@@ -45,10 +45,10 @@ struct LightSeen {
     Vec x, y, per, most, z;
 };
 
-GS_INLINE LightSeen light_seen(const gs_shadow_map &map, const Light3 &at, float slack) {
+GS_INLINE LightSeen light_seen(const gs_shadow_map &map, const Light3 &at) {
     Light3 seen = {};
     const IVec view = light_view(map, {at.x - map.place[0], at.y - map.place[1], at.z - map.place[2]}, seen);
-    const Vec before = seen.z - slack;
+    const Vec before = seen.z - map.slack;
     const float middle = 0.5f * float(map.size) - 0.5f;
     if (map.parallel) // beyond all meshes, each of them is in front
         return {view,       fma(seen.x, map.scale, set1(middle)), fma(seen.y, map.scale, set1(middle)),
@@ -58,8 +58,8 @@ GS_INLINE LightSeen light_seen(const gs_shadow_map &map, const Light3 &at, float
 }
 
 // Share of a point, or a direction, that reaches places.
-static Vec light_reaching(const gs_shadow_map &map, const Light3 &at, float slack) {
-    const auto [view, x, y, per, most, z] = light_seen(map, at, slack);
+static Vec light_reaching(const gs_shadow_map &map, const Light3 &at) {
+    const auto [view, x, y, per, most, z] = light_seen(map, at);
     const Vec end = set1(float(map.size - 1));
     const Mask inside = both(both(both(ge(x, Vec{}), gt(end, x)), both(ge(y, Vec{}), gt(end, y))), gt(z, Vec{}));
     if (!bits(inside))
@@ -78,19 +78,26 @@ static Vec light_reaching(const gs_shadow_map &map, const Light3 &at, float slac
     return select(inside, fma(v, rows[1] - rows[0], rows[0]), set1(1.0f));
 }
 
-// The mesh in the pixel nearest to each place: whether it is in front, its depth, and z of the place.
+// The mesh in the pixel nearest to each place: whether it is in front, its depth, the mean of both sides if the far one
+// is in front too, as outlines are between them, and z of the place.
 struct LightMesh {
     Mask hides;
     Vec depth, z;
 };
 
-GS_INLINE LightMesh light_mesh(const gs_shadow_map &map, const Light3 &at, float slack) {
-    const LightSeen seen = light_seen(map, at, slack);
+GS_INLINE LightMesh light_mesh(const gs_shadow_map &map, const Light3 &at) {
+    const LightSeen seen = light_seen(map, at);
     const Vec x = seen.x + 0.5f, y = seen.y + 0.5f, end = set1(float(map.size));
     const Mask inside = both(both(both(ge(x, Vec{}), gt(end, x)), both(ge(y, Vec{}), gt(end, y))), gt(seen.z, Vec{}));
     const IVec column = to_int(keep(inside, x)), line = to_int(keep(inside, y));
-    const Vec depth = gather(map.depths, (seen.view * map.size + line) * map.size + column);
-    return {both(inside, gt(seen.per * depth, seen.most)), depth, seen.z};
+    const IVec pixel = (seen.view * map.size + line) * map.size + column;
+    Vec depth = gather(map.depths, pixel);
+    const Mask hides = both(inside, gt(seen.per * depth, seen.most));
+    if (map.backs) {
+        const Vec back = gather(map.backs, pixel);
+        depth = select(gt(seen.per * back, seen.most), 0.5f * (back + depth), depth);
+    }
+    return {hides, depth, seen.z};
 }
 
 // Samples of the search for meshes in front, and of a soft shadow.
@@ -189,9 +196,9 @@ struct LightBlock {
         return {gather(v[0], rows), gather(v[1], rows), gather(v[2], rows)};
     }
     // The surfaces, off by a distance, and their planes.
-    LightPlane plane(const gs_shadow_map &map, IVec rows, float slack) const {
+    LightPlane plane(const gs_shadow_map &map, IVec rows) const {
         const Light3 side = columns(facing, rows);
-        return LightPlane(map, above(rows, side, slack), side);
+        return LightPlane(map, above(rows, side, map.slack), side);
     }
     Light3 above(IVec rows, float slack) const { return above(rows, columns(facing, rows), slack); }
 
@@ -227,17 +234,17 @@ GS_INLINE void light_put(float *column, IVec rows, Vec v) {
 }
 
 // Radius of the blur by meshes in front that hide a part of the lamp; 0 without any. Its inverse is the root mean
-// square of theirs: the map shows the side towards the lamp, which blurs more than the outline behind it, so that a
-// mean of the radii would let light pass at contacts.
-static Vec light_blur_of(const gs_shadow_map &map, const LightPlane &plane, const LightDiscs &discs, float slack,
-                         float size, Vec z, IVec rows) {
+// square of theirs: without `backs` the map shows the side towards the lamp, which blurs more than the outline behind
+// it, so that a mean of the radii would let light pass at contacts.
+static Vec light_blur_of(const gs_shadow_map &map, const LightPlane &plane, const LightDiscs &discs, float size, Vec z,
+                         IVec rows) {
     const Vec cosine = gather(discs.turns[0], rows & (kLightTurns - 1)),
               sine = gather(discs.turns[1], rows & (kLightTurns - 1));
     const Vec reach = min(max(light_blur(map, size, z, set1(map.nearest)), Vec{}), z);
     Vec sum = {}, count = {};
     for (const auto &point : discs.search) {
         const Vec x = cosine * point[0] - sine * point[1], y = sine * point[0] + cosine * point[1];
-        const LightMesh mesh = light_mesh(map, plane.point(reach * x, reach * y), slack);
+        const LightMesh mesh = light_mesh(map, plane.point(reach * x, reach * y));
         const Vec blur = light_blur(map, size, mesh.z, mesh.depth);
         const Mask hides = both(mesh.hides, ge(blur, reach * point[2]));
         sum += keep(hides, quotient(set1(1.0f), max(blur * blur, set1(1e-30f))));
@@ -247,26 +254,25 @@ static Vec light_blur_of(const gs_shadow_map &map, const LightPlane &plane, cons
 }
 
 // Sum of the samples [first, last) of a soft shadow.
-static Vec light_samples(const gs_shadow_map &map, const LightPlane &plane, const LightDiscs &discs, float slack,
-                         Vec blur, bool wide, int first, int last) {
+static Vec light_samples(const gs_shadow_map &map, const LightPlane &plane, const LightDiscs &discs, Vec blur,
+                         bool wide, int first, int last) {
     Vec sum = {};
     for (int i = first; i < last; ++i) {
         const Light3 at = plane.point(blur * discs.soft[i][0], blur * discs.soft[i][1]);
-        sum += wide ? select(light_mesh(map, at, slack).hides, Vec{}, set1(1.0f)) : light_reaching(map, at, slack);
+        sum += wide ? select(light_mesh(map, at).hides, Vec{}, set1(1.0f)) : light_reaching(map, at);
     }
     return sum;
 }
 
 // Share of a lamp of some size that reaches surfaces.
-static void light_soft(const gs_shadow_map &map, const LightBlock &block, LightList &lit, float slack, float size,
-                       float *reaching) {
+static void light_soft(const gs_shadow_map &map, const LightBlock &block, LightList &lit, float size, float *reaching) {
     static const LightDiscs discs;
     float blurs[kLightRows], sums[kLightRows];
     LightList hidden[2]; // with narrow and with wide blurs
     lit.each([&](IVec rows, Mask mask) {
-        const LightPlane plane = block.plane(map, rows, slack);
-        const Vec z = light_seen(map, plane.at, slack).z;
-        const Vec blur = light_blur_of(map, plane, discs, slack, size, z, rows);
+        const LightPlane plane = block.plane(map, rows);
+        const Vec z = light_seen(map, plane.at).z;
+        const Vec blur = light_blur_of(map, plane, discs, size, z, rows);
         light_put(blurs, rows, blur);
         const Vec edge = map.parallel ? set1(kLightWide) : kLightWide * z;
         const Mask some = both(mask, gt(blur, Vec{}));
@@ -276,15 +282,15 @@ static void light_soft(const gs_shadow_map &map, const LightBlock &block, LightL
     for (int wide = 0; wide < 2; ++wide) {
         LightList open;
         hidden[wide].each([&](IVec rows, Mask mask) {
-            const Vec sum = light_samples(map, block.plane(map, rows, slack), discs, slack, gather(blurs, rows),
-                                          wide > 0, 0, kLightFirst);
+            const Vec sum =
+                light_samples(map, block.plane(map, rows), discs, gather(blurs, rows), wide > 0, 0, kLightFirst);
             light_put(sums, rows, sum);
             light_put(reaching, rows, sum * (1.0f / kLightFirst));
             open.add(rows, both(mask, both(gt(sum, Vec{}), gt(set1(float(kLightFirst)), sum))));
         });
         open.each([&](IVec rows, Mask) {
-            const Vec sum = light_samples(map, block.plane(map, rows, slack), discs, slack, gather(blurs, rows),
-                                          wide > 0, kLightFirst, kLightSoft);
+            const Vec sum = light_samples(map, block.plane(map, rows), discs, gather(blurs, rows), wide > 0,
+                                          kLightFirst, kLightSoft);
             light_put(reaching, rows, (gather(sums, rows) + sum) * (1.0f / kLightSoft));
         });
     }
@@ -346,10 +352,10 @@ static void light_lamps(const gs_light &light, const gs_lamp *lamps, int count, 
             continue;
         const gs_shadow_map &map = light.maps[lamps->maps[k]];
         if (lamps->size > 0)
-            light_soft(map, block, lit, light.slack, lamps->size, block.reaching[k]);
+            light_soft(map, block, lit, lamps->size, block.reaching[k]);
         else
             lit.each([&](IVec rows, Mask) {
-                light_put(block.reaching[k], rows, light_reaching(map, block.above(rows, light.slack), light.slack));
+                light_put(block.reaching[k], rows, light_reaching(map, block.above(rows, map.slack)));
             });
     }
     for (int i = 0; i < kLightRows && lit.count; i += kLanes)

@@ -31,7 +31,7 @@ struct Floors {
 // Oracle: cos / d^2 by hand.
 void a_point_fades_with_distance_and_angle() {
     const gs_lamp lamp = {0, 0, {2, 1, 0.5f}, {0, 0, 3}, {0, 0, -1}, 0.1f, {-2, 0}, 0, {-1, -1}};
-    const gs_light light = {{}, 1, &lamp, 0, nullptr, 0};
+    const gs_light light = {{}, 1, &lamp, 0, nullptr};
     const std::vector<float> found = Floors().radiance(light);
     for (size_t i = 0; i < kCount; ++i) {
         const double x = 0.1 * double(i), squared = x * x + 9;
@@ -46,9 +46,9 @@ void a_map_shadows_what_is_behind() {
     for (int i = 0; i < kSide * kSide; ++i)
         depths[size_t(i)] = i % kSide < kSide / 2 ? 5.0f : 0.0f;
     const float down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1};
-    const gs_shadow_map map = {kSide, 1, depths.data(), down, {2, 0, 10}, 2, 1, 10, 5};
+    const gs_shadow_map map = {kSide, 1, depths.data(), nullptr, down, {2, 0, 10}, 2, 1, 10, 5, 0.01f};
     const gs_lamp lamp = {1, 0, {1, 1, 1}, {}, {0, 0, -1}, 0, {-2, 0}, 0, {0, -1}};
-    const std::vector<float> found = Floors().radiance({{}, 1, &lamp, 1, &map, 0.01f});
+    const std::vector<float> found = Floors().radiance({{}, 1, &lamp, 1, &map});
     CHECK(found[3 * 5] == 0 && found[3 * 30] == 1);
 }
 
@@ -58,7 +58,7 @@ void what_is_invalid_is_refused() {
     const gs_lamp lamp = {1, 0, {1, 1, 1}, {}, {0, 0, -1}, 0, {-2, 0}, 0, {0, -1}};
     gs_shadow_map map = {};
     CHECK(gs_surface_radiance(nullptr, &floors.surfaces, 1, out.data()) == GS_BAD_ARGUMENT);
-    const gs_light missing = {{}, 1, &lamp, 0, nullptr, 0}, broken = {{}, 1, &lamp, 1, &map, 0}, none = {};
+    const gs_light missing = {{}, 1, &lamp, 0, nullptr}, broken = {{}, 1, &lamp, 1, &map}, none = {};
     CHECK(gs_surface_radiance(&missing, &floors.surfaces, 1, out.data()) == GS_BAD_ARGUMENT);
     CHECK(gs_surface_gains(&broken, &floors.surfaces, 1, out.data()) == GS_BAD_ARGUMENT);
     CHECK(gs_surface_gains(&none, &floors.surfaces, -1, out.data()) == GS_BAD_ARGUMENT);

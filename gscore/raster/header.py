@@ -8,7 +8,7 @@ import ctypes as ct
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-ABI_VERSION = 15
+ABI_VERSION = 16
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL, MEDIAN_SPLAT = 1, 2, 4, 8, 32
 DEPTH_OUTPUTS = {
@@ -143,7 +143,7 @@ StereoSweepArgsStruct = struct(
     "pointer grey",
     "int32 source_count",
     ("sources", ct.POINTER(StereoSourceStruct)),
-    "float farthest nearest",
+    "float farthest nearest slack",
     "int32 planes radius best",
     "float noise",
     "int32 threads",
@@ -172,11 +172,11 @@ MeshStruct = struct(
 ShadowMapStruct = struct(
     "gs_shadow_map",
     "int32 size views",
-    "pointer depths rotations",
+    "pointer depths backs rotations",
     "float[3] place",
     "float scale",
     "int32 parallel",
-    "float farthest nearest",
+    "float farthest nearest slack",
 )
 LampStruct = struct(
     "gs_lamp",
@@ -194,7 +194,6 @@ LightStruct = struct(
     ("lamps", ct.POINTER(LampStruct)),
     "int32 map_count",
     ("maps", ct.POINTER(ShadowMapStruct)),
-    "float slack",
 )
 SurfacesStruct = struct(
     "gs_surfaces",

@@ -54,6 +54,11 @@ class ShadowMap:
     parallel: bool = False
     farthest: float = 0.0
     """z of a plane behind all meshes, if parallel."""
+    slack: float = 0.0
+    """Distance from a surface within which nothing shadows it, world units."""
+    backs: np.ndarray | None = None
+    """As `depths`, of the farthest meshes: outlines, which make soft shadows, are taken to be half
+    way between both sides. None: on the near side, where shadows of what stands are too light."""
 
     @cached_property
     def nearest(self) -> float:
@@ -70,8 +75,6 @@ class SurfaceLight:
     """Shadows of each lamp by proxies and by other meshes; None: there are none."""
     world: np.ndarray
     """[9, 3] radiance of a white surface by its normal, in harmonics of degree 0 to 2."""
-    slack: float = 0.0
-    """Distance from a surface within which nothing shadows it, world units."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -188,7 +191,7 @@ def _lit(function: str, light: SurfaceLight, surfaces: Surfaces, **more: Any) ->
     return out
 
 
-def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
+def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray | None]]:
     """`gs_light`, and arrays that must outlive it."""
     found: list[ShadowMap] = []
     maps, lamps, kept = [], [], []
@@ -222,18 +225,20 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
     for one in found:
         rotations = np.ascontiguousarray(one.rotations, np.float32)
         views, size, _ = _sizes("depths", one.depths)
-        kept += [rotations, one.depths]
+        kept += [rotations, one.depths, one.backs]
         maps.append(
             header.ShadowMapStruct(
                 size=size,
                 views=views,
                 depths=address("depths", one.depths, (views, size, size)),
+                backs=optional("backs", one.backs, (views, size, size)),
                 rotations=address("rotations", rotations, (views, 3, 3)),
                 place=_floats("place", one.place, 3),
                 scale=one.scale,
                 parallel=one.parallel,
                 farthest=one.farthest,
                 nearest=one.nearest if is_soft else 0.0,
+                slack=one.slack,
             )
         )
     native = header.LightStruct(
@@ -242,7 +247,6 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray]]:
         lamps=(header.LampStruct * len(lamps))(*lamps),
         map_count=len(maps),
         maps=(header.ShadowMapStruct * len(maps))(*maps),
-        slack=light.slack,
     )
     return native, kept
 

@@ -58,6 +58,38 @@ def mesh_depth(
     return _drawn(corners, triangles, near, width, height, threads, out)
 
 
+def mesh_backs(
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    K: np.ndarray,
+    viewmat: np.ndarray,
+    width: int,
+    height: int,
+    *,
+    orthographic: bool = False,
+    threads: int = 1,
+) -> np.ndarray | None:
+    """Inverse depth of the farthest triangle at the centre of each pixel.
+
+    Arguments and errors as for `mesh_depth`; with parallel rays as `mesh_nearness`.
+
+    Returns:
+        [H, W] float32, 0 where there is no triangle; None: a vertex is behind the camera.
+    """
+    if orthographic:
+        corners, _ = _linear(vertices, K, viewmat)
+    else:
+        corners = projected_corners(vertices, K, viewmat)
+    if not len(corners) or corners[:, 2].min() <= 0:
+        return None
+    # Inverse depths are linear in the picture: turned round, the farthest triangle is the nearest.
+    inverse = 1 / corners[:, 2]
+    most = 1.001 * float(inverse.max())
+    corners *= (inverse / (most - inverse))[:, None]
+    drawn = _drawn(corners, triangles, 0.0, width, height, threads, None)
+    return np.subtract(np.float32(most), drawn, out=drawn, where=drawn > 0)
+
+
 def mesh_nearness(
     vertices: np.ndarray,
     triangles: np.ndarray,

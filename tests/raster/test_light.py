@@ -1,6 +1,5 @@
 """Light on surfaces; oracle: the float64 twin."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from gscore.raster.light import (
     surface_gains,
     surface_radiance,
 )
-from gscore.raster.mesh import mesh_depth, mesh_nearness
+from gscore.raster.mesh import mesh_backs, mesh_depth, mesh_nearness
 from tests.raster.twins import light as twin
 
 COUNT = 701
@@ -49,6 +48,7 @@ def shadows(seed: int, kind: str, place: tuple[float, ...]) -> ShadowMap:
         scale=2.0 if kind == "parallel" else 11.0,
         parallel=kind == "parallel",
         farthest=12.0 if kind == "parallel" else 0.0,
+        slack=0.05 if seed % 2 else 0.02,
     )
 
 
@@ -75,7 +75,7 @@ def scene(seed: int = 0) -> tuple[SurfaceLight, Surfaces, np.ndarray]:
         (down, None),
         (cube, shadows(5, "cube", (0.1, 0.2, 0.3))),
     ]
-    light = SurfaceLight(lamps=lamps, maps=maps, world=rng.normal(size=(9, 3)) * 0.3, slack=0.05)
+    light = SurfaceLight(lamps=lamps, maps=maps, world=rng.normal(size=(9, 3)) * 0.3)
     normals = rng.normal(size=(COUNT, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     normals[::50] = 0
@@ -96,11 +96,13 @@ def check(found: np.ndarray, wanted: np.ndarray) -> None:
     assert off.any(1).mean() < 0.01
 
 
-@pytest.mark.parametrize("change", [lambda light: light, lambda light: replace(light, slack=0.0)])
-def test_radiance(isa: str, change: Callable[[SurfaceLight], SurfaceLight]) -> None:
+@pytest.mark.parametrize("slack", [None, 0.0])
+def test_radiance(isa: str, slack: float | None) -> None:
     """Oracle: the twin; shadows change much of it."""
     light, surfaces, _ = scene()
-    light = change(light)
+    if slack is not None:
+        maps = [[one and replace(one, slack=slack) for one in pair] for pair in light.maps]
+        light = replace(light, maps=maps)
     wanted = twin.radiance(light, surfaces)
     check(surface_radiance(light, surfaces), wanted)
     bright = replace(light, maps=[(None, None)] * len(light.lamps))
@@ -118,7 +120,6 @@ def test_each_lamp(isa: str, index: int) -> None:
         lamps=light.lamps[index : index + 1],
         maps=light.maps[index : index + 1],
         world=np.zeros((9, 3)),
-        slack=0.01,
     )
     wanted = twin.radiance(light, surfaces)
     check(surface_radiance(light, surfaces), wanted)
@@ -233,6 +234,7 @@ def plate(kind: str) -> tuple[Lamp, ShadowMap, np.ndarray]:
         scale=scale,
         parallel=parallel,
         farthest=farthest,
+        slack=0.01,
     )
     return lamp, shadows, samples
 
@@ -252,9 +254,7 @@ def test_soft_shadows(isa: str, kind: str) -> None:
     found = []
     for size in (lamp.size, 0.0):
         one = replace(lamp, size=size)
-        light = SurfaceLight(
-            lamps=[one], maps=[(shadows, None)], world=np.zeros((9, 3)), slack=0.01
-        )
+        light = SurfaceLight(lamps=[one], maps=[(shadows, None)], world=np.zeros((9, 3)))
         bare = surface_radiance(replace(light, maps=[(None, None)]), surfaces)
         found.append(surface_radiance(light, surfaces)[:, 0] / bare[:, 0])
     blurred = (wanted > 0.02) & (wanted < 0.98)
@@ -267,14 +267,23 @@ def test_soft_shadows(isa: str, kind: str) -> None:
 
 
 def sun_map(
-    lamp: Lamp, vertices: np.ndarray, triangles: np.ndarray, *, size: int, width: float
+    lamp: Lamp,
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    *,
+    size: int,
+    width: float,
+    slack: float,
 ) -> ShadowMap:
     """The shadow map of a sun: `size` px for `width` around the origin, drawn from 20 away."""
     rotation, viewmat = turned(np.array(lamp.axis)), np.eye(4)
     viewmat[:3, :3], viewmat[:3, 3] = rotation, [0, 0, 20]
     scale = size / width
     K = np.array([[scale, 0, size / 2], [0, scale, size / 2], [0, 0, 1]])
-    drawn, farthest = mesh_nearness(vertices, triangles.astype(np.int32), K, viewmat, size, size)
+    given = vertices, triangles.astype(np.int32), K, viewmat, size, size
+    drawn, farthest = mesh_nearness(*given)
+    backs = mesh_backs(*given, orthographic=True)
+    assert backs is not None
     return ShadowMap(
         depths=drawn[None],
         rotations=rotation[None],
@@ -282,12 +291,14 @@ def sun_map(
         scale=scale,
         parallel=True,
         farthest=farthest,
+        slack=slack,
+        backs=backs[None],
     )
 
 
-def test_a_soft_shadow_stays_dark_where_a_ball_stands(isa: str) -> None:
-    """Oracle: rays to many samples of the sun past a ball on the ground, in closed form; means of
-    the blurs of its upper side, which the map shows, let light pass below it."""
+def standing_ball(*, ground: bool) -> tuple[Lamp, ShadowMap, np.ndarray, np.ndarray]:
+    """A wide sun, its map of a ball, with or without the ground below it, places on the ground
+    [N, 3], and the share of the sun that reaches them past the ball [N], in closed form."""
     lamp, _, _ = plate("sun")
     lamp = replace(lamp, axis=(0.9, 0.0, -0.43589), size=0.3)
     u, v = np.meshgrid(np.linspace(0, np.pi, 40), np.linspace(0, 2 * np.pi, 80))
@@ -295,28 +306,53 @@ def test_a_soft_shadow_stays_dark_where_a_ball_stands(isa: str) -> None:
     k = np.arange(79 * 40).reshape(79, 40)[:, :-1].ravel()
     square = 9 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
     faces = [np.stack([k, k + 1, k + 41], 1), np.stack([k, k + 41, k + 40], 1)]
-    faces.append(np.array([[0, 1, 2], [0, 2, 3]]) + 3200)
+    faces += ground * [np.array([[0, 1, 2], [0, 2, 3]]) + 3200]
     vertices = np.concatenate([ball.reshape(-1, 3), square])
-    shadows = sun_map(lamp, vertices, np.concatenate(faces), size=512, width=10)
-    rotation = shadows.rotations[0]
+    given = lamp, vertices, np.concatenate(faces)
+    shadows = sun_map(*given, size=512, width=10, slack=0.02 if ground else 0.002)
     flat = np.random.default_rng(0).uniform([-1, -1.2], [3, 1.2], (COUNT, 2))
     places = np.column_stack([flat, np.zeros(COUNT)]).astype(np.float32)
-    up = np.tile(np.float32([0, 0, 1]), (COUNT, 1))
-    surfaces = Surfaces(places=places, normals=up, matrix=np.eye(4))
-    light = SurfaceLight(lamps=[lamp], maps=[(shadows, None)], world=np.zeros((9, 3)), slack=0.02)
-    bare = surface_radiance(replace(light, maps=[(None, None)]), surfaces)
-    found = surface_radiance(light, surfaces)[:, 0] / bare[:, 0]
     turn = 2.39996 * np.arange(500)
     disc = np.sqrt(np.linspace(0, 1, 500))[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1)
-    rays = lamp.size * disc @ rotation[:2] - np.array(lamp.axis)
+    rays = lamp.size * disc @ shadows.rotations[0][:2] - np.array(lamp.axis)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     center = [0, 0, 1] - places.astype(np.float64)
     near = center @ rays.T
     wanted = (((center**2).sum(1)[:, None] - near**2 > 1) | (near < 0)).mean(1)
-    dark = wanted < 0.02
+    return lamp, shadows, places, wanted
+
+
+def reached(lamp: Lamp, shadows: ShadowMap, places: np.ndarray) -> np.ndarray:
+    """Share of a lamp that reaches ground [N, 3], [N]."""
+    up = np.tile(np.float32([0, 0, 1]), (len(places), 1))
+    surfaces = Surfaces(places=places, normals=up, matrix=np.eye(4))
+    light = SurfaceLight(lamps=[lamp], maps=[(shadows, None)], world=np.zeros((9, 3)))
+    bare = surface_radiance(replace(light, maps=[(None, None)]), surfaces)
+    return surface_radiance(light, surfaces)[:, 0] / bare[:, 0]
+
+
+def test_a_soft_shadow_stays_dark_where_a_ball_stands(isa: str) -> None:
+    """Oracle: rays to many samples of the sun past a ball on the ground, in closed form; means of
+    the blurs of its upper side, which the map shows, let light pass below it."""
+    lamp, shadows, places, wanted = standing_ball(ground=True)
+    found, dark = reached(lamp, replace(shadows, backs=None), places), wanted < 0.02
     assert dark.sum() > 40
     assert found[dark].mean() < 0.145
     assert np.abs(found - wanted).mean() < 0.1
+
+
+def test_backs_end_the_light_below_a_ball(isa: str) -> None:
+    """As above, in the map of the ball alone with its far sides."""
+    lamp, shadows, places, wanted = standing_ball(ground=False)
+    assert shadows.backs is not None
+    near_sides = reached(lamp, replace(shadows, backs=None), places)
+    found, dark = reached(lamp, shadows, places), wanted < 0.02
+    assert near_sides[dark].mean() > 0.1
+    assert found[dark].mean() < 0.01
+    beside = (np.hypot(*places[:, :2].T) < 0.7) & (wanted < 0.98)
+    assert beside.sum() > 50
+    assert np.abs(found - wanted)[beside].mean() < 0.1
+    assert np.abs(near_sides - wanted)[beside].mean() > 0.14
 
 
 @pytest.mark.parametrize("size", [0.0, 0.3])
@@ -335,7 +371,7 @@ def test_lamps_with_the_same_shadows_add_up(isa: str, size: float) -> None:
 
     def radiance(lamps: list[Lamp]) -> np.ndarray:
         maps = [(shadows, None)] * len(lamps)
-        light = SurfaceLight(lamps=lamps, maps=maps, world=np.zeros((9, 3)), slack=0.01)
+        light = SurfaceLight(lamps=lamps, maps=maps, world=np.zeros((9, 3)))
         return surface_radiance(light, surfaces)
 
     alone = sum(radiance([one]) for one in lamps)
@@ -350,13 +386,15 @@ def test_a_slope_does_not_shadow_itself(isa: str) -> None:
     corners = 9 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     heights = -(corners @ normal[:2]) / normal[2]
     square = np.array([[0, 1, 2], [0, 2, 3]])
-    shadows = sun_map(lamp, np.column_stack([corners, heights]), square, size=256, width=20)
+    shadows = sun_map(
+        lamp, np.column_stack([corners, heights]), square, size=256, width=20, slack=0.1
+    )
     rng = np.random.default_rng(0)
     flat = rng.uniform(-2, 2, (COUNT, 2))
     places = np.column_stack([flat, -(flat @ normal[:2]) / normal[2]]).astype(np.float32)
     normals = np.tile(np.float32(normal), (COUNT, 1))
     surfaces = Surfaces(places=places, normals=normals, matrix=np.eye(4))
-    light = SurfaceLight(lamps=[lamp], maps=[(shadows, None)], world=np.zeros((9, 3)), slack=0.1)
+    light = SurfaceLight(lamps=[lamp], maps=[(shadows, None)], world=np.zeros((9, 3)))
     bare = replace(light, maps=[(None, None)])
     np.testing.assert_allclose(
         surface_radiance(light, surfaces), surface_radiance(bare, surfaces), rtol=1e-5

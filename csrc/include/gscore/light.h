@@ -12,12 +12,14 @@ typedef struct gs_shadow_map {
     int32_t views;          /* 1, or 6 that look along s = +x, -x, +y, -y, +z and -z of the world, with the pixels' axes
                              * (-s z, y), (s z, x) and (-s y, x) */
     const float *depths;    /* [views, size, size] 1 / z, if parallel the distance in front of `farthest`; 0: no mesh */
+    const float *backs;     /* [views, size, size] as `depths`, of the farthest meshes; null: not known */
     const float *rotations; /* [views, 3, 3] world to lamp, z ahead */
     float place[3];         /* of the lamp, world */
     float scale;            /* pixels per unit aside, at z = 1 unless parallel */
     int32_t parallel;       /* rays do not diverge */
     float farthest;         /* z of a plane behind all meshes, if parallel */
     float nearest;          /* maximum of `depths`; for soft shadows only */
+    float slack;            /* distance from a surface within which nothing shadows it, world units */
 } gs_shadow_map;
 
 /* A small source of light. */
@@ -39,7 +41,6 @@ typedef struct gs_light {
     const gs_lamp *lamps;
     int32_t map_count;
     const gs_shadow_map *maps;
-    float slack; /* distance from a surface within which nothing shadows it, world units */
 } gs_light;
 
 typedef struct gs_surfaces {

@@ -60,10 +60,10 @@ def lit(scene):
     return scene
 
 
-def grid(z: float) -> bpy.types.Object:
-    """A fine mesh of the wall."""
+def grid(z: float, along: int = 150) -> bpy.types.Object:
+    """A mesh of the wall, fine by default."""
     bpy.ops.mesh.primitive_grid_add(
-        x_subdivisions=150, y_subdivisions=150, size=5, location=(0, 0, z)
+        x_subdivisions=along, y_subdivisions=along, size=5, location=(0, 0, z)
     )
     return bpy.context.object
 
@@ -129,6 +129,33 @@ def test_shadows_of_meshes(lit, tmp_path, kind):
     assert (shadow & ours).sum() / (shadow | ours).sum() > 0.7
     clear = ~(shadow | ours)
     assert np.abs(got - without)[clear].mean() < 0.01 * without.max()
+
+
+@pytest.mark.parametrize(("kind", "size"), [("SUN", "angle"), ("POINT", "shadow_soft_size")])
+def test_shadows_begin_where_meshes_stand(lit, tmp_path, kind, size):
+    """A small cube on the wall, which has a coarse proxy: the distance that proxies may be off is
+    none of other meshes. The maps of soft shadows have its far side, those of hard ones do not."""
+    lit.render.resolution_x = lit.render.resolution_y = 80
+    made = lamp(lit, kind)
+    made.location = (1.5, 0.2, 1.5)
+    (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
+    proxy = grid(-0.01, 12)
+    attach(lit, ob, proxy)
+    bare = lab.render_exr(tmp_path, "bare")[..., :3].mean(2)
+    bpy.ops.mesh.primitive_cube_add(size=0.3, location=(0.1, 0, 0.15))
+    cube = bpy.context.object
+    found = {}
+    for soft in (False, True):
+        setattr(made.data, size, 0.05 * soft)
+        found[soft] = lab.render_exr(tmp_path, f"soft{soft}")[..., :3].mean(2) < 0.5 * bare
+        of_cube, of_proxy = sorted(relight._known.values(), key=lambda one: one.slack)
+        assert (of_cube.backs is not None) == soft and of_proxy.backs is None
+    proxy.driver_remove("hide_render")
+    proxy.hide_render, cube.visible_camera, lit.cycles.max_bounces = True, False, 0
+    wanted = by_cycles(lit, tmp_path).mean(2) < 0.5 * bare
+    assert wanted.sum() > 40
+    for ours in found.values():
+        assert (wanted & ours).sum() / (wanted | ours).sum() > 0.75
 
 
 @pytest.mark.parametrize("kind", ["SUN", "POINT", "AREA"])

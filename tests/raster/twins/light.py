@@ -10,13 +10,14 @@ from tests.light_changes import decode, encode
 _SIDES = [sign * np.eye(3)[k] for k in range(3) for sign in (1.0, -1.0)]
 
 
-def reaching(shadows: ShadowMap | None, places: np.ndarray, slack: float) -> np.ndarray:
-    """Share of a lamp that reaches places [N, 3], [N]."""
+def reaching(shadows: ShadowMap | None, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Share of a lamp that reaches places [N, 3] with normals [N, 3], [N]."""
     if shadows is None:
         return np.ones(len(places))
     views, size, _ = shadows.depths.shape
     out = np.ones(len(places))
-    for i, away in enumerate(places - shadows.place):
+    beside = places + normals * shadows.slack
+    for i, away in enumerate(beside - shadows.place):
         view = 0 if views == 1 else int(np.argmax([side @ away for side in _SIDES]))
         x, y, z = shadows.rotations[view] @ away
         if z <= 0:
@@ -29,7 +30,7 @@ def reaching(shadows: ShadowMap | None, places: np.ndarray, slack: float) -> np.
         found = np.float64(shadows.depths[view, row : row + 2, column : column + 2])
         with np.errstate(divide="ignore"):
             far = shadows.farthest - found if shadows.parallel else 1 / found
-        passes = ((found == 0) | (z - slack <= far)).astype(float)
+        passes = ((found == 0) | (z - shadows.slack <= far)).astype(float)
         v, u = at - [row, column]
         out[i] = np.array([1 - v, v]) @ passes @ np.array([1 - u, u])
     return out
@@ -68,10 +69,9 @@ def radiance(
         if two_sided:
             own = np.where(share[:, None] < 0, -normals, normals)
             share = falloff(lamp, places, own)
-        beside = places + own * light.slack
-        share = np.maximum(share, 0) * reaching(proxies, beside, light.slack)
+        share = np.maximum(share, 0) * reaching(proxies, places, own)
         if meshes:
-            share *= reaching(others, beside, light.slack)
+            share *= reaching(others, places, own)
         out += share[:, None] * np.array(lamp.strength)
     return out
 
