@@ -143,7 +143,7 @@ StereoSweepArgsStruct = struct(
     "pointer grey",
     "int32 source_count",
     ("sources", ct.POINTER(StereoSourceStruct)),
-    "float farthest nearest slack",
+    "float farthest nearest",
     "int32 planes radius best",
     "float noise",
     "int32 threads",
