@@ -57,8 +57,8 @@ class ShadowMap:
     slack: float = 0.0
     """Distance from a surface within which nothing shadows it, world units."""
     backs: np.ndarray | None = None
-    """`depths` of the farthest meshes. Outlines, which make soft shadows, are assumed half way between
-    the nearest and the farthest. None: at the nearest, so that contacts are too light."""
+    """`depths` of the farthest meshes. Outlines, which make soft shadows, are assumed half way
+    between the nearest and the farthest. None: at the nearest, so that contacts are too light."""
 
     @cached_property
     def nearest(self) -> float:
