@@ -336,11 +336,14 @@ def test_foreign_files_in_the_output_folder_are_reported(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Oracle: their names, and unchanged files."""
-    for name in "dcba":
+    for name in "gfedcba":
         (tmp_path / f"{name}.jpg").write_text(name)
     assert main(["train", str(capture), "-o", str(tmp_path), *SHORT]) == 0
     reported = capsys.readouterr()
-    assert "contains other files, which are kept: a.jpg, b.jpg, c.jpg and 1 more" in reported.err
+    said = reported.err
+    assert (
+        "contains other files, which are kept: a.jpg, b.jpg, c.jpg, d.jpg, e.jpg and 2 more" in said
+    )
     assert f"Results: {tmp_path}/point_cloud.ply, {tmp_path}/report.html" in reported.out
     assert (tmp_path / "d.jpg").read_text() == "d"
 
