@@ -129,12 +129,14 @@ _LONGEST = 20
 def _check_masks(runs: Sequence[ComparedRun]) -> None:
     modes = [str(run.metrics.get("mask_mode"))[:_LONGEST] for run in runs]
     if modes[0] != modes[1]:
-        advice = _measure_again(runs, ("--mask-mode", modes[0]), f"masks-{modes[0]}")
         if "composite" in modes:
             advice = (
                 "With composite masks splats show the subject only, else its surroundings too, so "
                 "they cannot be compared: train one with the other's `--mask-mode`."
             )
+        else:  # a run with masked pixels to ignore shows nothing true there
+            ordered = runs if modes[1] == "none" else runs[::-1]
+            advice = _measure_again(ordered, ("--mask-mode", "ignore"), "masks-ignore")
         raise ConfigError(
             f"{brief(runs[0].label)} was scored with `--mask-mode {modes[0]}`, "
             f"{brief(runs[1].label)} with {modes[1]}: their numbers are of different pixels. "
@@ -156,12 +158,14 @@ def _check_sizes(
 
 
 def _measure_again(runs: Sequence[ComparedRun], options: Sequence[str], mark: str) -> str:
-    """Commands that measure the second run like the first, in another folder, and compare it."""
+    """Commands that measure the second of `runs` like the first, in another folder, and compare
+    it."""
     first, second = (run.folder.rstrip("/") for run in runs)
     apart = f"{second}-{mark}"
+    again = as_typed("eval", second, *options, "-o", apart)
     return (
-        f"Measure the second as the first: {as_typed('eval', second, *options, '-o', apart)}, and "
-        f"compare that: {as_typed('compare', first, apart)}"
+        f"Measure {brief(second)} like {brief(first)}: {again}, and compare that: "
+        f"{as_typed('compare', first, apart)}"
     )
 
 

@@ -96,7 +96,7 @@ def test_view_trained_on_by_one_run_is_named() -> None:
         ({"views": []}, "gscore eval b"),
         ({"views": [view("other", 1.0, 1.0)]}, "no scored view in common"),
         ({"views": [view("1.png", 1.0, 1.0) | {"width": 80}]}, "40 x 30 px.*80 x 30 px"),
-        ({"mask_mode": "ignore"}, "different pixels.*gscore eval b --mask-mode"),
+        ({"mask_mode": "ignore"}, "Measure a like b: gscore eval a --mask-mode ignore -o"),
         ({"mask_mode": "composite"}, "different pixels.*train one with the other's `--mask-mode`"),
     ],
 )
