@@ -106,7 +106,7 @@ WITHOUT_EFFECT = {
     "Threads": setting("render.threads_mode", "FIXED"),
     "pixel filter": setting("render.filter_size", 5.0),
 }
-ELSEWHERE = {"Depth of Field", "Holdout", "Holdout among meshes", "Apply", "Join"}
+ELSEWHERE = {"Depth of Field", "Holdout", "Holdout among meshes", "Composite", "Apply", "Join"}
 """Tried in test_panorama.py with a panorama, below with meshes, in test_compositor.py, and in
 splats/test_mending.py."""
 REFUSED = {

@@ -222,7 +222,7 @@ def test_not_finite(scene: bpy.types.Scene, make_splats: Make) -> None:
     """Oracle: the message names count, attribute and the first index."""
     ob = objects.create(make_splats(), "Chair")
     ob.data.attributes["scale"].data[7].vector = (1, float("nan"), 1)
-    with pytest.raises(ValueError, match=r"1 splats whose scale .* number 7"):
+    with pytest.raises(ValueError, match=r"1 splat whose scale .* number 7"):
         objects.read(ob)
 
 
