@@ -1,6 +1,5 @@
 """Config file: the options of a run as JSON (config.json), and differences between two runs."""
 
-import difflib
 import json
 import math
 from collections.abc import Callable, Collection
@@ -14,7 +13,7 @@ from .config import DataConfig, Switch, TrainConfig
 from .errors import ConfigError
 from .json_text import parse_json
 from .options import options_of
-from .quoting import brief, quoted
+from .quoting import brief, nearest, quoted
 
 ConfigT = TypeVar("ConfigT", DataConfig, TrainConfig)
 AnyT = TypeVar("AnyT")
@@ -58,8 +57,8 @@ def from_dict(
                 warn(f"{where}: {name} {quoted(value)} has no effect: {meaning}.")
             continue
         if name not in hints:
-            guess = difflib.get_close_matches(name, hints, n=1)
-            hint = f" Did you mean {quoted(guess[0])}?" if guess else ""
+            guess = nearest(name, list(hints))
+            hint = f" Did you mean {quoted(guess)}?" if guess else ""
             raise ConfigError(f"{where}: there is no option {quoted(name)}.{hint}")
         one = options_of(cls).get(name)
         auto = one is not None and one.is_auto(value)

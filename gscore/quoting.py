@@ -1,5 +1,6 @@
-"""Quoting of untrusted text in messages: short and printable."""
+"""Quoting of untrusted text in messages, short and printable, and names for misspelt ones."""
 
+import difflib
 import reprlib
 import shlex
 import shutil
@@ -22,6 +23,16 @@ def first_few(names: Sequence[str], most: int = 5) -> str:
     """The first names, for a message, and the number of the others: a, b and 3 more."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(map(brief, names[:most])) + more
+
+
+def nearest(word: str, known: Sequence[str]) -> str:
+    """The known name most similar to `word`; empty if none is."""
+    word = word.lower()
+    longer = [name for name in known if len(word) > 2 and name.startswith(word)]
+    if len(longer) == 1:
+        return longer[0]
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+    return (close or longer or [""])[0]
 
 
 def as_typed(*words: str | Path) -> str:

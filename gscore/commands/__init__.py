@@ -24,9 +24,9 @@ from ..errors import BackendError, ConfigError, GsError
 from ..events import Failed
 from ..extras import install_hint, missing, package_facts
 from ..io.files import reason
-from ..quoting import brief, quoted
+from ..quoting import brief, nearest, quoted
 from ..text_format import count_text
-from .parser import Parser, UsageExit, nearest, sentence
+from .parser import Parser, UsageExit, sentence
 from .terminal.display import JsonLines
 from .terminal.interrupt import Interrupt, interrupts, is_worker, safe_streams
 from .terminal.status import print_warnings, show_while, wrapped

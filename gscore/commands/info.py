@@ -18,6 +18,7 @@ from ..io.block_record import block_records, read_block
 from ..io.files import check_regular
 from ..io.lod_file import is_lod_file, open_lod_file
 from ..io.metrics_file import metrics_problem, read_metrics
+from ..io.missing_path import missing_path
 from ..io.runs import checkpoints_in, read_run, training_in
 from ..io.sequences import read_sequence
 from ..quoting import as_typed, brief
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     """Print the summary of a path."""
     path = args.path
     if not path.exists():
-        raise DatasetError(f"There is no file or folder {path}.")
+        raise DatasetError(missing_path(path, "file or folder"))
     if not path.is_dir():
         check_regular(path)
     if is_lod_file(path):

@@ -12,13 +12,13 @@ from ..config_file import to_json
 from ..errors import ConfigError
 from ..live_options import LiveOptions
 from ..options import Option, options_of
-from ..quoting import quoted
+from ..quoting import nearest, quoted
 from ..sequence_options import SequenceOptions
 from .args.data_options import HOLD_OUT
 from .args.option_names_3dgs import ALIASES
 from .args.run_options import plain, preset_values
 from .args.unused_options import reason_of
-from .parser import add_option, nearest
+from .parser import add_option
 from .terminal.output import print_json
 from .terminal.status import wrapped
 
@@ -28,12 +28,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option = partial(add_option, parser)
     option("word?", "word to search for in names and groups, or else in the texts")
     option("--json", "all properties as JSON")
+    for one in all_options():
+        flags = [one.flag, *filter(None, [ALIASES.get(one.name)])]
+        facts = {"dest": "flag", "action": "store_const", "const": one.name}
+        vars(parser.add_argument(*flags, help=argparse.SUPPRESS, **facts))["declared"] = one
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the options that match."""
     every = list(all_options())
-    found = every if args.word is None else matching(args.word, every)
+    word = args.word or args.flag
+    found = every if word is None else matching(word, every)
     if args.json:
         print_json([facts(one) for one in found])
         return 0
@@ -42,8 +47,8 @@ def run(args: argparse.Namespace) -> int:
         for one in members:
             print(wrapped(f"  {described(one)}", sys.stdout))
         print()
-    if args.word is not None and (others := mentioning(args.word, every, found)):
-        more = f"The texts of these options mention {quoted(args.word)} too: {', '.join(others)}."
+    if word is not None and (others := mentioning(word, every, found)):
+        more = f"The texts of these options mention {quoted(word)} too: {', '.join(others)}."
         print(wrapped(more, sys.stdout))
     print(
         wrapped(
@@ -72,7 +77,7 @@ def matching(word: str, options: list[Option]) -> list[Option]:
     """
     pattern = _plain(word.lstrip("-"))
     tests = (
-        lambda one: pattern == one.name.lower(),
+        lambda one: pattern in (one.name.lower(), _plain(ALIASES.get(one.name, "")[2:])),
         lambda one: pattern == _plain(one.group),
         lambda one: f"_{pattern}" in f"_{one.name}".lower(),
     )

@@ -1,7 +1,6 @@
 """Argument parser of all verbs: errors in one sentence, with suggestions for misspelt names."""
 
 import argparse
-import difflib
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -10,7 +9,7 @@ from typing import Any, NoReturn
 
 from ..config import checked_threads
 from ..errors import ConfigError
-from ..quoting import brief, quoted
+from ..quoting import brief, nearest, quoted
 from .terminal.status import wrapped
 
 _REQUIRED = "the following arguments are required: "
@@ -40,6 +39,7 @@ def add_option(
     usage: str,
     text: str | None = None,
     kind: Callable[[str], Any] | None = None,
+    unless: Sequence[str] = (),
     **facts: Any,
 ) -> None:
     """Declare an option or argument by its usage, as in a help page.
@@ -51,6 +51,7 @@ def add_option(
             and choices is a switch.
         text: The help.
         kind: Converts a value; else the type of a numeric default.
+        unless: Options in whose absence an argument with `?` is needed, so that errors name it.
         facts: Further arguments of argparse's `add_argument`.
     """
     words = usage.removesuffix("...").rstrip("*?").split()
@@ -66,7 +67,7 @@ def add_option(
         facts["action"] = "store_true"
     if kind or isinstance(facts.get("default"), int | float):
         facts["type"] = kind or type(facts["default"])
-    group.add_argument(*names, help=text, **facts)
+    vars(group.add_argument(*names, help=text, **facts))["unless"] = unless
 
 
 def add_threads_option(parser: argparse.ArgumentParser) -> None:
@@ -105,11 +106,12 @@ class Parser(argparse.ArgumentParser):
         """Create an argparse parser that reads -1e-3 as a number in every Python version."""
         super().__init__(*args, **kwargs)
         self._negative_number_matcher = _NEGATIVE
+        self._found = argparse.Namespace()
 
     def error(self, message: str) -> NoReturn:
         """Print the message and raise `UsageExit`."""
         if message.startswith(_REQUIRED):
-            names = message.removeprefix(_REQUIRED).split(", ")
+            names = [*self._needed(), *message.removeprefix(_REQUIRED).split(", ")]
             message = f"missing: {', '.join(name.split('/')[0] for name in names)}"
             message += "".join(
                 f", one of {', '.join(action.choices)}"
@@ -121,6 +123,16 @@ class Parser(argparse.ArgumentParser):
         sentence = f"{sentence} See {self.prog} --help."
         print(wrapped(f"{self.prog}: error: {sentence}", sys.stderr), file=sys.stderr)
         raise UsageExit(sentence)
+
+    def _needed(self) -> list[str]:
+        """Names of the absent arguments that the given options do not replace."""
+        found = vars(self._found)
+        return [
+            action.dest
+            for action in self._actions
+            if (unless := vars(action).get("unless"))
+            and not any(map(found.get, (action.dest, *unless)))
+        ]
 
     def format_help(self) -> str:
         """The help, with only the required arguments in the usage line."""
@@ -147,7 +159,8 @@ class Parser(argparse.ArgumentParser):
         words = sys.argv[1:] if args is None else list(args)
         self._check_output(words)
         self._check_names(words)
-        found, unknown = self.parse_known_args(words, namespace)
+        self._found = namespace or argparse.Namespace()  # of use to `error` too
+        found, unknown = self.parse_known_args(words, self._found)
         if unknown:
             self.error(f"unrecognized arguments: {brief(' '.join(unknown))}")
         return found
@@ -207,16 +220,6 @@ class Parser(argparse.ArgumentParser):
             if kind := _NUMBERS.get(getattr(action.type, "__name__", "")):
                 words = f"expected {kind}, got {quoted(arg_string)}"
             raise argparse.ArgumentError(action, words) from error
-
-
-def nearest(word: str, known: Sequence[str]) -> str:
-    """The known name most similar to `word`; empty if none is."""
-    word = word.lower()
-    longer = [name for name in known if len(word) > 2 and name.startswith(word)]
-    if len(longer) == 1:
-        return longer[0]
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
-    return (close or longer or [""])[0]
 
 
 def _options(parser: argparse.ArgumentParser, *, hidden: bool = False) -> Iterator[str]:

@@ -65,6 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "capture: a folder of photos with a COLMAP model; or photos alone or a video, whose"
         " cameras are found first",
         Path,
+        unless=("source_option", "resume", "config"),
     )
     option(
         "-s, --source, --source-path SOURCE_OPTION", argparse.SUPPRESS, Path, dest="source_option"

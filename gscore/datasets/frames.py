@@ -9,6 +9,7 @@ from pathlib import Path
 from ..config import DataConfig
 from ..errors import ConfigError, DatasetError
 from ..io.colmap.folder import has_model
+from ..io.missing_path import missing_path
 from ..quoting import first_few, quoted
 from ..text_format import count_text
 from .pku.case import find_video
@@ -66,8 +67,11 @@ def find_frames(data: DataConfig) -> list[SequenceFrame]:
         ]
     if not data.source.is_dir():
         raise DatasetError(
-            f"There is no folder {data.source}. Give a folder with a numbered folder for each "
-            f"frame, or a path with {{frame:06d}} in place of the number."
+            missing_path(
+                data.source,
+                advice="Give a folder with a numbered folder for each frame, or a path with "
+                "{frame:06d} in place of the number.",
+            )
         )
     found: dict[int, Path] = {}
     for folder in sorted(data.source.iterdir()):

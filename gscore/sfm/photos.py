@@ -19,6 +19,7 @@ from ..io.files import read_bytes
 from ..io.images.pillow_images import load_complete, opened_picture
 from ..io.images.raw import RAW_ENDINGS
 from ..io.images.read_image import IMAGE_ENDINGS
+from ..io.missing_path import missing_path
 from ..io.runs import SEARCH_RECORD
 from ..io.unsupported_formats import unread_cameras
 from ..json_text import parse_json
@@ -70,7 +71,7 @@ def photo_folder(path: Path) -> Path:
     """
     if not path.is_dir():
         raise DatasetError(
-            f"There is no folder {path}. Give the folder of the photos."
+            missing_path(path, advice="Give the folder of the photos.")
             if not path.exists()
             else f"{path} is a file. Give the folder of the photos."
         )

@@ -1,4 +1,5 @@
 """Video frames: selection by sharpness and motion, written as photos."""
 
+from ..io.missing_path import VIDEO_ENDINGS
 from .extract import Frames, extract_frames
-from .request import VIDEO_ENDINGS, ExtractRequest, is_video
+from .request import ExtractRequest, is_video

@@ -5,14 +5,10 @@ from pathlib import Path
 
 from ..errors import ConfigError
 from ..io.files import is_file
+from ..io.missing_path import VIDEO_ENDINGS
 from ..quoting import quoted
 from ..text_format import number
 
-VIDEO_ENDINGS = (
-    *(".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mts", ".m2ts", ".ts", ".mpg", ".mpeg"),
-    *(".3gp", ".wmv", ".flv", ".insv", ".lrv", ".mxf", ".ogv"),
-)
-"""Endings of files that count as videos without being opened."""
 FRAME_FORMATS = ("jpg", "png")
 """Values of `ExtractRequest.format`."""
 MOST_FRAMES = 100_000

@@ -10,6 +10,7 @@ from typing import Any
 from ..errors import DatasetError, FormatError
 from ..extras import need
 from ..io.files import check_regular, is_file
+from ..io.missing_path import missing_path
 from ..quoting import brief
 from ..text_format import count_text, number
 
@@ -218,7 +219,7 @@ def opened_video(path: Path) -> Iterator[Video]:
     """
     av = need("av", "Reading a video")
     if not path.exists():
-        raise DatasetError(f"There is no video {brief(path)}.")
+        raise DatasetError(missing_path(path, "video"))
     check_regular(path)
     try:
         options = {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS}

@@ -44,6 +44,8 @@ def test_one_option_with_all_that_is_known(capsys: pytest.CaptureFixture[str]) -
     assert row["default"] == 0.0 and row["range"] == "0 to less than 1" and not row["basic"]
     assert row["flag"] == "--drop-rate" and row["group"] == "loss"
     (row,) = reported("mcmc_noise", capsys)
+    assert reported("--drop-rate", capsys) == reported("drop_rate", capsys)
+    assert reported("--noise-lr", capsys) == reported("noise_lr", capsys) == [row]
     assert row["name_3dgs"] == "--noise-lr" and row["idle"] == "only with `--strategy mcmc`"
 
 
@@ -141,3 +143,9 @@ def test_switches_of_3dgs() -> None:
     found = configured("--train_test_exp --exposure_lr_init 0.02 --exposure_lr_final 0.002")
     assert found.exposure is Switch.ON
     assert (found.exposure_lr, found.exposure_lr_final) == (0.02, 0.002)
+
+
+def test_a_misspelt_flag_gets_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    """Oracle: one swap of letters."""
+    assert main(["options", "--detph-mode"]) == 2
+    assert "--detph-mode: did you mean --depth-mode?" in capsys.readouterr().err

@@ -267,8 +267,11 @@ def test_resuming_with_other_options_says_which(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["-o", "{out}"], "No capture was given"),
+        (["-o", "{out}"], "missing: source."),
+        ([], "missing: source, -o."),
+        (["--resume"], "missing: -o."),
         (["{capture}/nothing", "-o", "{out}"], "nothing"),
+        (["{capture}/walk.mp4", "-o", "{out}"], "There is no video {capture}/walk.mp4."),
         (["{capture}", "-s", "elsewhere", "-o", "{out}"], "Two captures were given"),
         (["{capture}"], "missing: -o"),
         (["{capture}", "-o", "{out}", "--resume"], "contains no run to resume"),

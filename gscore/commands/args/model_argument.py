@@ -17,6 +17,7 @@ from ...formats import SplatFile, is_splat_file, read_splat_file
 from ...io.colmap.folder import find_model
 from ...io.exposure_json import read_exposures
 from ...io.files import check_regular, is_file
+from ...io.missing_path import missing_path
 from ...io.ply.comments import stated_near
 from ...io.ply.splats import header_comments
 from ...io.runs import options_of_run
@@ -213,7 +214,7 @@ def find_splats(path: Path) -> Path:
         return path
     if not path.exists():
         raise DatasetError(
-            f"There is no file or folder {path}; give a splat file or the folder of a run."
+            missing_path(path, "file or folder", "Give a splat file or the folder of a run.")
         )
     if not path.is_dir():
         check_regular(path)

@@ -10,9 +10,8 @@ from typing import Any
 from ...config import TrainConfig
 from ...options import Option, options_of, value_text
 from ...presets import PRESETS
-from ...quoting import quoted
+from ...quoting import nearest, quoted
 from ...text_format import number
-from ..parser import nearest
 
 _SENTENCE_END = ". "
 _ON_OR_OFF = {

@@ -119,7 +119,7 @@ class TrainRequest:
             data, config = found
             data = replace(data, source=source or data.source)
         elif source is None:
-            raise ConfigError("No capture was given: `gscore train SOURCE -o OUTPUT`.")
+            raise ConfigError("missing: source. Give the capture: a folder of photos, or a video.")
         else:
             data, config = recipe(self.preset or "normal", source)
         data, config = replace(data, **self.data), replace(config, **self.train)

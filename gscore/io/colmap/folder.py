@@ -17,6 +17,7 @@ from ..cameras_json import read_origin, read_up, write_up
 from ..files import LONGEST_NAME, LONGEST_PATH, atomic_write, is_unnameable
 from ..images.raw import RAW_ENDINGS
 from ..images.read_image import IMAGE_ENDINGS
+from ..missing_path import missing_path
 from ..ply.points import read_point_cloud
 from ..unsupported_formats import describe_unsupported
 from . import binary as colmap_binary
@@ -107,7 +108,7 @@ def _is_picture(path: Path) -> bool:
 def _no_folder(path: Path) -> str:
     """Error message: `path` is not a folder with a capture."""
     if not path.is_file():
-        return f"There is no folder {path}. Give the folder of the capture."
+        return missing_path(path, advice="Give the folder of the capture, or a video.")
     return describe_unsupported(path) or (
         f"{path} is a file; a capture is a folder of photos, with or without cameras. To "
         "train from the splats of a PLY, give the capture and `--start-splats`."
