@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageChops
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
@@ -36,6 +36,8 @@ RATE = 6
 """Frames per second of the video."""
 PAUSE, LAST = 0.4, 2.5
 """Seconds of each frame of the animation, and of the last one."""
+EMPTY = 1.0
+"""Mean difference from the first frame, levels of 255, up to which a frame shows no splats."""
 MONTAGES = {
     "region": {"region": "1060x1010+0+0"},
     "handles": {"handles": "1060x960+0+220"},
@@ -80,15 +82,21 @@ def main() -> None:
 
 
 def animate(shots: list[Path]) -> None:
-    """Write the animation from screens of a training, without Blender's header and sidebar."""
+    """Write the animation from screens of a training, without Blender's header and sidebar, and
+    without screens taken while splats are replaced, which show none, as the first one does."""
     screens = (Image.open(shot, formats=["PNG"]).convert("RGB") for shot in shots)
-    frames = [screen.crop(VIEW).resize(SMALL) for screen in screens]
+    empty, *others = [screen.crop(VIEW).resize(SMALL) for screen in screens]
+    frames = [empty, *(other for other in others if _difference(other, empty) > EMPTY)]
     target = PAGES / f"{ANIMATION}.webp"
     pauses = [round(1000 * PAUSE)] * (len(frames) - 1) + [round(1000 * LAST)]
     frames[0].save(
         target, save_all=True, append_images=frames[1:], duration=pauses, loop=0, quality=70
     )
     print(target.relative_to(ROOT))
+
+
+def _difference(a: Image.Image, b: Image.Image) -> float:
+    return float(np.asarray(ImageChops.difference(a, b)).mean())
 
 
 def take(blender: str, folder: Path, size: tuple[int, int]) -> None:
