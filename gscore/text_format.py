@@ -10,6 +10,10 @@ _LOW_PSNR = 20.0
 """PSNR, dB, below which differences are obvious: shapes are blurred or doubled."""
 
 
+LOW_TRUST = 0.5
+"""Trust, relative to the median, below which more photos of the place are recommended."""
+
+
 def number_text(value: float | None, digits: int) -> str:
     """A number with this many decimals; n/a for None."""
     return "n/a" if value is None else f"{value:.{digits}f}"
@@ -134,9 +138,11 @@ def trust_text(metrics: Mapping[str, Any]) -> str:
     if not lowest or middle is None:
         return ""
     a, b = map(brief, lowest["between"])
+    low = lowest["trust"] < LOW_TRUST * middle
+    verdict = "less than half of it" if low else "no view is below half of it"
     return (
         f"Trust in views between photos: {middle:.0%} in the median, lowest "
-        f"{lowest['trust']:.0%}, between {a} and {b}."
+        f"{lowest['trust']:.0%}, between {a} and {b}: {verdict}."
     )
 
 

@@ -8,11 +8,9 @@ import numpy as np
 
 from ..quoting import brief
 from ..scene import Scene
-from ..text_format import trust_text
+from ..text_format import LOW_TRUST, trust_text
 from .plan import Scale, plan_axes, plan_svg, wedge
 
-_LOW = 0.5
-"""Trust, relative to the median, below which more photos of the place are recommended."""
 _NAMED = 3
 """Most places in the sentence."""
 _MOST_CAMERAS = 1000
@@ -75,7 +73,7 @@ def _sentences(found: Sequence[Mapping[str, Any]], metrics: Mapping[str, Any]) -
         "show in the same colours. Veils and places that no photo shows lower it. "
         f"{trust_text(metrics)}"
     )
-    low = [each for each in found[::-1] if each["trust"] < _LOW * metrics["trust_median"]]
+    low = [each for each in found[::-1] if each["trust"] < LOW_TRUST * metrics["trust_median"]]
     if not low:
         return text
     places = "; ".join(
@@ -85,6 +83,6 @@ def _sentences(found: Sequence[Mapping[str, Any]], metrics: Mapping[str, Any]) -
     )
     more = f" and {len(low) - _NAMED} more" if len(low) > _NAMED else ""
     return (
-        f"{text} Less than half of the median, between {places}{more}: take more photos there, or "
+        f"{text} Below half of the median: between {places}{more}: take more photos there, or "
         "keep cameras of new pictures away from these places."
     )

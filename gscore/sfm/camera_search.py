@@ -305,7 +305,8 @@ class _Search:
 
     def _why_none(self, work: Work, attempt: Attempt) -> str:
         found = database.overlap(work.database(attempt), least=pycolmap_stages.LEAST_MATCHES)
-        return failure_reason(found, {photo.alias: photo.name for photo in work.photos})
+        names = {photo.alias: photo.name for photo in work.photos}
+        return failure_reason(found, names, masked=work.masks is not None)
 
     def _publish(
         self, work: Work, models: list[Any], tried: int, last: Attempt, resumed: bool

@@ -135,12 +135,13 @@ _MOSTLY_STILL = 0.5
 """Share of pairs with matches at equal pixels from which a still background is the reason."""
 
 
-def failure_reason(found: Overlap, names: dict[str, str]) -> str:
+def failure_reason(found: Overlap, names: dict[str, str], *, masked: bool = False) -> str:
     """Message for photos that gave no model.
 
     Args:
         found: Match statistics of the photos.
         names: Names of the photos by alias.
+        masked: Whether masks hide parts of the photos.
     """
     photos = count_text(len(found.features), "photo")
     median = int(np.median(found.features))
@@ -148,8 +149,8 @@ def failure_reason(found: Overlap, names: dict[str, str]) -> str:
         return (
             f"No cameras found: the photos show too little texture. Half of the {photos} have "
             f"{f'{median} or fewer features' if median else 'no features'}, at least "
-            f"{_FEW_FEATURES} are needed. Take sharp photos of textured surfaces, or leave masks "
-            "out with `--no-masks`."
+            f"{_FEW_FEATURES} are needed. Take sharp photos of textured surfaces"
+            f"{', or leave masks out with `--no-masks`' if masked else ''}."
         )
     if not found.pairs:
         return (

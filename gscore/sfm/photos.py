@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import numpy as np
+
 from ..camera_neighbours import natural_key
 from ..datasets.dataset import map_threads
 from ..datasets.folder import without_masks
@@ -14,11 +16,11 @@ from ..datasets.pku.case import find_video
 from ..datasets.programs import find_program
 from ..datasets.shots import Shot, moment_of, repeats, shot_of, stem_of
 from ..datasets.transforms_json import find_transforms
-from ..errors import Cancelled, DatasetError, FormatError
+from ..errors import Cancelled, DatasetError, FormatError, GsError
 from ..io.files import read_bytes
 from ..io.images.pillow_images import load_complete, opened_picture
 from ..io.images.raw import RAW_ENDINGS
-from ..io.images.read_image import IMAGE_ENDINGS
+from ..io.images.read_image import IMAGE_ENDINGS, read_image, read_info
 from ..io.missing_path import missing_path
 from ..io.runs import SEARCH_RECORD
 from ..io.unsupported_formats import unread_cameras
@@ -330,7 +332,37 @@ def photo_folder_warning(root: Path, names: Sequence[str], cameras: int) -> str:
             "or sizes, which is typical of screenshots, not of photos of one scene. Give the "
             "folder of the photos."
         )
+    if blank := _blank(root, names):
+        return (
+            f"Most of the {count_text(len(names), 'photo')} in {root} are blank, a single colour, "
+            f"such as {blank}. No cameras can be found for them; take or export them again."
+        )
     return ""
+
+
+_FLAT_BYTES = 0.05
+"""Bytes per pixel above which a photo is not blank: a blank JPEG has 0.02, a photo 0.1 or more."""
+_BLANK_RANGE = 16
+"""Largest range of the 8-bit values of a blank photo."""
+_BLANK_SAMPLE = 8
+"""Most photos that are decoded in the search for blank ones."""
+
+
+def _blank(root: Path, names: Sequence[str]) -> str:
+    """A blank photo if most are, else empty; decodes only a few photos of small files."""
+    small = []
+    try:
+        for name in names:
+            info = read_info(root / name)
+            if (root / name).stat().st_size < _FLAT_BYTES * info.width * info.height + 4096:
+                small.append(name)
+        if not small or len(small) <= len(names) / 2:
+            return ""
+        sample = small[:: -(-len(small) // _BLANK_SAMPLE)]
+        blank = all(np.ptp(read_image(root / name)[..., :3]) <= _BLANK_RANGE for name in sample)
+    except (GsError, OSError):  # reading the photos reports it
+        return ""
+    return small[0] if blank else ""
 
 
 def _has_cameras(folder: Path) -> bool:

@@ -104,7 +104,8 @@ def test_figures_name_the_median_and_the_lowest() -> None:
     figures = trust_figures(found)
     assert figures == {"trust": found, "trust_median": 0.5, "trust_lowest": found[1]}
     assert trust_text(figures) == (
-        "Trust in views between photos: 50% in the median, lowest 25%, between b and c."
+        "Trust in views between photos: 50% in the median, lowest 25%, between b and c: "
+        "no view is below half of it."
     )
     nothing: Sequence[dict[str, object]] = []
     assert trust_figures(nothing) == {} and trust_text({}) == ""

@@ -136,6 +136,8 @@ def test_reasons_name_the_first_that_holds() -> None:
         assert words in failure_reason(found, names)
     none = Overlap(np.zeros(4, np.int64), 0, 0, 0, ())
     assert "Half of the 4 photos have no features, at least 100" in failure_reason(none, names)
+    assert "--no-masks" not in failure_reason(none, names)
+    assert "--no-masks" in failure_reason(none, names, masked=True)
 
 
 def test_matches_at_the_same_pixels_are_still(tmp_path: Path) -> None:

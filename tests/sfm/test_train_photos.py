@@ -198,6 +198,20 @@ def test_info_tells_what_photos_need(mine: Path, capsys: Out) -> None:
     assert f"Next: gscore train {mine} -o run" in capsys.readouterr().out
 
 
+def test_info_finds_blank_photos(mine: Path, tmp_path: Path, capsys: Out) -> None:
+    """Oracle: white photos are named, those of the studio are not."""
+    white = tmp_path / "white"
+    white.mkdir()
+    for i in range(4):
+        Image.new("RGB", (320, 240), "white").save(white / f"{i}.jpg")
+    assert main(["info", str(white)]) == 0
+    text = capsys.readouterr()
+    assert "are blank" in text.err + text.out and "Next:" not in text.out
+    assert main(["info", str(mine)]) == 0
+    text = capsys.readouterr()
+    assert "are blank" not in text.err + text.out
+
+
 def _saved(view: int, path: Path) -> None:
     """A photo of the studio as a phone saves it, taken in second `view`."""
     exif = Image.Exif()

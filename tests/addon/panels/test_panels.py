@@ -278,7 +278,7 @@ def test_the_end_of_a_training_states_trust(monkeypatch: pytest.MonkeyPatch) -> 
     lowest = {"between": ["a.jpg", "b.jpg"], "trust": 0.04}
     state.metrics = {"trust_median": 0.55, "trust_lowest": lowest}
     words = " ".join(drawn(progress.ProgressPanel).split())
-    assert "photos: 55% in the median, lowest 4%, between a.jpg and b.jpg." in words
+    assert "photos: 55% in the median, lowest 4%, between a.jpg and b.jpg: less than half" in words
 
 
 def test_a_training_that_starts_says_so(
