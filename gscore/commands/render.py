@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ from .args.model_argument import (
     open_model,
 )
 from .parser import add_option, add_result_options, add_threads_option
+from .pictures.deep import deep_channels, layer_bounds, need_deep, write_deep
 from .pictures.render_cameras import FPS, PATHS, find_exposures, find_shots
 from .pictures.stills import still_names, to_rgb, to_rgba, write_depth_npy, write_depth_png
 from .pictures.video import need_video, write_video
@@ -50,6 +52,7 @@ _WRITTEN = (".mp4", ".png")
 """Endings of single-file outputs; any other output is a folder of pictures."""
 _OTHER_FORMAT = re.compile(r"\.([a-z]{2,4}|blend|ksplat|m4v)")
 """Endings that mean a file instead of a folder."""
+_DEPTH_ENDINGS = {"png": "png", "npy": "npy", "deep": "exr"}
 _DEPTH_STEPS = 60_000
 """16-bit values for the depth range of the first picture; the rest is for larger depths."""
 
@@ -101,7 +104,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     option("--transparent", "PNG with alpha, without background")
     option(
-        "--depth", "also write depth maps: 16-bit grey, or exact float32", choices=("png", "npy")
+        "--depth",
+        "also write depths: maps of 16-bit grey or exact float32, or deep OpenEXR pictures",
+        choices=tuple(_DEPTH_ENDINGS),
     )
     option("--sh-degree N", "degree of view-dependent colour; 0: none (the model's)", int)
     option("--near X", "near plane, world units; nearer splats are not rendered", float)
@@ -153,6 +158,11 @@ def _render(args: argparse.Namespace, status: Status, *, is_video: bool) -> dict
         else:
             check_output_path(args.output, data)
     status.clear()
+    if args.depth == "deep" and isinstance(model, LodArgument):
+        raise ConfigError(
+            "`--depth deep` needs a model without levels of detail; render the file from which "
+            f"`gscore lod` has made {brief(str(model.path))}."
+        )
     print_warnings(model.warnings)
     found = find_shots(args, model, is_video=is_video)
     if found.why:
@@ -286,6 +296,18 @@ class _Work:
             yield rendered
             progress(i + 1, name)
 
+    def samples(self, index: int, rendered: Rendered) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Samples of picture `index`, which is `rendered`; see `deep_channels`."""
+        camera = self.shots.Ks[index], self.shots.viewmats[index]
+        size = int(self.shots.widths[index]), int(self.shots.heights[index])
+        options, model = self._options, self._model
+        bounds = layer_bounds(model.splats.means, *camera, *size, options["near"])
+        layers = (
+            model.draw(*camera, *size, **options | {"background": (0.0,) * 3, "near": a, "far": b})
+            for a, b in pairwise(bounds)
+        )
+        return deep_channels(rendered, layers, options["background"])
+
 
 def _stills(args: argparse.Namespace, names: Sequence[str]) -> tuple[list[Path], list[Path]]:
     """Files of the pictures and of their depth maps, if any.
@@ -302,7 +324,8 @@ def _stills(args: argparse.Namespace, names: Sequence[str]) -> tuple[list[Path],
     stems = [args.output.with_suffix("")] if is_file else []
     stems = stems or [args.output / name for name in still_names(names, depths=bool(args.depth))]
     pictures = [stem.with_name(f"{stem.name}.png") for stem in stems]
-    depths = [stem.with_name(f"{stem.name}_depth.{args.depth}") for stem in stems if args.depth]
+    ending = f"_depth.{_DEPTH_ENDINGS.get(args.depth)}"
+    depths = [stem.with_name(f"{stem.name}{ending}") for stem in stems if args.depth]
     return pictures, depths
 
 
@@ -316,7 +339,9 @@ def _write_stills(
         if args.depth and rendered.depth is not None:
             path = depths[index]
             unit = unit or float(rendered.depth.max()) / _DEPTH_STEPS
-            if args.depth == "npy":
+            if args.depth == "deep":
+                write_deep(path, *work.samples(index, rendered))
+            elif args.depth == "npy":
                 write_depth_npy(path, rendered.depth)
             else:
                 write_depth_png(path, rendered.depth, unit or 1.0)
@@ -331,8 +356,8 @@ def _check_files(pictures: list[Path], depths: list[Path], *, overwrite: bool) -
     """Raise ConfigError unless these files may be written; `depths` has one per picture or none."""
     files = list(pictures)
     for picture, depth in zip(pictures, depths, strict=bool(depths)):
-        # An .npy has no mark; it counts as ours if its picture is.
-        is_known = depth.suffix == ".npy" and picture.is_file() and is_ours(picture)
+        # These have no mark; they count as ours if their picture is.
+        is_known = depth.suffix in (".npy", ".exr") and picture.is_file() and is_ours(picture)
         files += [] if is_known else [depth]
     check_replaced(files, overwrite=overwrite)
 
@@ -361,6 +386,8 @@ def _check_options(args: argparse.Namespace, *, is_video: bool) -> None:
         raise ConfigError("Give either `--transparent` or `--background`.")
     if is_video:
         need_video()  # fail before the work instead of after it
+    if args.depth == "deep":
+        need_deep()
 
 
 def _check_one_size(shots: Cameras) -> None:

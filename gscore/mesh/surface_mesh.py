@@ -11,6 +11,7 @@ from .._version import __version__
 from ..errors import ConfigError, FormatError
 from ..formats.gltf import TO_GLTF, GltfBuffer, upright_node, write_glb
 from ..io.files import atomic_write
+from ..io.images.pixels import srgb_to_linear
 from ..io.images.png import SIGNED, png_bytes, write_png
 from ..io.mesh.files import read_written_mesh, write_mesh
 from ..quoting import brief
@@ -156,7 +157,8 @@ def _write_glb(path: Path, mesh: SurfaceMesh) -> None:
     surface: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 1}
     pictures: dict[str, Any] = {}
     if mesh.texture is None or mesh.uvs is None:
-        attributes["COLOR_0"] = buffer.add(_linear(mesh.colors), "VEC3")
+        colors = srgb_to_linear(np.clip(mesh.colors, 0, 1))
+        attributes["COLOR_0"] = buffer.add(colors.astype(np.float32), "VEC3")
     else:
         attributes["TEXCOORD_0"] = buffer.add(mesh.uvs.astype(np.float32), "VEC2")
         surface["baseColorTexture"] = {"index": 0}
@@ -186,12 +188,6 @@ def _write_glb(path: Path, mesh: SurfaceMesh) -> None:
 
 def _bytes(mesh: SurfaceMesh) -> np.ndarray:
     return np.rint(np.clip(mesh.colors, 0, 1) * 255).astype(np.uint8)
-
-
-def _linear(colors: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB values (IEC 61966-2-1)."""
-    high = ((np.clip(colors, 0, 1) + 0.055) / 1.055) ** 2.4
-    return np.where(colors <= 0.04045, colors / 12.92, high).astype(np.float32)
 
 
 _WRITERS: dict[str, Callable[[Path, SurfaceMesh], None]] = {

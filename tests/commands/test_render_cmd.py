@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
 
@@ -213,6 +214,53 @@ def test_older_files_are_reported(gscore, run_folder, tmp_path):
     code, reported, _ = gscore("render", folder, "-o", out, "--view", "4")
     assert code == 0 and "Other files in the folder are kept: a_4_depth.png" in reported
     assert (out / "a_4_depth.png").is_file()
+
+
+def test_deep(gscore, run_folder, tmp_path, picture):
+    """Oracles: samples put over each other are the linear picture; those in front of an object are
+    the rasterizer's picture of the splats in front of it, since each layer has one splat or two."""
+    folder, seen = run_folder(), picture(4)
+    options = ("--view", "4", "--quiet", "--background", "1,1,1")
+    code, _, err = gscore("render", folder, "-o", tmp_path / "a", "--depth", "deep", *options)
+    assert code == 0, err
+    with OpenEXR.File(str(tmp_path / "a" / "a_4_depth.exr"), separate_channels=True) as file:
+        assert file.header()["type"] == OpenEXR.deepscanline
+        pixels = {name: channel.pixels for name, channel in file.channels().items()}
+    z = picture(4).depth
+
+    def flattened(farthest: float) -> np.ndarray:
+        result = np.zeros((*z.shape, 4))
+        for at in np.ndindex(z.shape):
+            rest = 1.0
+            for k, depth in enumerate([] if pixels["Z"][at] is None else pixels["Z"][at]):
+                if depth <= farthest:
+                    result[at] += rest * np.array([pixels[name][at][k] for name in "RGBA"])
+                    rest *= 1 - float(pixels["A"][at][k])
+        return result
+
+    depths = [] if pixels["Z"][20, 20] is None else pixels["Z"][20, 20]
+    assert all(np.diff(depths) > 0)
+    alpha = seen.alpha[..., None]
+    straight = seen.rgb / np.maximum(alpha, 1e-9)
+    light = np.where(straight <= 0.04045, straight / 12.92, ((straight + 0.055) / 1.055) ** 2.4)
+    whole = flattened(np.inf)
+    np.testing.assert_allclose(whole[..., :3], light * alpha, atol=2e-3)
+    np.testing.assert_allclose(whole[..., 3], seen.alpha, atol=4e-3)
+    middle = float(np.median(z[z > 0]))
+    front = picture(4, far=middle)
+    assert 0.1 < (front.alpha > 0.1).mean() < (seen.alpha > 0.1).mean()
+    off = np.abs(flattened(middle)[..., 3] - front.alpha)
+    assert off.mean() < 0.01 and np.quantile(off, 0.9) < 0.02
+
+
+def test_deep_with_levels_of_detail(gscore, run_folder, tmp_path):
+    """Oracle: an error before anything is written."""
+    lod = tmp_path / "a.lod"
+    assert gscore("lod", run_folder(), "-o", lod, "--quiet")[0] == 0
+    code, _, err = gscore(
+        "render", lod, "-o", tmp_path / "out", "--depth", "deep", "--path", "orbit"
+    )
+    assert code == 2 and "without levels of detail" in err and not (tmp_path / "out").exists()
 
 
 def test_depth_beyond_the_range_is_kept_apart_from_nothing(tmp_path):

@@ -158,3 +158,9 @@ def _check_deep_colours(path: Path, image: Any, pixels: np.ndarray) -> None:
             f"{path} has 16 bits per channel and one transparent colour, which is not supported. "
             f"Save it with an alpha channel."
         )
+
+
+def srgb_to_linear(values: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB values of any shape, 0 or more (IEC 61966-2-1), in their dtype; the
+    curve continues above 1."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
