@@ -20,6 +20,9 @@ _SLACK = 1.5
 """Distance by which proxies may be off the splats, in lengths of their edges."""
 _LEAST, _MOST = 0.002, 0.03
 """Limits of that distance, in radii of `Casters.ball`."""
+_DEEP = 3.0
+"""Depth below a proxy, in `Casters.slack`, up to which its sides towards a lamp leave splats lit:
+many are below the surface and show through those on it."""
 
 
 _SIDES = [sign * np.eye(3)[k] for k in range(3) for sign in (1.0, -1.0)]
@@ -82,6 +85,28 @@ class Casters:
             edges.append(float(np.median(np.linalg.norm((a - b) @ matrix[:3, :3].T, axis=1))))
         return float(np.clip(_SLACK * max(edges), _LEAST * radius, _MOST * radius))
 
+    @cached_property
+    def _normals(self) -> np.ndarray:
+        """Normals of the vertices of `mesh` [V, 3], of any length."""
+        vertices, triangles = self.mesh
+        a, b, c = (vertices[triangles[:, k]] for k in range(3))
+        rows, count = triangles.T.ravel(), len(vertices)
+        sides = np.tile(np.cross(b - a, c - a), (3, 1)).T
+        return np.stack([np.bincount(rows, weights=side, minlength=count) for side in sides], 1)
+
+    def sunk(self, place: np.ndarray, axis: np.ndarray | None) -> Triangles:
+        """`mesh` for the map of a lamp, with the sides towards it deeper along its rays: what is
+        solid casts its shadow from the sides away from it. Arguments as for `shadow_map`."""
+        vertices, triangles = self.mesh
+        deeper = (_DEEP - 1) * self.slack
+        if axis is None:
+            rays = vertices - place
+            facing = np.einsum("ij,ij->i", self._normals, rays) < 0
+            steps = deeper * facing / np.maximum(np.linalg.norm(rays, axis=1), 1e-12)
+        else:
+            rays, steps = axis, deeper * (self._normals @ axis < 0)
+        return Triangles(vertices + steps[:, None] * rays, triangles)
+
 
 def ball_of(places: np.ndarray) -> tuple[np.ndarray, float]:
     """Center [3] and radius of a ball around the box of places [N, 3], at least one."""
@@ -117,7 +142,8 @@ def shadow_map(
             # Wider by a pixel, so that no place is between two of them.
             scale, views = _SIZE / 2 - 1, [_turned(side, place) for side in _SIDES]
     K = np.array([[scale, 0, _SIZE / 2], [0, scale, _SIZE / 2], [0, 0, 1]])
-    mesh, parallel, near = casters.mesh, axis is not None, 1e-4 * radius
+    mesh = casters.sunk(place, axis) if casters.proxies else casters.mesh
+    parallel, near = axis is not None, 1e-4 * radius
     depths = np.empty((len(views), _SIZE, _SIZE), np.float32)
     threads = 1 if len(views) > 1 else 0  # a single map is drawn in bands at once
 

@@ -234,6 +234,32 @@ def test_maps_of_lamps_with_the_same_numbers():
     assert relight._known == maps
 
 
+@pytest.mark.parametrize("kind", [SUN, POINT])
+def test_splats_below_a_proxy_are_lit(kind):
+    """A proxy of a ground with a cube on it, below which the ground goes on. Oracle: what stands on
+    the ground shadows it, and what is just below the surface; the surface itself does so deeper."""
+    cube = np.array([[x, y, z] for x in (-1.0, 1) for y in (-1.0, 1) for z in (0.0, 2)])
+    corners = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (1, 5, 7, 3)]
+    ground = 6 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    quads = np.array([*corners, (8, 9, 10, 11)], np.int32)
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    mesh = Triangles(np.concatenate([cube, ground]), np.ascontiguousarray(triangles))
+    casters = Casters(proxy_key=b"cube", proxies=((mesh, np.eye(4)),))
+    slack = casters.slack
+    axis = np.array([1.0, 0, -1]) / np.sqrt(2)
+    place = tuple((-1000 * axis).tolist())
+    strength = 3 * ((1.0 if kind == SUN else 1e6),)
+    lamp = Lamp(kind=kind, strength=strength, axis=tuple(axis), place=place, source=place)
+    relight.forget_maps()
+    light = relight.SceneLight(lamps=(lamp,), casters=casters)
+    below = -2 * slack
+    places = [[-4, 0, 0], [-4, 0, below], [1.8, 0, 0], [1.8, 0, below], [-4, 0, -6 * slack]]
+    normals = np.tile(np.float32([0, 0, 1]), (len(places), 1))
+    found = light.white_of(np.float32(places), normals, np.eye(4))[:, 0]
+    np.testing.assert_allclose(found[:2], np.sqrt(0.5), rtol=0.02)
+    np.testing.assert_array_equal(found[2:], 0)
+
+
 def test_playback_moves_shadows(lit):
     """Of a mesh that changes by shape keys."""
     lamp(lit, "SUN")
