@@ -70,7 +70,7 @@ _PARTS = (
     _Part("rawpy", "rawpy", "raw photos; extra raw", False, offered=False),
     _Part("pxr", "usd-core", "USD files; extra usd", False, offered=False),
     _Part("lpips", "lpips", "LPIPS as in papers; extra lpips-torch", False, offered=False),
-    _Part("bpy", "bpy", "Blender as a Python module; extra blender", False, offered=False),
+    _Part("bpy", "bpy", "Blender scripts without a window; extra blender", False, offered=False),
 )
 
 
@@ -271,8 +271,10 @@ def _text(facts: dict[str, Any]) -> str:
     if native["problem"]:
         rows.append(("problem", native["problem"]))
     rows += _graphics_rows(facts)
+    optionals = {part.distribution for part in _PARTS if not part.offered}
     for name, part in facts["packages"].items():
-        state = f"{part['version'] or ''} {part['problem']}".strip()
+        optional = ", optional" if name in optionals and part["problem"] == _ABSENT else ""
+        state = f"{part['version'] or ''} {part['problem']}{optional}".strip()
         rows.append((name, f"{state}  ({part['use']})"))
     lines = [f"{label:12} {value}" for label, value in rows]
     if facts["install"]:

@@ -160,6 +160,8 @@ def _check_splats(model: ModelArgument) -> None:
 def _summary(result: dict[str, Any]) -> str:
     size = size_text(result["bytes"])
     parts = [count_text(result["splats"], "splat"), count_text(result["cameras"], "camera")]
+    if left_out := result["splats_left_out"]:
+        parts[0] += f" (left out: {number(left_out)} that cannot be visible)"
     parts.append(count_text(result["photos"], "photo"))
     text = (
         f"Wrote {result['file']}: {size}, {', '.join(parts)}; "

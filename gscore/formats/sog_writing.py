@@ -86,8 +86,8 @@ def _textures(splats: Splats) -> tuple[dict[str, Any], dict[str, np.ndarray], li
         splats, cut = cut_extremes(splats, field, most)
         if cut:
             notes.append(
-                f"{count_text(cut, 'splat')} had extreme {field}, which were cut, because SOG has "
-                f"256 values for those of all splats."
+                f"{count_text(cut, 'splat')} had extreme {field}, which became less extreme: "
+                f"SOG has 256 values for those of all splats."
             )
     order = morton_order(splats.means)
     scales, colors = codebook(splats.scales), codebook(splats.sh0)

@@ -147,8 +147,8 @@ def colors_note(sh0: np.ndarray, low: float, high: float, name: str) -> str:
         f"{round(float(end), 3) + 0:.2g}" for end in sh0_to_rgb(np.array([low, high]))
     )
     return (
-        f"Colours of {count_text(beyond, 'splat')} outside the range of {name}, {ends}, were cut "
-        f"to it."
+        f"Colours of {count_text(beyond, 'splat')} outside the range of {name}, {ends}, "
+        f"became its nearest colours."
     )
 
 

@@ -286,14 +286,14 @@ def _clamped(splats: Splats) -> list[str]:
     beyond = int(((splats.scales < -10.03) | (splats.scales > 5.97)).any(axis=1).sum())
     if beyond:
         notes.append(
-            f"Sizes of {count_text(beyond, 'splat')} outside SPZ's range, e^-10 to e^5.9, were "
-            f"cut to it."
+            f"Sizes of {count_text(beyond, 'splat')} outside SPZ's range, 0.000045 to 365, "
+            f"became its nearest sizes."
         )
     wide = int((np.abs(splats.shN) > 1.004).any(axis=(1, 2)).sum())
     if wide:
         notes.append(
-            f"SH coefficients of {count_text(wide, 'splat')} outside SPZ's range, -1 to 1, were "
-            f"cut to it."
+            f"SH coefficients of {count_text(wide, 'splat')} outside SPZ's range, -1 to 1, "
+            f"became its nearest values."
         )
     return notes
 

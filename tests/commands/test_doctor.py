@@ -73,6 +73,15 @@ def test_missing_packages(gscore, monkeypatch, package, trains):
     assert bool(facts["missing"]) is not trains
 
 
+def test_packages_of_few_users_are_optional(gscore, monkeypatch):
+    """Oracle: a missing bpy is marked, a missing av is offered by the command instead."""
+    for package in ("bpy", "av"):
+        monkeypatch.setitem(sys.modules, package, None)
+    rows = gscore("doctor")[1].splitlines()
+    bpy, av = (next(row for row in rows if row.startswith(name)) for name in ("bpy ", "av "))
+    assert "not installed, optional" in bpy and "optional" not in av
+
+
 def test_the_whole_command_stands_there_once(gscore, monkeypatch):
     """Oracle: packages of two extras and bpy missing: one command, torch without CUDA."""
     for package in ("torch", "scipy", "PIL", "av", "bpy"):
