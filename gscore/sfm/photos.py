@@ -22,7 +22,7 @@ from ..io.images.pillow_images import load_complete, opened_picture
 from ..io.images.raw import RAW_ENDINGS
 from ..io.images.read_image import IMAGE_ENDINGS, read_image, read_info
 from ..io.missing_path import missing_path
-from ..io.runs import SEARCH_RECORD
+from ..io.runs import SEARCH_RECORD, is_run
 from ..io.unsupported_formats import unread_cameras
 from ..json_text import parse_json
 from ..quoting import brief, first_few
@@ -277,12 +277,15 @@ def check_no_cameras_above(path: Path) -> None:
 
 
 def captures_inside(root: Path, names: Sequence[str]) -> str:
-    """Message on photos below a folder that belong to captures with cameras; empty if none do.
+    """Message on pictures below a folder that are a training's, or belong to captures with cameras;
+    empty if none do.
 
     Args:
         root: The folder.
         names: Paths below it, as returned by `list_photos`.
     """
+    if is_run(root):
+        return f"{root} is the folder of a training. Give the photos that it was trained on."
     places = {place for name in names for place in PurePosixPath(name).parents if place.parts}
     captures = sorted(str(place) for place in places if _has_cameras(root / place))
     if not captures:

@@ -14,7 +14,7 @@ from gscore.sfm.database import Overlap, failure_reason, overlap
 from gscore.sfm.forecast import ADJUSTING, FEATURES, MATCHING, RECONSTRUCTION, Forecast
 from gscore.sfm.pairs import further_parts, in_parts, sequential_pairs
 from gscore.sfm.photo_quality import PhotoQuality, blurred, exposure_jumps, measure_quality
-from gscore.sfm.photos import Photo, by_camera, list_photos, read_photos, stamp
+from gscore.sfm.photos import Photo, by_camera, captures_inside, list_photos, read_photos, stamp
 from gscore.sfm.pycolmap_thread import colmap
 from gscore.sfm.search_result import SearchResult, lens_text
 
@@ -119,6 +119,14 @@ def test_photos_are_listed_as_people_count(tmp_path: Path) -> None:
     assert names == ["sub/a.PNG", "v9.jpg", "v10.jpg"] and unread == ["x.heic"]
     assert natural_key("v9") < natural_key("v10")
     assert sorted(["a.jpg", "001.jpg", "000.jpg"], key=natural_key)[1] == "001.jpg"
+
+
+def test_renders_of_a_run_are_no_photos(tmp_path: Path) -> None:
+    """Oracle: the folder is named only with the config.json of a training."""
+    names = ["renders/a.png", "renders/b.png"]
+    assert captures_inside(tmp_path, names) == ""
+    (tmp_path / "config.json").write_text('{"gscore": "0", "data": {}, "train": {}}')
+    assert "is the folder of a training" in captures_inside(tmp_path, names)
 
 
 def test_reasons_name_the_first_that_holds() -> None:
