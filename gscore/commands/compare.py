@@ -15,6 +15,7 @@ from ..config_file import to_dict
 from ..datasets import Dataset, load_dataset
 from ..errors import ConfigError, DatasetError
 from ..io.metrics_file import read_metrics
+from ..io.missing_path import missing_path
 from ..metrics.comparison import ComparedRun, RunComparison, compare_runs
 from ..metrics.evaluate import target_picture
 from ..quoting import brief
@@ -86,6 +87,8 @@ def _compare(args: argparse.Namespace, status: Status) -> RunComparison:
 
 
 def _opened(folder: Path) -> ModelArgument:
+    if not folder.exists():
+        raise ConfigError(missing_path(folder, advice="Give the folders of two runs."))
     if not folder.is_dir():
         raise ConfigError(f"{brief(folder)} is not a folder; give the folders of two runs.")
     # The metrics.json of an evaluation in another folder states the measured splats.

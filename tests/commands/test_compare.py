@@ -84,6 +84,7 @@ def test_runs_that_cannot_be_compared(gscore, two_runs, tmp_path, capture):
 
     assert "is given twice" in refused(first, first, "-o", page)
     assert "is not a folder" in refused(first, first / "point_cloud.ply", "-o", page)
+    assert "There is no folder" in refused(first, first / "nothing", "-o", page)
     assert "give a name with .html" in refused(first, second, "-o", tmp_path / "c.png")
     data, train = load_config(second / "config.json")
     (second / "config.json").write_text(config_json(replace(data, source=tmp_path / "x"), train))
