@@ -52,8 +52,9 @@ def scene_light(depsgraph: bpy.types.Depsgraph) -> SceneLight:
         elif may_hold_out(ob) and ob.visible_shadow and not ob.is_shadow_catcher:
             meshes += [ob] if main is None or is_proxy(ob) else []
     world = world_of(depsgraph.scene, depsgraph.view_layer) if main is None else main.world
-    casters = _casters(meshes, corners, depsgraph) if lamps else Casters()
-    return SceneLight(lamps=tuple(lamps), world=light_of_world(world), casters=casters)
+    around = light_of_world(world)
+    casters = _casters(meshes, corners, depsgraph) if lamps or around.any() else Casters()
+    return SceneLight(lamps=tuple(lamps), world=around, casters=casters)
 
 
 _copies: dict[int, tuple[bytes, Triangles] | None] = {}

@@ -5,8 +5,10 @@ the photos. Its linear color is multiplied by the scene's such radiance divided 
 and proxies in place of splats, cast shadows; there are no reflections.
 """
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -24,7 +26,7 @@ from ..core import (
     surface_radiance,
 )
 from ..srgb import LUMINANCE
-from .shadow_maps import Casters, shadow_map
+from .shadow_maps import Casters, shadow_map, sky_map
 
 _WHITE = 0.8
 """Albedo that the brightest surfaces of a capture are assumed to have."""
@@ -43,6 +45,17 @@ _BANDS = np.array([1, *(3 * [2 / 3]), *(5 * [1 / 4])])
 
 _CONSTANT = float(sh_basis(0, np.array([0.0, 0.0, 1.0]))[0])
 """The constant harmonic."""
+
+
+def spread_directions(count: int) -> np.ndarray:
+    """Unit vectors [K, 3] spread evenly, on a spiral by the golden angle."""
+    turn, up = 2.399963229728653 * np.arange(count), 1 - (2 * np.arange(count) + 1) / count
+    level = np.sqrt(1 - up**2)
+    return np.stack([level * np.cos(turn), level * np.sin(turn), up], 1)
+
+
+_SKY = spread_directions(48)
+"""Directions in which meshes hide the world."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,24 +79,36 @@ class SceneLight:
         """The light with its shadow maps, those of proxies apart, so that they stay when a mesh
         moves; none for lamps after the first `_MOST_MAPS`."""
         casting = {_source(lamp): lamp for lamp in self.lamps if lamp.source is not None}
+        proxies, meshes = self._kinds
         wanted = {
-            (kind.key, source): (kind, lamp)
+            (kind.key, source): partial(_map_of, kind, lamp)
             for source, lamp in list(casting.items())[:_MOST_MAPS]
             for kind in self._kinds
             if kind
         }
+        sky = self._sky_light if meshes else np.zeros((0, 3))
+        suns = [(meshes.key, f"sky {number}") for number in range(len(sky))]
+        for number, key in enumerate(suns):
+            wanted[key] = partial(sky_map, meshes, -_SKY[number])
         found = {key: maps for key in wanted if (maps := _known.get(key))}
         forget_maps()  # the others are freed before more are drawn
-        for key, (kind, lamp) in wanted.items():
-            found[key] = found.get(key) or _map_of(kind, lamp)
+        new = [key for key in wanted if key not in found]
+        with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+            found.update(zip(new, pool.map(lambda key: wanted[key](), new), strict=True))
         _known.update(found)
         sources = (None if lamp.source is None else _source(lamp) for lamp in self.lamps)
-        proxies, meshes = self._kinds
         return SurfaceLight(
             lamps=self.lamps,
             maps=[(found.get((proxies.key, s)), found.get((meshes.key, s))) for s in sources],
             world=self.world,
+            sky=[(tuple(light.tolist()), found[key]) for light, key in zip(sky, suns, strict=True)],
         )
+
+    @property
+    def _sky_light(self) -> np.ndarray:
+        """The world's radiance from the directions `_SKY` [K, 3]; none if it is black."""
+        light = np.maximum(harmonics(_SKY) @ (self.world / _BANDS[:, None]), 0)
+        return light if light.any() else light[:0]
 
     @property
     def _kinds(self) -> tuple[Casters, Casters]:
@@ -219,7 +244,7 @@ def _gains(
     """Factor of the linear colors of splats by relighting, [N, 3] float32."""
     light = how.light.native
     return surface_gains(
-        light if shadows else replace(light, maps=[(None, None)] * len(light.maps)),
+        light if shadows else replace(light, maps=[(None, None)] * len(light.maps), sky=()),
         Surfaces(places=means, normals=normals, matrix=how.matrix),
         captured,
         share=how.share,

@@ -12,6 +12,8 @@ from ..triangles import Triangles, joined, repeated
 
 _SIZE = 1024
 """Pixels along a side of a map."""
+_SKY_SIZE = 64
+"""Of a map of one direction of the sky."""
 _OUTSIDE = 1.3
 """Distance of a lamp from the middle of `Casters.ball`, in its radii, for a single map."""
 _EDGES = 1 << 12
@@ -116,7 +118,7 @@ def ball_of(places: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def shadow_map(
-    casters: Casters, place: np.ndarray, axis: np.ndarray | None, *, soft: bool
+    casters: Casters, place: np.ndarray, axis: np.ndarray | None, *, soft: bool, size: int = _SIZE
 ) -> ShadowMap:
     """Draw the meshes from a lamp.
 
@@ -126,29 +128,30 @@ def shadow_map(
         axis: Unit vector along which it shines [3], if it is a sun.
         soft: Whether it has a size: far sides of meshes are drawn too, but not of proxies, whose
             ground hides them, nor around a lamp among the meshes.
+        size: Pixels along a side.
     """
     center, radius = casters.ball
     if axis is not None:
-        scale = _SIZE / (2.02 * radius)
+        scale = size / (2.02 * radius)
         ahead = max(2 * radius, radius - float(((casters.mesh.vertices - center) @ axis).min()))
         views = [_turned(axis, center - ahead * axis)]
     else:
         away = center - place
         distance = float(np.linalg.norm(away))
         if distance > _OUTSIDE * radius:
-            scale = _SIZE / 2 * np.sqrt(distance**2 - radius**2) / (1.01 * radius)
+            scale = size / 2 * np.sqrt(distance**2 - radius**2) / (1.01 * radius)
             views = [_turned(away / distance, place)]
         else:
             # Wider by a pixel, so that no place is between two of them.
-            scale, views = _SIZE / 2 - 1, [_turned(side, place) for side in _SIDES]
-    K = np.array([[scale, 0, _SIZE / 2], [0, scale, _SIZE / 2], [0, 0, 1]])
+            scale, views = size / 2 - 1, [_turned(side, place) for side in _SIDES]
+    K = np.array([[scale, 0, size / 2], [0, scale, size / 2], [0, 0, 1]])
     mesh = casters.sunk(place, axis) if casters.proxies else casters.mesh
     parallel, near = axis is not None, 1e-4 * radius
-    depths = np.empty((len(views), _SIZE, _SIZE), np.float32)
+    depths = np.empty((len(views), size, size), np.float32)
     threads = 1 if len(views) > 1 else 0  # a single map is drawn in bands at once
 
     def draw(viewmat: np.ndarray, out: np.ndarray) -> float:
-        given = mesh.vertices, mesh.triangles, K, viewmat, _SIZE, _SIZE
+        given = mesh.vertices, mesh.triangles, K, viewmat, size, size
         if parallel:  # all meshes are in front
             return mesh_nearness(*given, threads=threads, out=out)[1]
         mesh_depth(*given, near=near, threads=threads, out=out)
@@ -158,7 +161,7 @@ def shadow_map(
         farthest = list(pool.map(draw, views, depths))
     backs = None
     if soft and casters.meshes and len(views) == 1:
-        given = mesh.vertices, mesh.triangles, K, views[0], _SIZE, _SIZE
+        given = mesh.vertices, mesh.triangles, K, views[0], size, size
         backs = mesh_backs(*given, orthographic=parallel, threads=0)
     turns = np.stack(views)[:, :3, :3]
     return ShadowMap(
@@ -171,6 +174,11 @@ def shadow_map(
         slack=casters.slack,
         backs=None if backs is None else backs[None],
     )
+
+
+def sky_map(casters: Casters, axis: np.ndarray) -> ShadowMap:
+    """Draw the meshes from the sky, which shines along an axis [3]; coarser than for a sun."""
+    return shadow_map(casters, np.zeros(3), axis, soft=False, size=_SKY_SIZE)
 
 
 def _turned(axis: np.ndarray, place: np.ndarray) -> np.ndarray:

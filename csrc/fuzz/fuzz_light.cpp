@@ -2,6 +2,8 @@
 // light is finite, and invalid arguments are refused.
 #include "scene.h"
 
+#include <algorithm>
+
 using fuzz::Bytes;
 using fuzz::Noise;
 using fuzz::Output;
@@ -54,10 +56,13 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         lamp.place[in.byte() % 3] = hostile ? in.hostile() : noise(-3, 3);
         lamp.maps[1] = in.byte() % 3 - 1;
     }
-    bool wrong = false;
-    for (const gs_lamp &lamp : lamps)
-        wrong = wrong || lamp.maps[1] > 0;
-    gs_light light = {{}, int32_t(lamps.size()), lamps.data(), 1, &map};
+    bool wrong = std::any_of(lamps.begin(), lamps.end(), [](const gs_lamp &lamp) { return lamp.maps[1] > 0; });
+    std::vector<gs_sky> sky(in.byte() % 3);
+    for (gs_sky &one : sky) {
+        one = {{noise(0, 2), noise(0, 2), noise(0, 2)}, in.byte() % 8 == 0 ? 1 : 0};
+        wrong = wrong || one.map > 0 || views != 1 || !map.parallel;
+    }
+    gs_light light = {{}, int32_t(lamps.size()), lamps.data(), 1, &map, int32_t(sky.size()), sky.data()};
     for (float &value : light.world)
         value = noise(-1, 1);
     const std::vector<float> places = some(in, noise, 3 * count, hostile),

@@ -16,10 +16,11 @@ gs_status check_map(const gs_shadow_map &map) {
 }
 
 gs_status check_light(const gs_light &light) {
-    if (light.lamp_count < 0 || light.map_count < 0 || (light.lamp_count > 0 && !light.lamps) ||
-        (light.map_count > 0 && !light.maps))
-        return fail(GS_BAD_ARGUMENT, "there must be 0 or more lamps and maps, got %d and %d, or they are null",
-                    light.lamp_count, light.map_count);
+    if (light.lamp_count < 0 || light.map_count < 0 || light.sky_count < 0 || (light.lamp_count > 0 && !light.lamps) ||
+        (light.map_count > 0 && !light.maps) || (light.sky_count > 0 && !light.sky))
+        return fail(GS_BAD_ARGUMENT,
+                    "there must be 0 or more lamps, maps and sky directions, got %d, %d and %d, or they are null",
+                    light.lamp_count, light.map_count, light.sky_count);
     for (int32_t i = 0; i < light.map_count; ++i)
         if (const gs_status s = check_map(light.maps[i]))
             return s;
@@ -28,6 +29,12 @@ gs_status check_light(const gs_light &light) {
             if (map < -1 || map >= light.map_count)
                 return fail(GS_BAD_ARGUMENT, "lamp %d has shadow map %d, expected -1 to %d", i, map,
                             light.map_count - 1);
+    for (int32_t i = 0; i < light.sky_count; ++i) {
+        const int32_t map = light.sky[i].map;
+        if (map < 0 || map >= light.map_count || !light.maps[map].parallel || light.maps[map].views != 1)
+            return fail(GS_BAD_ARGUMENT, "direction %d of the sky has shadow map %d, expected a parallel one of %d", i,
+                        map, light.map_count);
+    }
     return GS_OK;
 }
 

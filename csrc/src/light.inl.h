@@ -326,6 +326,24 @@ static void light_of_world(const float *world, const Light3 &normal, bool two_si
     }
 }
 
+// Share of the world's light that reaches surfaces past meshes.
+static void light_past_meshes(const gs_light &light, const Light3 &at, const Light3 &normal, Vec share[3]) {
+    Vec sent[3] = {}, hidden[3] = {};
+    for (int32_t k = 0; k < light.sky_count; ++k) {
+        const gs_shadow_map &map = light.maps[light.sky[k].map];
+        const Vec facing = max(-light_dot(map.rotations + 6, normal), Vec{});
+        if (!bits(gt(facing, Vec{})))
+            continue;
+        const Vec lost = keep(light_mesh(map, at).hides, facing);
+        for (int c = 0; c < 3; ++c) {
+            sent[c] = fma(facing, light.sky[k].strength[c], sent[c]);
+            hidden[c] = fma(lost, light.sky[k].strength[c], hidden[c]);
+        }
+    }
+    for (int c = 0; c < 3; ++c)
+        share[c] = 1.0f - quotient(hidden[c], max(sent[c], set1(1e-30f)));
+}
+
 // Adds the light of lamps with the same shadows; without a known side of normals of one.
 static void light_lamps(const gs_light &light, const gs_lamp *lamps, int count, bool two_sided, LightBlock &block) {
     LightList lit;
@@ -430,9 +448,13 @@ static void light_block(const LightArgs &a, int64_t begin, int64_t end) {
         for (int c = 0; c < 3; ++c) {
             store(block.at[c] + i, at[c]);
             store(block.normal[c] + i, axes[c]);
-            store(block.all[c] + i, world[c]);
             store(block.bare[c] + i, world[c]);
         }
+        Vec share[3] = {set1(1.0f), set1(1.0f), set1(1.0f)};
+        if (!two_sided && a.light->sky_count > 0)
+            light_past_meshes(*a.light, {at[0], at[1], at[2]}, turned, share);
+        for (int c = 0; c < 3; ++c)
+            store(block.all[c] + i, world[c] * share[c]);
     }
     for (int32_t i = 0; i < a.light->lamp_count;) {
         const gs_lamp *const lamps = a.light->lamps + i;

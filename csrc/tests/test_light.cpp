@@ -31,7 +31,7 @@ struct Floors {
 // Oracle: cos / d^2 by hand.
 void a_point_fades_with_distance_and_angle() {
     const gs_lamp lamp = {0, 0, {2, 1, 0.5f}, {0, 0, 3}, {0, 0, -1}, 0.1f, {-2, 0}, 0, {-1, -1}};
-    const gs_light light = {{}, 1, &lamp, 0, nullptr};
+    const gs_light light = {{}, 1, &lamp, 0, nullptr, 0, nullptr};
     const std::vector<float> found = Floors().radiance(light);
     for (size_t i = 0; i < kCount; ++i) {
         const double x = 0.1 * double(i), squared = x * x + 9;
@@ -48,8 +48,23 @@ void a_map_shadows_what_is_behind() {
     const float down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1};
     const gs_shadow_map map = {kSide, 1, depths.data(), nullptr, down, {2, 0, 10}, 2, 1, 10, 5, 0.01f};
     const gs_lamp lamp = {1, 0, {1, 1, 1}, {}, {0, 0, -1}, 0, {-2, 0}, 0, {0, -1}};
-    const std::vector<float> found = Floors().radiance({{}, 1, &lamp, 1, &map});
+    const std::vector<float> found = Floors().radiance({{}, 1, &lamp, 1, &map, 0, nullptr});
     CHECK(found[3 * 5] == 0 && found[3 * 30] == 1);
+}
+
+// Oracle: half of the map has a mesh in front; a channel that the sky lacks stays.
+void a_map_hides_the_world() {
+    std::vector<float> depths(kSide * kSide);
+    for (int i = 0; i < kSide * kSide; ++i)
+        depths[size_t(i)] = i % kSide < kSide / 2 ? 5.0f : 0.0f;
+    const float down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1};
+    const gs_shadow_map map = {kSide, 1, depths.data(), nullptr, down, {2, 0, 10}, 2, 1, 10, 5, 0.01f};
+    const gs_sky sky = {{1, 2, 0}, 0};
+    gs_light light = {{}, 0, nullptr, 1, &map, 1, &sky};
+    light.world[0] = light.world[1] = light.world[2] = 2;
+    const std::vector<float> found = Floors().radiance(light);
+    CHECK(found[3 * 5] == 0 && found[3 * 5 + 1] == 0 && found[3 * 5 + 2] == found[3 * 30]);
+    CHECK(std::fabs(found[3 * 30] - 2 * 0.28209479f) < 1e-6f);
 }
 
 void what_is_invalid_is_refused() {
@@ -58,7 +73,12 @@ void what_is_invalid_is_refused() {
     const gs_lamp lamp = {1, 0, {1, 1, 1}, {}, {0, 0, -1}, 0, {-2, 0}, 0, {0, -1}};
     gs_shadow_map map = {};
     CHECK(gs_surface_radiance(nullptr, &floors.surfaces, 1, out.data()) == GS_BAD_ARGUMENT);
-    const gs_light missing = {{}, 1, &lamp, 0, nullptr}, broken = {{}, 1, &lamp, 1, &map}, none = {};
+    const gs_light missing = {{}, 1, &lamp, 0, nullptr}, broken = {{}, 1, &lamp, 1, &map, 0, nullptr}, none = {};
+    const gs_sky beyond = {{1, 1, 1}, 0};
+    const gs_light mapless = {{}, 0, nullptr, 0, nullptr, 1, &beyond},
+                   absent = {{}, 0, nullptr, 0, nullptr, 1, nullptr};
+    CHECK(gs_surface_radiance(&mapless, &floors.surfaces, 1, out.data()) == GS_BAD_ARGUMENT);
+    CHECK(gs_surface_radiance(&absent, &floors.surfaces, 1, out.data()) == GS_BAD_ARGUMENT);
     CHECK(gs_surface_radiance(&missing, &floors.surfaces, 1, out.data()) == GS_BAD_ARGUMENT);
     CHECK(gs_surface_gains(&broken, &floors.surfaces, 1, out.data()) == GS_BAD_ARGUMENT);
     CHECK(gs_surface_gains(&none, &floors.surfaces, -1, out.data()) == GS_BAD_ARGUMENT);
@@ -73,6 +93,7 @@ int main() {
     return on_every_isa([] {
         a_point_fades_with_distance_and_angle();
         a_map_shadows_what_is_behind();
+        a_map_hides_the_world();
         what_is_invalid_is_refused();
     });
 }

@@ -8,7 +8,7 @@ import ctypes as ct
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-ABI_VERSION = 16
+ABI_VERSION = 17
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL, MEDIAN_SPLAT = 1, 2, 4, 8, 32
 DEPTH_OUTPUTS = {
@@ -187,6 +187,7 @@ LampStruct = struct(
     "float size",
     "int32[2] maps",
 )
+SkyStruct = struct("gs_sky", "float[3] strength", "int32 map")
 LightStruct = struct(
     "gs_light",
     "float[27] world",
@@ -194,6 +195,8 @@ LightStruct = struct(
     ("lamps", ct.POINTER(LampStruct)),
     "int32 map_count",
     ("maps", ct.POINTER(ShadowMapStruct)),
+    "int32 sky_count",
+    ("sky", ct.POINTER(SkyStruct)),
 )
 SurfacesStruct = struct(
     "gs_surfaces",

@@ -75,6 +75,10 @@ class SurfaceLight:
     """Shadows of each lamp by proxies and by other meshes; None: there are none."""
     world: np.ndarray
     """[9, 3] radiance of a white surface by its normal, in harmonics of degree 0 to 2."""
+    sky: Sequence[tuple[tuple[float, float, float], ShadowMap]] = ()
+    """Directions all around from which the world's light comes: radiance of a white surface that
+    faces it, linear, and the parallel shadow map of meshes that are no proxies. `world` is dimmed
+    by the share of this light that they hide, unless sides of normals are unknown."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,22 +197,24 @@ def _lit(function: str, light: SurfaceLight, surfaces: Surfaces, **more: Any) ->
 
 def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray | None]]:
     """`gs_light`, and arrays that must outlive it."""
-    found: list[ShadowMap] = []
+    found: dict[int, ShadowMap] = {}
     maps, lamps, kept = [], [], []
     if len(light.lamps) != len(light.maps):
         raise ShapeError(
             f"there must be a pair of shadow maps for each of {len(light.lamps)} lamps, got "
             f"{len(light.maps)}."
         )
+
+    def index(one: ShadowMap | None) -> int:
+        if one is None:
+            return -1
+        found[id(one)] = one
+        return list(found).index(id(one))
+
     is_soft = any(lamp.size > 0 for lamp in light.lamps)
     for lamp, pair in zip(light.lamps, light.maps, strict=True):
         if lamp.kind not in (POINT, SUN):
             raise ConfigError(f"The kind of a lamp must be {POINT} or {SUN}, got {lamp.kind}.")
-        numbers = []
-        for one in pair:
-            if one is not None and not any(one is known for known in found):
-                found.append(one)
-            numbers.append(next((i for i, known in enumerate(found) if known is one), -1))
         lamps.append(
             header.LampStruct(
                 is_sun=lamp.kind == SUN,
@@ -219,10 +225,14 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray | 
                 radius=lamp.radius,
                 cone=_floats("cone", lamp.cone, 2),
                 size=lamp.size,
-                maps=(ct.c_int32 * 2)(*numbers),
+                maps=(ct.c_int32 * 2)(*map(index, pair)),
             )
         )
-    for one in found:
+    sky = [
+        header.SkyStruct(strength=_floats("sky", strength, 3), map=index(one))
+        for strength, one in light.sky
+    ]
+    for one in found.values():
         rotations = np.ascontiguousarray(one.rotations, np.float32)
         views, size, _ = _sizes("depths", one.depths)
         kept += [rotations, one.depths, one.backs]
@@ -247,6 +257,8 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray | 
         lamps=(header.LampStruct * len(lamps))(*lamps),
         map_count=len(maps),
         maps=(header.ShadowMapStruct * len(maps))(*maps),
+        sky_count=len(sky),
+        sky=(header.SkyStruct * len(sky))(*sky),
     )
     return native, kept
 

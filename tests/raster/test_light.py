@@ -126,11 +126,85 @@ def test_each_lamp(isa: str, index: int) -> None:
     assert (wanted > 0).mean() > 0.02
 
 
+def sky(count: int) -> list[tuple[tuple[float, float, float], ShadowMap]]:
+    """Random maps of directions all around, of other strengths."""
+    rng = np.random.default_rng(9)
+    axes = rng.normal(size=(count, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    return [
+        (
+            tuple(rng.uniform(0, 2, 3).tolist()),
+            replace(
+                shadows(number, "parallel", tuple((-6 * axis).tolist())),
+                rotations=turned(axis)[None],
+            ),
+        )
+        for number, axis in enumerate(axes)
+    ]
+
+
+def test_meshes_hide_the_world(isa: str) -> None:
+    """Oracle: the twin; much of the world is hidden; lamps are as before."""
+    light, surfaces, _ = scene()
+    hidden = replace(light, sky=sky(7))
+    for lamps in (light.lamps, []):
+        own = [replace(one, lamps=lamps, maps=light.maps[: len(lamps)]) for one in (light, hidden)]
+        bright, wanted = (twin.radiance(one, surfaces) for one in own)
+        check(surface_radiance(own[1], surfaces), wanted)
+        assert (bright > 1.05 * wanted).mean() > 0.3
+        assert (bright >= wanted).all()
+
+
+def test_a_ball_hides_its_share_of_the_world(isa: str) -> None:
+    """Oracle: the form factor of a ball over a floor (Howell's catalogue): (r / h)^2 below it,
+    times the cosine beside it. Below it, where no light passes, a ball that stands leaves none."""
+    turn, up = 2.39996 * np.arange(64), 1 - (2 * np.arange(64) + 1) / 64
+    level = np.sqrt(1 - up**2)
+    axes = -np.stack([level * np.cos(turn), level * np.sin(turn), up], 1)
+    lamp, _, _ = plate("sun")
+    u, v = np.meshgrid(np.linspace(0, np.pi, 40), np.linspace(0, 2 * np.pi, 80))
+    unit = np.stack([np.sin(u) * np.cos(v), np.sin(u) * np.sin(v), np.cos(u)], -1).reshape(-1, 3)
+    k = np.arange(79 * 40).reshape(79, 40)[:, :-1].ravel()
+    faces = np.concatenate([np.stack([k, k + 1, k + 41], 1), np.stack([k, k + 41, k + 40], 1)])
+    x = np.linspace(0, 4, COUNT)
+    places = np.stack([x, 0.3 * x, 0 * x], 1).astype(np.float32)
+    up_ = np.tile(np.float32([0, 0, 1]), (COUNT, 1))
+    surfaces = Surfaces(places=places, normals=up_, matrix=np.eye(4))
+    world = np.zeros((9, 3))
+    world[0] = 0.5 / 0.28209479177387814
+    for height in (1.001, 1.5, 2.5):
+        maps = [
+            sun_map(
+                replace(lamp, axis=tuple(axis)),
+                np.add(unit, [0, 0, height]),
+                faces,
+                size=128,
+                width=4.0,
+                slack=0.001,
+            )
+            for axis in axes
+        ]
+        light = SurfaceLight(lamps=[], maps=[], world=world, sky=[((1, 1, 1), one) for one in maps])
+        found = surface_radiance(light, surfaces)[:, 0] / 0.5
+        away = np.sqrt((places[:, :2] ** 2).sum(1) + height**2)
+        off = np.abs(found - 1 + height / away**3)
+        assert off.mean() < 0.03
+        assert np.percentile(off, 98) < 0.08
+    captured = np.full((COUNT, 3), 0.25, np.float32)
+    how = {"share": 1.0, "catches": True, "most": 5.0}
+    gains = surface_gains(light, surfaces, captured, **how)
+    np.testing.assert_allclose(gains[:, 0], 2 * found, rtol=1e-5)
+    kept = surface_gains(light, surfaces, captured, **{**how, "share": 0.0})
+    np.testing.assert_allclose(kept[:, 0], found, rtol=1e-5)
+    assert (surface_gains(light, surfaces, None, **{**how, "share": 0.0}) == 1).all()
+
+
 @pytest.mark.parametrize("catches", [False, True])
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0, None])
 def test_gains(isa: str, share: float | None, catches: bool) -> None:
     """Oracle: the twin; None: the captured light, and the sides of normals, are unknown."""
     light, surfaces, captured = scene()
+    light = replace(light, sky=sky(3))
     given = None if share is None else captured
     how = {"share": share or 0.0, "catches": catches, "most": 5.0}
     wanted = twin.gains(light, surfaces, given, **how)
@@ -171,6 +245,10 @@ def test_bad_arrays_are_refused() -> None:
         surface_radiance(replace(light, maps=light.maps[:1]), surfaces)
     with pytest.raises(ShapeError, match="world must have 27 numbers, got 12"):
         surface_radiance(replace(light, world=light.world[:4]), surfaces)
+    with pytest.raises(ShapeError, match="sky must have 3 numbers, got 2"):
+        surface_radiance(replace(light, sky=[((1.0, 1.0), light.maps[0][0])]), surfaces)
+    with pytest.raises(ShapeError, match="direction 0 of the sky has shadow map 1"):
+        surface_radiance(replace(light, sky=[((1.0, 1.0, 1.0), light.maps[1][0])]), surfaces)
     one = replace(light, lamps=[replace(light.lamps[0], axis=(0.0, 1.0))], maps=light.maps[:1])
     with pytest.raises(ShapeError, match="axis must have 3 numbers, got 2"):
         surface_radiance(one, surfaces)

@@ -33,8 +33,10 @@ SCENES = {
     "point": ["POINT"],
     "area": ["AREA"],
     "four": ["POINT", "SUN", "SPOT", "POINT"],
+    "sun, mesh": ["SUN"],
+    "area, mesh": ["AREA"],
 }
-"""Kinds of the lamps; the first moves."""
+"""Kinds of the lamps; the first moves. A mesh, which hides the world too, stands still."""
 
 
 def resized(splats: Splats, count: int) -> Splats:
@@ -126,6 +128,8 @@ def main() -> None:
             proxy = bpy.data.objects.new("proxy", filled(surface, None, "proxy"))
             scene.collection.objects.link(proxy)
             attach(scene, ob, proxy)
+        if name.endswith("mesh"):
+            bpy.ops.mesh.primitive_monkey_add(size=0.5 * radius, location=middle)
         lamps = place_lamps(scene, SCENES[name], middle, radius)
         rows = []
         for number in range(args.pairs + 1):
@@ -141,6 +145,8 @@ def main() -> None:
             print(f"{name}, {what}: {ratio:.2f} ({times[0]:.0f} over {times[1]:.0f} ms)")
         for lamp in lamps:
             bpy.data.lights.remove(lamp.data)
+        if name.endswith("mesh"):
+            bpy.data.objects.remove(bpy.data.objects["Suzanne"])
 
 
 if __name__ == "__main__":

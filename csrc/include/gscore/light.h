@@ -35,12 +35,21 @@ typedef struct gs_lamp {
     int32_t maps[2];    /* indices of the shadow maps of proxies and of other meshes; -1: none */
 } gs_lamp;
 
+/* A direction from which the world's light comes. */
+typedef struct gs_sky {
+    float strength[3]; /* radiance of a white surface that faces it, linear */
+    int32_t map;       /* index of its shadow map of meshes that are no proxies; parallel */
+} gs_sky;
+
 typedef struct gs_light {
     float world[27]; /* [9, 3] radiance of a white surface by its normal, in harmonics of degree 0 to 2 */
     int32_t lamp_count;
     const gs_lamp *lamps;
     int32_t map_count;
     const gs_shadow_map *maps;
+    int32_t sky_count; /* directions all around; `world` is dimmed by the share of their light that meshes hide, unless
+                        * sides of normals are unknown */
+    const gs_sky *sky;
 } gs_light;
 
 typedef struct gs_surfaces {
@@ -57,7 +66,8 @@ typedef struct gs_surfaces {
 
 /* Radiance [N, 3] of white surfaces. `captured`, `share`, `catches` and `most` have no effect. A shadow is the mean of
  * 2 x 2 pixels of a map by the distance to them; surfaces outside of a map are lit. Soft shadows are means over a disc
- * around the surface, as wide as the nearest meshes blur them (Fernando 2005, percentage-closer soft shadows). */
+ * around the surface, as wide as the nearest meshes blur them (Fernando 2005, percentage-closer soft shadows). Of maps
+ * of the sky the nearest pixel counts. */
 GS_API gs_status gs_surface_radiance(const gs_light *light, const gs_surfaces *surfaces, int32_t threads,
                                      float *radiance);
 /* Factor [N, 3] of linear colours under a light. Without `captured` the sides of normals are unknown: they are turned

@@ -88,6 +88,36 @@ def by_cycles(scene: bpy.types.Scene, folder) -> np.ndarray:
     return lab.render_exr(folder, "cycles")[..., :3]
 
 
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_meshes_hide_the_world(lit, tmp_path, share):
+    """A cube and a ball that stand, and a ball that hangs, without lamps: the share of the light of
+    relit splats, and of those with the captured look, that they leave."""
+    lit.render.resolution_x = lit.render.resolution_y = 80
+    (ob,) = (ob for ob in lit.objects if ob.get("gs_kind") == "splats")
+    ob.gscore.light = share
+    attach(lit, ob, proxy := grid(-0.01))
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(-0.5, 0.1, 0.25))
+    meshes = [bpy.context.object]
+    for radius, middle in ((0.2, (0, -0.6, 0.2)), (0.3, (0.5, 0, 0.7))):
+        bpy.ops.mesh.primitive_uv_sphere_add(radius=radius, location=middle)
+        meshes.append(bpy.context.object)
+    tree = compat.world_nodes(lit.world)
+    tree.nodes["Background"].inputs[0].default_value = (0.7, 0.6, 0.5, 1)
+    got = lab.render_exr(tmp_path, "got")[..., :3]
+    for mesh in meshes:
+        mesh.visible_shadow = False
+    bare = lab.render_exr(tmp_path, "bare")[..., :3]
+    for mesh in meshes:
+        mesh.visible_shadow, mesh.visible_camera = True, False
+    proxy.driver_remove("hide_render")
+    proxy.hide_render, lit.cycles.max_bounces = True, 0
+    wanted = by_cycles(lit, tmp_path) / (decode(COLOR) * [0.7, 0.6, 0.5])
+    error = np.abs(got / bare - wanted)[4:-4, 4:-4]
+    assert (wanted < 0.7).mean() > 0.04
+    assert error.mean() < 0.03
+    assert np.percentile(error, 95) < 0.1
+
+
 @pytest.mark.parametrize("kind", ["SUN", "POINT", "SPOT", "AREA"])
 def test_lamps(lit, tmp_path, kind):
     """Of all kinds: color, strength, distance, angle, cone and size."""

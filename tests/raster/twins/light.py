@@ -36,6 +36,19 @@ def reaching(shadows: ShadowMap | None, places: np.ndarray, normals: np.ndarray)
     return out
 
 
+def hidden(shadows: ShadowMap, places: np.ndarray) -> np.ndarray:
+    """Whether the pixel of a parallel map nearest to each place [N, 3] has a mesh in front, [N]."""
+    size = shadows.depths.shape[1]
+    out = np.zeros(len(places), bool)
+    for i, away in enumerate(places - shadows.place):
+        x, y, z = shadows.rotations[0] @ away
+        row, column = np.floor(shadows.scale * np.array([y, x]) + size / 2).astype(int)
+        if z > 0 and 0 <= row < size and 0 <= column < size:
+            found = float(shadows.depths[0, row, column])
+            out[i] = found > 0 and shadows.farthest - found < z - shadows.slack
+    return out
+
+
 def falloff(lamp: Lamp, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Share of a lamp's strength that arrives, [N]; below 0 on the back."""
     axis = np.array(lamp.axis)
@@ -64,6 +77,13 @@ def radiance(
     if two_sided:
         basis = (basis + sh_basis(2, -normals)) / 2
     out = np.maximum(basis @ light.world, 0)
+    if light.sky and meshes and not two_sided:
+        sent, passed = np.zeros((2, *out.shape))
+        for strength, shadows in light.sky:
+            facing = np.maximum(-normals @ shadows.rotations[0, 2], 0)[:, None] * np.array(strength)
+            sent += facing
+            passed += facing * ~hidden(shadows, places)[:, None]
+        out *= np.where(sent > 0, passed / np.maximum(sent, 1e-30), 1)
     for lamp, (proxies, others) in zip(light.lamps, light.maps, strict=True):
         share, own = falloff(lamp, places, normals), normals
         if two_sided:
