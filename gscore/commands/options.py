@@ -30,8 +30,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     option("--json", "all properties as JSON")
     for one in all_options():
         flags = [one.flag, *filter(None, [ALIASES.get(one.name)])]
-        facts = {"dest": "flag", "action": "store_const", "const": one.name}
-        vars(parser.add_argument(*flags, help=argparse.SUPPRESS, **facts))["declared"] = one
+        added = parser.add_argument(
+            *flags, help=argparse.SUPPRESS, dest="flag", action="store_const", const=one.name
+        )
+        vars(added)["declared"] = one
 
 
 def run(args: argparse.Namespace) -> int:

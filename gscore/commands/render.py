@@ -301,6 +301,7 @@ class _Work:
         camera = self.shots.Ks[index], self.shots.viewmats[index]
         size = int(self.shots.widths[index]), int(self.shots.heights[index])
         options, model = self._options, self._model
+        assert isinstance(model, ModelArgument)  # `_render` refuses levels of detail
         bounds = layer_bounds(model.splats.means, *camera, *size, options["near"])
         layers = (
             model.draw(*camera, *size, **options | {"background": (0.0,) * 3, "near": a, "far": b})
