@@ -112,6 +112,7 @@ from .lod.build import LodFacts as LodFacts
 from .lod.build import build_lod as build_lod
 from .lod.lod_renderer import LodModel as LodModel
 from .lod.read import read_lod as read_lod
+from .mesh.clean import vertex_normals as vertex_normals
 from .mesh.surface_mesh import SurfaceMesh as SurfaceMesh
 from .mesh.surface_mesh import read_surface as read_surface
 from .mesh.surface_mesh import write_surface as write_surface
@@ -136,6 +137,7 @@ from .raster.render_client import find_devices as find_devices
 from .raster.render_messages import NoDeviceError as NoDeviceError
 from .raster.render_messages import RenderServerError as RenderServerError
 from .report.colormap import colorize as colorize
+from .sampling import sphere as sphere
 from .scene import moved_viewmats as moved_viewmats
 from .scene import offset_between as offset_between
 from .scene import origin_text as origin_text

@@ -22,6 +22,7 @@ from ..core import (
     quat_to_rotmat,
     scaled_colors,
     sh_basis,
+    sphere,
     surface_gains,
     surface_radiance,
 )
@@ -47,14 +48,7 @@ _CONSTANT = float(sh_basis(0, np.array([0.0, 0.0, 1.0]))[0])
 """The constant harmonic."""
 
 
-def spread_directions(count: int) -> np.ndarray:
-    """Unit vectors [K, 3] spread evenly, on a spiral by the golden angle."""
-    turn, up = 2.399963229728653 * np.arange(count), 1 - (2 * np.arange(count) + 1) / count
-    level = np.sqrt(1 - up**2)
-    return np.stack([level * np.cos(turn), level * np.sin(turn), up], 1)
-
-
-_SKY = spread_directions(48)
+_SKY = sphere(48)
 """Directions in which meshes hide the world."""
 
 

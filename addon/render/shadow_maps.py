@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..core import ShadowMap, mesh_backs, mesh_depth, mesh_nearness
+from ..core import ShadowMap, mesh_backs, mesh_depth, mesh_nearness, vertex_normals
 from ..triangles import Triangles, joined, repeated
 
 _SIZE = 1024
@@ -89,12 +89,8 @@ class Casters:
 
     @cached_property
     def _normals(self) -> np.ndarray:
-        """Normals of the vertices of `mesh` [V, 3], of any length."""
-        vertices, triangles = self.mesh
-        a, b, c = (vertices[triangles[:, k]] for k in range(3))
-        rows, count = triangles.T.ravel(), len(vertices)
-        sides = np.tile(np.cross(b - a, c - a), (3, 1)).T
-        return np.stack([np.bincount(rows, weights=side, minlength=count) for side in sides], 1)
+        """Normals of the vertices of `mesh` [V, 3]."""
+        return vertex_normals(*self.mesh)
 
     def sunk(self, place: np.ndarray, axis: np.ndarray | None) -> Triangles:
         """`mesh` for the map of a lamp, with the sides towards it deeper along its rays: what is

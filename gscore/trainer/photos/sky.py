@@ -9,10 +9,11 @@ import numpy as np
 
 from ...config import TrainConfig
 from ...errors import ConfigError
+from ...sampling import sphere
 from ...scene import Cameras, distances
 from ...sh import rgb_to_sh0
 from ...splats import Splats
-from .sky_search import Sky, sphere
+from .sky_search import Sky
 from .view_sampler import Photos
 
 _SPLATS, _SHARE = 1000, 10

@@ -15,7 +15,7 @@ from PIL import Image
 
 from ...config import Switch, TrainConfig
 from ...events import Decision
-from ...sampling import evenly_spaced
+from ...sampling import evenly_spaced, sphere
 from ...scene import Cameras, PointCloud
 from ...text_format import count_text, number
 from ...upright import up_of
@@ -151,14 +151,6 @@ def decide_sky(
 def thinned(points: np.ndarray) -> np.ndarray:
     """Return at most 200,000 evenly spaced rows of `points`, [P, 3], in any frame."""
     return points[:: -(-max(len(points), 1) // _MOST_POINTS)]
-
-
-def sphere(count: int) -> np.ndarray:
-    """Return [count, 3] evenly distributed unit vectors, on a spiral with the golden angle."""
-    place = np.arange(count)
-    z, turn = 1 - (2 * place + 1) / max(count, 1), place * np.pi * (3 - np.sqrt(5))
-    across = np.sqrt(1 - z * z)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
 
 
 def _sky_cells(
