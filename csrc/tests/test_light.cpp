@@ -40,27 +40,31 @@ void a_point_fades_with_distance_and_angle() {
     CHECK(same_bits(found, Floors().radiance(light, 1)));
 }
 
-// Oracle: half of the map has a mesh in front.
-void a_map_shadows_what_is_behind() {
-    std::vector<float> depths(kSide * kSide);
-    for (int i = 0; i < kSide * kSide; ++i)
-        depths[size_t(i)] = i % kSide < kSide / 2 ? 5.0f : 0.0f;
+// A map from above with a mesh in front of half of its pixels.
+struct HalfMap {
+    std::vector<float> depths = std::vector<float>(kSide * kSide);
     const float down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1};
     const gs_shadow_map map = {kSide, 1, depths.data(), nullptr, down, {2, 0, 10}, 2, 1, 10, 5, 0.01f};
+
+    HalfMap() {
+        for (int i = 0; i < kSide * kSide; ++i)
+            depths[size_t(i)] = i % kSide < kSide / 2 ? 5.0f : 0.0f;
+    }
+};
+
+// Oracle: half of the map has a mesh in front.
+void a_map_shadows_what_is_behind() {
+    const HalfMap half;
     const gs_lamp lamp = {1, 0, {1, 1, 1}, {}, {0, 0, -1}, 0, {-2, 0}, 0, {0, -1}};
-    const std::vector<float> found = Floors().radiance({{}, 1, &lamp, 1, &map, 0, nullptr});
+    const std::vector<float> found = Floors().radiance({{}, 1, &lamp, 1, &half.map, 0, nullptr});
     CHECK(found[3 * 5] == 0 && found[3 * 30] == 1);
 }
 
 // Oracle: half of the map has a mesh in front; a channel that the sky lacks stays.
 void a_map_hides_the_world() {
-    std::vector<float> depths(kSide * kSide);
-    for (int i = 0; i < kSide * kSide; ++i)
-        depths[size_t(i)] = i % kSide < kSide / 2 ? 5.0f : 0.0f;
-    const float down[9] = {1, 0, 0, 0, -1, 0, 0, 0, -1};
-    const gs_shadow_map map = {kSide, 1, depths.data(), nullptr, down, {2, 0, 10}, 2, 1, 10, 5, 0.01f};
+    const HalfMap half;
     const gs_sky sky = {{1, 2, 0}, 0};
-    gs_light light = {{}, 0, nullptr, 1, &map, 1, &sky};
+    gs_light light = {{}, 0, nullptr, 1, &half.map, 1, &sky};
     light.world[0] = light.world[1] = light.world[2] = 2;
     const std::vector<float> found = Floors().radiance(light);
     CHECK(found[3 * 5] == 0 && found[3 * 5 + 1] == 0 && found[3 * 5 + 2] == found[3 * 30]);

@@ -197,7 +197,7 @@ def _lit(function: str, light: SurfaceLight, surfaces: Surfaces, **more: Any) ->
 
 def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray | None]]:
     """`gs_light`, and arrays that must outlive it."""
-    found: dict[int, ShadowMap] = {}
+    found: dict[int, tuple[int, ShadowMap]] = {}
     maps, lamps, kept = [], [], []
     if len(light.lamps) != len(light.maps):
         raise ShapeError(
@@ -206,10 +206,7 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray | 
         )
 
     def index(one: ShadowMap | None) -> int:
-        if one is None:
-            return -1
-        found[id(one)] = one
-        return list(found).index(id(one))
+        return -1 if one is None else found.setdefault(id(one), (len(found), one))[0]
 
     is_soft = any(lamp.size > 0 for lamp in light.lamps)
     for lamp, pair in zip(light.lamps, light.maps, strict=True):
@@ -232,7 +229,7 @@ def _native_light(light: SurfaceLight) -> tuple[ct.Structure, list[np.ndarray | 
         header.SkyStruct(strength=_floats("sky", strength, 3), map=index(one))
         for strength, one in light.sky
     ]
-    for one in found.values():
+    for _, one in found.values():
         rotations = np.ascontiguousarray(one.rotations, np.float32)
         views, size, _ = _sizes("depths", one.depths)
         kept += [rotations, one.depths, one.backs]
