@@ -283,12 +283,11 @@ class _Work:
         return 1.0 / float(np.median(self._seconds)) if self._seconds else math.nan
 
     def __iter__(self) -> Iterator[Rendered]:
-        shots = self.shots
-        progress = Counted(self._status, len(shots.names), "picture")
-        for i, name in enumerate(shots.names):
+        names = self.shots.names
+        progress = Counted(self._status, len(names), "picture")
+        for i, name in enumerate(names):
             began = time.perf_counter()
-            size = int(shots.widths[i]), int(shots.heights[i])
-            rendered = self._model.draw(shots.Ks[i], shots.viewmats[i], *size, **self._options)
+            rendered = self._model.draw(*self._camera(i), **self._options)
             self._seconds.append(time.perf_counter() - began)
             self.empty += not rendered.alpha.any()
             if not self._exposures[i].neutral:
@@ -296,15 +295,19 @@ class _Work:
             yield rendered
             progress(i + 1, name)
 
+    def _camera(self, index: int) -> tuple[np.ndarray, np.ndarray, int, int]:
+        """K, viewmat, width and height of a shot."""
+        shots = self.shots
+        size = int(shots.widths[index]), int(shots.heights[index])
+        return shots.Ks[index], shots.viewmats[index], *size
+
     def samples(self, index: int, rendered: Rendered) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Samples of picture `index`, which is `rendered`; see `deep_channels`."""
-        camera = self.shots.Ks[index], self.shots.viewmats[index]
-        size = int(self.shots.widths[index]), int(self.shots.heights[index])
-        options, model = self._options, self._model
+        camera, options, model = self._camera(index), self._options, self._model
         assert isinstance(model, ModelArgument)  # `_render` refuses levels of detail
-        bounds = layer_bounds(model.splats.means, *camera, *size, options["near"])
+        bounds = layer_bounds(model.splats.means, *camera, options["near"])
         layers = (
-            model.draw(*camera, *size, **options | {"background": (0.0,) * 3, "near": a, "far": b})
+            model.draw(*camera, **options | {"background": (0.0,) * 3, "near": a, "far": b})
             for a, b in pairwise(bounds)
         )
         return deep_channels(rendered, layers, options["background"])
