@@ -13,7 +13,7 @@ from ..triangles import Triangles, joined, repeated
 _SIZE = 1024
 """Pixels along a side of a map."""
 _SKY_SIZE = 64
-"""Of a map of one direction of the sky."""
+"""Pixels along a side of a map of the sky, per direction."""
 _OUTSIDE = 1.3
 """Distance of a lamp from the middle of `Casters.ball`, in its radii, for a single map."""
 _EDGES = 1 << 12
