@@ -26,15 +26,7 @@ def build(rng):
     )
     add_rug(rng)
     add_backdrop(rng)
-    world = bpy.data.worlds.new("world")
-    bpy.context.scene.world = world
-    if bpy.app.version < (5, 0):
-        world.use_nodes = True
-    world.node_tree.nodes["Background"].inputs[0].default_value = (0.35, 0.36, 0.38, 1)
-    add_light("key", (-2.3, -2.6, 3.6), 1.6, 215, (1.0, 0.95, 0.88))
-    add_light("fill", (2.9, -1.4, 3.2), 2.2, 90, (0.90, 0.95, 1.0))
-    add_light("rim", (1.2, 3.0, 3.6), 1.4, 145, (1.0, 0.97, 0.93))
-    add_light("top", (-0.8, 0.6, 4.4), 2.5, 105, (1.0, 1.0, 1.0))
+    add_lights()
 
 
 def add_rug(rng, half=1.05, height=0.012):
@@ -73,6 +65,19 @@ def add_backdrop(rng, height=5.4, n=128):
         material("backdrop", image=image, in_mask=False, roughness=0.9),
         uv=uv,
     )
+
+
+def add_lights():
+    """Add the world and four area lights."""
+    world = bpy.data.worlds.new("world")
+    bpy.context.scene.world = world
+    if bpy.app.version < (5, 0):
+        world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs[0].default_value = (0.35, 0.36, 0.38, 1)
+    add_light("key", (-2.3, -2.6, 3.6), 1.6, 215, (1.0, 0.95, 0.88))
+    add_light("fill", (2.9, -1.4, 3.2), 2.2, 90, (0.90, 0.95, 1.0))
+    add_light("rim", (1.2, 3.0, 3.6), 1.4, 145, (1.0, 0.97, 0.93))
+    add_light("top", (-0.8, 0.6, 4.4), 2.5, 105, (1.0, 1.0, 1.0))
 
 
 def add_light(name, place, size, watts, color):
