@@ -58,6 +58,10 @@
 #define GS_SSIM_TAPS                                                                                                   \
     0.26601172486179436f, 0.21300553771125370f, 0.10936068950970002f, 0.036000773310661005f, 0.007598758135239183f,    \
         0.0010283801057925797f
+
+/* Blur of a photo: reach of its weights in standard deviations, and largest variance along an axis, px^2. */
+#define GS_BLUR_REACH 3.0f
+#define GS_BLUR_MAX 4096.0f
 /* Its constants for values in [0, 1] (equation 13). */
 #define GS_SSIM_C1 (0.01f * 0.01f)
 #define GS_SSIM_C2 (0.03f * 0.03f)

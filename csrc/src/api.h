@@ -34,5 +34,6 @@ gs_status check_view(const gs_view &);
 // A view of splats with `sh_rest` stored coefficients, and the arrays for what it asks for.
 gs_status check_draw(int32_t sh_rest, const gs_view &, const gs_image &);
 gs_status check_loss(const gs_loss_args &);
+gs_status check_blur(const float covariance[3]);
 
 } // namespace gs

@@ -2,6 +2,7 @@
 #include "check.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
@@ -427,6 +428,61 @@ void loss_gradient_matches_differences() {
     gs_raster_destroy(raster);
 }
 
+// Oracle: <blur(a), b> = <a, adjoint(b)>; a flat picture stays flat; the variances of a dot.
+void blurs_have_their_adjoint() {
+    const int w = 41, h = 33;
+    const size_t floats = size_t(3 * w * h);
+    std::mt19937 rng(5);
+    std::uniform_real_distribution<float> uniform;
+    std::vector<float> a(floats), b(floats), blurred(floats, -777.0f), back(floats, -777.0f), again(floats);
+    for (size_t i = 0; i < floats; ++i) {
+        a[i] = uniform(rng);
+        b[i] = uniform(rng);
+    }
+    const float covariances[][3] = {{0, 0, 0}, {4, 0, 4}, {9, 3, 2}, {2, -2.5f, 7}, {0, 0, 6}, {100, 60, 40}};
+    for (const auto &c : covariances) {
+        gs_blur_args args = {w, h, a.data(), {c[0], c[1], c[2]}, 0, 1};
+        CHECK(gs_blur_image(&args, blurred.data()) == GS_OK);
+        args.threads = 3;
+        CHECK(gs_blur_image(&args, again.data()) == GS_OK && again == blurred);
+        args.image = b.data();
+        args.adjoint = 1;
+        CHECK(gs_blur_image(&args, back.data()) == GS_OK);
+        double forward = 0, backward = 0;
+        for (size_t i = 0; i < floats; ++i) {
+            forward += double(blurred[i]) * double(b[i]);
+            backward += double(a[i]) * double(back[i]);
+        }
+        CHECK(std::fabs(forward - backward) < 1e-6 * forward);
+        const std::vector<float> flat(floats, 0.5f);
+        args = {w, h, flat.data(), {c[0], c[1], c[2]}, 0, 1};
+        CHECK(gs_blur_image(&args, blurred.data()) == GS_OK);
+        for (const float v : blurred)
+            CHECK(std::fabs(v - 0.5f) < 1e-6f);
+    }
+    std::vector<float> dot(floats, 0.0f);
+    dot[size_t(3 * (16 * w + 20))] = 1;
+    gs_blur_args args = {w, h, dot.data(), {6, -3, 4}, 0, 1};
+    CHECK(gs_blur_image(&args, blurred.data()) == GS_OK);
+    double xx = 0, xy = 0, yy = 0;
+    for (int y = 0; y < h; ++y)
+        for (int x = 0; x < w; ++x) {
+            const double v = double(blurred[size_t(3 * (y * w + x))]), dx = x - 20, dy = y - 16;
+            xx += v * dx * dx;
+            xy += v * dx * dy;
+            yy += v * dy * dy;
+        }
+    CHECK(std::fabs(xx - 6) < 0.2 && std::fabs(xy + 3) < 0.2 && std::fabs(yy - 4) < 0.3);
+    for (const auto &c : {std::array<float, 3>{-1, 0, 1}, {1, 2, 1}, {5000, 0, 1}, {1, NAN, 1}}) {
+        args = {w, h, a.data(), {c[0], c[1], c[2]}, 0, 1};
+        CHECK(gs_blur_image(&args, blurred.data()) == GS_BAD_ARGUMENT);
+    }
+    args = {w, h, a.data(), {1, 0, 1}, 0, 1};
+    CHECK(gs_blur_image(&args, a.data()) == GS_BAD_ARGUMENT && gs_blur_image(nullptr, a.data()) == GS_BAD_ARGUMENT);
+    args.width = 0;
+    CHECK(gs_blur_image(&args, blurred.data()) == GS_BAD_ARGUMENT);
+}
+
 // Oracle: central differences of the loss; no gradient where photo and picture are white. A tenth of the picture is in
 // the dark part of the curve, and a mask covers some pixels.
 void gains_have_the_gradient_of_the_exposed_picture(int mask_mode) {
@@ -679,6 +735,7 @@ int main() {
         loss_gradient_matches_differences();
         for (const int mode : {GS_MASK_NONE, GS_MASK_IGNORE})
             gains_have_the_gradient_of_the_exposed_picture(mode);
+        blurs_have_their_adjoint();
         adam_skips_rows_for_any_number_of_threads();
         adam_names_bad_arguments();
         packing_names_bad_arguments();

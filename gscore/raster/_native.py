@@ -254,6 +254,12 @@ class RasterPool:
 pool = RasterPool()
 
 
+def blur_image(args: ct.Structure, blurred: Array) -> None:
+    """gs_blur_image; `blurred` [H, W, 3] receives the result."""
+    found = address("blurred", blurred, (args.height, args.width, 3))
+    raise_status(library().gs_blur_image(ct.byref(args), found))
+
+
 def philox(counter: np.ndarray, key: np.ndarray) -> np.ndarray:
     """gs_philox: [4] uint32 of `counter` [4] and `key` [2], uint32."""
     words = np.empty(4, np.uint32)

@@ -8,7 +8,7 @@ import ctypes as ct
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-ABI_VERSION = 17
+ABI_VERSION = 18
 
 OUT_INVERSE_DEPTH, OUT_DEPTH, OUT_MEDIAN_DEPTH, COUNT_USEFUL, MEDIAN_SPLAT = 1, 2, 4, 8, 32
 DEPTH_OUTPUTS = {
@@ -112,6 +112,13 @@ LossArgsStruct = struct(
     "pointer gain",
 )
 LossResultStruct = struct("gs_loss_result", "double loss l1 ssim mse", "double[3] v_log_gain")
+BlurArgsStruct = struct(
+    "gs_blur_args",
+    "int32 width height",
+    "pointer image",
+    "float[3] covariance",
+    "int32 adjoint threads",
+)
 RandomStruct = struct(
     "gs_random", "uint64 seed", "uint32 step stream", "pointer rows", "int64 count", "int32 threads"
 )
@@ -223,6 +230,7 @@ SIGNATURES = signatures(
         "gs_raster_projected": "pointer pointer pointer pointer pointer pointer",
         "gs_exp2": "pointer pointer int64",
         "gs_image_loss": "pointer gs_loss_args gs_loss_result pointer",
+        "gs_blur_image": "gs_blur_args pointer",
         "gs_pack_rows": "gs_row_table int32 int64 pointer pointer int64 int32",
         "gs_unpack_rows": "gs_row_table int32 int64 pointer pointer int64 int32",
         "gs_add_screen_gradients": "int64 pointer pointer pointer pointer float float int32",

@@ -19,7 +19,7 @@
 #endif
 
 /* Changes whenever a struct, a signature or a value of these headers changes. */
-#define GS_ABI_VERSION 17
+#define GS_ABI_VERSION 18
 
 /* Maximum number of threads of a call. */
 #define GS_THREADS_MAX 1024

@@ -35,3 +35,15 @@ typedef struct gs_loss_result {
 /* Compute the loss and, unless v_image is null, its gradient [H, W, 3] with respect to the image. Uses the buffers of
  * the gs_raster; its forward state stays valid. */
 GS_API gs_status gs_image_loss(gs_raster *raster, const gs_loss_args *args, gs_loss_result *result, float *v_image);
+
+/* A convolution of a picture with the Gaussian of a 2D covariance, normalised inside the picture. */
+typedef struct gs_blur_args {
+    int32_t width, height;
+    const float *image;  /* [H, W, 3] */
+    float covariance[3]; /* xx, xy, yy, px^2; positive semidefinite, at most GS_BLUR_MAX */
+    int32_t adjoint; /* 1: the transposed operator: from gradients in the blurred picture to those in the sharp one */
+    int32_t threads; /* 0: gs_default_threads() */
+} gs_blur_args;
+
+/* Blur a picture; `blurred` [H, W, 3] is another array. The result does not depend on the number of threads. */
+GS_API gs_status gs_blur_image(const gs_blur_args *args, float *blurred);
