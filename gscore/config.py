@@ -470,6 +470,11 @@ class TrainConfig:
         1e-3, "Initial learning rate of poses, in radians and shares of the extent."
     )
     pose_lr_final: float = _pose_option(1e-5, "Final learning rate of poses; exponential decay.")
+    photo_blur: bool = _colour_option(
+        True,
+        "Photo blur: compare photos that are much more blurred than the others with renders "
+        "blurred alike, so that splats stay sharp; with one process.",
+    )
     drop_rate: float = _loss_option(
         0.0,
         "Dropout: share of splats left out of a step at random, rising from 0 to this at the "

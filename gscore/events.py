@@ -57,6 +57,7 @@ TOPICS = {
     "guide": "Guide meshes",
     "exposure": "Exposure",
     "poses": "Camera poses",
+    "blur": "Blurred photos",
     "viewer": "Viewer",
 }
 """Topics of decisions with their labels, in the order in which they are shown. Each topic is also a

@@ -102,8 +102,8 @@ gs_status check_loss(const gs_loss_args &a) {
 gs_status check_blur(const float covariance[3]) {
     const float xx = covariance[0], xy = covariance[1], yy = covariance[2];
     const bool fits = xx >= 0 && yy >= 0 && xx <= GS_BLUR_MAX && yy <= GS_BLUR_MAX;
-    // Rounding of a product of two floats may take a thin covariance a little beyond.
-    if (fits && double(xy) * double(xy) <= 1.00001 * double(xx) * double(yy))
+    // Rounding to floats may take a thin covariance a little beyond.
+    if (fits && double(xy) * double(xy) <= 1.00001 * double(xx) * double(yy) + 1e-12)
         return GS_OK;
     return fail(GS_BAD_ARGUMENT,
                 "the covariance of a blur must be positive semidefinite, its variances at most %g; got "

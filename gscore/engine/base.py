@@ -209,6 +209,7 @@ class Feature(StrEnum):
     GAINS = "exposure gains of photos (`--exposure off`)"
     POSES = "refined camera poses (`--set refine_poses=off`)"
     SURFACE = "splats on surfaces (`--surface-weight`)"
+    BLUR = "blur of photos (`--no-photo-blur`)"
     CONTRIBUTIONS = "pruning by contribution (`--set prune_share=0`)"
 
 
@@ -248,6 +249,9 @@ class StepRequest:
     gain: Color | None = None
     """Exposure gain of the photo (`gscore.photo_exposure`); None: 1, without gradients."""
     antialias: bool = False
+    blur: Color | None = None
+    """Covariance xx, xy, yy, px^2, of the Gaussian that blurs the picture before the gain
+    (`raster.blur`), for which all tiles are drawn; None: none."""
     sh_degree: int
     """SH degree in use."""
     sh_update: ShUpdate

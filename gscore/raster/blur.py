@@ -21,7 +21,8 @@ def blur_image(
 
     Args:
         image: [H, W, 3] float32.
-        covariance: xx, xy, yy of the Gaussian, px^2; positive semidefinite, variances at most 4096.
+        covariance: xx, xy, yy of the Gaussian, px^2; positive semidefinite, variances at most
+            `BLUR_MAX`.
         adjoint: True: the transposed operator, from gradients in the blurred picture to those in
             the sharp one.
         threads: 0: all cores.

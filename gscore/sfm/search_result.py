@@ -84,7 +84,7 @@ class SearchResult:
         if self.blurred:
             messages.append(
                 f"{count_text(len(self.blurred), 'photo is', 'photos are')} more blurred than the "
-                f"others: {first_few(list(self.blurred))}. Without them splats become sharper."
+                f"others: {first_few(list(self.blurred))}. A training allows for their blur."
             )
         if self.jumps:
             messages.append(

@@ -441,6 +441,9 @@ class Session:
                 "cleared",
             )
         names, train = trainer.photos.scene.cameras.names, list(trainer.photos.train)
+        blurs = trainer.photo_parameters.blurs
+        if blurred := blurs and blurs.decision(names):
+            self.warn(blurred.text, "blurred")
         if worse := trainer.photo_errors.outliers(names, train, trainer.steps):
             self.warn(worse, "photos")
 

@@ -35,6 +35,7 @@ from .step.training_start import training_start
 from .step.training_views import TrainingView, ViewBatcher
 from .strategy import in_cell, make_strategy
 from .views.model_renderer import ModelRenderer
+from .views.photo_blurs import PhotoBlurs
 from .views.photo_gains import HeldOutGains
 from .views.photo_parameters import PhotoParameters, initial_poses
 
@@ -89,8 +90,11 @@ class Trainer:
         cameras = self.frame.similarity.cameras_to_training(given)
         poses = initial_poses(analysis.pose_check, photos.train, self.frame)
         held_out = HeldOutGains(given.names, given.centers, photos.train, stops=stops)
-        self.photo_parameters = PhotoParameters(config, analysis.gains, poses, held_out)
-        """Optimised exposure gains and camera poses of the photos."""
+        blurs = None
+        if config.photo_blur and self.group is None:
+            blurs = PhotoBlurs(photos.train, np.maximum(given.widths, given.heights))
+        self.photo_parameters = PhotoParameters(config, analysis.gains, poses, blurs, held_out)
+        """Exposure gains, camera poses and blurs of the photos."""
         self.region = analysis.region and analysis.region.in_training(self.frame.similarity)
         """The region box, training frame; its start splats are kept inside."""
         start = training_start(
@@ -248,6 +252,7 @@ class Trainer:
         """Take a step of `count` views, one of them on this rank."""
         step, timer = self.steps + count, StageTimer()
         self.stage_timer = timer
+        earlier = self._measure_blur()
         self.models.widen_sh(self.plan.sh_degree_at(step))
         self._requesting, self._requested_models = self._start(), 0
         views = self._draw_views(step, count)
@@ -266,6 +271,22 @@ class Trainer:
         if edits:
             results[-1] = self._edited(results[-1])
         timer.lap("edit")
+        return [*earlier, *results]
+
+    def _measure_blur(self) -> list[StepResult]:
+        """Measure the blur of photos with the current models, where that is due; returns the
+        results of the steps before, which were read for it."""
+        blurs, factor = self.photo_parameters.blurs, self.view_batcher.factor
+        if blurs is None or not blurs.due(self.plan.blur_steps, self.steps):
+            return []
+        results, train = self._read(0), blurs.train
+        factor = min(factor, self.plan.factor_at(self.steps + 1))
+        found = {
+            index: self.renderer.photo_blur(index, factor, upcoming=train[i + 1 :])
+            for i, index in enumerate(train)
+        }
+        blurs.note(found, self.steps)
+        self.stage_timer.lap("blur")
         return results
 
     def _start(self) -> StepStart | None:
@@ -386,7 +407,7 @@ class Trainer:
     def _restore_views(
         self, state: dict[str, Any], photos: Mapping[str, np.ndarray], generator: torch.Tensor
     ) -> None:
-        """Restore gains and poses, the order of views, and the random numbers."""
+        """Restore gains, poses and blurs, the order of views, and the random numbers."""
         self.photo_parameters.restore(self.sampler.indices, len(self.photos.scene.cameras), photos)
         self.generator.set_state(generator)
         self.view_batcher.restore(state)

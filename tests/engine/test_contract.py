@@ -1,6 +1,7 @@
 """What a trainer relies on, for every engine; oracle: numpy indexing, and the model before."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -267,7 +268,9 @@ def test_a_training_runs(make_engine: Make, photos: ToyPhotos) -> None:
     from a second engine."""
     runs = []
     for one in (make_engine(), make_engine()):
-        trainer = Trainer(CONFIG, Analysis(photos=photos), engine=one)
+        blurs = Feature.BLUR in one.info.features
+        config = replace(CONFIG, photo_blur=blurs)
+        trainer = Trainer(config, Analysis(photos=photos), engine=one)
         first = trainer.splat_count
         changes = [trainer.step().change for _ in range(25)]
         assert trainer.steps == 25

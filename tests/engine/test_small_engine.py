@@ -17,7 +17,14 @@ from tests.engine import small_engine
 def trained(engine: Any) -> tuple[list[float], float]:
     """Losses of the steps of a short training, and its gain in PSNR of the training views, dB."""
     photos = toy_photos(splats=toy_splats(count=40), size=20)
-    config = TrainConfig(iterations=40, max_splats=80, sh_degree=1, sh_every=10, refine_start=100)
+    config = TrainConfig(
+        iterations=40,
+        max_splats=80,
+        sh_degree=1,
+        sh_every=10,
+        refine_start=100,
+        photo_blur=False,
+    )
     trainer = Trainer(config, Analysis(photos=photos), engine)
     before = trainer.error()
     losses = [trainer.step().loss for _ in range(config.iterations)]

@@ -1,4 +1,4 @@
-"""Oracles: the two passes written out in float64 torch with autograd; a Gaussian over all pixels."""
+"""Oracles: the two passes in float64 torch with autograd; the density of a Gaussian."""
 
 from collections.abc import Sequence
 

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from ...photo_exposure import PhotoExposure
+from ...raster.blur import blur_image
 from ...raster.loss import LossValues, image_loss_gradient
 from ...raster.memory import empty
 from ...raster.training_rasterizer import Picture
@@ -69,13 +70,18 @@ class StepLoss:
             if request.gain is None
             else torch.tensor(request.gain, dtype=torch.float32, device="cpu")
         )
+        rgb = picture.rgb
+        if request.blur is not None:
+            rgb = blur_image(rgb, request.blur, threads=self._threads)
         found, v_rgb = self.photometric(
-            picture.rgb,
+            rgb,
             photo,
             background=request.shown_background,
             ssim_weight=dict(request.terms)[TermKind.SSIM],
             gain=gain,
         )
+        if request.blur is not None:
+            v_rgb = blur_image(v_rgb, request.blur, adjoint=True, threads=self._threads)
         more, v_alpha, v_inverse_depth = _further_terms(picture, photo, request)
         v_log_gain = found.v_log_gain
         if request.gain is not None and photo.mask_mode == "composite":

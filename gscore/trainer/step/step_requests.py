@@ -156,6 +156,7 @@ class StepRequests:
             shown_background=shown,
             gain=gain,
             antialias=config.antialias,
+            blur=photos.blur_of(training_view.index, training_view.view),
             sh_degree=degree,
             sh_update=update if degree else ShUpdate.OFF,
             rates=rates | {"means": means_lr},
@@ -205,6 +206,7 @@ def check_engine(
         Feature.DROPOUT: drops,
         Feature.GAINS: analysis.gains is not None,
         Feature.POSES: analysis.pose_check.viewmats is not None,
+        Feature.BLUR: config.photo_blur,
     }
     lacking = [kind for kind, weight in terms.terms if weight and kind not in info.terms]
     lacks = [

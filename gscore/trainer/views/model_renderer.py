@@ -20,6 +20,7 @@ from ...shared_constants import EPS2D, JACOBIAN_MARGIN, REACH
 from ..model.training_frame import TrainingFrame
 from ..photos.image_pyramid import ImagePyramid, SizedView, tiles_of_mask, training_camera
 from ..photos.view_sampler import Photos
+from .photo_blurs import BlurFit, fit_blur
 from .photo_parameters import PhotoParameters
 from .photo_poses import align_pose
 
@@ -114,7 +115,7 @@ class ModelRenderer:
     pyramid: ImagePyramid
     """The views in the training frame."""
     photo_parameters: PhotoParameters
-    """Optimised gains and poses."""
+    """Gains, poses and blurs of the photos."""
     engine: Engine[Any]
     """Draws the models."""
     models: Callable[[], list[EngineModel]]
@@ -205,6 +206,18 @@ class ModelRenderer:
             )
             total += mse_of_unmasked(loss.mse, counted)
         return math.sqrt(total / len(indices))
+
+    def photo_blur(self, index: int, factor: float, *, upcoming: Iterable[int] = ()) -> BlurFit:
+        """Measure the blur of photo `index`, its sides divided by `factor`, relative to the sharp
+        render of its view, in squares of the photo's longer side; `upcoming`: see `sized`."""
+        view, image, mask, _, _ = self.sized(index, factor, upcoming=upcoming)
+        render = self._exposed(index, view, self.background)
+        if mask is not None and self.photos.mask_mode == "composite":
+            share = mask[..., None] * np.float32(1 / 255)
+            behind = 255 * np.asarray(self.background, np.float32)
+            image, mask = image * share + behind * (1 - share), None
+        fit = fit_blur(render, image, mask, threads=self.config.threads)
+        return fit._replace(covariance=fit.covariance / max(view.width, view.height) ** 2)
 
     def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Render accumulated inverse depth, 1/world unit, and opacity of view `index`, [H, W]

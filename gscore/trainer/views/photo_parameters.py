@@ -1,4 +1,4 @@
-"""Photo parameters: gains and poses of each photo, optimised together with the splats."""
+"""Photo parameters: gains, poses and blurs of each photo, found together with the splats."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +10,7 @@ from ...engine.base import Color
 from ...raster.request import Frustum
 from ..model.training_frame import TrainingFrame
 from .photo_adam import rate_at
+from .photo_blurs import PhotoBlurs
 from .photo_gains import HeldOutGains, PhotoGains, as_gain
 from .photo_poses import PhotoPoses, PoseCheck
 
@@ -20,7 +21,7 @@ they adapt to the final poses."""
 
 @dataclass(eq=False)
 class PhotoParameters:
-    """Gains and poses of the photos, each optional, with their updates."""
+    """Gains, poses and blurs of the photos, each optional, with their updates."""
 
     config: TrainConfig
     """The options."""
@@ -28,6 +29,8 @@ class PhotoParameters:
     """Exposure gains; None: photo colours are used unchanged."""
     poses: PhotoPoses | None
     """Poses of the training cameras; None: those of the capture."""
+    blurs: PhotoBlurs | None
+    """Blurs of the training photos; None: all photos count as equally sharp."""
     held_out: HeldOutGains
     """Predicts gains of held-out photos."""
 
@@ -38,6 +41,11 @@ class PhotoParameters:
         if index in self.gains:
             return self.gains.of(index)
         return as_gain(self.held_out.predict(self.gains.log_gains)[index])
+
+    def blur_of(self, index: int, view: Frustum) -> Color | None:
+        """Covariance xx, xy, yy, px^2, of the blur of photo `index` at the size of `view`; None:
+        none."""
+        return None if self.blurs is None else self.blurs.of(index, max(view.width, view.height))
 
     def all_gains(self) -> np.ndarray | None:
         """Gains of all photos, [V, 3] float64, those of held-out ones predicted; None: no gains."""
@@ -83,7 +91,7 @@ class PhotoParameters:
     def arrays(self) -> dict[str, np.ndarray]:
         """State by name; no copies."""
         out: dict[str, np.ndarray] = {}
-        for photo_parameters in (self.gains, self.poses):
+        for photo_parameters in (self.gains, self.poses, self.blurs):
             if photo_parameters is not None:
                 out |= photo_parameters.arrays()
         return out
@@ -99,6 +107,8 @@ class PhotoParameters:
         self.gains = PhotoGains.restored(train, views, arrays, fixed=fixed) if found else None
         found = PhotoPoses.are_in(arrays)
         self.poses = PhotoPoses.restored(train, views, arrays) if found else None
+        if self.blurs is not None:
+            self.blurs.restore(arrays)
 
 
 def initial_poses(

@@ -62,6 +62,7 @@ ABSENT = {
     "depth_mode": Switch.OFF,
     "exposure": Switch.OFF,
     "refine_poses": Switch.OFF,
+    "photo_blur": False,
     "drop_rate": 0,
     "drop_below": 0,
     "opaque_weight": 0,
