@@ -25,6 +25,9 @@ gs_status check_step(const gs_gpu_model &model, const gs_gpu_step &s) {
     if (!(s.photo || s.kept) || (s.mask_mode != GS_MASK_NONE && !has_mask) || s.mask_mode < 0 ||
         s.mask_mode > GS_MASK_IGNORE)
         return fail(GS_BAD_ARGUMENT, "a step has no photo or no mask, or an unknown mask mode");
+    if (s.has_blur)
+        if (const gs_status status = check_blur(s.blur))
+            return status;
     if (s.pauses && !(s.view.outputs & GS_OUT_INVERSE_DEPTH))
         return fail(GS_BAD_ARGUMENT, "a step that pauses needs GS_OUT_INVERSE_DEPTH");
     if (!(s.drop_rate >= 0 && s.drop_rate < 1) || !(s.noise >= 0) || !(s.extent > 0))

@@ -28,6 +28,7 @@ struct gs_loss_frame {
     GS_POINTER(gs_floats) sums;        /* [GS_LOSS_SUMS, tiles] */
     GS_POINTER(gs_floats) v_alpha;     /* [H, W], if `has_alpha_terms` */
     GS_POINTER(gs_words) result;       /* gs_gpu_loss_result */
+    GS_POINTER(gs_words) taps; /* [T, 2] of the blur: dx in the lower and dy in the upper half of a word, weight */
     gs_uint width, height, tiles_x, tiles;
     gs_uint mask_mode; /* GS_MASK_* */
     gs_uint has_mask, has_gain, has_alpha_terms;
@@ -38,12 +39,18 @@ struct gs_loss_frame {
     float ssim_weight;
     float mask_alpha, see_through; /* weights of the terms of opacity */
     float counted;                 /* share of unmasked pixels */
-    gs_uint unused;
+    gs_uint tap_ends[3];           /* pass p of the blur has the taps from tap_ends[p] to tap_ends[p + 1] */
 };
+
+/* No pass of the blur. */
+#define GS_BLUR_NONE 2u
 
 struct gs_loss_push {
     GS_POINTER(gs_loss_block) block;
-    gs_uint first_row; /* of tiles */
+    GS_POINTER(gs_floats) from; /* [H, W, 3] of blur.comp, which may be one picture */
+    GS_POINTER(gs_floats) to;
+    gs_uint first_row;   /* of tiles */
+    gs_uint add, divide; /* passes whose taps blur.comp adds, and divides by the weights of; or GS_BLUR_NONE */
     gs_uint unused;
 };
 

@@ -11,6 +11,7 @@ enum class Shader {
     kArguments,
     kBlend,
     kBlendBackward,
+    kBlur,
     kCameraSum,
     kClampRows,
     kCompact,

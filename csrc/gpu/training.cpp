@@ -10,9 +10,8 @@ using namespace gs;
 namespace {
 
 constexpr size_t kCameraFloats = 12, kQuad = 4 * sizeof(float);
-// Bytes that take as long as comparing a pixel with the photo, or the gradient there; and bytes of a row of a plane in
-// an Adam step: values and moments, read and written.
-constexpr size_t kLossBytes = 128, kLearnBytes = 6 * kQuad;
+// Bytes of a row of a plane in an Adam step: values and moments, read and written.
+constexpr size_t kLearnBytes = 6 * kQuad;
 // 0.5f, the first number of a damaged picture.
 constexpr uint32_t kHalf = 0x3F000000;
 
@@ -70,6 +69,8 @@ LossInput gs_gpu::loss_input(const StepSlot &slot) const {
     in.ssim_weight = s.ssim_weight;
     in.has_gain = s.has_gain;
     std::copy_n(s.gain, 3, in.gain);
+    in.has_blur = s.has_blur;
+    std::copy_n(s.blur, 3, in.blur);
     in.fixed_background = s.has_gain && in.mask_mode == GS_MASK_COMPOSITE;
     in.mask_alpha = s.mask_alpha;
     in.see_through = s.see_through;
@@ -198,10 +199,9 @@ void gs_gpu::record_step(StepSlot &slot, int commands, bool with_term) {
     }
     const LossInput loss = loss_input(slot);
     step_loss_.record_input(device, loss);
-    record_rows(pixels * kLossBytes, nullptr,
-                [&](uint32_t row, uint32_t rows) { step_loss_.record_comparison(device, row, rows); });
-    record_rows(pixels * kLossBytes, nullptr,
-                [&](uint32_t row, uint32_t rows) { step_loss_.record_gradient(device, row, rows); });
+    for (const LossPart &part : step_loss_.parts(loss))
+        record_rows(pixels * part.pixel_bytes, nullptr,
+                    [&](uint32_t row, uint32_t rows) { step_loss_.record_part(device, part, row, rows); });
     step_loss_.record_result(device);
     device.dispatch(Shader::kDecide, push(0), 1);
     if (s.updates)

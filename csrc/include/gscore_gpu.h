@@ -33,7 +33,7 @@
 #include "gscore/raster.h"
 
 /* Changes whenever a struct, a signature or a value of this header or of gscore/raster.h changes. */
-#define GS_GPU_ABI_VERSION 6
+#define GS_GPU_ABI_VERSION 7
 
 /* Further values of gs_status. */
 enum {
@@ -207,6 +207,8 @@ typedef struct gs_gpu_loss_terms {
         fixed_background; /* 1: v_log_gain takes gs_loss_args.background, seen behind the splats, as constant, although
                                  it was drawn before the gain; needs alpha */
     int32_t rows_at_once; /* rows of tiles, GS_TILE px each, in a submission; 0: all */
+    int32_t has_blur;     /* 1: the image is blurred by `blur` before it is compared; v_image is of the sharp one */
+    float blur[3];        /* as gs_blur_args.covariance */
     int32_t unused;
 } gs_gpu_loss_terms;
 
@@ -248,6 +250,8 @@ typedef struct gs_gpu_step {
     float ssim_weight, mask_alpha, see_through; /* weights of loss terms */
     int32_t has_gain;
     float gain[3];
+    int32_t has_blur;  /* 1: the picture is blurred before the gain and the comparison */
+    float blur[3];     /* as gs_blur_args.covariance */
     float rates[6];    /* learning rates of means, quats, scales, opacities, sh0, shN */
     int32_t sh_update; /* GS_GPU_SH_* */
     int64_t steps[6];  /* numbers of their Adam steps, from 1 */

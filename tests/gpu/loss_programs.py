@@ -16,6 +16,7 @@ from gscore.raster.gpu.gpu_loss import GpuLossValues, gpu_image_loss
 from gscore.raster.gpu.gpu_raster import GpuRaster
 from gscore.raster.loss import image_loss
 from gscore.raster.reference import image_loss_reference, unexposed_reference
+from gscore.raster.reference.blur import blur_reference
 from gscore.raster.training_rasterizer import Picture
 from gscore.shared_constants import EXPOSURE_OFFSET
 from tests.gpu.programs import _opened, _print
@@ -27,6 +28,9 @@ BACKGROUND, WHITE = (0.2, 0.5, 0.9), 255
 SIZES = ((1, 1), (7, 3), (33, 17), (100, 75))
 """Width and height."""
 MODES = "none", "composite", "ignore"
+BLUR = (4.0, -1.5, 2.0)
+BLURS = (0.0, 0.0, 0.0), (0.3, 0.1, 0.2), (2.0, -2.5, 7.0), (200.0, 90.0, 90.0), (4e3, 4e3, 4096.0)
+"""None at all, less than a pixel, across, wider than the picture, and with the most taps."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,7 @@ class Case:
     mode: str = "none"
     gain: tuple[float, float, float] | None = None
     weight: float = 0.2
+    blur: tuple[float, float, float] | None = None
     mask_value: int = -1
     """Of all pixels; -1: soft."""
     mask_alpha: float = 0.0
@@ -70,6 +75,7 @@ class Case:
             mask_mode=self.mode,
             background=BACKGROUND,
             gain=self.gain,
+            blur=self.blur,
             fixed_background=self.mode == "composite",
             alpha=alpha,
             mask_alpha=self.mask_alpha,
@@ -80,7 +86,8 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """All sizes, modes, gains; all and no pixels masked; the ends of the weight; all terms."""
+    """All sizes, modes, gains; all and no pixels masked; the ends of the weight; all terms;
+    blurs."""
     for size, mode, gain in product(SIZES, MODES, (None, GAIN)):
         yield Case(size, mode, gain)
     for mode in MODES:
@@ -92,6 +99,10 @@ def cases() -> Iterator[Case]:
     for size, mode in product(SIZES, MODES):
         yield Case(size, mode, GAIN, mask_alpha=0.1, see_through=0.3)
     yield Case((33, 17), mask_alpha=0.1, see_through=0.3, has_mask=False)
+    for size, mode, gain in product(SIZES, MODES, (None, GAIN)):
+        yield Case(size, mode, gain, blur=BLUR)
+    for blur, mode in product(BLURS, MODES[:2]):
+        yield Case((33, 17), mode, GAIN, blur=blur, mask_alpha=0.1, see_through=0.3)
 
 
 def by_cpu(case: Case) -> dict[str, Any]:
@@ -107,6 +118,7 @@ def by_cpu(case: Case) -> dict[str, Any]:
         background=BACKGROUND,
         shown_background=BACKGROUND,
         gain=case.gain,
+        blur=case.blur,
         sh_degree=0,
         sh_update=ShUpdate.STEP,
         rates={},
@@ -141,7 +153,7 @@ def by_twin(case: Case) -> dict[str, Any]:
         of = [unexposed_reference(color, by) for by in (gain, gain.detach())]
         shown = image + (1 - alpha.detach())[..., None] * (of[0] - of[1])
     loss, ssim = image_loss_reference(
-        shown,
+        shown if case.blur is None else blur_reference(shown, case.blur),
         photo,
         mask=mask,
         mask_mode=case.mode,
@@ -219,8 +231,8 @@ def print_bits() -> None:
 
 
 def slopes(raster: GpuRaster) -> list[tuple[float, float]]:
-    """Derivatives and central differences of the loss, in ln gain and in the opacities of two
-    pixels."""
+    """Derivatives and central differences of the loss, in ln gain, in the opacities of two pixels,
+    and in the colours of two pixels of a picture that is blurred."""
     image, photo, mask, alpha = Case((33, 17)).arrays()
     assert mask is not None
     alpha[3, 4], alpha[16, 32], mask[3, 4], mask[16, 32] = 0.9, 0.1, 90, 200
@@ -235,15 +247,32 @@ def slopes(raster: GpuRaster) -> list[tuple[float, float]]:
         return gpu_image_loss(raster, image, photo, **terms, **options)
 
     found = []
-    for c, unit in enumerate(np.eye(3)):
-        up, down = (by_gain(np.array(GAIN) * np.exp(h * unit)).loss for h in (1e-3, -1e-3))
-        found.append((by_gain(np.array(GAIN)).v_log_gain[c], (up - down) / 2e-3))
+    for blur in (None, BLUR):
+        options["blur"] = blur
+        for c, unit in enumerate(np.eye(3)):
+            up, down = (by_gain(np.array(GAIN) * np.exp(h * unit)).loss for h in (1e-3, -1e-3))
+            found.append((by_gain(np.array(GAIN)).v_log_gain[c], (up - down) / 2e-3))
     for place in ((3, 4), (16, 32)):
         unit = np.zeros_like(alpha)
         unit[place] = 0.1
         up, down = by_alpha(alpha + unit).loss, by_alpha(alpha - unit).loss
         found.append((float(by_alpha(alpha).v_alpha[place]), (up - down) / 0.2))
-    return found
+    return [*found, *_slopes_of_colours(raster)]
+
+
+def _slopes_of_colours(raster: GpuRaster) -> Iterator[tuple[float, float]]:
+    """Derivatives and central differences of the loss in colours at a corner and inside, of a
+    picture so small that they are large; blurred."""
+    image, photo, _, _ = Case((7, 3)).arrays()
+
+    def of(moved: np.ndarray) -> GpuLossValues:
+        return gpu_image_loss(raster, moved, photo, ssim_weight=1.0, blur=(1.0, 0.3, 0.5))
+
+    for place in ((0, 6, 0), (1, 4, 0)):
+        unit = np.zeros_like(image)
+        unit[place] = 0.01
+        up, down = of(image + unit).loss, of(image - unit).loss
+        yield float(of(image).v_image[place]), (up - down) / 0.02
 
 
 def insane(raster: GpuRaster) -> list[list[Any]]:
@@ -322,6 +351,7 @@ def print_refusals() -> None:
             {"gain": (1.0, float("nan"), 1.0)},
             {"ssim_weight": 2.0},
             {"rows_at_once": -1},
+            {"blur": (1.0, 2.0, 1.0)},
             {"target": photo[:2]},
             {"mask": mask[:, :2] if mask is not None else None, "mask_mode": "ignore"},
         ):

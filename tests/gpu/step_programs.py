@@ -103,6 +103,7 @@ def random_steps(seed: int) -> RandomSteps:
         "scale_reg": by_chance(0.3, 0.01, 0.0),
     }
     term = by_chance(0.25, _term, None)
+    options["blur"] = by_chance(0.4, (3.0, -1.0, 2.0), None)
     updates = (ShUpdate.STEP, ShUpdate.ACCUMULATE) if degree else (ShUpdate.OFF,) * 2
     requests = tuple(
         StepRequest(

@@ -15,7 +15,8 @@ from gscore.raster.gpu.gpu_raster import GpuRaster
 from gscore.raster.gpu.gpu_rows import GpuRows
 
 Check = Callable[[str], str]
-LOSS, STEP, WEIGHTS, ROWS = "of a picture", "training step", "blending weights", "rows of splats"
+LOSSES = "of a picture", "masks and gains", "of a blurred picture"
+STEP, WEIGHTS, ROWS = "training step", "blending weights", "rows of splats"
 COUNT = count()
 
 
@@ -42,7 +43,7 @@ def changed(
 
 
 def test_a_device_passes(check: Check) -> None:
-    assert [check(words) for words in (LOSS, "masks and gains", STEP, WEIGHTS, ROWS)] == [""] * 5
+    assert [check(words) for words in (*LOSSES, STEP, WEIGHTS, ROWS)] == [""] * 6
 
 
 @pytest.mark.parametrize(
@@ -55,7 +56,17 @@ def test_a_device_passes(check: Check) -> None:
 )
 def test_a_wrong_loss(check: Check, monkeypatch, change: Any, words: str) -> None:
     changed(monkeypatch, self_test_training, "gpu_image_loss", change)
-    assert words in check(LOSS) and words in check("masks and gains")
+    assert all(words in check(one) for one in LOSSES)
+
+
+def test_a_device_that_does_not_blur(check: Check, monkeypatch) -> None:
+    whole = self_test_training.gpu_image_loss
+    monkeypatch.setattr(
+        self_test_training,
+        "gpu_image_loss",
+        lambda *args, **how: whole(*args, **how | {"blur": None}),
+    )
+    assert [bool(check(words)) for words in LOSSES] == [False, False, True]
 
 
 @pytest.mark.parametrize(

@@ -247,7 +247,16 @@ def test_large_steps_are_split() -> None:
     assert whole["calls"].keys() == split["calls"].keys() >= {"loss_compare", "learn"}
     parts = {name for name, calls in split["calls"].items() if calls > whole["calls"][name]}
     assert parts == {"blend", "blend_backward"}
-    assert whole["calls"]["blend"] == 4
+    assert whole["calls"]["blend"] == 4 and "blur" not in whole["calls"]
+
+
+def test_blurs_of_large_steps_are_split() -> None:
+    """Oracle: the bits of steps in one submission each, which have five passes of the blur."""
+    whole = trained(ONE, "print_blurred(3)")
+    split = trained(ONE, "print_blurred(3)", GSCORE_GPU_SUBMISSION="1")
+    assert (whole["hash"], whole["losses"]) == (split["hash"], split["losses"])
+    assert whole["calls"]["blur"] == 15 < 30 < split["calls"]["blur"]
+    assert whole["calls"]["loss_compare"] == 3
 
 
 def _train(capture: Path, out: Path, *options: str, **variables: str) -> Any:
@@ -444,6 +453,38 @@ def test_photos_of_any_size_with_masks(height: int, width: int, mask_mode: str) 
     assert found[3] == pytest.approx(found[1], rel=1e-4)
 
 
+@pytest.mark.parametrize("mask_mode", ["none", "composite"])
+def test_steps_with_blurred_pictures(mask_mode: str) -> None:
+    """Oracle: the CPU engine's losses, slopes and means; another blur for each step, one without;
+    other losses without any."""
+    photos, splats = toy_photos(splats=toy_splats(count=40), size=40), toy_splats(count=40)
+    mask = np.random.default_rng(1).integers(0, 256, (40, 40), np.uint8)
+    photo = StepPhoto(image=photos.image(0))
+    if mask_mode == "composite":
+        photo = replace(photo, mask=mask, mask_mode=mask_mode)
+    blurs = (9.0, 3.0, 2.0), (1.0, -0.5, 4.0), None, (30.0, 0.0, 30.0)
+    options = {"gain": (0.9, 1.1, 1.2), "learn_gain": True, "learn_pose": True}
+    colors = {"background": (0.1, 0.3, 0.2), "shown_background": (0.2, 0.3, 0.5)}
+
+    def taken(engine: Any, *, blurred: bool) -> tuple[list[Any], np.ndarray]:
+        model = engine.model(columns_of(splats), counters=COUNTERS)
+        pending = []
+        for step, blur in enumerate(blurs, 1):
+            engine.put(0, photo)
+            more = options | colors | {"blur": blur if blurred else None}
+            pending.append(engine.step(model, request_of(photos, 0, step, **more)))
+        return [one.result() for one in pending], model.column("means")
+
+    found, means = taken(software_engine(), blurred=True)
+    true, true_means = taken(CpuEngine(), blurred=True)
+    sharp, _ = taken(software_engine(), blurred=False)
+    for a, b in zip(found, true, strict=True):
+        assert (a.loss, a.mse) == pytest.approx((b.loss, b.mse), rel=1e-4)
+        np.testing.assert_allclose(a.slopes, b.slopes, atol=1e-3 * np.abs(b.slopes).max())
+    np.testing.assert_allclose(means, true_means, atol=2e-5)
+    assert abs(found[0].loss - sharp[0].loss) > 1e-3
+
+
 def test_a_term_computed_by_the_trainer_counts() -> None:
     """Oracle: the CPU engine's steps with the same loss of inverse depth and alpha."""
     photos, splats = toy_photos(splats=toy_splats(count=40), size=20), toy_splats(count=40)
@@ -467,9 +508,10 @@ def test_a_term_computed_by_the_trainer_counts() -> None:
     assert np.abs(columns[0]["means"] - splats.means).max() > 1e-4
 
 
-def test_a_term_is_computed_of_the_picture_after_repeated_steps() -> None:
+@pytest.mark.parametrize("blurred", [False, True])
+def test_a_term_is_computed_of_the_picture_after_repeated_steps(blurred: bool) -> None:
     """Oracle: the same steps, each read before the next is requested; the first needs more entries
-    than its buffers have, so it is repeated."""
+    than its buffers have, so it is repeated. Each has its own blur, or none."""
     photos, splats = toy_photos(splats=toy_splats(count=40), size=64), toy_splats(count=1500)
     wide = columns_of(splats) | {"scales": np.zeros_like(splats.scales)}
 
@@ -483,7 +525,8 @@ def test_a_term_is_computed_of_the_picture_after_repeated_steps() -> None:
         pending = []
         for step in range(1, 4):
             engine.put(0, StepPhoto(image=photos.image(0)))
-            request = request_of(photos, 0, step, picture_term=term if step == 2 else None)
+            more = {"blur": (5.0 / step, 1.0, 3.0)} if blurred else {}
+            request = request_of(photos, 0, step, picture_term=term if step == 2 else None, **more)
             pending.append(engine.step(model, request))
             if not late:
                 pending[-1].result()

@@ -99,6 +99,27 @@ def print_submissions(steps: int) -> None:
     sys.stdout.write(f"\n{json.dumps({'hash': found, 'calls': calls})}\n")
 
 
+def print_blurred(steps: int) -> None:
+    """Hash of a model after steps with blurs of several sizes, their losses, and how often each
+    kernel of them ran."""
+    engine = software_engine()
+    photos = toy_photos(splats=toy_splats(count=40), size=96)
+    model = engine.model(columns_of(toy_splats(count=40)), counters=COUNTERS)
+    engine._raster.profile(True)
+    pending = []
+    for step in range(steps):
+        engine.put(0, StepPhoto(image=photos.image(0)))
+        request = request_of(photos, 0, 1 + step, blur=(200.0 / (1 + step), 30.0, 90.0))
+        pending.append(engine.step(model, request))
+    losses = [one.result().loss for one in pending]
+    calls = {name: calls for name, (_, calls) in engine._raster.kernel_times().items() if calls}
+    content = hashlib.sha256()
+    for _, column in sorted(model.save().items()):
+        content.update(column.tobytes())
+    found = {"hash": content.hexdigest(), "losses": losses, "calls": calls}
+    sys.stdout.write(f"\n{json.dumps(found)}\n")
+
+
 def print_continued(steps: int, *stops: int) -> None:
     """Hashes of a training, and of those that another engine continues from its state at
     each of the steps `stops`; root mean squared errors of one that goes from the CPU to the device

@@ -412,18 +412,20 @@ def step_struct(
     stream = base.STREAMS * request.place
     counters = [model.counter(name) for name in request.observe] or [-1, -1]
     tile_shape = (-(-view.height // TILE), -(-view.width // TILE))
+    tiles = photo.tiles if request.blur is None else None
     found = header.GpuStepStruct(
         view=arguments.view(view, settings, request.sh_degree),
         photo=None if written else address("photo", photo.image, (*size, 3), UINT8),
         mask=None if written else optional("mask", photo.mask, size, UINT8),
         kept=kept,
-        tiles=optional("tiles", photo.tiles, tile_shape, UINT8),
+        tiles=optional("tiles", tiles, tile_shape, UINT8),
         mask_mode=MASK_MODES[photo.mask_mode] if masked else MASK_MODES["none"],
         counted=photo.counted,
         ssim_weight=weights[TermKind.SSIM],
         mask_alpha=weights.get(TermKind.MASK_ALPHA, 0.0),
         see_through=weights.get(TermKind.SEE_THROUGH, 0.0),
         has_gain=request.gain is not None,
+        has_blur=request.blur is not None,
         sh_update=_SH_UPDATES[request.sh_update],
         seed=request.seed,
         number=request.step,
@@ -442,6 +444,7 @@ def step_struct(
     )
     found.shown_background = (ct.c_float * 3)(*request.shown_background)
     found.gain = (ct.c_float * 3)(*(request.gain or (1.0, 1.0, 1.0)))
+    found.blur = (ct.c_float * 3)(*(request.blur or (0.0, 0.0, 0.0)))
     found.rates = (ct.c_float * 6)(*(request.rates[name] for name in PARAMETERS))
     found.steps = (ct.c_int64 * 6)(*(model.adam_steps[name] for name in PARAMETERS))
     return found

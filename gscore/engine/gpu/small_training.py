@@ -53,6 +53,7 @@ def small_training(engine: Engine[Any]) -> bytes:
             terms=((TermKind.L1, 0.8), (TermKind.SSIM, 0.2), (TermKind.MASK_ALPHA, 0.1)),
             observe=counters,
             gain=(0.9, 1.1, 1.0),
+            blur=(2.0, 0.5, 1.0),
             learn_pose=True,
             drop_rate=0.1,
             noise=1e-3,

@@ -44,6 +44,7 @@ def gpu_image_loss(
     mask_mode: str = "none",
     background: Triple = (0.0, 0.0, 0.0),
     gain: Triple | None = None,
+    blur: Triple | None = None,
     fixed_background: bool = False,
     alpha: np.ndarray | None = None,
     mask_alpha: float = 0.0,
@@ -62,6 +63,7 @@ def gpu_image_loss(
         mask_mode: "none", "composite" or "ignore".
         background: RGB of a "composite" mask.
         gain: Exposure of the image by channel (`gscore.photo_exposure`), above 0.
+        blur: Covariance xx, xy, yy, px^2, by which the image is blurred before the gain.
         fixed_background: The derivative in ln gain takes the visible background as constant.
         alpha: [H, W] float32, rendered opacity.
         mask_alpha: Weight of the mean difference of opacity and mask.
@@ -96,6 +98,8 @@ def gpu_image_loss(
         counted=counted,
         fixed_background=fixed_background,
         rows_at_once=rows_at_once,
+        has_blur=blur is not None,
+        blur=(ct.c_float * 3)(*(blur or (0.0, 0.0, 0.0))),
     )
     v_image = np.empty((height, width, 3), np.float32)
     v_alpha = np.empty((height, width), np.float32)

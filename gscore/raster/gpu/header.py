@@ -3,7 +3,7 @@
 from .. import header as base
 from ..header import struct
 
-ABI_VERSION = 6
+ABI_VERSION = 7
 STEPS_MAX = 3
 """Most steps in flight."""
 SH_OFF, SH_ACCUMULATE, SH_STEP = range(3)
@@ -46,7 +46,9 @@ GpuLossTermsStruct = struct(
     "gs_gpu_loss_terms",
     "pointer alpha",
     "float mask_alpha see_through counted",
-    "int32 fixed_background rows_at_once unused",
+    "int32 fixed_background rows_at_once has_blur",
+    "float[3] blur",
+    "int32 unused",
 )
 GpuLossResultStruct = struct(
     "gs_gpu_loss_result",
@@ -67,6 +69,8 @@ GpuStepStruct = struct(
     "float counted ssim_weight mask_alpha see_through",
     "int32 has_gain",
     "float[3] gain",
+    "int32 has_blur",
+    "float[3] blur",
     "float[6] rates",
     "int32 sh_update",
     "int64[6] steps",

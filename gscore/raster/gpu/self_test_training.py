@@ -13,7 +13,7 @@ from ...splats import PARAMETERS
 from .. import _native, arguments
 from ..blend_weights import GEOMETRY, blending_weights
 from ..buffers import UINT8, address
-from ..header import MASK_MODES, LossArgsStruct
+from ..header import MASK_MODES, BlurArgsStruct, LossArgsStruct
 from ..request import Settings
 from . import header
 from .gpu_loss import gpu_image_loss
@@ -23,6 +23,7 @@ from .self_test_gradients import gradient_problems
 from .self_test_pictures import SelfTestScene, blank_pictures, drawn
 
 _Result = tuple[list[str], dict[str, Any]]
+_Triple = tuple[float, float, float]
 _RATE = 1e-3
 _BACKGROUND = (0.25, 0.5, 0.125)
 _LOSS, _V_IMAGE, _WEIGHT, _SQUARE, _STEP = 1e-5, 1e-4, 1e-4, 1e-4, 1e-2
@@ -32,20 +33,22 @@ weights; relative to each number, of second moments; relative to the rate, of Ad
 
 def training_checks() -> Iterator[tuple[str, Callable[[GpuRaster], _Result]]]:
     """Name and function of each test."""
-    yield "the loss of a picture", partial(_losses, mode="none", gain=None)
-    yield "the loss with masks and gains", partial(_losses, mode="composite", gain=(0.9, 1.2, 1.1))
+    yield "the loss of a picture", partial(_losses, mode="none", gain=None, blur=None)
+    changed: dict[str, Any] = {"mode": "composite", "gain": (0.9, 1.2, 1.1)}
+    yield "the loss with masks and gains", partial(_losses, **changed, blur=None)
+    yield "the loss of a blurred picture", partial(_losses, **changed, blur=(3.0, 1.5, 2.0))
     yield "a training step", _step
     yield "blending weights", _weights
     yield "rows of splats", _rows
 
 
-def _losses(raster: GpuRaster, *, mode: str, gain: tuple[float, float, float] | None) -> _Result:
+def _losses(raster: GpuRaster, *, mode: str, gain: _Triple | None, blur: _Triple | None) -> _Result:
     """Oracle: the CPU's loss and gradient; the same bits in a second computation."""
     random = np.random.default_rng(3)
     image = random.uniform(-0.1, 1.1, (45, 67, 3)).astype(np.float32)
     photo, mask = (random.integers(0, 256, (45, 67, *rgb), np.uint8) for rgb in ((3,), ()))
     options: dict[str, Any] = {"mask": None if mode == "none" else mask, "mask_mode": mode}
-    options |= {"background": _BACKGROUND, "gain": gain}
+    options |= {"background": _BACKGROUND, "gain": gain, "blur": blur}
     first, second = (gpu_image_loss(raster, image, photo, **options) for _ in range(2))
     loss, v_image = _cpu_loss(image, photo, **options)
     problems = []
@@ -65,10 +68,12 @@ def _cpu_loss(
     *,
     mask: np.ndarray | None = None,
     mask_mode: str = "none",
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    gain: tuple[float, float, float] | None = None,
+    background: _Triple = (0.0, 0.0, 0.0),
+    gain: _Triple | None = None,
+    blur: _Triple | None = None,
 ) -> tuple[float, np.ndarray]:
     """The CPU's loss and its gradient, [H, W, 3]."""
+    image = image if blur is None else _cpu_blur(image, blur, adjoint=False)
     factors = None if gain is None else np.array(gain, np.float32)
     args = LossArgsStruct(
         width=image.shape[1],
@@ -83,7 +88,22 @@ def _cpu_loss(
     )
     v_image = np.empty_like(image)
     with _native.pool.lend() as cpu:
-        return cpu.image_loss(args, v_image).loss, v_image
+        loss = cpu.image_loss(args, v_image).loss
+    return loss, v_image if blur is None else _cpu_blur(v_image, blur, adjoint=True)
+
+
+def _cpu_blur(image: np.ndarray, covariance: _Triple, *, adjoint: bool) -> np.ndarray:
+    """The CPU's blur of a picture, [H, W, 3], or of its gradient."""
+    blurred = np.empty_like(image)
+    args = BlurArgsStruct(
+        width=image.shape[1],
+        height=image.shape[0],
+        image=address("image", image, image.shape),
+        covariance=(ct.c_float * 3)(*covariance),
+        adjoint=adjoint,
+    )
+    _native.blur_image(args, blurred)
+    return blurred
 
 
 def _step(raster: GpuRaster) -> _Result:
