@@ -473,7 +473,7 @@ class TrainConfig:
     photo_blur: bool = _colour_option(
         True,
         "Photo blur: compare photos that are much more blurred than the others with renders "
-        "blurred alike, so that splats stay sharp; with one process.",
+        "blurred alike, so that splats stay sharp. From 8 photos on, with one process.",
     )
     drop_rate: float = _loss_option(
         0.0,

@@ -14,6 +14,7 @@ import torch
 
 from ...engine.base import Color
 from ...events import Decision
+from ...quoting import first_few
 from ...raster.blur import blur_image
 from ...shared_constants import BLUR_MAX
 from ...text_format import count_text
@@ -40,6 +41,8 @@ _PRECISE = 0.05
 """Change of the covariance at which a fit ends, relative, and in px^2 below 1 px^2."""
 _WRONG = 0.1
 """Difference of photo and render at which a pixel has half the weight: it shows something else."""
+_NAMED = 8
+"""Photos that the decision names."""
 _INNER = slice(1, -1)
 """Pixels with neighbours on both sides."""
 
@@ -106,13 +109,15 @@ class PhotoBlurs:
         blurred = self.blurred
         if not blurred:
             return None
-        worst = max(blurred, key=blurred.__getitem__)
+        order = sorted(blurred, key=blurred.__getitem__, reverse=True)
+        named = first_few([names[i] for i in order], _NAMED)
         are = count_text(len(blurred), "training photo is", "training photos are")
         return Decision(
             "blur",
-            f"{are} more blurred than the others, {names[worst]} most (by {blurred[worst]:.1f} px; "
-            "standard deviation). Renders of them are blurred alike, so that splats stay sharp. "
-            "`--no-photo-blur` compares sharp renders with them.",
+            f"{are} more blurred than the others, by up to {blurred[order[0]]:.1f} of "
+            f"{self._sides[order[0]]} px (standard deviation): {named}. Renders of them are "
+            "blurred alike, so that splats stay sharp. `--no-photo-blur` compares sharp renders "
+            "with them.",
         )
 
     def arrays(self) -> dict[str, np.ndarray]:

@@ -95,7 +95,7 @@ def test_depth_off_is_the_training_without_depth(
     photos: Any, targets: DepthTargets, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: bit equality, and no request for inverse depth to the rasterizer."""
-    asked = []
+    config, asked = replace(CONFIG, photo_blur=False), []
     plain = TrainingRasterizer.draw
 
     def watched(rasterizer: TrainingRasterizer, splats: Any, view: Any, settings: Any) -> Any:
@@ -103,12 +103,12 @@ def test_depth_off_is_the_training_without_depth(
         return plain(rasterizer, splats, view, settings)
 
     monkeypatch.setattr(TrainingRasterizer, "draw", watched)
-    without = run(Trainer(CONFIG, Analysis(photos=photos)), 30)
-    weightless = replace(CONFIG, depth_weight=0.0, depth_weight_final=0.0)
+    without = run(Trainer(config, Analysis(photos=photos)), 30)
+    weightless = replace(config, depth_weight=0.0, depth_weight_final=0.0)
     with_zero = run(Trainer(weightless, Analysis(photos=photos, depth=targets)), 30)
     assert tensor_bits(without) == tensor_bits(with_zero)
     assert asked == [False] * 60
-    supervised = run(Trainer(CONFIG, Analysis(photos=photos, depth=targets)), 30)
+    supervised = run(Trainer(config, Analysis(photos=photos, depth=targets)), 30)
     assert tensor_bits(supervised) != tensor_bits(without)
     assert asked[60:] == [True] * 30
 

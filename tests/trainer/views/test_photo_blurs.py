@@ -102,8 +102,8 @@ def test_blurs_are_relative_to_the_usual_one() -> None:
     assert [i for i in range(12) if blurs.of(i, 100) is not None] == [3]
     found = blurs.decision([f"{i}.jpg" for i in range(12)])
     assert found is not None
-    assert found.text.startswith("1 training photo is more blurred than the others, 3.jpg most")
-    assert "(by 3.5 px" in found.text
+    start = "1 training photo is more blurred than the others, by up to 3.5 of 100 px"
+    assert found.text.startswith(f"{start} (standard deviation): 3.jpg. ")
     blurs.note(some({3: (2.0, 4.0)}, explained=0.01), 2)
     assert blurs.of(3, 100) is None
     assert PhotoBlurs(range(10), np.full(12, 9000)).of(3, 9000) is None
