@@ -296,6 +296,10 @@ class StepRequest:
     compare: bool = False
     """Compare the model between ranks."""
 
+    def tiles_of(self, photo: StepPhoto) -> np.ndarray | None:
+        """Return which tiles to draw: those of `photo`; None, all, if a blur reaches beyond."""
+        return photo.tiles if self.blur is None else None
+
 
 class StepNumbers(NamedTuple):
     """Result of a step."""

@@ -177,7 +177,7 @@ class CpuEngine(base.Engine[CpuModel]):
                 sh_degree=request.sh_degree,
                 inverse_depth=request.picture_term is not None,
                 disable=sum(_SKIPS[skip] for skip in request.disable),
-                tiles=photo.tiles if request.blur is None else None,
+                tiles=request.tiles_of(photo),
             ),
         )
         timer.lap("draw")

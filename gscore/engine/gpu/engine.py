@@ -412,13 +412,12 @@ def step_struct(
     stream = base.STREAMS * request.place
     counters = [model.counter(name) for name in request.observe] or [-1, -1]
     tile_shape = (-(-view.height // TILE), -(-view.width // TILE))
-    tiles = photo.tiles if request.blur is None else None
     found = header.GpuStepStruct(
         view=arguments.view(view, settings, request.sh_degree),
         photo=None if written else address("photo", photo.image, (*size, 3), UINT8),
         mask=None if written else optional("mask", photo.mask, size, UINT8),
         kept=kept,
-        tiles=optional("tiles", tiles, tile_shape, UINT8),
+        tiles=optional("tiles", request.tiles_of(photo), tile_shape, UINT8),
         mask_mode=MASK_MODES[photo.mask_mode] if masked else MASK_MODES["none"],
         counted=photo.counted,
         ssim_weight=weights[TermKind.SSIM],

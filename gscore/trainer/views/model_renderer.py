@@ -12,6 +12,7 @@ from ...config import Background, TrainConfig
 from ...engine.base import Color, DrawnPicture, Engine, EngineModel
 from ...engine.cpu.loss import mse_of_unmasked
 from ...live.viewer_protocol import FrameRequest
+from ...metrics.evaluate import target_picture
 from ...photo_exposure import PhotoExposure
 from ...raster import native_library
 from ...raster.loss import image_loss
@@ -211,12 +212,9 @@ class ModelRenderer:
         """Measure the blur of photo `index`, its sides divided by `factor`, relative to the sharp
         render of its view, in squares of the photo's longer side; `upcoming`: see `sized`."""
         view, image, mask, _, _ = self.sized(index, factor, upcoming=upcoming)
-        render = self._exposed(index, view, self.background)
-        if mask is not None and self.photos.mask_mode == "composite":
-            share = mask[..., None] * np.float32(1 / 255)
-            behind = 255 * np.asarray(self.background, np.float32)
-            image, mask = image * share + behind * (1 - share), None
-        fit = fit_blur(render, image, mask, threads=self.config.threads)
+        render, mode = self._exposed(index, view, self.background), self.photos.mask_mode
+        target, weights = target_picture(image, mask, mode, self.background)
+        fit = fit_blur(render, target, weights, threads=self.config.threads)
         return fit._replace(covariance=fit.covariance / max(view.width, view.height) ** 2)
 
     def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:

@@ -82,10 +82,9 @@ class PhotoBlurs:
         """Covariance xx, xy, yy, px^2, of the blur of photo `index` with this longer side; None:
         sharp."""
         covariance = self._value[index] * side**2
-        largest = _largest(covariance)
-        if largest < _LEAST**2:
+        if _largest(covariance) < _LEAST**2:
             return None
-        xx, xy, yy = (covariance * min(1.0, BLUR_MAX / largest)).tolist()
+        xx, xy, yy = _limited(covariance, BLUR_MAX).tolist()
         return (xx, xy, yy)
 
     def due(self, planned: Sequence[int], step: int) -> bool:
@@ -146,6 +145,7 @@ class PhotoBlurs:
         self._last = as_int(f"{_NAME}/facts", facts[0], low=1)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of renders that are not finite
 def fit_blur(
     render: np.ndarray, photo: np.ndarray, mask: np.ndarray | None, *, threads: int = 0
 ) -> BlurFit:
@@ -156,18 +156,11 @@ def fit_blur(
 
     Args:
         render: [H, W, 3] float32.
-        photo: [H, W, 3] uint8 or float32, 0 to 255.
+        photo: [H, W, 3] float, 0 to 1.
         mask: [H, W] uint8, weight of each pixel, 255 = 1; None: 1 everywhere.
         threads: 0: all cores.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # of renders that are not finite
-        return _fit_blur(render, photo, mask, threads)
-
-
-def _fit_blur(
-    render: np.ndarray, photo: np.ndarray, mask: np.ndarray | None, threads: int
-) -> BlurFit:
-    target = photo[_INNER, _INNER].astype(np.float32) / 255
+    target = photo[_INNER, _INNER].astype(np.float32)
     far = np.abs(target - render[_INNER, _INNER]).mean(axis=-1, keepdims=True) / _WRONG
     weight = 1 / (1 + far**2)
     if mask is not None:
@@ -182,8 +175,7 @@ def _fit_blur(
     found, now = np.zeros(3), first
     for _ in range(_ITERATIONS):
         size = max(found[0] + found[2], 1.0)
-        found = _positive(found + np.clip(now.step, -size, size))
-        found *= min(1.0, most / max(_largest(found), most))
+        found = _limited(_positive(found + np.clip(now.step, -size, size)), most)
         blurred = blur_image(torch.from_numpy(render), found.tolist(), threads=threads)
         now = _gauss_newton_step(blurred.numpy(), target, weight)
         if np.abs(now.step).max() < _PRECISE * size:
@@ -238,3 +230,8 @@ def _largest(covariance: np.ndarray) -> float:
     """Variance along the longer axis."""
     xx, xy, yy = covariance
     return float((xx + yy) / 2 + np.hypot((xx - yy) / 2, xy))
+
+
+def _limited(covariance: np.ndarray, most: float) -> np.ndarray:
+    """The covariance, scaled down to at most this variance along the longer axis."""
+    return covariance * (most / max(_largest(covariance), most))
