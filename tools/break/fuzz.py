@@ -18,8 +18,9 @@ from gscore.raster import _native
 ROOT = Path(__file__).resolve().parents[2]
 BUILD = ROOT / "build" / "fuzz"
 TARGETS = {
-    "raster": 0.15,
+    "raster": 0.13,
     "loss": 0.05,
+    "blur": 0.02,
     "adam": 0.05,
     "catch_up": 0.1,
     "arrays": 0.05,
