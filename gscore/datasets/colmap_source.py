@@ -162,7 +162,7 @@ def unplaced_photos_text(others: Sequence[Sequence[str]], alone: Sequence[str]) 
         messages.append(
             f"{count_text(len(alone), 'photo matches', 'photos match')} no other: "
             f"{first_few(list(alone))}. Take photos between these and the others, or remove them "
-            "if they are blurred or show another scene."
+            "if they are too blurred or show another scene."
         )
     return messages
 

@@ -91,6 +91,10 @@ def _is_exposure(value: Any) -> bool:
     return _fits(value, kinds) and (known_by is None or isinstance(known_by, str))
 
 
+def _is_numbers(value: Any) -> bool:
+    return isinstance(value, dict) and all(is_number(one) for one in value.values())
+
+
 def _is_cameras(value: Any) -> bool:
     kinds = {"degrees": is_number, "extents": is_number}
     return isinstance(value, dict) and all(_fits(one, kinds) for one in value.values())
@@ -124,6 +128,7 @@ _KEYS: tuple[tuple[re.Pattern[str], Any], ...] = tuple(
         (r"asked", _is_counts),
         (r"exposure", _is_exposure),
         (r"poses", {"why": str, "cameras": _is_cameras}),
+        (r"blurs", _is_numbers),
         (r"worst_view", _is_worst_view),
         (r"not_covered", [str]),
         (r"trust", [_TRUST]),

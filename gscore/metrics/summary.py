@@ -14,9 +14,10 @@ from .evaluate import Evaluation
 from .machine import machine, peak_memory_bytes
 
 _LISTS = frozenset(
-    {"views", "train_views", "test_views", "history", "evals", "decided", "decisions", "trust"}
+    {"views", "train_views", "test_views", "history", "evals"}
+    | {"decided", "decisions", "trust", "blurs"}
 )
-_PARTS = ("device_peak_bytes", "models", "depth", "exposure", "poses", "ranks", "asked")
+_PARTS = ("device_peak_bytes", "models", "depth", "exposure", "poses", "blurs", "ranks", "asked")
 """Fields of a `Course` that are omitted when empty."""
 
 
@@ -48,6 +49,9 @@ class Course:
     """Spread of the exposure of photos; None: not measured."""
     poses: dict[str, Any] | None = None
     """Corrections of the training cameras' poses, and the reason; None: no correction."""
+    blurs: Mapping[str, float] | None = None
+    """Standard deviations of the blurred training photos, px at full size, by name; None: no
+    blurred photos were found."""
     ranks: dict[str, Any] | None = None
     """Distributed training: `count`, `batches` since the start or the last resumption, and per rank
     the bytes sent, working time and waiting time per batch."""

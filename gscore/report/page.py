@@ -72,6 +72,7 @@ def report_html(report: Report) -> str:
             _view_table(views),
             depth_html(report.depth) if report.depth else "",
             poses_html(metrics["poses"]) if metrics.get("poses") else "",
+            blurs_html(metrics["blurs"]) if metrics.get("blurs") else "",
             cameras_html(report.cameras, worths) if report.cameras else "",
             trust_html(report.cameras.scene, metrics) if report.cameras else "",
             histograms_html(report.histograms),
@@ -84,6 +85,7 @@ def report_html(report: Report) -> str:
 def _decisions(report: Report) -> str:
     """Decisions of the run, without those that have a section of their own."""
     sections = {"depth": report.depth, "poses": report.metrics.get("poses")}
+    sections["blur"] = report.metrics.get("blurs")
     found = [Decision(**one) for one in report.metrics.get("decisions") or ()]
     items = "".join(
         f"<li>{f'<b>{one.label}:</b> ' if one.label else ''}{html.escape(one.text)}</li>"
@@ -280,7 +282,7 @@ def _definition(metrics: dict[str, Any], metric: NamedMetric) -> dict[str, str]:
 
 
 _MOST = 20
-"""Maximum number of listed cameras, those with the largest rotations."""
+"""Maximum number of photos in a table, those with the largest values."""
 
 
 def poses_html(poses: Mapping[str, Any]) -> str:
@@ -289,22 +291,52 @@ def poses_html(poses: Mapping[str, Any]) -> str:
     Args:
         poses: `why`; `cameras`, by name of the photo, with `degrees` and `extents`.
     """
-    cameras = sorted(poses["cameras"].items(), key=lambda item: -item[1]["degrees"])
-    widest = max((one["degrees"] for _, one in cameras), default=0.0) or 1.0
-    rows = "".join(
-        f"<tr><td>{html.escape(name)}</td><td>{one['degrees']:.3f}</td>"
-        f"<td>{100 * one['extents']:.2f} %</td>"
-        f'<td><svg width="120" height="10"><rect width="{120 * one["degrees"] / widest:.1f}" '
-        f'height="10" fill="currentColor"/></svg></td></tr>'
-        for name, one in cameras[:_MOST]
-    )
+    cameras = poses["cameras"]
+    rows = {
+        name: (one["degrees"], f"{one['degrees']:.3f}", f"{100 * one['extents']:.2f} %")
+        for name, one in cameras.items()
+    }
     more = f" Largest {_MOST} rotations of {len(cameras)}." if len(cameras) > _MOST else ""
     return (
         f'<section id="poses"><h2>Refined camera poses</h2><p class="hint">'
         f"{html.escape(poses['why'])}{more}</p>"
-        "<table><thead><tr><th>photo</th><th>rotation, degrees</th><th>move, of the extent</th>"
-        f"<th></th></tr></thead><tbody>{rows}</tbody></table></section>\n"
+        f"{_photo_table(('rotation, degrees', 'move, of the extent'), rows)}</section>\n"
     )
+
+
+def blurs_html(blurs: Mapping[str, float]) -> str:
+    """The section.
+
+    Args:
+        blurs: Standard deviations of blurred photos, px, by name.
+    """
+    rows = {name: (deviation, f"{deviation:.1f}") for name, deviation in blurs.items()}
+    more = f" Largest {_MOST} of {len(blurs)}." if len(blurs) > _MOST else ""
+    return (
+        '<section id="blurs"><h2>Blurred photos</h2><p class="hint">More blurred than the others '
+        "by a Gaussian of this standard deviation along its longer axis. Renders of them are "
+        f"blurred alike while training, so that splats stay sharp.{more}</p>"
+        f"{_photo_table(('blur, px',), rows)}</section>\n"
+    )
+
+
+def _photo_table(heads: Sequence[str], rows: Mapping[str, tuple[Any, ...]]) -> str:
+    """Table of photos with bars, in falling order.
+
+    Args:
+        heads: Names of the columns.
+        rows: By name of the photo the number of the bar, and the text of each column.
+    """
+    ordered = sorted(rows.items(), key=lambda item: -item[1][0])
+    widest = max((number for _, (number, *_) in ordered), default=0.0) or 1.0
+    body = "".join(
+        f"<tr><td>{html.escape(name)}</td>{''.join(f'<td>{text}</td>' for text in texts)}"
+        f'<td><svg width="120" height="10"><rect width="{120 * number / widest:.1f}" '
+        f'height="10" fill="currentColor"/></svg></td></tr>'
+        for name, (number, *texts) in ordered[:_MOST]
+    )
+    columns = "".join(f"<th>{head}</th>" for head in ("photo", *heads, ""))
+    return f"<table><thead><tr>{columns}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def shown_options(config: DataConfig | TrainConfig) -> dict[str, Any]:

@@ -440,11 +440,13 @@ class Session:
                 "there are objects so close, train with `--free-space 0`.",
                 "cleared",
             )
-        names, train = trainer.photos.scene.cameras.names, list(trainer.photos.train)
-        blurs = trainer.photo_parameters.blurs
+        names, blurs = trainer.photos.scene.cameras.names, trainer.photo_parameters.blurs
         if blurred := blurs and blurs.decision(names):
             self.warn(blurred.text, "blurred")
-        if worse := trainer.photo_errors.outliers(names, train, trainer.steps):
+        # Blurred photos have less detail and smaller errors: no measure for the sharp ones.
+        blurred_photos = blurs.blurred if blurs else {}
+        sharp = [index for index in trainer.photos.train if index not in blurred_photos]
+        if worse := trainer.photo_errors.outliers(names, sharp, trainer.steps):
             self.warn(worse, "photos")
 
     def _finish(self) -> TrainResult:

@@ -57,6 +57,7 @@ def measured(gscore, run_folder, kept):
         "reason": "finished",
         "depth": {},
         "poses": moved,
+        "blurs": {"a.png": 2.5},
         "decisions": [{"topic": "poses", "text": "They missed."}],
     }
     assert before.keys() <= full.keys()
@@ -132,7 +133,7 @@ def test_decisions_may_be_odd(gscore, measured, value, part):
     _assert_said(gscore("eval", folder, "--quiet"), (0,))
 
 
-@pytest.mark.parametrize("key", ["exposure", "poses"])
+@pytest.mark.parametrize("key", ["exposure", "poses", "blurs"])
 def test_parts_of_what_a_training_found_may_be_odd(gscore, measured, key):
     """Oracle: its parts, one after the other; a new measurement does not need them."""
     folder, full = measured

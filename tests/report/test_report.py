@@ -144,6 +144,20 @@ def test_decisions_are_listed(run):
     assert 'class="decisions"' not in report_html(run())
 
 
+def test_blurred_photos_have_a_table(run):
+    """Oracle: names and numbers in falling order, the first 20 of them; the decision is not listed
+    a second time."""
+    report = run(decisions=[Decision("blur", "Two are blurred.")])
+    report.metrics["blurs"] = {f"<{i}>.jpg": 1 + i / 10 for i in range(22)}
+    shown = Page(report_html(report)).shown
+    assert "Blurred photos" in shown and "Two are blurred." not in shown
+    assert "Largest 20 of 22." in shown
+    assert shown.index("<21>.jpg") < shown.index("3.1") < shown.index("<2>.jpg")
+    assert "<1>.jpg" not in shown
+    report.metrics["blurs"] = {"a.jpg": 2.0}
+    assert "Largest" not in Page(report_html(report)).shown
+
+
 def test_exposed_and_neutral_figures_are_labelled(run):
     """Oracle: whether the training learnt exposures, in metrics.json; once by the curves, and where
     training views are compared with held-out ones."""

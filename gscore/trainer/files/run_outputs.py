@@ -194,6 +194,9 @@ class RunOutputs:
                 "why": poses,
                 "cameras": self._write_poses(trainer.photo_parameters.poses),
             }
+        blurs = trainer.photo_parameters.blurs
+        if blurred := blurs and blurs.blurred:
+            entries["blurs"] = {names[i]: deviation for i, deviation in blurred.items()}
         return entries
 
     def _write_poses(self, poses: PhotoPoses) -> dict[str, dict[str, float]]:

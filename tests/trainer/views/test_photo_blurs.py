@@ -14,6 +14,8 @@ from gscore.shared_constants import BLUR_MAX
 from gscore.stress.capture import ToyPhotos
 from gscore.trainer.analysis.analysis import Analysis
 from gscore.trainer.files import checkpoint
+from gscore.trainer.files.run_folder import RunFolder
+from gscore.trainer.files.run_outputs import RunOutputs
 from gscore.trainer.schedule.plan import Plan
 from gscore.trainer.trainer import Trainer
 from gscore.trainer.views import photo_blurs
@@ -213,6 +215,19 @@ def test_blurred_photos_leave_the_splats_sharp() -> None:
         truth = [sharp.images[i] / 255 for i in (4, 13)]
         errors.append(np.mean([(a - b) ** 2 for a, b in zip(renders, truth, strict=True)]))
     assert errors[0] < 0.8 * errors[1]
+
+
+def test_blurred_photos_are_in_the_metrics(tmp_path: Path) -> None:
+    """Oracle: covariances by design; a standard deviation of 0.03 of the longer side."""
+    photos = studio(blurred_views=())
+    trainer = Trainer(TrainConfig(iterations=40), Analysis(photos=photos))
+    outputs, blurs = RunOutputs(trainer, RunFolder(tmp_path)), trainer.photo_parameters.blurs
+    assert blurs is not None and "blurs" not in outputs.write_photo_parameters(None, "")
+    blurs.note({i: BlurFit(np.array([9e-4, 0, 4e-4]) * (i == 3), 0.5) for i in range(20)}, 8)
+    cameras = photos.scene.cameras
+    assert outputs.write_photo_parameters(None, "") == {
+        "blurs": {cameras.names[3]: pytest.approx(0.03 * cameras.heights[3])}
+    }
 
 
 def test_sharp_photos_change_no_bit() -> None:
