@@ -475,6 +475,11 @@ class TrainConfig:
         "Photo blur: compare photos that are much more blurred than the others with renders "
         "blurred alike, so that splats stay sharp. From 8 photos on, with one process.",
     )
+    transient_masks: bool = _colour_option(
+        True,
+        "Transient masks: leave out what only one photo shows, such as people, cars and the "
+        "photographer's shadow. From 8 photos on, with one process.",
+    )
     drop_rate: float = _loss_option(
         0.0,
         "Dropout: share of splats left out of a step at random, rising from 0 to this at the "

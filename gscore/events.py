@@ -58,6 +58,7 @@ TOPICS = {
     "exposure": "Exposure",
     "poses": "Camera poses",
     "blur": "Blurred photos",
+    "transients": "Transients",
     "viewer": "Viewer",
 }
 """Topics of decisions with their labels, in the order in which they are shown. Each topic is also a

@@ -127,6 +127,7 @@ def published_3dgs(source: Path) -> tuple[DataConfig, TrainConfig]:
         sky=Switch.OFF,
         refine_poses=Switch.OFF,
         photo_blur=False,
+        transient_masks=False,
         coarse_factor=1,
         grow_with_photos=False,
         # Their conditions exclude the ends: they grow in steps 600 to 14,900.

@@ -182,6 +182,8 @@ class StepPhoto:
     """[ceil(H / 16), ceil(W / 16)] uint8, 0 for tiles that need not be drawn; None: all are."""
     counted: float = 1.0
     """Share of unmasked pixels: less than 1 only with an `ignore` mask."""
+    version: int = 0
+    """Another number if the mask of the same photo at the same size is another."""
 
 
 class TermKind(Enum):
@@ -203,7 +205,7 @@ class Feature(StrEnum):
     PICTURE_TERMS = "losses of depth maps and guide meshes (`--depths`, `--guide-surface`)"
     FROZEN = "frozen splats around a region (`--region`)"
     ANOMALIES = "the search for the first number that is not finite (`--detect-anomaly`)"
-    MASKS = "masks (`--mask-mode`)"
+    MASKS = "masks (`--mask-mode none --no-transient-masks`)"
     DROPOUT = "dropout of splats (`--set drop_rate=0`)"
     NOISE = "noise and regularisers of splats (`--strategy mcmc`)"
     GAINS = "exposure gains of photos (`--exposure off`)"

@@ -128,7 +128,7 @@ _KEYS: tuple[tuple[re.Pattern[str], Any], ...] = tuple(
         (r"asked", _is_counts),
         (r"exposure", _is_exposure),
         (r"poses", {"why": str, "cameras": _is_cameras}),
-        (r"blurs", _is_numbers),
+        (r"blurs|transients", _is_numbers),
         (r"worst_view", _is_worst_view),
         (r"not_covered", [str]),
         (r"trust", [_TRUST]),

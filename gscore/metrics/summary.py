@@ -14,10 +14,30 @@ from .evaluate import Evaluation
 from .machine import machine, peak_memory_bytes
 
 _LISTS = frozenset(
-    {"views", "train_views", "test_views", "history", "evals"}
-    | {"decided", "decisions", "trust", "blurs"}
+    (
+        "views",
+        "train_views",
+        "test_views",
+        "history",
+        "evals",
+        "decided",
+        "decisions",
+        "trust",
+        "blurs",
+        "transients",
+    )
 )
-_PARTS = ("device_peak_bytes", "models", "depth", "exposure", "poses", "blurs", "ranks", "asked")
+_PARTS = (
+    "device_peak_bytes",
+    "models",
+    "depth",
+    "exposure",
+    "poses",
+    "blurs",
+    "transients",
+    "ranks",
+    "asked",
+)
 """Fields of a `Course` that are omitted when empty."""
 
 
@@ -52,6 +72,8 @@ class Course:
     blurs: Mapping[str, float] | None = None
     """Standard deviations of the blurred training photos, px at full size, by name; None: no
     blurred photos were found."""
+    transients: Mapping[str, float] | None = None
+    """Shares of training photos that were left out as transient, by name; None: there were none."""
     ranks: dict[str, Any] | None = None
     """Distributed training: `count`, `batches` since the start or the last resumption, and per rank
     the bytes sent, working time and waiting time per batch."""

@@ -4,3 +4,4 @@ from .cameras_plan import cameras_section
 from .histograms import splat_histograms
 from .page import Report, report_html, write_results
 from .pictures import PictureCollector
+from .transients import MOST_PICTURES, MaskedPhoto

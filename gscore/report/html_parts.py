@@ -1,14 +1,17 @@
 """HTML parts of all pages: the frame without external resources, switches, warnings, view.html."""
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ..io.files import atomic_write, read_bytes
 from ..option_marks import show_flags
 
 AXES = (("step", "steps"), ("elapsed_s", "seconds"))
 """Choices of the x axis: key of a row, and name."""
+MOST_ROWS = 20
+"""Maximum number of photos in a table, those with the largest values."""
 
 
 def html_page(
@@ -97,3 +100,22 @@ def link_page(folder: Path) -> bool:
     if shown not in content and content.count(seam) == 1:
         atomic_write(report, content.replace(seam, shown))
     return shown in content or content.count(seam) == 1
+
+
+def photo_table(heads: Sequence[str], rows: Mapping[str, tuple[Any, ...]]) -> str:
+    """Table of photos with bars, in falling order.
+
+    Args:
+        heads: Names of the columns.
+        rows: By name of the photo the number of the bar, and the text of each column.
+    """
+    ordered = sorted(rows.items(), key=lambda item: -item[1][0])
+    widest = max((number for _, (number, *_) in ordered), default=0.0) or 1.0
+    body = "".join(
+        f"<tr><td>{html.escape(name)}</td>{''.join(f'<td>{text}</td>' for text in texts)}"
+        f'<td><svg width="120" height="10"><rect width="{120 * number / widest:.1f}" '
+        f'height="10" fill="currentColor"/></svg></td></tr>'
+        for name, (number, *texts) in ordered[:MOST_ROWS]
+    )
+    columns = "".join(f"<th>{head}</th>" for head in ("photo", *heads, ""))
+    return f"<table><thead><tr>{columns}</tr></thead><tbody>{body}</tbody></table>"

@@ -23,9 +23,19 @@ from .colormap import colorize
 from .curves import Mark, Series, clean_points, legend, line_chart
 from .depth import DepthSection, depth_html
 from .histograms import Histogram, histograms_html
-from .html_parts import AXES, SEAM, html_page, switch, warnings_html, write_html
+from .html_parts import (
+    AXES,
+    MOST_ROWS,
+    SEAM,
+    html_page,
+    photo_table,
+    switch,
+    warnings_html,
+    write_html,
+)
 from .pictures import ERROR_GAIN, ViewPictures
 from .report_header import EXPOSED, TIMES, head_html, meaning_html, tiles_html
+from .transients import MaskedPhoto, transients_html
 from .trust_map import trust_html
 
 
@@ -48,6 +58,8 @@ class Report:
     depth_command: str = ""
     """Shell command that makes depth maps for the capture."""
     depth: DepthSection | None = None
+    masked: Sequence[MaskedPhoto] = ()
+    """Photos with transients."""
     cameras: CamerasSection | None = None
     histograms: Sequence[Histogram] = ()
     """Histograms of the splats."""
@@ -73,6 +85,9 @@ def report_html(report: Report) -> str:
             depth_html(report.depth) if report.depth else "",
             poses_html(metrics["poses"]) if metrics.get("poses") else "",
             blurs_html(metrics["blurs"]) if metrics.get("blurs") else "",
+            transients_html(metrics["transients"], report.masked)
+            if metrics.get("transients")
+            else "",
             cameras_html(report.cameras, worths) if report.cameras else "",
             trust_html(report.cameras.scene, metrics) if report.cameras else "",
             histograms_html(report.histograms),
@@ -85,7 +100,10 @@ def report_html(report: Report) -> str:
 def _decisions(report: Report) -> str:
     """Decisions of the run, without those that have a section of their own."""
     sections = {"depth": report.depth, "poses": report.metrics.get("poses")}
-    sections["blur"] = report.metrics.get("blurs")
+    sections |= {
+        "blur": report.metrics.get("blurs"),
+        "transients": report.metrics.get("transients"),
+    }
     found = [Decision(**one) for one in report.metrics.get("decisions") or ()]
     items = "".join(
         f"<li>{f'<b>{one.label}:</b> ' if one.label else ''}{html.escape(one.text)}</li>"
@@ -281,10 +299,6 @@ def _definition(metrics: dict[str, Any], metric: NamedMetric) -> dict[str, str]:
     return {f"{title} {value:.{metric.digits + 1}f}": words}
 
 
-_MOST = 20
-"""Maximum number of photos in a table, those with the largest values."""
-
-
 def poses_html(poses: Mapping[str, Any]) -> str:
     """The section.
 
@@ -296,11 +310,11 @@ def poses_html(poses: Mapping[str, Any]) -> str:
         name: (one["degrees"], f"{one['degrees']:.3f}", f"{100 * one['extents']:.2f} %")
         for name, one in cameras.items()
     }
-    more = f" Largest {_MOST} rotations of {len(cameras)}." if len(cameras) > _MOST else ""
+    more = f" Largest {MOST_ROWS} rotations of {len(cameras)}." if len(cameras) > MOST_ROWS else ""
     return (
         f'<section id="poses"><h2>Refined camera poses</h2><p class="hint">'
         f"{html.escape(poses['why'])}{more}</p>"
-        f"{_photo_table(('rotation, degrees', 'move, of the extent'), rows)}</section>\n"
+        f"{photo_table(('rotation, degrees', 'move, of the extent'), rows)}</section>\n"
     )
 
 
@@ -311,32 +325,13 @@ def blurs_html(blurs: Mapping[str, float]) -> str:
         blurs: Standard deviations of blurred photos, px, by name.
     """
     rows = {name: (deviation, f"{deviation:.1f}") for name, deviation in blurs.items()}
-    more = f" Largest {_MOST} of {len(blurs)}." if len(blurs) > _MOST else ""
+    more = f" Largest {MOST_ROWS} of {len(blurs)}." if len(blurs) > MOST_ROWS else ""
     return (
         '<section id="blurs"><h2>Blurred photos</h2><p class="hint">More blurred than the others '
         "by a Gaussian of this standard deviation along its longer axis. Renders of them are "
         f"blurred alike while training, so that splats stay sharp.{more}</p>"
-        f"{_photo_table(('blur, px',), rows)}</section>\n"
+        f"{photo_table(('blur, px',), rows)}</section>\n"
     )
-
-
-def _photo_table(heads: Sequence[str], rows: Mapping[str, tuple[Any, ...]]) -> str:
-    """Table of photos with bars, in falling order.
-
-    Args:
-        heads: Names of the columns.
-        rows: By name of the photo the number of the bar, and the text of each column.
-    """
-    ordered = sorted(rows.items(), key=lambda item: -item[1][0])
-    widest = max((number for _, (number, *_) in ordered), default=0.0) or 1.0
-    body = "".join(
-        f"<tr><td>{html.escape(name)}</td>{''.join(f'<td>{text}</td>' for text in texts)}"
-        f'<td><svg width="120" height="10"><rect width="{120 * number / widest:.1f}" '
-        f'height="10" fill="currentColor"/></svg></td></tr>'
-        for name, (number, *texts) in ordered[:_MOST]
-    )
-    columns = "".join(f"<th>{head}</th>" for head in ("photo", *heads, ""))
-    return f"<table><thead><tr>{columns}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def shown_options(config: DataConfig | TrainConfig) -> dict[str, Any]:
@@ -359,6 +354,7 @@ def write_results(
     views: Sequence[ViewPictures] = (),
     warnings: Sequence[str] = (),
     depth: DepthSection | None = None,
+    masked: Sequence[MaskedPhoto] = (),
     cameras: CamerasSection | None = None,
     histograms: Sequence[Histogram] = (),
 ) -> dict[str, Any]:
@@ -374,6 +370,7 @@ def write_results(
         views: Pictures for the report.
         warnings: Sentences for the report.
         depth: Depth section of the report.
+        masked: Photos with transients.
         cameras: Camera section of the report.
         histograms: Histograms of the splats.
 
@@ -400,6 +397,7 @@ def write_results(
         views=views,
         warnings=warnings,
         depth=depth,
+        masked=masked,
         cameras=cameras,
         histograms=histograms,
         config=config,

@@ -441,8 +441,9 @@ class Session:
                 "cleared",
             )
         names, blurs = trainer.photos.scene.cameras.names, trainer.photo_parameters.blurs
-        if blurred := blurs and blurs.decision(names):
-            self.warn(blurred.text, "blurred")
+        for found in (blurs, trainer.photo_parameters.transients):
+            if decision := found and found.decision(names):
+                self.warn(decision.text, decision.topic)
         # Blurred photos have less detail and smaller errors: no measure for the sharp ones.
         blurred_photos = blurs.blurred if blurs else {}
         sharp = [index for index in trainer.photos.train if index not in blurred_photos]

@@ -38,6 +38,7 @@ from .views.model_renderer import ModelRenderer
 from .views.photo_blurs import PhotoBlurs
 from .views.photo_gains import HeldOutGains
 from .views.photo_parameters import PhotoParameters, initial_poses
+from .views.transients import Transients
 
 
 class Trainer:
@@ -90,11 +91,17 @@ class Trainer:
         cameras = self.frame.similarity.cameras_to_training(given)
         poses = initial_poses(analysis.pose_check, photos.train, self.frame)
         held_out = HeldOutGains(given.names, given.centers, photos.train, stops=stops)
-        blurs = None
+        blurs = transients = None
         if config.photo_blur and self.group is None:
             blurs = PhotoBlurs(photos.train, np.maximum(given.widths, given.heights))
-        self.photo_parameters = PhotoParameters(config, analysis.gains, poses, blurs, held_out)
-        """Exposure gains, camera poses and blurs of the photos."""
+        is_whole = not analysis.is_part and config.start_splats is None
+        opaque, alone = photos.mask_mode != "composite", self.group is None
+        if config.transient_masks and is_whole and opaque and alone:
+            transients = Transients(photos.train)
+        self.photo_parameters = PhotoParameters(
+            config, analysis.gains, poses, blurs, transients, held_out
+        )
+        """Exposure gains, camera poses, blurs and masks of the photos."""
         self.region = analysis.region and analysis.region.in_training(self.frame.similarity)
         """The region box, training frame; its start splats are kept inside."""
         start = training_start(
@@ -252,7 +259,7 @@ class Trainer:
         """Take a step of `count` views, one of them on this rank."""
         step, timer = self.steps + count, StageTimer()
         self.stage_timer = timer
-        earlier = self._measure_blur()
+        earlier = self._compare_photos()
         self.models.widen_sh(self.plan.sh_degree_at(step))
         self._requesting, self._requested_models = self._start(), 0
         views = self._draw_views(step, count)
@@ -273,20 +280,27 @@ class Trainer:
         timer.lap("edit")
         return [*earlier, *results]
 
-    def _measure_blur(self) -> list[StepResult]:
-        """Measure the blur of photos with the current models, where that is due; returns the
-        results of the steps before, which were read for it."""
-        blurs, factor = self.photo_parameters.blurs, self.view_batcher.factor
-        if blurs is None or not blurs.due(self.plan.blur_steps, self.steps):
+    def _compare_photos(self) -> list[StepResult]:
+        """Measure blur and transients of photos with the current models, where that is due; returns
+        the results of the steps before, which were read for it."""
+        blurs, transients = self.photo_parameters.blurs, self.photo_parameters.transients
+        planned, train = self.plan.compare_steps, self.sampler.indices
+        blur_due = blurs is not None and blurs.due(planned, self.steps)
+        transients_due = transients is not None and transients.due(planned, self.steps)
+        if not blur_due and not transients_due:
             return []
-        results, train = self._read(0), blurs.train
-        factor = min(factor, self.plan.factor_at(self.steps + 1))
-        found = {
-            index: self.renderer.photo_blur(index, factor, upcoming=train[i + 1 :])
-            for i, index in enumerate(train)
-        }
-        blurs.note(found, self.steps)
-        self.stage_timer.lap("blur")
+        results = self._read(0)
+        factor = min(self.view_batcher.factor, self.plan.factor_at(self.steps + 1))
+        fits, residuals = {}, {}
+        for i, index in enumerate(train):
+            fits[index], residuals[index] = self.renderer.compared(
+                index, factor, upcoming=train[i + 1 :]
+            )
+        if blurs is not None and blur_due:
+            blurs.note(fits, self.steps)
+        if transients is not None and transients_due:
+            transients.note(residuals, self.steps)
+        self.stage_timer.lap("photos")
         return results
 
     def _start(self) -> StepStart | None:

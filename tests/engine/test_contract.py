@@ -269,7 +269,8 @@ def test_a_training_runs(make_engine: Make, photos: ToyPhotos) -> None:
     runs = []
     for one in (make_engine(), make_engine()):
         blurs = Feature.BLUR in one.info.features
-        config = replace(CONFIG, photo_blur=blurs)
+        masks = Feature.MASKS in one.info.features
+        config = replace(CONFIG, photo_blur=blurs, transient_masks=masks)
         trainer = Trainer(config, Analysis(photos=photos), engine=one)
         first = trainer.splat_count
         changes = [trainer.step().change for _ in range(25)]

@@ -24,6 +24,7 @@ def trained(engine: Any) -> tuple[list[float], float]:
         sh_every=10,
         refine_start=100,
         photo_blur=False,
+        transient_masks=False,
     )
     trainer = Trainer(config, Analysis(photos=photos), engine)
     before = trainer.error()

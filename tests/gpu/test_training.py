@@ -453,6 +453,34 @@ def test_photos_of_any_size_with_masks(height: int, width: int, mask_mode: str) 
     assert found[3] == pytest.approx(found[1], rel=1e-4)
 
 
+def test_another_mask_replaces_that_of_a_kept_photo() -> None:
+    """Oracle: the CPU engine's losses; others with the first mask in all steps."""
+    photos, splats = toy_photos(splats=toy_splats(count=40), size=40), toy_splats(count=40)
+    masks = np.full((2, 40, 40), 255, np.uint8)
+    masks[0, :20], masks[1, 10:30] = 0, 0
+
+    def losses(engine: Any, versions: tuple[int, ...]) -> list[float]:
+        model, pending = engine.model(columns_of(splats), counters=COUNTERS), []
+        for step, version in enumerate(versions, 1):
+            photo = StepPhoto(
+                image=photos.image(0),
+                mask=masks[version],
+                mask_mode="ignore",
+                counted=0.5,
+                version=version,
+            )
+            engine.put(0, photo)
+            pending.append(engine.step(model, request_of(photos, 0, step)))
+        return [one.result().loss for one in pending]
+
+    gpu = software_engine()
+    gpu.keep_photos(1 << 20)
+    found = losses(gpu, (0, 0, 1, 1))
+    assert len(gpu._kept) == 1
+    assert found == pytest.approx(losses(CpuEngine(), (0, 0, 1, 1)), rel=1e-4)
+    assert found[2] != pytest.approx(losses(CpuEngine(), (0, 0, 0, 0))[2], rel=1e-2)
+
+
 @pytest.mark.parametrize("mask_mode", ["none", "composite"])
 def test_steps_with_blurred_pictures(mask_mode: str) -> None:
     """Oracle: the CPU engine's losses, slopes and means; another blur for each step, one without;

@@ -17,7 +17,13 @@ from gscore.config import DataConfig, TrainConfig
 from gscore.errors import GsError
 from gscore.events import Decision
 from gscore.metrics import headline
-from gscore.report import PictureCollector, Report, cameras_section, splat_histograms
+from gscore.report import (
+    MaskedPhoto,
+    PictureCollector,
+    Report,
+    cameras_section,
+    splat_histograms,
+)
 from gscore.report.colormap import colorize
 from gscore.report.curves import (
     Series,
@@ -156,6 +162,27 @@ def test_blurred_photos_have_a_table(run):
     assert "<1>.jpg" not in shown
     report.metrics["blurs"] = {"a.jpg": 2.0}
     assert "Largest" not in Page(report_html(report)).shown
+
+
+def test_transients_have_pictures_and_a_table(run):
+    """Oracle: shares in falling order; red where a mask is 0; the decision is not listed twice."""
+    report = run(decisions=[Decision("transients", "People were found.")])
+    report.metrics["transients"] = {"<a>.jpg": 0.031, "b.jpg": 0.12}
+    shown = Page(report_html(report)).shown
+    assert "Transients" in shown and "People were found." not in shown
+    assert shown.index("b.jpg") < shown.index("12.0 %") < shown.index("<a>.jpg")
+    assert "<img" not in re.findall('id="transients".*?</section>', report_html(report))[0]
+    photo, mask = np.full((600, 800, 3), 100, np.uint8), np.full((600, 800), 255, np.uint8)
+    mask[:, :400] = 0
+    masked = MaskedPhoto.of("<a>.jpg", photo, mask)
+    assert (masked.width, masked.height) == (320, 240)
+    page = report_html(replace(report, masked=[masked]))
+    part = re.findall('id="transients".*?</section>', page)[0]
+    assert part.count("<img") == 1 and 'alt="&lt;a&gt;.jpg, transients in red"' in part
+    stream = io.BytesIO(base64.b64decode(masked.uri.partition(",")[2]))
+    picture = np.asarray(Image.open(stream), int)
+    assert abs(picture[:, 300] - 100).max() < 6
+    assert abs(picture[:, 20] - [165, 65, 65]).max() < 12
 
 
 def test_exposed_and_neutral_figures_are_labelled(run):

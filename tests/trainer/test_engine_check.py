@@ -48,6 +48,7 @@ LACKS: list[tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = [
     (NONE, {"surface_weight": 1.0}, {}, r"`--surface-weight`"),
     (NONE, {"prune_share": 0.2}, {}, "pruning by contribution"),
     (NONE, {"photo_blur": True}, {}, r"blur of photos \(`--no-photo-blur`\)"),
+    (NONE, {"transient_masks": True}, {}, r"masks \(`--mask-mode none --no-transient-masks`\)"),
     ({"skips": frozenset()}, {"without": (Skip.ZERO_TILE,)}, {}, "skip zero-tile"),
 ]
 
@@ -63,8 +64,8 @@ def test_what_an_engine_lacks_is_refused_by_name(
     """Oracle: the sentence; an engine that has it is accepted, and so are trainings without."""
     whole = FakeEngine().info
     less: EngineInfo = replace(whole, **lack)
-    config = replace(CONFIG, **({"alpha_weight": 0.1, "photo_blur": False} | options))
-    plain = replace(CONFIG, alpha_weight=0.0, photo_blur=False)
+    base = replace(CONFIG, photo_blur=False, transient_masks=False)
+    config, plain = replace(base, **({"alpha_weight": 0.1} | options)), base
     terms = terms_of(config, photos, depth=parts.get("depth"))
     which = {name: parts.get(name, False) for name in ("drops", "frozen")}
     empty = Analysis(photos=photos)

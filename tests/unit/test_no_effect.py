@@ -19,7 +19,7 @@ checkpoint_seconds preview_seconds snapshot_every watchdog detect_anomaly means_
 means_lr_final sh0_lr opacities_lr scales_lr quats_lr lr_boost lr_final ssim_weight drop_rate
 alpha_weight opaque_weight surface_weight steps_a_photo splats_a_photo refine_start refine_stop
 refine_every prune_opacity finest prune_share free_space quiet events exposure refine_poses no_sfm
-photo_blur json
+photo_blur transient_masks json
 disable_viewer set region guide_surface guide_free
 """
 """Options with an effect in every run, or with one that depends on the capture."""

@@ -18,6 +18,7 @@ class _Kept:
     nbytes: int
     size: tuple[int, ...]
     has_mask: bool
+    version: int
 
 
 class KeptPhotos:
@@ -44,7 +45,8 @@ class KeptPhotos:
         it does not stay."""
         found = self._kept.get(key)
         has_mask = photo.mask is not None
-        if found and (found.size, found.has_mask) == (photo.image.shape, has_mask):
+        content = photo.image.shape, has_mask, photo.version
+        if found and (found.size, found.has_mask, found.version) == content:
             return found.handle, True
         if found:
             self.free()
@@ -60,7 +62,7 @@ class KeptPhotos:
         except DeviceMemoryError:
             self.room = used
             return None, False
-        self._kept[key] = _Kept(handle, nbytes, photo.image.shape, has_mask)
+        self._kept[key] = _Kept(handle, nbytes, photo.image.shape, has_mask, photo.version)
         return handle, False
 
     def forget(self, key: int) -> None:

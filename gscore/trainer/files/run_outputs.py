@@ -22,7 +22,14 @@ from ...io.poses_json import POSES_FILE, write_poses
 from ...io.runs import snapshots_in
 from ...metrics import Course, Evaluation, Metrics
 from ...photo_exposure import PhotoExposure
-from ...report import PictureCollector, cameras_section, splat_histograms, write_results
+from ...report import (
+    MOST_PICTURES,
+    MaskedPhoto,
+    PictureCollector,
+    cameras_section,
+    splat_histograms,
+    write_results,
+)
 from ..depth.report import DepthReport
 from ..distributed.process_group import ProcessGroup
 from ..evaluation import Evaluator
@@ -170,6 +177,7 @@ class RunOutputs:
             views=collector.views if evaluation else (),
             warnings=warnings,
             depth=None if depth is None else depth.section,
+            masked=self._masked_photos(),
             cameras=cameras_section(data.source, photos.scene),
             histograms=splat_histograms(trainer.models.parts()),
         )
@@ -197,7 +205,23 @@ class RunOutputs:
         blurs = trainer.photo_parameters.blurs
         if blurred := blurs and blurs.blurred:
             entries["blurs"] = {names[i]: deviation for i, deviation in blurred.items()}
+        transients = trainer.photo_parameters.transients
+        if shares := transients and transients.shares:
+            entries["transients"] = {names[i]: share for i, share in shares.items()}
         return entries
+
+    def _masked_photos(self) -> list[MaskedPhoto]:
+        """Pictures of the photos with the largest transients."""
+        photos, transients = self.trainer.photos, self.trainer.photo_parameters.transients
+        if transients is None:
+            return []
+        shares, found = transients.shares, []
+        for index in sorted(shares, key=shares.__getitem__, reverse=True)[:MOST_PICTURES]:
+            photo = photos.image(index)
+            mask = transients.of(index, photo.shape[1], photo.shape[0])
+            assert mask is not None
+            found.append(MaskedPhoto.of(photos.scene.cameras.names[index], photo, mask))
+        return found
 
     def _write_poses(self, poses: PhotoPoses) -> dict[str, dict[str, float]]:
         """Write poses.json; return the displacement of each training camera from the capture."""

@@ -36,6 +36,8 @@ class SizedView(NamedTuple):
     all tiles are used."""
     counted: float = 1.0
     """Share of unmasked pixels: less than 1 only with an `ignore` mask."""
+    version: int = 0
+    """Above 0: the mask leaves out transients; another number for another mask."""
 
     def photo(self, mask_mode: str, *, masked_tiles: bool = False) -> StepPhoto:
         """The photo for an engine; `masked_tiles`: draw tiles that masks hide, too."""
@@ -43,9 +45,21 @@ class SizedView(NamedTuple):
         return StepPhoto(
             image=self.image,
             mask=self.mask,
-            mask_mode=mask_mode,
+            mask_mode="ignore" if self.version else mask_mode,
             tiles=tiles,
             counted=self.counted,
+            version=self.version,
+        )
+
+    def masked(self, mask: np.ndarray, *, version: int = 0) -> "SizedView":
+        """The same view without the pixels that are 0 in a mask [H, W] uint8, too."""
+        if self.mask is not None:
+            mask = np.minimum(mask, self.mask)
+        return self._replace(
+            mask=mask,
+            tiles=tiles_of_mask(mask),
+            counted=float(mask.mean()) / 255,
+            version=version,
         )
 
 

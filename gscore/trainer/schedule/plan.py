@@ -258,8 +258,8 @@ class Plan:
         return step % self.refine_every == 0 and before < now < 3
 
     @property
-    def blur_steps(self) -> list[int]:
-        """Steps after which the blur of photos is measured: none just after opacities were reset,
+    def compare_steps(self) -> list[int]:
+        """Steps after which photos are compared with renders: none just after opacities were reset,
         since the model is unfinished for a third of the steps between two resets."""
         found = []
         for share in _BLUR:

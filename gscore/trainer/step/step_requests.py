@@ -202,7 +202,7 @@ def check_engine(
     needed = {
         Feature.PICTURE_TERMS: terms.needs_pictures,
         Feature.FROZEN: frozen,
-        Feature.MASKS: analysis.photos.mask_mode != "none",
+        Feature.MASKS: analysis.photos.mask_mode != "none" or config.transient_masks,
         Feature.DROPOUT: drops,
         Feature.GAINS: analysis.gains is not None,
         Feature.POSES: analysis.pose_check.viewmats is not None,

@@ -19,11 +19,12 @@ from ...raster.loss import image_loss
 from ...raster.request import Frustum
 from ...shared_constants import EPS2D, JACOBIAN_MARGIN, REACH
 from ..model.training_frame import TrainingFrame
-from ..photos.image_pyramid import ImagePyramid, SizedView, tiles_of_mask, training_camera
+from ..photos.image_pyramid import ImagePyramid, SizedView, training_camera
 from ..photos.view_sampler import Photos
 from .photo_blurs import BlurFit, fit_blur
 from .photo_parameters import PhotoParameters
 from .photo_poses import align_pose
+from .transient_search import Residual, residual_of
 
 
 def mask_to_region(found: SizedView, means: np.ndarray, scales: np.ndarray) -> SizedView:
@@ -34,14 +35,7 @@ def mask_to_region(found: SizedView, means: np.ndarray, scales: np.ndarray) -> S
     view, side = found.view, native_library.TILE
     tiles = tiles_of_splats(means, scales, view)
     shown = np.repeat(np.repeat(tiles, side, axis=0), side, axis=1) * np.uint8(255)
-    mask = np.ascontiguousarray(shown[: view.height, : view.width])
-    if found.mask is not None:
-        np.minimum(mask, found.mask, out=mask)
-    return found._replace(
-        mask=mask,
-        tiles=tiles_of_mask(mask),
-        counted=float(mask.mean()) / 255,
-    )
+    return found.masked(np.ascontiguousarray(shown[: view.height, : view.width]))
 
 
 def tiles_of_splats(means: np.ndarray, scales: np.ndarray, view: Frustum) -> np.ndarray:
@@ -142,6 +136,9 @@ class ModelRenderer:
         if self.region and self.photos.mask_mode == "ignore":
             (model,) = self.models()
             found = mask_to_region(found, model.column("means"), model.column("scales"))
+        transients, view = self.photo_parameters.transients, found.view
+        if transients and (mask := transients.of(index, view.width, view.height)) is not None:
+            found = found.masked(mask, version=transients.version)
         return found._replace(view=self.photo_parameters.at_refined_pose(found.view, index))
 
     def background_before_gain(self, background: Color, gain: Color | None) -> Color:
@@ -196,26 +193,43 @@ class ModelRenderer:
         `factor`."""
         background, total = self.background, 0.0
         for index in indices:
-            view, image, mask, _, counted = self.sized(index, factor)
+            sized = self.sized(index, factor)
+            photo, mask = sized.photo(self.photos.mask_mode), sized.mask
             loss = image_loss(
-                torch.from_numpy(self._exposed(index, view, background)),
-                torch.from_numpy(image),
+                torch.from_numpy(self._exposed(index, sized.view, background)),
+                torch.from_numpy(photo.image),
                 mask=None if mask is None else torch.from_numpy(mask),
-                mask_mode="none" if mask is None else self.photos.mask_mode,
+                mask_mode="none" if mask is None else photo.mask_mode,
                 background=background,
                 threads=self.config.threads,
             )
-            total += mse_of_unmasked(loss.mse, counted)
+            total += mse_of_unmasked(loss.mse, photo.counted)
         return math.sqrt(total / len(indices))
 
-    def photo_blur(self, index: int, factor: float, *, upcoming: Iterable[int] = ()) -> BlurFit:
-        """Measure the blur of photo `index`, its sides divided by `factor`, relative to the sharp
-        render of its view, in squares of the photo's longer side; `upcoming`: see `sized`."""
-        view, image, mask, _, _ = self.sized(index, factor, upcoming=upcoming)
-        render, mode = self._exposed(index, view, self.background), self.photos.mask_mode
-        target, weights = target_picture(image, mask, mode, self.background)
-        fit = fit_blur(render, target, weights, threads=self.config.threads)
-        return fit._replace(covariance=fit.covariance / max(view.width, view.height) ** 2)
+    def compared(
+        self, index: int, factor: float, *, upcoming: Iterable[int] = ()
+    ) -> tuple[BlurFit, Residual]:
+        """Compare photo `index`, its sides divided by `factor`, with the sharp render of its view:
+        its blur, in squares of the photo's longer side, and the residual; `upcoming`: see
+        `sized`."""
+        threads, sized = self.config.threads, self.sized(index, factor, upcoming=upcoming)
+        gain, view = self.photo_parameters.gain_of(index), sized.view
+        background = self.background_before_gain(self.background, gain)
+        drawn = self._draw(view, background, inverse_depth=True)
+        render = PhotoExposure.of(gain).apply(drawn.rgb)
+        mode = sized.photo(self.photos.mask_mode).mask_mode
+        target, weights = target_picture(sized.image, sized.mask, mode, self.background)
+        fit = fit_blur(render, target, weights, threads=threads)
+        fit = fit._replace(covariance=fit.covariance / max(view.width, view.height) ** 2)
+        if sized.version:  # what is masked may not be transient any more
+            unmasked = self.pyramid.at(index, factor)
+            mode = self.photos.mask_mode
+            target, weights = target_picture(unmasked.image, unmasked.mask, mode, self.background)
+        assert drawn.inverse_depth is not None
+        depth, alpha = drawn.inverse_depth, drawn.alpha
+        return fit, residual_of(
+            view, render, target, weights, inverse_depth=depth, alpha=alpha, threads=threads
+        )
 
     def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Render accumulated inverse depth, 1/world unit, and opacity of view `index`, [H, W]

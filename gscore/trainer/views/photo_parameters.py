@@ -13,6 +13,7 @@ from .photo_adam import rate_at
 from .photo_blurs import PhotoBlurs
 from .photo_gains import HeldOutGains, PhotoGains, as_gain
 from .photo_poses import PhotoPoses, PoseCheck
+from .transients import Transients
 
 _START, _STOP = 0.1, 0.8
 """Shares of the run between which poses are refined: before, the splats are too coarse; at the end
@@ -31,6 +32,8 @@ class PhotoParameters:
     """Poses of the training cameras; None: those of the capture."""
     blurs: PhotoBlurs | None
     """Blurs of the training photos; None: all photos count as equally sharp."""
+    transients: Transients | None
+    """Masks of what only single training photos show; None: no such masks."""
     held_out: HeldOutGains
     """Predicts gains of held-out photos."""
 
@@ -91,7 +94,7 @@ class PhotoParameters:
     def arrays(self) -> dict[str, np.ndarray]:
         """State by name; no copies."""
         out: dict[str, np.ndarray] = {}
-        for photo_parameters in (self.gains, self.poses, self.blurs):
+        for photo_parameters in (self.gains, self.poses, self.blurs, self.transients):
             if photo_parameters is not None:
                 out |= photo_parameters.arrays()
         return out
@@ -109,6 +112,8 @@ class PhotoParameters:
         self.poses = PhotoPoses.restored(train, views, arrays) if found else None
         if self.blurs is not None:
             self.blurs.restore(arrays)
+        if self.transients is not None:
+            self.transients.restore(arrays)
 
 
 def initial_poses(

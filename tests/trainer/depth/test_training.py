@@ -95,7 +95,7 @@ def test_depth_off_is_the_training_without_depth(
     photos: Any, targets: DepthTargets, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Oracle: bit equality, and no request for inverse depth to the rasterizer."""
-    config, asked = replace(CONFIG, photo_blur=False), []
+    config, asked = replace(CONFIG, photo_blur=False, transient_masks=False), []
     plain = TrainingRasterizer.draw
 
     def watched(rasterizer: TrainingRasterizer, splats: Any, view: Any, settings: Any) -> Any:

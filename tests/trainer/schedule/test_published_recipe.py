@@ -63,6 +63,7 @@ ABSENT = {
     "exposure": Switch.OFF,
     "refine_poses": Switch.OFF,
     "photo_blur": False,
+    "transient_masks": False,
     "drop_rate": 0,
     "drop_below": 0,
     "opaque_weight": 0,

@@ -147,10 +147,10 @@ def test_no_measure_follows_a_reset(iterations: int) -> None:
     """Oracle: the resets of the plan; there are three measures after at least one step."""
     config = TrainConfig(iterations=iterations)
     plan = Plan.of(config, extent=1.0, points=100, side=100, pixels=10_000)
-    assert len(plan.blur_steps) == 3 and plan.blur_steps[0] >= 1
+    assert len(plan.compare_steps) == 3 and plan.compare_steps[0] >= 1
     resets = [step for step in range(1, iterations + 1) if plan.resets_at(step)]
     assert bool(resets) == (iterations >= 6000)
-    for step in plan.blur_steps:
+    for step in plan.compare_steps:
         assert not any(reset <= step < reset + plan.reset_every // 3 for reset in resets)
 
 
