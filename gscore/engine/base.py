@@ -183,7 +183,7 @@ class StepPhoto:
     counted: float = 1.0
     """Share of unmasked pixels: less than 1 only with an `ignore` mask."""
     version: int = 0
-    """Another number if the mask of the same photo at the same size is another."""
+    """Another number if the mask of the photo at this size is another."""
 
 
 class TermKind(Enum):
@@ -452,7 +452,8 @@ class Engine(Protocol[Model]):
         ...
 
     def put(self, key: int, photo: StepPhoto) -> None:
-        """Provide a photo for the next step that names it; one key and size have one content."""
+        """Provide a photo for the next step that names it; one key, size and version have one
+        content."""
         ...
 
     def step(self, model: Model, request: StepRequest) -> Pending:

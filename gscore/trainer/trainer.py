@@ -38,7 +38,7 @@ from .views.model_renderer import ModelRenderer
 from .views.photo_blurs import PhotoBlurs
 from .views.photo_gains import HeldOutGains
 from .views.photo_parameters import PhotoParameters, initial_poses
-from .views.transients import Transients
+from .views.transients import Transients, may_mask_transients
 
 
 class Trainer:
@@ -94,9 +94,7 @@ class Trainer:
         blurs = transients = None
         if config.photo_blur and self.group is None:
             blurs = PhotoBlurs(photos.train, np.maximum(given.widths, given.heights))
-        is_whole = not analysis.is_part and config.start_splats is None
-        opaque, alone = photos.mask_mode != "composite", self.group is None
-        if config.transient_masks and is_whole and opaque and alone:
+        if self.group is None and may_mask_transients(config, analysis):
             transients = Transients(photos.train)
         self.photo_parameters = PhotoParameters(
             config, analysis.gains, poses, blurs, transients, held_out
@@ -289,18 +287,21 @@ class Trainer:
         transients_due = transients is not None and transients.due(planned, self.steps)
         if not blur_due and not transients_due:
             return []
-        results = self._read(0)
+        results, renderer = self._read(0), self.renderer
         factor = min(self.view_batcher.factor, self.plan.factor_at(self.steps + 1))
-        fits, residuals = {}, {}
-        for i, index in enumerate(train):
-            fits[index], residuals[index] = self.renderer.compared(
-                index, factor, upcoming=train[i + 1 :]
-            )
-        if blurs is not None and blur_due:
-            blurs.note(fits, self.steps)
-        if transients is not None and transients_due:
+        if transients is not None and transients_due:  # first: a blur is that of what remains
+            residuals = {
+                index: renderer.residual(index, factor, upcoming=train[i + 1 :])
+                for i, index in enumerate(train)
+            }
             transients.note(residuals, self.steps)
-        self.stage_timer.lap("photos")
+        if blurs is not None and blur_due:
+            fits = {
+                index: renderer.photo_blur(index, factor, upcoming=train[i + 1 :])
+                for i, index in enumerate(train)
+            }
+            blurs.note(fits, self.steps)
+        self.stage_timer.lap("compare")
         return results
 
     def _start(self) -> StepStart | None:
@@ -421,7 +422,7 @@ class Trainer:
     def _restore_views(
         self, state: dict[str, Any], photos: Mapping[str, np.ndarray], generator: torch.Tensor
     ) -> None:
-        """Restore gains, poses and blurs, the order of views, and the random numbers."""
+        """Restore photo parameters, the order of views, and the random numbers."""
         self.photo_parameters.restore(self.sampler.indices, len(self.photos.scene.cameras), photos)
         self.generator.set_state(generator)
         self.view_batcher.restore(state)

@@ -26,7 +26,7 @@ class KeptPhotos:
 
     None makes room for another: each photo is used once an epoch, so that the least recently used
     one is the next to be needed. All are dropped where one comes in another size, as all others
-    will.
+    will; one with another mask alone.
     """
 
     def __init__(self, raster: GpuRaster) -> None:
@@ -45,10 +45,13 @@ class KeptPhotos:
         it does not stay."""
         found = self._kept.get(key)
         has_mask = photo.mask is not None
-        content = photo.image.shape, has_mask, photo.version
-        if found and (found.size, found.has_mask, found.version) == content:
+        is_sized = found is not None and found.size == photo.image.shape
+        if found and is_sized and (found.has_mask, found.version) == (has_mask, photo.version):
             return found.handle, True
-        if found:
+        if found and is_sized:
+            self._raster.wait_for_steps()
+            self.forget(key)
+        elif found:
             self.free()
         nbytes = photo.image.nbytes + (0 if photo.mask is None else photo.mask.nbytes)
         used = sum(one.nbytes for one in self._kept.values())

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...config import Background, DataConfig
 from ...config_file import config_json
+from ...errors import GsError
 from ...events import Decision
 from ...io.block_record import RUN_BLOCK, read_block
 from ...io.cameras_json import write_cameras
@@ -217,7 +218,10 @@ class RunOutputs:
             return []
         shares, found = transients.shares, []
         for index in sorted(shares, key=shares.__getitem__, reverse=True)[:MOST_PICTURES]:
-            photo = photos.image(index)
+            try:
+                photo = photos.image(index)
+            except GsError:  # the file is gone; the results are complete without its picture
+                continue
             mask = transients.of(index, photo.shape[1], photo.shape[0])
             assert mask is not None
             found.append(MaskedPhoto.of(photos.scene.cameras.names[index], photo, mask))

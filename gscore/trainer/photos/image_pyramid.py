@@ -1,5 +1,6 @@
 """Image pyramid: the views of a capture at the resolution of a training step."""
 
+import zlib
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
@@ -37,7 +38,8 @@ class SizedView(NamedTuple):
     counted: float = 1.0
     """Share of unmasked pixels: less than 1 only with an `ignore` mask."""
     version: int = 0
-    """Above 0: the mask leaves out transients; another number for another mask."""
+    """Above 0: the mask, which says which pixels count, was made in training, and is another for
+    another number; 0: it is that of the capture."""
 
     def photo(self, mask_mode: str, *, masked_tiles: bool = False) -> StepPhoto:
         """The photo for an engine; `masked_tiles`: draw tiles that masks hide, too."""
@@ -51,7 +53,7 @@ class SizedView(NamedTuple):
             version=self.version,
         )
 
-    def masked(self, mask: np.ndarray, *, version: int = 0) -> "SizedView":
+    def masked(self, mask: np.ndarray) -> "SizedView":
         """The same view without the pixels that are 0 in a mask [H, W] uint8, too."""
         if self.mask is not None:
             mask = np.minimum(mask, self.mask)
@@ -59,7 +61,7 @@ class SizedView(NamedTuple):
             mask=mask,
             tiles=tiles_of_mask(mask),
             counted=float(mask.mean()) / 255,
-            version=version,
+            version=zlib.crc32(np.ascontiguousarray(mask).data) or 1,
         )
 
 
@@ -127,6 +129,11 @@ class ImagePyramid:
         if self._limit is None or self._nbytes + nbytes <= self._limit:
             self._kept[index] = found
             self._nbytes += nbytes
+
+    @property
+    def keeps_all(self) -> bool:
+        """True without a memory limit."""
+        return self._limit is None
 
     def view(self, index: int, factor: float = 1.0) -> Frustum:
         """Return the camera of view `index` with sides divided by `factor` >= 1, K exact for the

@@ -20,9 +20,9 @@ _LONG, _LONG_GRAD = 10_000, 5e-5
 With the paper's threshold growth ends early where errors are small: lego stopped at a third of
 300,000 splats, and gained 1.0 dB with all of them. Photos without cut-out masks gained nothing.
 Shorter runs use it too with dropout, which keeps the additional splats from overfitting."""
-_BLUR = (0.2, 0.4, 0.6)
-"""Shares of the run after which the blur of photos is measured. At 0.15 the render of a sharp photo
-is still soft, but less so than that of a blurred one: 6 px were found as 4 to 7."""
+_COMPARE = (0.2, 0.4, 0.6)
+"""Shares of the run after which photos are compared with renders. At 0.15 the render of a sharp
+photo is still soft, but less so than that of a blurred one: 6 px were found as 4 to 7."""
 _COARSE_SIDE = 75
 """Shorter side of a photo, px, below which a downscaled photo has too little detail."""
 
@@ -262,7 +262,7 @@ class Plan:
         """Steps after which photos are compared with renders: none just after opacities were reset,
         since the model is unfinished for a third of the steps between two resets."""
         found = []
-        for share in _BLUR:
+        for share in _COMPARE:
             step = max(round(share * self.iterations), 1)
             last = min(step, self.reset_stop, self.iterations - 1)
             last -= last % self.reset_every if self.reset_every else last

@@ -1,1 +1,1 @@
-"""Photo parameters and rendering: exposure gains, camera poses, track colours, model renderer."""
+"""Photo parameters and rendering: exposure gains, camera poses, blurs, transients, renderer."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from .photo_blurs import BlurFit, fit_blur
 from .photo_parameters import PhotoParameters
 from .photo_poses import align_pose
 from .transient_search import Residual, residual_of
+from .transients import Transients
 
 
 def mask_to_region(found: SizedView, means: np.ndarray, scales: np.ndarray) -> SizedView:
@@ -110,13 +111,15 @@ class ModelRenderer:
     pyramid: ImagePyramid
     """The views in the training frame."""
     photo_parameters: PhotoParameters
-    """Gains, poses and blurs of the photos."""
+    """Gains, poses, blurs and transients of the photos."""
     engine: Engine[Any]
     """Draws the models."""
     models: Callable[[], list[EngineModel]]
     """Returns the models, which are merged for rendering."""
     region: bool
     """True: frozen splats surround the model, so photos count only where it may be drawn."""
+    _masked: dict[int, tuple[tuple[int, ...], SizedView]] = field(default_factory=dict, init=False)
+    """Masked views by photo, with the step of their transients and their size."""
 
     @property
     def background(self) -> Color:
@@ -136,10 +139,26 @@ class ModelRenderer:
         if self.region and self.photos.mask_mode == "ignore":
             (model,) = self.models()
             found = mask_to_region(found, model.column("means"), model.column("scales"))
-        transients, view = self.photo_parameters.transients, found.view
-        if transients and (mask := transients.of(index, view.width, view.height)) is not None:
-            found = found.masked(mask, version=transients.version)
+        if self.photo_parameters.transients is not None:
+            found = self._without_transients(self.photo_parameters.transients, found, index)
         return found._replace(view=self.photo_parameters.at_refined_pose(found.view, index))
+
+    def _without_transients(
+        self, transients: Transients, found: SizedView, index: int
+    ) -> SizedView:
+        """View `index` with its transients masked."""
+        key = transients.step, found.view.width, found.view.height
+        known, masked = self._masked.get(index, ((), found))
+        if known == key:
+            parts = masked.mask, masked.tiles, masked.counted, masked.version
+            return SizedView(found.view, found.image, *parts)
+        mask = transients.of(index, *key[1:])
+        if mask is None:
+            return found
+        masked = found.masked(mask)
+        if self.pyramid.keeps_all:
+            self._masked[index] = key, masked
+        return masked
 
     def background_before_gain(self, background: Color, gain: Color | None) -> Color:
         """Background colour before the gain, so that `background` shows after it, if photos are
@@ -206,29 +225,35 @@ class ModelRenderer:
             total += mse_of_unmasked(loss.mse, photo.counted)
         return math.sqrt(total / len(indices))
 
-    def compared(
-        self, index: int, factor: float, *, upcoming: Iterable[int] = ()
-    ) -> tuple[BlurFit, Residual]:
-        """Compare photo `index`, its sides divided by `factor`, with the sharp render of its view:
-        its blur, in squares of the photo's longer side, and the residual; `upcoming`: see
-        `sized`."""
-        threads, sized = self.config.threads, self.sized(index, factor, upcoming=upcoming)
-        gain, view = self.photo_parameters.gain_of(index), sized.view
-        background = self.background_before_gain(self.background, gain)
-        drawn = self._draw(view, background, inverse_depth=True)
-        render = PhotoExposure.of(gain).apply(drawn.rgb)
+    def photo_blur(self, index: int, factor: float, *, upcoming: Iterable[int] = ()) -> BlurFit:
+        """Measure the blur of photo `index`, its sides divided by `factor`, relative to the sharp
+        render of its view, in squares of the photo's longer side; `upcoming`: see `sized`."""
+        sized = self.sized(index, factor, upcoming=upcoming)
+        render, view = self._exposed(index, sized.view, self.background), sized.view
         mode = sized.photo(self.photos.mask_mode).mask_mode
         target, weights = target_picture(sized.image, sized.mask, mode, self.background)
-        fit = fit_blur(render, target, weights, threads=threads)
-        fit = fit._replace(covariance=fit.covariance / max(view.width, view.height) ** 2)
-        if sized.version:  # what is masked may not be transient any more
-            unmasked = self.pyramid.at(index, factor)
-            mode = self.photos.mask_mode
-            target, weights = target_picture(unmasked.image, unmasked.mask, mode, self.background)
+        fit = fit_blur(render, target, weights, threads=self.config.threads)
+        return fit._replace(covariance=fit.covariance / max(view.width, view.height) ** 2)
+
+    def residual(self, index: int, factor: float, *, upcoming: Iterable[int] = ()) -> Residual:
+        """Compare photo `index`, its sides divided by `factor`, with the render of its view; what
+        was masked as transient counts too. `upcoming`: see `sized`."""
+        sized = self.pyramid.at(index, factor, upcoming=upcoming)
+        view = self.photo_parameters.at_refined_pose(sized.view, index)
+        gain = self.photo_parameters.gain_of(index)
+        background = self.background_before_gain(self.background, gain)
+        drawn = self._draw(view, background, inverse_depth=True)
         assert drawn.inverse_depth is not None
-        depth, alpha = drawn.inverse_depth, drawn.alpha
-        return fit, residual_of(
-            view, render, target, weights, inverse_depth=depth, alpha=alpha, threads=threads
+        mode = self.photos.mask_mode
+        target, weights = target_picture(sized.image, sized.mask, mode, self.background)
+        return residual_of(
+            view,
+            PhotoExposure.of(gain).apply(drawn.rgb),
+            target,
+            weights,
+            inverse_depth=drawn.inverse_depth,
+            alpha=drawn.alpha,
+            threads=self.config.threads,
         )
 
     def inverse_depth(self, index: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Photo parameters: gains, poses and blurs of each photo, found together with the splats."""
+"""Photo parameters: gains, poses, blurs and transients of each photo, found with the splats."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ they adapt to the final poses."""
 
 @dataclass(eq=False)
 class PhotoParameters:
-    """Gains, poses and blurs of the photos, each optional, with their updates."""
+    """Gains, poses, blurs and transients of the photos, each optional, with their updates."""
 
     config: TrainConfig
     """The options."""

@@ -15,11 +15,12 @@ import numpy as np
 import torch
 
 from ...camera_neighbours import LARGEST_TURN
+from ...datasets.resolution import scale_intrinsics
 from ...io.images.read_image import resize_map
 from ...raster.blur import blur_image
 from ...raster.request import Frustum
 
-_SIDE = 160
+MOST_CELLS = 160
 """Longer side of the maps and masks, cells."""
 _SMOOTH = 2.7
 """Standard deviation of the Gaussian that smooths differences, cells: fine detail that the model
@@ -56,14 +57,17 @@ class Residual(NamedTuple):
     """[h, w] float32, largest of the channels, smoothed; 0 where a mask hides the photo."""
     inverse_depth: np.ndarray
     """[h, w] float32, 1/training unit; 0 where the render is not opaque."""
+    known: np.ndarray
+    """[h, w] bool: cells that a mask of the capture does not hide."""
 
 
 def cells_of(width: int, height: int) -> tuple[int, int]:
     """Columns and rows of the maps of a photo."""
-    scale = min(_SIDE / max(width, height), 1.0)
+    scale = min(MOST_CELLS / max(width, height), 1.0)
     return max(round(width * scale), 1), max(round(height * scale), 1)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of renders that are not finite
 def residual_of(
     view: Frustum,
     render: np.ndarray,
@@ -97,13 +101,16 @@ def residual_of(
     opacity = alpha[np.ix_(rows, columns)]
     depth = inverse_depth[np.ix_(rows, columns)] / np.maximum(opacity, 0.5)
     depth[opacity < 0.5] = 0
-    scale = np.array([[width / view.width], [height / view.height], [1]])
-    K = np.asarray(view.K, np.float64) * scale
+    known = np.ones((height, width), bool)
+    if mask is not None:
+        known = mask[np.ix_(rows, columns)] > 0
+    K = scale_intrinsics(np.asarray(view.K), (view.width, view.height), (width, height))
     viewmat = np.asarray(view.viewmat, np.float64)
     return Residual(
         Frustum(viewmat, K, width, height, near=view.near),
         np.abs(smooth.numpy()).max(axis=-1),
         np.nan_to_num(depth.astype(np.float32), posinf=0, neginf=0),
+        known,
     )
 
 
@@ -120,22 +127,24 @@ def find_transients(residuals: Mapping[int, Residual]) -> dict[int, np.ndarray]:
     rotations = np.array([np.asarray(view.viewmat)[:3, :3] for view in views])
     moves = np.array([np.asarray(view.viewmat)[:3, 3] for view in views])
     places, looks = -np.einsum("vji,vj->vi", rotations, moves), rotations[:, 2]
-    order, found = list(residuals), {}
-    differences = np.concatenate([one.difference.ravel() for one in residuals.values()])
-    limit = max(_DIFFERENT, _OFTEN * float(np.quantile(differences, _COMMON)))
+    photos, found = list(residuals), {}
+    differences = np.concatenate([one.difference[one.known] for one in residuals.values()])
+    common = float(np.quantile(differences, _COMMON)) if len(differences) else 0.0
+    limit = max(_DIFFERENT, _OFTEN * common)
     for k, (index, one) in enumerate(residuals.items()):
         cosines = (looks * looks[k]).sum(axis=1)
         far = np.sqrt(((places - places[k]) ** 2).sum(axis=1)) * (3 - 2 * cosines)
         far[(cosines < LARGEST_TURN) | (np.arange(len(far)) == k)] = np.inf
-        near = [int(i) for i in np.argsort(far, kind="stable")[:_NEAREST] if far[i] < np.inf]
-        mask = _found(one, [residuals[order[i]] for i in near], limit)
+        order = np.lexsort((-cosines, far))  # at one place by direction
+        near = [int(i) for i in order[:_NEAREST] if far[i] < np.inf]
+        mask = _found(one, [residuals[photos[i]] for i in near], limit)
         if mask is not None:
             found[index] = mask
     return found
 
 
 def _found(one: Residual, others: Sequence[Residual], limit: float) -> np.ndarray | None:
-    """Cells of a photo that only it shows, by the least difference; None: there are none."""
+    """Cells of a photo that only it shows, where differences exceed a limit; None: none."""
     cells = np.flatnonzero(one.difference > _LOWER * limit)
     if len(others) < _OTHERS or not len(cells):
         return None
@@ -152,7 +161,8 @@ def _found(one: Residual, others: Sequence[Residual], limit: float) -> np.ndarra
             found |= connected
     for _ in range(_WIDER):
         found = _widened(found)
-    return found if 0 < found.mean() <= _LARGEST else None
+    found &= one.known
+    return found if 0 < found.sum() <= _LARGEST * one.known.sum() else None
 
 
 def _usual(

@@ -4,11 +4,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ...config import TrainConfig
 from ...events import Decision
 from ...quoting import first_few
 from ...text_format import count_text
+from ..analysis.analysis import Analysis
 from ..model.checkpoint_schema import as_int
-from .transient_search import Residual, find_transients, nearest_cells
+from .transient_search import MOST_CELLS, Residual, find_transients, nearest_cells
 
 _NAME = "transient"
 """Prefix of the arrays in checkpoints."""
@@ -25,7 +27,8 @@ class Transients:
         """Create no masks of views `train`."""
         self.train = list(train)
         self._masks: dict[int, np.ndarray] = {}
-        self._last = 0
+        self._packed = np.zeros(0, np.uint8)
+        self.step = 0
         """Step after which the transients were found; 0: they were not."""
 
     @property
@@ -33,27 +36,23 @@ class Transients:
         """Masked share of each photo that has transients."""
         return {index: float(mask.mean()) for index, mask in self._masks.items()}
 
-    @property
-    def version(self) -> int:
-        """Another number for other masks."""
-        return self._last
-
     def of(self, index: int, width: int, height: int) -> np.ndarray | None:
         """Mask of photo `index` at a size, [height, width] uint8, 0: masked; None: none."""
         mask = self._masks.get(index)
         if mask is None:
             return None
+        shown = np.where(mask, np.uint8(0), np.uint8(255))
         rows, columns = nearest_cells(height, mask.shape[0]), nearest_cells(width, mask.shape[1])
-        return np.where(mask[np.ix_(rows, columns)], np.uint8(0), np.uint8(255))
+        return np.ascontiguousarray(shown[:, columns][rows])
 
     def due(self, planned: Sequence[int], step: int) -> bool:
         """Return whether to measure the photos after `step`, by the steps planned for that."""
-        is_planned = any(self._last < one <= step for one in planned)
+        is_planned = any(self.step < one <= step for one in planned)
         return len(self.train) >= _FEWEST and is_planned
 
     def note(self, residuals: Mapping[int, Residual], step: int) -> None:
         """Replace the masks by those found in the residuals after `step`."""
-        self._masks, self._last = find_transients(residuals), step
+        self._use(find_transients(residuals), step)
 
     def decision(self, names: Sequence[str]) -> Decision | None:
         """Sentences on the photos that are masked; None: there are none."""
@@ -71,16 +70,20 @@ class Transients:
         )
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """State by name; no copies."""
-        if not self._last:
+        """State by name."""
+        if not self.step:
             return {}
-        packed = [np.packbits(mask) for mask in self._masks.values()]
         photos = [(index, *mask.shape) for index, mask in self._masks.items()]
         return {
-            f"{_NAME}/step": np.array([self._last], np.int64),
+            f"{_NAME}/step": np.array([self.step], np.int64),
             f"{_NAME}/photos": np.array(photos, np.int64).reshape(-1, 3),
-            f"{_NAME}/masks": np.concatenate(packed) if packed else np.zeros(0, np.uint8),
+            f"{_NAME}/masks": self._packed,
         }
+
+    def _use(self, masks: dict[int, np.ndarray], step: int) -> None:
+        self._masks, self.step = masks, step
+        packed = [np.packbits(mask) for mask in masks.values()]
+        self._packed = np.concatenate(packed) if packed else np.zeros(0, np.uint8)
 
     def restore(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Restore the state that `arrays` returned.
@@ -88,17 +91,30 @@ class Transients:
         Raises:
             ValueError, KeyError: the arrays are invalid.
         """
-        self._masks, self._last = {}, 0
+        self._use({}, 0)
         if f"{_NAME}/step" not in arrays:
             return
-        (last,), photos = arrays[f"{_NAME}/step"].tolist(), arrays[f"{_NAME}/photos"].tolist()
+        step, photos = arrays[f"{_NAME}/step"], arrays[f"{_NAME}/photos"]
         packed, masks, at = arrays[f"{_NAME}/masks"], {}, 0
-        if not {index for index, _, _ in photos} <= set(self.train):
-            raise ValueError(f"{_NAME}/photos are not training photos")
-        for index, height, width in photos:
+        shapes = step.shape, photos.shape[1:], packed.ndim
+        if shapes != ((1,), (3,), 1) or packed.dtype != np.uint8 or photos.dtype != np.int64:
+            raise ValueError(f"{_NAME}/ has arrays of other shapes")
+        for index, height, width in photos.tolist():
+            sizes = 1 <= height <= MOST_CELLS and 1 <= width <= MOST_CELLS
+            if index not in self.train or index in masks or not sizes:
+                raise ValueError(f"{_NAME}/photos has another photo or size: {index}")
             count = -(-width * height // 8)
             bits = np.unpackbits(packed[at : at + count], count=width * height)
             masks[index], at = bits.reshape(height, width).astype(bool), at + count
         if at != len(packed):
             raise ValueError(f"{_NAME}/masks has {len(packed)} bytes, expected {at}")
-        self._masks, self._last = masks, as_int(f"{_NAME}/step", last, low=1)
+        self._use(masks, as_int(f"{_NAME}/step", step.tolist()[0], low=1))
+
+
+def may_mask_transients(config: TrainConfig, analysis: Analysis) -> bool:
+    """Return whether a training may mask transients: of whole scenes from their points. Depth maps
+    and guide meshes would be used where a photo is masked."""
+    is_whole = not analysis.is_part and config.start_splats is None
+    is_opaque = analysis.photos.mask_mode != "composite"
+    by_photos = analysis.depth is None and analysis.guide.surface is None
+    return config.transient_masks and is_whole and is_opaque and by_photos
