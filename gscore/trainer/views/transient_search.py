@@ -46,6 +46,11 @@ _WIDER = 2
 """Cells by which what is found grows, as smoothing narrows it."""
 _NEAR_EDGE = 4
 """Cells around an edge of depth that do not tell transients."""
+_HIGHLIGHT = 0.6
+"""Smoothed darkest channel from which a cell brighter than its render may be a highlight."""
+_MANY, _SMALL = 0.25, 0.03
+"""Share of the photos above which parts with a median below this share of a photo are no
+transients: surfaces shine in most photos, each time elsewhere."""
 
 
 class Residual(NamedTuple):
@@ -59,6 +64,8 @@ class Residual(NamedTuple):
     """[h, w] float32, 1/training unit; 0 where the render is not opaque."""
     known: np.ndarray
     """[h, w] bool: cells that a mask of the capture does not hide."""
+    highlight: np.ndarray
+    """[h, w] bool: bright cells that are brighter than the render in all channels."""
 
 
 def cells_of(width: int, height: int) -> tuple[int, int]:
@@ -94,8 +101,14 @@ def residual_of(
     if mask is not None:
         difference *= mask[..., None] / np.float32(255)
     difference = np.nan_to_num(difference, posinf=0, neginf=0)
-    small = np.stack([resize_map(difference[..., c], width, height) for c in range(3)], axis=-1)
-    smooth = blur_image(torch.from_numpy(small), (_SMOOTH**2, 0, _SMOOTH**2), threads=threads)
+
+    def smooth(picture: np.ndarray) -> np.ndarray:
+        small = np.stack([resize_map(picture[..., c], width, height) for c in range(3)], axis=-1)
+        covariance = _SMOOTH**2, 0, _SMOOTH**2
+        small = small.astype(np.float32, copy=False)
+        return blur_image(torch.from_numpy(small), covariance, threads=threads).numpy()
+
+    difference, bright = smooth(difference), smooth(photo).min(axis=-1) > _HIGHLIGHT
     # Depths of edges must not be averaged.
     rows, columns = (nearest_cells(a, b) for a, b in ((height, view.height), (width, view.width)))
     opacity = alpha[np.ix_(rows, columns)]
@@ -108,9 +121,10 @@ def residual_of(
     viewmat = np.asarray(view.viewmat, np.float64)
     return Residual(
         Frustum(viewmat, K, width, height, near=view.near),
-        np.abs(smooth.numpy()).max(axis=-1),
+        np.abs(difference).max(axis=-1),
         np.nan_to_num(depth.astype(np.float32), posinf=0, neginf=0),
         known,
+        bright & (difference < 0).all(axis=-1),
     )
 
 
@@ -140,6 +154,9 @@ def find_transients(residuals: Mapping[int, Residual]) -> dict[int, np.ndarray]:
         mask = _found(one, [residuals[photos[i]] for i in near], limit)
         if mask is not None:
             found[index] = mask
+    shares = [mask.mean() for mask in found.values()]
+    if len(found) > _MANY * len(photos) and np.median(shares) < _SMALL:
+        return {}
     return found
 
 
@@ -154,7 +171,7 @@ def _found(one: Residual, others: Sequence[Residual], limit: float) -> np.ndarra
     known = count >= _OTHERS
     part.ravel()[cells] = (own > _LOWER_TIMES * usual) & known
     seed.ravel()[cells] = (own > np.maximum(limit, _TIMES * usual)) & known
-    seed &= part & ~_edges(one.inverse_depth)
+    seed &= part & ~one.highlight & ~_edges(one.inverse_depth)
     found = np.zeros(shape, bool)
     for connected in _parts(_connected(seed, part)):
         if connected.sum() >= _SMALLEST * connected.size:

@@ -53,6 +53,7 @@ def wall(*, count: int = 10) -> dict[int, Residual]:
             np.full(SIZE[::-1], 0.02, np.float32),
             np.full(SIZE[::-1], 0.25, np.float32),
             np.ones(SIZE[::-1], bool),
+            np.zeros(SIZE[::-1], bool),
         )
         for i in range(count)
     }
@@ -140,6 +141,22 @@ def test_differences_must_exceed_those_of_others() -> None:
         assert (6 in find_transients(views)) == is_found, rows
 
 
+def test_highlights_are_not_found() -> None:
+    """Oracle: a bright spot that is brighter than its render, and one that is darker; small spots
+    that wander over the wall with the camera, and larger ones."""
+    block = np.s_[10:20, 20:30]
+    views = wall()
+    views[6].difference[block], views[6].highlight[block] = 0.3, True
+    assert find_transients(views) == {}
+    views[6].highlight[15, 25] = False
+    assert find_transients(views)[6][block].all()
+    for size, count in ((3, 0), (14, 10)):
+        views = wall()
+        for one in views.values():
+            one.difference[10 : 10 + size, 20 : 20 + size] = 0.3
+        assert len(find_transients(views)) == count
+
+
 def test_masks_of_the_capture_do_not_count() -> None:
     """Oracle: what they hide is in no quantile and no share, and is not masked again."""
     views = wall()
@@ -178,6 +195,10 @@ def test_a_residual_is_smooth_and_respects_masks() -> None:
     mask[:, :240] = 0
     found = residual_of(frustum, photo.astype(np.float32) + 0.2, photo, mask, **given).difference
     assert found[30:-30, 100:-20] == pytest.approx(0.2, abs=1e-4) and found[:, :60].max() < 1e-3
+    for own, is_highlight in ((0.9, True), (0.5, False), (0.2, False)):
+        bright = np.full((320, 480, 3), own)
+        found = residual_of(frustum, photo.astype(np.float32), bright, None, **given)
+        assert (found.highlight[30:-30, 30:-30] == is_highlight).all(), own
     broken = np.full((320, 480, 3), np.nan, np.float32)
     assert not residual_of(frustum, broken, photo, None, **given).difference.any()
 
