@@ -477,8 +477,8 @@ class TrainConfig:
     )
     transient_masks: bool = _colour_option(
         True,
-        "Transient masks: leave out what only one photo shows, such as people, cars and the "
-        "photographer's shadow. From 8 photos on, with one process.",
+        "Transient masks: leave out parts of photos that others contradict (transients): people, "
+        "cars, the photographer's shadow. From 8 photos on, with one process.",
     )
     drop_rate: float = _loss_option(
         0.0,

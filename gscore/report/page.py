@@ -329,7 +329,8 @@ def blurs_html(blurs: Mapping[str, float]) -> str:
     return (
         '<section id="blurs"><h2>Blurred photos</h2><p class="hint">More blurred than the others '
         "by a Gaussian of this standard deviation along its longer axis. Renders of them are "
-        f"blurred alike while training, so that splats stay sharp.{more}</p>"
+        "blurred alike while training, so that splats stay sharp; `--no-photo-blur` compares sharp "
+        f"ones.{more}</p>"
         f"{photo_table(('blur, px',), rows)}</section>\n"
     )
 

@@ -44,6 +44,7 @@ def transients_html(shares: Mapping[str, float], masked: Sequence[MaskedPhoto]) 
     """
     rows = {name: (share, f"{100 * share:.1f} %") for name, share in shares.items()}
     more = f" Largest {MOST_ROWS} of {len(shares)}." if len(shares) > MOST_ROWS else ""
+    red = " They are red in the pictures of the largest." if masked else ""
     figures = "".join(
         f'<figure><img loading="lazy" width="{one.width}" height="{one.height}" src="{one.uri}" '
         f'alt="{html.escape(one.name)}, transients in red">'
@@ -51,9 +52,9 @@ def transients_html(shares: Mapping[str, float], masked: Sequence[MaskedPhoto]) 
         for one in masked
     )
     return (
-        '<section id="transients"><h2>Transients</h2><p class="hint">Parts of photos that show '
-        "what others do not show there, such as people, cars and shadows. The training left them "
-        f"out, red in the pictures.{more}</p>"
+        '<section id="transients"><h2>Transients</h2><p class="hint">Parts of photos that other '
+        "photos contradict, such as people, cars and shadows. The training left them out; "
+        f"`--no-transient-masks` trains on them.{red}{more}</p>"
         + (f'<div class="five">{figures}</div>' if figures else "")
-        + f"{photo_table(('of the photo',), rows)}</section>\n"
+        + f"{photo_table(('left out',), rows)}</section>\n"
     )

@@ -61,12 +61,12 @@ class Transients:
             return None
         order = sorted(shares, key=shares.__getitem__, reverse=True)
         named = first_few([names[i] for i in order], _NAMED)
-        show = count_text(len(shares), "training photo shows", "training photos show")
+        have = count_text(len(shares), "training photo has", "training photos have")
         return Decision(
             "transients",
-            f"{show} what others do not show there, such as people or shadows, in up to "
-            f"{100 * shares[order[0]]:.0f} % of a photo: {named}. These parts are left out. "
-            "`--no-transient-masks` trains on them.",
+            f"{have} parts that other photos contradict (people, cars, shadows), up to "
+            f"{100 * shares[order[0]]:.0f} % of a photo: {named}. These parts are left out, and "
+            "the report shows them. `--no-transient-masks` trains on them.",
         )
 
     def arrays(self) -> dict[str, np.ndarray]:

@@ -220,8 +220,8 @@ def test_masks_fit_any_size() -> None:
     names = [f"{i}.jpg" for i in range(20)]
     decision = masks.decision(names)
     assert decision is not None
-    assert decision.text.startswith("1 training photo shows what others do not show there")
-    assert f"{100 * share:.0f} % of a photo: 6.jpg." in decision.text
+    assert decision.text.startswith("1 training photo has parts that other photos contradict")
+    assert f"up to {100 * share:.0f} % of a photo: 6.jpg." in decision.text
 
 
 def test_transients_are_measured_as_planned() -> None:
