@@ -205,7 +205,7 @@ class Feature(StrEnum):
     PICTURE_TERMS = "losses of depth maps and guide meshes (`--depths`, `--guide-surface`)"
     FROZEN = "frozen splats around a region (`--region`)"
     ANOMALIES = "the search for the first number that is not finite (`--detect-anomaly`)"
-    MASKS = "masks (`--mask-mode none --no-transient-masks`)"
+    MASKS = "masks (`--mask-mode none`, `--no-transient-masks`)"
     DROPOUT = "dropout of splats (`--set drop_rate=0`)"
     NOISE = "noise and regularisers of splats (`--strategy mcmc`)"
     GAINS = "exposure gains of photos (`--exposure off`)"

@@ -38,7 +38,7 @@ from .views.model_renderer import ModelRenderer
 from .views.photo_blurs import PhotoBlurs
 from .views.photo_gains import HeldOutGains
 from .views.photo_parameters import PhotoParameters, initial_poses
-from .views.transients import Transients, may_mask_transients
+from .views.transients import Transients
 
 
 class Trainer:
@@ -94,7 +94,7 @@ class Trainer:
         blurs = transients = None
         if config.photo_blur and self.group is None:
             blurs = PhotoBlurs(photos.train, np.maximum(given.widths, given.heights))
-        if self.group is None and may_mask_transients(config, analysis):
+        if self.group is None and _may_mask_transients(config, analysis):
             transients = Transients(photos.train)
         self.photo_parameters = PhotoParameters(
             config, analysis.gains, poses, blurs, transients, held_out
@@ -437,3 +437,12 @@ class Trainer:
         for step, index, slopes in self._queue.slopes_until(until):
             done = step / self.plan.iterations
             self.photo_parameters.learn([index], slopes[None], done=done, factor=factor)
+
+
+def _may_mask_transients(config: TrainConfig, analysis: Analysis) -> bool:
+    """Return whether a training may mask transients: of whole scenes from their points. Depth maps
+    and guide meshes would be used where a photo is masked."""
+    is_whole = not analysis.is_part and config.start_splats is None
+    is_opaque = analysis.photos.mask_mode != "composite"
+    by_photos = analysis.depth is None and analysis.guide.surface is None
+    return config.transient_masks and is_whole and is_opaque and by_photos

@@ -48,7 +48,7 @@ LACKS: list[tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = [
     (NONE, {"surface_weight": 1.0}, {}, r"`--surface-weight`"),
     (NONE, {"prune_share": 0.2}, {}, "pruning by contribution"),
     (NONE, {"photo_blur": True}, {}, r"blur of photos \(`--no-photo-blur`\)"),
-    (NONE, {"transient_masks": True}, {}, r"masks \(`--mask-mode none --no-transient-masks`\)"),
+    (NONE, {"transient_masks": True}, {}, r"masks \(`--mask-mode none`, `--no-transient-masks`\)"),
     ({"skips": frozenset()}, {"without": (Skip.ZERO_TILE,)}, {}, "skip zero-tile"),
 ]
 

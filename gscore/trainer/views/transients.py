@@ -4,11 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ...config import TrainConfig
 from ...events import Decision
 from ...quoting import first_few
 from ...text_format import count_text
-from ..analysis.analysis import Analysis
 from ..model.checkpoint_schema import as_int
 from .transient_search import MOST_CELLS, Residual, find_transients, nearest_cells
 
@@ -109,12 +107,3 @@ class Transients:
         if at != len(packed):
             raise ValueError(f"{_NAME}/masks has {len(packed)} bytes, expected {at}")
         self._use(masks, as_int(f"{_NAME}/step", step.tolist()[0], low=1))
-
-
-def may_mask_transients(config: TrainConfig, analysis: Analysis) -> bool:
-    """Return whether a training may mask transients: of whole scenes from their points. Depth maps
-    and guide meshes would be used where a photo is masked."""
-    is_whole = not analysis.is_part and config.start_splats is None
-    is_opaque = analysis.photos.mask_mode != "composite"
-    by_photos = analysis.depth is None and analysis.guide.surface is None
-    return config.transient_masks and is_whole and is_opaque and by_photos

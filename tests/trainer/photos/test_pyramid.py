@@ -70,4 +70,4 @@ def test_tiles_that_a_mask_hides_are_left_out_where_it_says_ignore(
             found = pyramid.at(0, factor)
             assert (None if found.tiles is None else found.tiles.tolist()) == tiles
             assert abs(found.counted - share) < 1e-6
-            assert pyramid.at(1, factor)[3:] == (None, 1.0)
+            assert pyramid.at(1, factor)[3:] == (None, 1.0, 0)
