@@ -44,9 +44,11 @@ class Transients:
         return np.ascontiguousarray(shown[:, columns][rows])
 
     def due(self, planned: Sequence[int], step: int) -> bool:
-        """Return whether to measure the photos after `step`, by the steps planned for that."""
+        """Return whether to measure the photos after `step`, by the steps planned for that: the
+        later ones only if there are transients."""
         is_planned = any(self.step < one <= step for one in planned)
-        return len(self.train) >= _FEWEST and is_planned
+        may_be = bool(self._masks) or self.step < planned[1]
+        return len(self.train) >= _FEWEST and is_planned and may_be
 
     def note(self, residuals: Mapping[int, Residual], step: int) -> None:
         """Replace the masks by those found in the residuals after `step`."""

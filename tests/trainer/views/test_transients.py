@@ -225,12 +225,18 @@ def test_masks_fit_any_size() -> None:
 
 
 def test_transients_are_measured_as_planned() -> None:
-    """Oracle: the planned steps; none with few photos."""
+    """Oracle: the planned steps; the third only if the second found any; none with few photos."""
     masks, planned = Transients(range(0, 20, 2)), [10, 20, 30]
     assert not masks.due(planned, 9) and masks.due(planned, 10)
     masks.note(wall(), 10)
     assert masks.decision(["a"] * 20) is None
     assert not masks.due(planned, 19) and masks.due(planned, 21)
+    masks.note(wall(), 21)
+    assert not masks.due(planned, 30)
+    views = wall()
+    views[6].difference[10:20, 20:30] = 0.3
+    masks.note(views, 21)
+    assert masks.due(planned, 30)
     assert not Transients(range(7)).due(planned, 10)
 
 
