@@ -99,8 +99,9 @@ def report_html(report: Report) -> str:
 
 def _decisions(report: Report) -> str:
     """Decisions of the run, without those that have a section of their own."""
-    sections = {"depth": report.depth, "poses": report.metrics.get("poses")}
-    sections |= {
+    sections = {
+        "depth": report.depth,
+        "poses": report.metrics.get("poses"),
         "blur": report.metrics.get("blurs"),
         "transients": report.metrics.get("transients"),
     }

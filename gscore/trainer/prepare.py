@@ -134,9 +134,8 @@ class Prepared:
             self.sky,
         ]
         found += [rule.decision for rule in rules]
-        blurs, names = self.trainer.photo_parameters.blurs, self.trainer.photos.scene.cameras.names
-        transients = self.trainer.photo_parameters.transients
-        found += [blurs and blurs.decision(names), transients and transients.decision(names)]
+        names = self.trainer.photos.scene.cameras.names
+        found += self.trainer.photo_parameters.decisions(names)
         by_topic = {one.topic: one for one in found if one is not None}
         by_topic |= {one.topic: one for one in earlier if one.topic in _KEPT}
         return [by_topic[topic] for topic in TOPICS if topic in by_topic]

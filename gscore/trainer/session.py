@@ -441,9 +441,8 @@ class Session:
                 "cleared",
             )
         names, blurs = trainer.photos.scene.cameras.names, trainer.photo_parameters.blurs
-        for found in (blurs, trainer.photo_parameters.transients):
-            if decision := found and found.decision(names):
-                self.warn(decision.text, decision.topic)
+        for decision in trainer.photo_parameters.decisions(names):
+            self.warn(decision.text, decision.topic)
         # Blurred photos have less detail and smaller errors: no measure for the sharp ones.
         blurred_photos = blurs.blurred if blurs else {}
         sharp = [index for index in trainer.photos.train if index not in blurred_photos]

@@ -283,19 +283,21 @@ class Trainer:
         the results of the steps before, which were read for it."""
         blurs, transients = self.photo_parameters.blurs, self.photo_parameters.transients
         planned, train = self.plan.compare_steps, self.sampler.indices
-        blur_due = blurs is not None and blurs.due(planned, self.steps)
-        transients_due = transients is not None and transients.due(planned, self.steps)
-        if not blur_due and not transients_due:
+        if blurs is not None and not blurs.due(planned, self.steps):
+            blurs = None
+        if transients is not None and not transients.due(planned, self.steps):
+            transients = None
+        if blurs is None and transients is None:
             return []
         results, renderer = self._read(0), self.renderer
         factor = min(self.view_batcher.factor, self.plan.factor_at(self.steps + 1))
-        if transients is not None and transients_due:  # first: a blur is that of what remains
+        if transients is not None:  # first: a blur is that of what remains
             residuals = {
                 index: renderer.residual(index, factor, upcoming=train[i + 1 :])
                 for i, index in enumerate(train)
             }
             transients.note(residuals, self.steps)
-        if blurs is not None and blur_due:
+        if blurs is not None:
             fits = {
                 index: renderer.photo_blur(index, factor, upcoming=train[i + 1 :])
                 for i, index in enumerate(train)

@@ -45,14 +45,13 @@ class KeptPhotos:
         it does not stay."""
         found = self._kept.get(key)
         has_mask = photo.mask is not None
-        is_sized = found is not None and found.size == photo.image.shape
-        if found and is_sized and (found.has_mask, found.version) == (has_mask, photo.version):
-            return found.handle, True
-        if found and is_sized:
+        if found and found.size != photo.image.shape:
+            self.free()
+        elif found and (found.has_mask, found.version) != (has_mask, photo.version):
             self._raster.wait_for_steps()
             self.forget(key)
         elif found:
-            self.free()
+            return found.handle, True
         nbytes = photo.image.nbytes + (0 if photo.mask is None else photo.mask.nbytes)
         used = sum(one.nbytes for one in self._kept.values())
         if used + nbytes > self.room:

@@ -150,8 +150,7 @@ class ModelRenderer:
         key = transients.step, found.view.width, found.view.height
         known, masked = self._masked.get(index, ((), found))
         if known == key:
-            parts = masked.mask, masked.tiles, masked.counted, masked.version
-            return SizedView(found.view, found.image, *parts)
+            return masked
         mask = transients.of(index, *key[1:])
         if mask is None:
             return found
@@ -170,7 +169,7 @@ class ModelRenderer:
     def picture(self, index: int, *, background: Color) -> np.ndarray:
         """Render view `index` with the photo's gain, if any, that of a held-out photo predicted:
         [H, W, 3] float32, a copy."""
-        return self._exposed(index, self.view(index), background).copy()
+        return self._exposed(index, self.view(index), background).rgb.copy()
 
     def aligned_picture(self, index: int, *, background: Color) -> np.ndarray:
         """Render view `index` at the pose that matches its photo best, [H, W, 3] float32, a copy;
@@ -189,7 +188,7 @@ class ModelRenderer:
             )
 
         pose = align_pose(gradient, sized.view, unit=self.frame.extent)
-        return self._exposed(index, replace(full, viewmat=pose), background).copy()
+        return self._exposed(index, replace(full, viewmat=pose), background).rgb.copy()
 
     def render_request(self, request: FrameRequest) -> np.ndarray:
         """Render a frame request of a viewer, [height, width, 3] float32."""
@@ -215,7 +214,7 @@ class ModelRenderer:
             sized = self.sized(index, factor)
             photo, mask = sized.photo(self.photos.mask_mode), sized.mask
             loss = image_loss(
-                torch.from_numpy(self._exposed(index, sized.view, background)),
+                torch.from_numpy(self._exposed(index, sized.view, background).rgb),
                 torch.from_numpy(photo.image),
                 mask=None if mask is None else torch.from_numpy(mask),
                 mask_mode="none" if mask is None else photo.mask_mode,
@@ -229,7 +228,7 @@ class ModelRenderer:
         """Measure the blur of photo `index`, its sides divided by `factor`, relative to the sharp
         render of its view, in squares of the photo's longer side; `upcoming`: see `sized`."""
         sized = self.sized(index, factor, upcoming=upcoming)
-        render, view = self._exposed(index, sized.view, self.background), sized.view
+        render, view = self._exposed(index, sized.view, self.background).rgb, sized.view
         mode = sized.photo(self.photos.mask_mode).mask_mode
         target, weights = target_picture(sized.image, sized.mask, mode, self.background)
         fit = fit_blur(render, target, weights, threads=self.config.threads)
@@ -240,15 +239,13 @@ class ModelRenderer:
         was masked as transient counts too. `upcoming`: see `sized`."""
         sized = self.pyramid.at(index, factor, upcoming=upcoming)
         view = self.photo_parameters.at_refined_pose(sized.view, index)
-        gain = self.photo_parameters.gain_of(index)
-        background = self.background_before_gain(self.background, gain)
-        drawn = self._draw(view, background, inverse_depth=True)
+        drawn = self._exposed(index, view, self.background, inverse_depth=True)
         assert drawn.inverse_depth is not None
         mode = self.photos.mask_mode
         target, weights = target_picture(sized.image, sized.mask, mode, self.background)
         return residual_of(
             view,
-            PhotoExposure.of(gain).apply(drawn.rgb),
+            drawn.rgb,
             target,
             weights,
             inverse_depth=drawn.inverse_depth,
@@ -264,11 +261,14 @@ class ModelRenderer:
         scale = np.float32(self.frame.similarity.scale)
         return found.inverse_depth * scale, found.alpha.copy()
 
-    def _exposed(self, index: int, view: Frustum, background: Color) -> np.ndarray:
+    def _exposed(
+        self, index: int, view: Frustum, background: Color, *, inverse_depth: bool = False
+    ) -> DrawnPicture:
         """Render `view`, the view of photo `index` at any size, with the photo's gain."""
         gain = self.photo_parameters.gain_of(index)
-        picture = self._draw(view, self.background_before_gain(background, gain)).rgb
-        return PhotoExposure.of(gain).apply(picture)
+        behind = self.background_before_gain(background, gain)
+        drawn = self._draw(view, behind, inverse_depth=inverse_depth)
+        return drawn._replace(rgb=PhotoExposure.of(gain).apply(drawn.rgb))
 
     def _draw(
         self,

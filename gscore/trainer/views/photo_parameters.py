@@ -7,6 +7,7 @@ import numpy as np
 
 from ...config import TrainConfig
 from ...engine.base import Color
+from ...events import Decision
 from ...raster.request import Frustum
 from ..model.training_frame import TrainingFrame
 from .photo_adam import rate_at
@@ -49,6 +50,11 @@ class PhotoParameters:
         """Covariance xx, xy, yy, px^2, of the blur of photo `index` at the size of `view`; None:
         none."""
         return None if self.blurs is None else self.blurs.of(index, max(view.width, view.height))
+
+    def decisions(self, names: Sequence[str]) -> list[Decision]:
+        """What was found in the photos while training."""
+        found = [one.decision(names) for one in (self.blurs, self.transients) if one is not None]
+        return [one for one in found if one is not None]
 
     def all_gains(self) -> np.ndarray | None:
         """Gains of all photos, [V, 3] float64, those of held-out ones predicted; None: no gains."""
