@@ -52,7 +52,7 @@ class PhotoParameters:
         return None if self.blurs is None else self.blurs.of(index, max(view.width, view.height))
 
     def decisions(self, names: Sequence[str]) -> list[Decision]:
-        """What was found in the photos while training."""
+        """Decisions on the photos that were found while training."""
         found = [one.decision(names) for one in (self.blurs, self.transients) if one is not None]
         return [one for one in found if one is not None]
 

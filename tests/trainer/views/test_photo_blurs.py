@@ -13,14 +13,13 @@ from gscore.datasets import load_dataset
 from gscore.shared_constants import BLUR_MAX
 from gscore.stress.capture import ToyPhotos
 from gscore.trainer.analysis.analysis import Analysis
-from gscore.trainer.files import checkpoint
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.files.run_outputs import RunOutputs
 from gscore.trainer.schedule.plan import Plan
 from gscore.trainer.trainer import Trainer
 from gscore.trainer.views import photo_blurs
 from gscore.trainer.views.photo_blurs import BlurFit, PhotoBlurs, fit_blur
-from tests.trainer.trainer_bits import bits
+from tests.trainer.trainer_bits import compare_resumed
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "studio"
 
@@ -278,16 +277,5 @@ def test_resume_is_bit_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr(photo_blurs, name, -1.0)
     photos, config = studio(blurred_views=(4,)), TrainConfig(iterations=60, max_splats=2000)
     config = replace(config, coarse_factor=1.0)
-    whole, stops = Trainer(config, Analysis(photos=photos)), (11, 12, 13, 24, 30)
-    for step in range(1, 61):
-        whole.step()
-        if step in stops:
-            checkpoint.save(tmp_path / f"{step}.safetensors", whole, {})
+    whole = compare_resumed(config, photos, tmp_path, (11, 12, 13, 24, 30))
     assert whole.photo_parameters.blurs is not None and whole.photo_parameters.blurs.blurred
-    for stop in stops:
-        found = checkpoint.load(tmp_path / f"{stop}.safetensors")
-        resumed = Trainer(replace(config, threads=2), Analysis(photos=photos))
-        resumed.restore(found.trainer, found.tensors)
-        while resumed.steps < 60:
-            resumed.step()
-        assert bits(resumed) == bits(whole), f"resumed at step {stop}"

@@ -15,7 +15,6 @@ from gscore.sh import rgb_to_sh0
 from gscore.splats import Splats
 from gscore.stress.capture import ToyPhotos
 from gscore.trainer.analysis.analysis import Analysis
-from gscore.trainer.files import checkpoint
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.files.run_outputs import RunOutputs
 from gscore.trainer.trainer import Trainer
@@ -27,7 +26,7 @@ from gscore.trainer.views.transient_search import (
     residual_of,
 )
 from gscore.trainer.views.transients import Transients
-from tests.trainer.trainer_bits import bits
+from tests.trainer.trainer_bits import compare_resumed
 from tests.trainer.views.test_photo_blurs import studio
 
 SIZE = 60, 40
@@ -376,20 +375,9 @@ def test_resume_is_bit_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         monkeypatch.setattr(transient_search, name, value)
     photos = pasted(textured_wall(), (4, 9))
     config = TrainConfig(iterations=60, max_splats=2000, coarse_factor=1.0)
-    whole, stops = Trainer(config, Analysis(photos=photos)), (11, 12, 13, 24, 30)
-    for step in range(1, 61):
-        whole.step()
-        if step in stops:
-            checkpoint.save(tmp_path / f"{step}.safetensors", whole, {})
+    whole = compare_resumed(config, photos, tmp_path, (11, 12, 13, 24, 30))
     assert whole.photo_parameters.transients is not None
     assert whole.photo_parameters.transients.shares
-    for stop in stops:
-        found = checkpoint.load(tmp_path / f"{stop}.safetensors")
-        resumed = Trainer(replace(config, threads=2), Analysis(photos=photos))
-        resumed.restore(found.trainer, found.tensors)
-        while resumed.steps < 60:
-            resumed.step()
-        assert bits(resumed) == bits(whole), f"resumed at step {stop}"
 
 
 def test_masks_of_the_capture_stay() -> None:
