@@ -148,9 +148,12 @@ class Session:
                 self._run_control_commands()
                 continue
             with self._checkpoint_on_error():
-                self._observe(trainer.advance)
+                if took := self._compared_photos():
+                    self._observe(trainer.advance)
             if self._has_diverged:
                 self._rescue()
+                continue
+            if not took:
                 continue
             with self._checkpoint_on_error():
                 self._steer()
@@ -160,6 +163,24 @@ class Session:
             self._serve_viewers(idle=True)
             time.sleep(_PAUSE)
         return result
+
+    def _compared_photos(self) -> bool:
+        """Compare the photos with the models if that is due; False: training was stopped, paused or
+        has diverged before the end, and no step may follow."""
+        trainer, control = self._trainer, self._control
+        if not trainer.compares_photos:
+            return True
+        self._observe(trainer.read_all)
+        if self._has_diverged:
+            return False
+        began = time.perf_counter()
+        for _ in trainer.compare_photos():
+            if control.stopping or control.paused:
+                return False
+            if self._meter.due():
+                self._emit(self._meter.progress(phase="comparing photos"))
+        self._meter.add(time.perf_counter() - began)
+        return True
 
     def _observe(self, read: Callable[[], list[StepResult]]) -> None:
         """Record the results that `read` returns, in their order; its time is theirs."""

@@ -1,6 +1,6 @@
 """Trainer: the training step and all state it depends on; no files, events or clock."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -26,6 +26,7 @@ from .photos.image_pyramid import ImagePyramid
 from .photos.view_sampler import ViewSampler, mixed
 from .schedule.plan import Plan
 from .step.model_set import ModelSet
+from .step.photo_comparison import PhotoComparison
 from .step.photo_errors import PhotoErrors
 from .step.step_edits import StepEdits
 from .step.step_queue import RequestedStep, StepQueue, StepStart
@@ -145,6 +146,9 @@ class Trainer:
             self.generator,
             group=self.group,
         )
+        self._comparison = PhotoComparison(
+            self.renderer, self.photo_parameters, self.sampler.indices
+        )
         self.pruner = start.pruner
         """Pruning in addition to that of the strategy."""
         self._edits = StepEdits(
@@ -253,11 +257,28 @@ class Trainer:
             self._queue.used = start.used
         return results
 
+    @property
+    def compares_photos(self) -> bool:
+        """True if photos are compared with the models before the next step."""
+        return self._comparison.due(self.plan.compare_steps, self.steps)
+
+    def compare_photos(self) -> Iterator[int]:
+        """Measure blur and transients of the photos; yields the number of compared photos after
+        each. To be called after `read_all`; nothing changes if it is not run to its end, and the
+        next step repeats it."""
+        factor = min(self.view_batcher.factor, self.plan.factor_at(self.steps + 1))
+        return self._comparison.run(self.plan.compare_steps, self.steps, factor)
+
     def _advance(self, count: int) -> list[StepResult]:
         """Take a step of `count` views, one of them on this rank."""
         step, timer = self.steps + count, StageTimer()
         self.stage_timer = timer
-        earlier = self._compare_photos()
+        earlier = []
+        if self.compares_photos:
+            earlier = self._read(0)
+            for _ in self.compare_photos():
+                pass
+            timer.lap("compare")
         self.models.widen_sh(self.plan.sh_degree_at(step))
         self._requesting, self._requested_models = self._start(), 0
         views = self._draw_views(step, count)
@@ -277,34 +298,6 @@ class Trainer:
             results[-1] = self._edited(results[-1])
         timer.lap("edit")
         return [*earlier, *results]
-
-    def _compare_photos(self) -> list[StepResult]:
-        """Measure blur and transients of photos with the current models, where that is due; returns
-        the results of the steps before, which were read for it."""
-        blurs, transients = self.photo_parameters.blurs, self.photo_parameters.transients
-        planned, train = self.plan.compare_steps, self.sampler.indices
-        if blurs is not None and not blurs.due(planned, self.steps):
-            blurs = None
-        if transients is not None and not transients.due(planned, self.steps):
-            transients = None
-        if blurs is None and transients is None:
-            return []
-        results, renderer = self._read(0), self.renderer
-        factor = min(self.view_batcher.factor, self.plan.factor_at(self.steps + 1))
-        if transients is not None:  # first: a blur is that of what remains
-            residuals = {
-                index: renderer.residual(index, factor, upcoming=train[i + 1 :])
-                for i, index in enumerate(train)
-            }
-            transients.note(residuals, self.steps)
-        if blurs is not None:
-            fits = {
-                index: renderer.photo_blur(index, factor, upcoming=train[i + 1 :])
-                for i, index in enumerate(train)
-            }
-            blurs.note(fits, self.steps)
-        self.stage_timer.lap("compare")
-        return results
 
     def _start(self) -> StepStart | None:
         """State before the next step; None: the engine reads each step at once."""

@@ -49,7 +49,9 @@ from gscore.trainer.files.checkpoint import load
 from gscore.trainer.files.run_folder import RunFolder
 from gscore.trainer.run import train
 from gscore.trainer.schedule import caps
+from gscore.trainer.stopping import progress_meter
 from gscore.trainer.trainer import Trainer
+from gscore.trainer.views import photo_blurs, transients
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
 
@@ -245,6 +247,32 @@ def test_a_run_in_two_parts_gives_the_same_file(capture: Path, tmp_path: Path) -
     wanted = [(entry["step"], entry["loss"], entry["psnr"]) for entry in rows]
     assert read_course(checkpoint) == wanted
     assert steps == list(range(1, 41))
+
+
+def test_a_comparison_of_photos_can_be_paused_and_stopped(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Oracle: the bytes of point_cloud.ply of an uninterrupted run."""
+    for module in (photo_blurs, transients):
+        monkeypatch.setattr(module, "_FEWEST", 2)
+    monkeypatch.setattr(progress_meter, "_EVENTS_PER_SECOND", 1e9)
+    data, control, phases = data_of(capture), Control(), []
+
+    def watch(event: Event) -> None:
+        if not isinstance(event, Progress) or event.phase not in ("comparing photos", "paused"):
+            return
+        phases.append((event.step, event.phase))
+        requests = {1: control.pause, 2: control.resume, 3: control.stop}
+        requests[len(phases)]()
+
+    first = train(CONFIG, data, tmp_path / "parts", watch, control)
+    due = CONFIG.iterations // 5
+    assert (first.reason, first.steps) == ("stopped", due)
+    assert phases == [(due, "comparing photos"), (due, "paused"), (due, "comparing photos")]
+    assert train(CONFIG, data, tmp_path / "parts", resume=True).reason == "finished"
+    train(CONFIG, data, tmp_path / "whole")
+    one, other = ((tmp_path / run / "point_cloud.ply").read_bytes() for run in ("parts", "whole"))
+    assert one == other
 
 
 def test_a_run_killed_before_its_report_writes_it_later(

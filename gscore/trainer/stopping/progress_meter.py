@@ -25,7 +25,7 @@ programs running, the last dozens of steps alone vary too much."""
 
 
 class ProgressMeter:
-    """Measures a run step by step; only time spent in steps counts."""
+    """Measures a run step by step; only time spent in steps and comparisons of photos counts."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class ProgressMeter:
         """
         self._cost = Cost(plan, cost)
         self.train_seconds = 0.0
-        """Seconds spent in steps, without evaluation, files and pauses."""
+        """Seconds in steps and comparisons of photos, without evaluation, files and pauses."""
         self.history: list[dict[str, Any]] = []
         """Fields of Progress and the divisor of the photos' sides, at about 500 evenly spaced
         steps; None for numbers that are not finite."""
@@ -108,6 +108,10 @@ class ProgressMeter:
                 self._fit_memory()
             row = finite(self._figures())
             self.history.append(row | {"photo_factor": photo_factor})
+
+    def add(self, seconds: float) -> None:
+        """Add the seconds of work between two steps, which is not part of the pace."""
+        self.train_seconds += seconds
 
     @property
     def psnr(self) -> float:

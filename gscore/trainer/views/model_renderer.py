@@ -241,13 +241,11 @@ class ModelRenderer:
         view = self.photo_parameters.at_refined_pose(sized.view, index)
         drawn = self._exposed(index, view, self.background, inverse_depth=True)
         assert drawn.inverse_depth is not None
-        mode = self.photos.mask_mode
-        target, weights = target_picture(sized.image, sized.mask, mode, self.background)
         return residual_of(
             view,
             drawn.rgb,
-            target,
-            weights,
+            sized.image,
+            sized.mask if self.photos.mask_mode == "ignore" else None,
             inverse_depth=drawn.inverse_depth,
             alpha=drawn.alpha,
             threads=self.config.threads,

@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch.nn.functional import adaptive_avg_pool2d
 
 from ...camera_neighbours import LARGEST_TURN
 from ...datasets.resolution import scale_intrinsics
-from ...io.images.read_image import resize_map
+from ...io.images.read_image import resize
 from ...raster.blur import blur_image
 from ...raster.request import Frustum
 
@@ -74,7 +75,6 @@ def cells_of(width: int, height: int) -> tuple[int, int]:
     return max(round(width * scale), 1), max(round(height * scale), 1)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # of renders that are not finite
 def residual_of(
     view: Frustum,
     render: np.ndarray,
@@ -90,25 +90,27 @@ def residual_of(
     Args:
         view: The view.
         render: [H, W, 3] float32.
-        photo: [H, W, 3] float, 0 to 1.
+        photo: [H, W, 3] uint8.
         mask: [H, W] uint8, weight of each pixel, 255 = 1; None: 1 everywhere.
         inverse_depth: [H, W] float32, sum of weight / z.
         alpha: [H, W] float32.
         threads: 0: all cores.
     """
     width, height = cells_of(view.width, view.height)
-    difference = (render - photo).astype(np.float32)
-    if mask is not None:
-        difference *= mask[..., None] / np.float32(255)
-    difference = np.nan_to_num(difference, posinf=0, neginf=0)
 
     def smooth(picture: np.ndarray) -> np.ndarray:
-        small = np.stack([resize_map(picture[..., c], width, height) for c in range(3)], axis=-1)
+        """[3, h, w]: reductions over short last axes are slow."""
         covariance = _SMOOTH**2, 0, _SMOOTH**2
-        small = small.astype(np.float32, copy=False)
-        return blur_image(torch.from_numpy(small), covariance, threads=threads).numpy()
+        blurred = blur_image(torch.from_numpy(picture), covariance, threads=threads)
+        return blurred.permute(2, 0, 1).contiguous().numpy()
 
-    difference, bright = smooth(difference), smooth(photo).min(axis=-1) > _HIGHLIGHT
+    if mask is not None:
+        weights = (mask * np.float32(1 / 255))[..., None]
+        render, photo = render * weights, np.rint(photo * weights).astype(np.uint8)
+    channels = torch.from_numpy(render).permute(2, 0, 1)
+    cells = adaptive_avg_pool2d(channels, (height, width)).permute(1, 2, 0).numpy()
+    own = smooth(resize(photo, width, height) * np.float32(1 / 255))
+    difference = np.nan_to_num(smooth(cells) - own, posinf=0, neginf=0)
     # Depths of edges must not be averaged.
     rows, columns = (nearest_cells(a, b) for a, b in ((height, view.height), (width, view.width)))
     opacity = alpha[np.ix_(rows, columns)]
@@ -121,10 +123,10 @@ def residual_of(
     viewmat = np.asarray(view.viewmat, np.float64)
     return Residual(
         Frustum(viewmat, K, width, height, near=view.near),
-        np.abs(difference).max(axis=-1),
-        np.nan_to_num(depth.astype(np.float32), posinf=0, neginf=0),
+        np.abs(difference).max(axis=0),
+        np.nan_to_num(depth, posinf=0, neginf=0),
         known,
-        bright & (difference < 0).all(axis=-1),
+        (own.min(axis=0) > _HIGHLIGHT) & (difference < 0).all(axis=0),
     )
 
 

@@ -177,8 +177,9 @@ def test_a_residual_is_smooth_and_respects_masks() -> None:
     """Oracle: fine stripes cancel out, a constant stays, masked pixels are 0; the depth of an
     opaque cell, none of another."""
     frustum = replace(view(0), width=480, height=320)
-    photo = np.full((320, 480, 3), 0.5)
-    stripes = (photo + 0.4 * (np.arange(480)[:, None] // 2 % 2 - 0.5)).astype(np.float32)
+    photo = np.full((320, 480, 3), 102, np.uint8)
+    grey = np.full((320, 480, 3), 0.4, np.float32)
+    stripes = grey + 0.4 * (np.arange(480, dtype=np.float32)[:, None] // 2 % 2 - 0.5)
     alpha = np.full((320, 480), 0.8, np.float32)
     alpha[:, :240] = 0.2
     given = {"inverse_depth": 0.25 * alpha, "alpha": alpha}
@@ -192,11 +193,11 @@ def test_a_residual_is_smooth_and_respects_masks() -> None:
     np.testing.assert_allclose(found.view.K[0], [20, 0, 10])
     mask = np.full((320, 480), 255, np.uint8)
     mask[:, :240] = 0
-    found = residual_of(frustum, photo.astype(np.float32) + 0.2, photo, mask, **given).difference
+    found = residual_of(frustum, grey + 0.2, photo, mask, **given).difference
     assert found[30:-30, 100:-20] == pytest.approx(0.2, abs=1e-4) and found[:, :60].max() < 1e-3
-    for own, is_highlight in ((0.9, True), (0.5, False), (0.2, False)):
-        bright = np.full((320, 480, 3), own)
-        found = residual_of(frustum, photo.astype(np.float32), bright, None, **given)
+    for own, is_highlight in ((230, True), (127, False), (51, False)):
+        bright = np.full((320, 480, 3), own, np.uint8)
+        found = residual_of(frustum, grey, bright, None, **given)
         assert (found.highlight[30:-30, 30:-30] == is_highlight).all(), own
     broken = np.full((320, 480, 3), np.nan, np.float32)
     assert not residual_of(frustum, broken, photo, None, **given).difference.any()
