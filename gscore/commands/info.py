@@ -137,7 +137,7 @@ def _run_facts(folder: Path) -> dict[str, Any]:
     facts: dict[str, Any] = {"kind": "run", "path": str(folder), "checkpoints": len(checkpoints)}
     metrics = read_metrics(folder)
     keys = ("psnr", "ssim", "lpips", "lpips_net", "split")
-    keys += ("steps", "train_seconds", "gscore", "models")
+    keys += ("steps", "train_seconds", "gscore", "models", "blurs", "transients")
     facts["metrics"] = None
     if metrics:
         facts["metrics"] = {key: metrics.get(key) for key in keys}
@@ -275,6 +275,8 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
             f"{count_text(metrics['steps'], 'step')} in {time_text(metrics['train_seconds'])}"
             f"{models}"
         )
+    if metrics and (found := _photos_text(metrics)):
+        lines.append(f"  {found}")
     count = facts["checkpoints"]
     if facts["in_training"]:
         by = f", by process {facts['process']}" if facts["process"] else ""
@@ -290,6 +292,13 @@ def _run_text(facts: dict[str, Any]) -> list[str]:
     if facts["model"] is None:
         return [*lines, "  no point_cloud.ply yet"]
     return lines + _splats_text(facts["model"])
+
+
+def _photos_text(metrics: dict[str, Any]) -> str:
+    """Photos that are trained on in part, or blurred; empty: none."""
+    kinds = (("transients", "with parts left out"), ("blurs", "blurred"))
+    found = [f"{len(metrics[key])} {words}" for key, words in kinds if metrics[key]]
+    return f"training photos: {', '.join(found)} (see report.html)" if found else ""
 
 
 def _sequence_text(facts: dict[str, Any]) -> list[str]:

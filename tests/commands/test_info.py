@@ -138,6 +138,18 @@ def test_run(gscore, run_folder, capture):
     assert code == 0 and "no point_cloud.ply yet" in out
 
 
+def test_photos_that_are_blurred_or_trained_in_part(gscore, run_folder):
+    """Oracle: the run's metrics.json, changed."""
+    folder = run_folder()
+    assert "training photos" not in gscore("info", folder)[1]
+    metrics = json.loads((folder / "metrics.json").read_text())
+    found = {"transients": {"a.jpg": 0.1, "b.jpg": 0.02}, "blurs": {"b.jpg": 3.5}}
+    (folder / "metrics.json").write_text(json.dumps(metrics | found))
+    assert "training photos: 2 with parts left out, 1 blurred (see" in gscore("info", folder)[1]
+    facts = json.loads(gscore("info", folder, "--json")[1])
+    assert {key: facts["metrics"][key] for key in found} == found
+
+
 def test_a_run_that_was_stopped(gscore, run_folder):
     """Oracle: the run's metrics.json, changed; a later checkpoint takes precedence."""
     folder = run_folder()
