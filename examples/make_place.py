@@ -1,4 +1,4 @@
-"""Make a capture with exact truth: a yard, a room or a village, rendered with Cycles.
+"""Make a capture with exact truth: a yard, a room, a village or a showroom, by Cycles.
 
 python examples/make_place.py yard -o out/yard --gains smooth
 

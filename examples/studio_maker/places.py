@@ -1,4 +1,5 @@
-"""Three places: a yard with trees and sky, a room with windows and lamps, a village from above."""
+"""Four places: a yard with trees and sky, a room with windows and lamps, a village from above, a
+showroom of things that shine."""
 
 from dataclasses import dataclass
 
@@ -99,7 +100,41 @@ def village(views, light, rng):
     return Place(_looks(eyes, aims, rng), 0.8)
 
 
-PLACES = {"yard": yard, "room": room, "village": village}
+def showroom(views, light, rng):
+    """Glossy and metal things on a polished floor, photographed from around them."""
+    floor = _mottled(1024, rng, ((0.3, 0.12, 0.08), (0.7, 0.62, 0.5), (0.12, 0.2, 0.3)))
+    _picture("floor", (0, 0, 0), (8, 8), floor, roughness=0.15)
+    red = material("lacquer", color=(0.6, 0.1, 0.1), in_mask=False, roughness=0.12)
+    brass = material("brass", color=(0.8, 0.6, 0.2), in_mask=False, roughness=0.25, metallic=0.9)
+    glazed = _textured("glazed", textures.blossoms(512, rng, 300), roughness=0.2)
+    polished = _textured("polished", textures.parquet(512, 1.5, rng), roughness=0.08)
+    for at, radius, surface in (((-0.9, 0), 0.6, red), ((0.7, 0.6), 0.5, glazed)):
+        bpy.ops.mesh.primitive_uv_sphere_add(radius=radius, location=(*at, radius), segments=64)
+        _shiny(surface)
+    bpy.ops.mesh.primitive_monkey_add(size=1, location=(0.5, -0.7, 0.55))
+    _shiny(brass)
+    _box("cabinet", (-0.4, 1.2, 0.4), (0.8, 0.8, 0.8), polished)
+    _sky(light, sun={"a": (0.7, 0.8), "b": (0.4, 3.6)}[light], strength=0.5)
+    for at, size, watts in (((3, -2, 4), 1, 300), ((-3, 2, 3.5), 0.7, 200), ((0, 4, 3), 1.5, 150)):
+        data = bpy.data.lights.new("lamp", "AREA")
+        data.size, data.energy = size, watts
+        lamp = bpy.data.objects.new("lamp", data)
+        lamp.location = at
+        lamp.rotation_euler = (-lamp.location).to_track_quat("-Z", "Y").to_euler()
+        lamp.visible_camera = False
+        bpy.context.scene.collection.objects.link(lamp)
+    turn = np.linspace(0, 6 * np.pi, views, endpoint=False)
+    r = 3.5 + 0.3 * np.sin(turn / 2)
+    eyes = np.stack([r * np.cos(turn), r * np.sin(turn), np.linspace(0.9, 2.7, views)], -1)
+    return Place(_looks(eyes, np.tile((0.0, 0.0, 0.4), (views, 1)), rng), 1.07)
+
+
+PLACES = {"yard": yard, "room": room, "village": village, "showroom": showroom}
+
+
+def _shiny(surface):
+    bpy.context.object.data.materials.append(surface)
+    bpy.ops.object.shade_smooth()
 
 
 def _looks(eyes, aims, rng):
@@ -112,14 +147,15 @@ def _mottled(n, rng, colors):
     return np.clip(textures.mix(colors, t) + rng.normal(0, 0.03, (n, n, 1)), 0, 1)
 
 
-def _textured(name, pixels):
-    return material(name, image=add_image(name, pixels), in_mask=False, roughness=0.8)
+def _textured(name, pixels, roughness=0.8):
+    return material(name, image=add_image(name, pixels), in_mask=False, roughness=roughness)
 
 
-def _picture(name, at, size, pixels):
+def _picture(name, at, size, pixels, roughness=0.8):
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
     vertices = np.concatenate([corners * size, np.zeros((4, 1))], 1) + at
-    add_mesh(name, vertices, [[0, 1, 2, 3]], _textured(name, pixels), uv=corners[None] + 0.5)
+    surface = _textured(name, pixels, roughness)
+    add_mesh(name, vertices, [[0, 1, 2, 3]], surface, uv=corners[None] + 0.5)
 
 
 def _ground(half, pixels):
