@@ -228,7 +228,9 @@ class ModelRenderer:
         """Measure the blur of photo `index`, its sides divided by `factor`, relative to the sharp
         render of its view, in squares of the photo's longer side; `upcoming`: see `sized`."""
         sized = self.sized(index, factor, upcoming=upcoming)
-        render, view = self._exposed(index, sized.view, self.background).rgb, sized.view
+        # Photos end at white.
+        render = np.minimum(self._exposed(index, sized.view, self.background).rgb, 1)
+        view = sized.view
         mode = sized.photo(self.photos.mask_mode).mask_mode
         target, weights = target_picture(sized.image, sized.mask, mode, self.background)
         fit = fit_blur(render, target, weights, threads=self.config.threads)
@@ -243,7 +245,7 @@ class ModelRenderer:
         assert drawn.inverse_depth is not None
         return residual_of(
             view,
-            drawn.rgb,
+            np.minimum(drawn.rgb, 1),  # photos end at white
             sized.image,
             sized.mask if self.photos.mask_mode == "ignore" else None,
             inverse_depth=drawn.inverse_depth,

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gscore.config import TrainConfig
+from gscore.engine.base import DrawnPicture
 from gscore.io.images.pixels import as_uint8
 from gscore.raster.api import render
 from gscore.raster.request import Frustum
@@ -201,6 +202,24 @@ def test_a_residual_is_smooth_and_respects_masks() -> None:
         assert (found.highlight[30:-30, 30:-30] == is_highlight).all(), own
     broken = np.full((320, 480, 3), np.nan, np.float32)
     assert not residual_of(frustum, broken, photo, None, **given).difference.any()
+
+
+def test_photos_end_at_white(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oracle: where a photo is white a brighter render agrees with it, and is as sharp."""
+    photos = textured_wall()
+    height, width = photos.images[0].shape[:2]
+    picture = np.full((height, width, 3), 0.3, np.float32)
+    picture[20:40, 30:60] = 4.0
+    photo = as_uint8(np.minimum(picture, 1))
+    photos = replace(photos, images=[photo for _ in photos.images])
+    renderer = Trainer(
+        TrainConfig(iterations=10, max_splats=3000), Analysis(photos=photos)
+    ).renderer
+    alpha = np.ones((height, width), np.float32)
+    drawn = DrawnPicture(picture, alpha, 0.25 * alpha)
+    monkeypatch.setattr(renderer, "_draw", lambda *_, **__: drawn)
+    assert renderer.residual(0, 1.0).difference.max() < 0.01
+    assert np.abs(renderer.photo_blur(0, 1.0).covariance).max() < 1e-6
 
 
 def test_masks_fit_any_size() -> None:
