@@ -67,17 +67,18 @@ def evaluated_vertices(item):
     return flat.reshape(-1, 3).astype(np.float64)
 
 
-def figure_surface():
+def figure_surface(*, with_stage=False):
     """Triangles of everything in the mask as rendered: [V, 3] float64, metres, and [F, 3] int64.
 
-    A strand is a tube of three sides, of its own radius.
+    A strand is a tube of three sides, of its own radius. `with_stage`: the rest of the scene too.
     """
     graph = bpy.context.evaluated_depsgraph_get()
     points, triangles, count = [], [], 0
     for item in bpy.context.scene.objects:
         slots = getattr(item.data, "materials", None)
         nodes = slots[0].node_tree.nodes if slots else ()
-        if not any(getattr(node, "aov_name", "") == MASK for node in nodes):
+        in_mask = any(getattr(node, "aov_name", "") == MASK for node in nodes)
+        if not in_mask and not (with_stage and item.type == "MESH"):
             continue
         shape = item.evaluated_get(graph).data
         vertices, faces = tubes(shape) if item.type == "CURVES" else triangles_of(shape)
