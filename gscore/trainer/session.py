@@ -175,10 +175,13 @@ class Session:
             return False
         began = time.perf_counter()
         for _ in trainer.compare_photos():
+            self._meter.add(time.perf_counter() - began)
             if control.stopping or control.paused:
                 return False
             if self._meter.due():
                 self._emit(self._meter.progress(phase="comparing photos"))
+            self._serve_viewers()
+            began = time.perf_counter()
         self._meter.add(time.perf_counter() - began)
         return True
 
