@@ -104,13 +104,14 @@ def residual_of(
         blurred = blur_image(torch.from_numpy(picture), covariance, threads=threads)
         return blurred.permute(2, 0, 1).contiguous().numpy()
 
+    difference = render - photo * np.float32(1 / 255)
+    np.nan_to_num(difference, copy=False, posinf=0, neginf=0)
     if mask is not None:
-        weights = (mask * np.float32(1 / 255))[..., None]
-        render, photo = render * weights, np.rint(photo * weights).astype(np.uint8)
-    channels = torch.from_numpy(render).permute(2, 0, 1)
+        difference *= (mask * np.float32(1 / 255))[..., None]
+    channels = torch.from_numpy(difference).permute(2, 0, 1)
     cells = adaptive_avg_pool2d(channels, (height, width)).permute(1, 2, 0).numpy()
-    own = smooth(resize(photo, width, height) * np.float32(1 / 255))
-    difference = np.nan_to_num(smooth(cells) - own, posinf=0, neginf=0)
+    difference = smooth(cells)
+    bright = smooth(resize(photo, width, height) * np.float32(1 / 255)).min(axis=0) > _HIGHLIGHT
     # Depths of edges must not be averaged.
     rows, columns = (nearest_cells(a, b) for a, b in ((height, view.height), (width, view.width)))
     opacity = alpha[np.ix_(rows, columns)]
@@ -126,7 +127,7 @@ def residual_of(
         np.abs(difference).max(axis=0),
         np.nan_to_num(depth, posinf=0, neginf=0),
         known,
-        (own.min(axis=0) > _HIGHLIGHT) & (difference < 0).all(axis=0),
+        bright & (difference < 0).all(axis=0),
     )
 
 

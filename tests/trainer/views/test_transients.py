@@ -200,16 +200,38 @@ def test_a_residual_is_smooth_and_respects_masks() -> None:
         bright = np.full((320, 480, 3), own, np.uint8)
         found = residual_of(frustum, grey, bright, None, **given)
         assert (found.highlight[30:-30, 30:-30] == is_highlight).all(), own
-    broken = np.full((320, 480, 3), np.nan, np.float32)
-    assert not residual_of(frustum, broken, photo, None, **given).difference.any()
+    broken = grey.copy()
+    broken[100, 200], broken[200, 300, 1] = np.nan, np.inf
+    for own in (None, mask):
+        found = residual_of(frustum, broken, photo, own, **given).difference
+        assert np.isfinite(found).all() and found.max() < 1e-3
+
+
+@pytest.mark.parametrize("width", [161, 162, 319, 480, 667])
+def test_equal_pictures_have_no_residual(width: int) -> None:
+    """Oracle: the photo itself, in stripes of any width; highlights beside a mask stay such."""
+    height = 2 * width // 3
+    frustum = replace(view(0), width=width, height=height)
+    photo = np.zeros((height, width, 3), np.uint8)
+    photo[:, ::2] = 255
+    ones = np.ones((height, width), np.float32)
+    given = {"inverse_depth": 0.25 * ones, "alpha": ones}
+    same = photo * np.float32(1 / 255)
+    assert residual_of(frustum, same, photo, None, **given).difference.max() < 1e-5
+    mask = np.full((height, width), 255, np.uint8)
+    mask[:, : width // 2] = 0
+    photo[:], dark = 171, np.full_like(same, 0.3)
+    shown = residual_of(frustum, dark, photo, mask, **given).highlight
+    assert shown[:, shown.shape[1] // 2 + 1 :].all()
 
 
 def test_photos_end_at_white(monkeypatch: pytest.MonkeyPatch) -> None:
     """Oracle: where a photo is white a brighter render agrees with it, and is as sharp."""
     photos = textured_wall()
     height, width = photos.images[0].shape[:2]
-    picture = np.full((height, width, 3), 0.3, np.float32)
-    picture[20:40, 30:60] = 4.0
+    y, x = np.mgrid[:height, :width]
+    spot = 0.2 + 3.5 * np.exp(-((x - width / 2) ** 2 + (y - height / 2) ** 2) / 200)
+    picture = spot[..., None].repeat(3, axis=2).astype(np.float32)
     photo = as_uint8(np.minimum(picture, 1))
     photos = replace(photos, images=[photo for _ in photos.images])
     renderer = Trainer(
