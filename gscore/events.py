@@ -153,7 +153,7 @@ class Progress(Event, kind="progress"):
     elapsed_s: float
     phase: str
     """Current activity: `reading photos 3/60`, `adding splats`, `refining` once no more splats are
-    added, `measuring` or `paused`."""
+    added, `comparing photos` with renders for blur and transients, `measuring` or `paused`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -139,21 +139,16 @@ class Session:
         self._start_watchdog()
         self._steer()
         while not (self._steering.reason or control.stopping):
-            if control.paused or self._viewers.has_pausing_viewer:
-                self._emit(self._meter.progress(phase="paused"))
-                control.wait_while_paused(
-                    is_paused=lambda: self._viewers.has_pausing_viewer,
-                    meanwhile=lambda: self._serve_viewers(idle=True),
-                )
-                self._run_control_commands()
+            if self._is_paused:
+                self._pause()
                 continue
             with self._checkpoint_on_error():
-                if took := self._compared_photos():
+                if may_step := self._compared_photos():
                     self._observe(trainer.advance)
             if self._has_diverged:
                 self._rescue()
                 continue
-            if not took:
+            if not may_step:
                 continue
             with self._checkpoint_on_error():
                 self._steer()
@@ -164,9 +159,22 @@ class Session:
             time.sleep(_PAUSE)
         return result
 
+    @property
+    def _is_paused(self) -> bool:
+        return self._control.paused or self._viewers.has_pausing_viewer
+
+    def _pause(self) -> None:
+        """Wait until training may continue or must end, or another request was executed."""
+        self._emit(self._meter.progress(phase="paused"))
+        self._control.wait_while_paused(
+            is_paused=lambda: self._viewers.has_pausing_viewer,
+            meanwhile=lambda: self._serve_viewers(idle=True),
+        )
+        self._run_control_commands()
+
     def _compared_photos(self) -> bool:
-        """Compare the photos with the models if that is due; False: training was stopped, paused or
-        has diverged before the end, and no step may follow."""
+        """Compare the photos with the models if that is due; False: training was stopped or has
+        diverged before the end, and no step may follow."""
         trainer, control = self._trainer, self._control
         if not trainer.compares_photos:
             return True
@@ -176,11 +184,14 @@ class Session:
         began = time.perf_counter()
         for _ in trainer.compare_photos():
             self._meter.add(time.perf_counter() - began)
-            if control.stopping or control.paused:
-                return False
             if self._meter.due():
                 self._emit(self._meter.progress(phase="comparing photos"))
+            self._run_control_commands()
             self._serve_viewers()
+            while self._is_paused and not control.stopping:
+                self._pause()
+            if control.stopping:
+                return False
             began = time.perf_counter()
         self._meter.add(time.perf_counter() - began)
         return True

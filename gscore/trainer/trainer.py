@@ -262,10 +262,12 @@ class Trainer:
         """True if photos are compared with the models before the next step."""
         return self._comparison.due(self.plan.compare_steps, self.steps)
 
-    def compare_photos(self) -> Iterator[int]:
-        """Measure blur and transients of the photos; yields the number of compared photos after
-        each. To be called after `read_all`; nothing changes if it is not run to its end, and the
-        next step repeats it."""
+    def compare_photos(self) -> Iterator[None]:
+        """Measure transients and blur of the photos where they are due; yields after each photo.
+
+        To be called after `read_all`. If it is not run to its end, what was not measured for all
+        photos stays as it was, and the next step measures that.
+        """
         factor = min(self.view_batcher.factor, self.plan.factor_at(self.steps + 1))
         return self._comparison.run(self.plan.compare_steps, self.steps, factor)
 

@@ -1,5 +1,6 @@
 """Runs from a folder on disk to results; oracle: the events' contract and the files."""
 
+import itertools
 import json
 import re
 import threading
@@ -52,6 +53,7 @@ from gscore.trainer.schedule import caps
 from gscore.trainer.stopping import progress_meter
 from gscore.trainer.trainer import Trainer
 from gscore.trainer.views import photo_blurs, transients
+from tests.engine.fake_engine import FakeEngine
 
 pytestmark = pytest.mark.usefixtures("fake_engine")
 
@@ -249,26 +251,38 @@ def test_a_run_in_two_parts_gives_the_same_file(capture: Path, tmp_path: Path) -
     assert steps == list(range(1, 41))
 
 
+@pytest.mark.parametrize(("measured", "depth"), [("transients", 0), ("blurs", 2)])
 def test_a_comparison_of_photos_can_be_paused_and_stopped(
-    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, measured: str, depth: int
 ) -> None:
-    """Oracle: the bytes of point_cloud.ply of an uninterrupted run."""
+    """Oracle: the bytes of point_cloud.ply of an uninterrupted run; its time counts."""
+    monkeypatch.setattr("gscore.engine.opening.CpuEngine", lambda **_: FakeEngine(depth))
     for module in (photo_blurs, transients):
         monkeypatch.setattr(module, "_FEWEST", 2)
     monkeypatch.setattr(progress_meter, "_EVENTS_PER_SECOND", 1e9)
-    data, control, phases = data_of(capture), Control(), []
+    data, control, phases, seconds = data_of(capture), Control(), [], []
+    photos = len(load_dataset(data).train)
+    last = 3 if measured == "transients" else photos + 1
 
     def watch(event: Event) -> None:
-        if not isinstance(event, Progress) or event.phase not in ("comparing photos", "paused"):
-            return
-        phases.append((event.step, event.phase))
-        requests = {1: control.pause, 2: control.resume, 3: control.stop}
-        requests[len(phases)]()
+        if isinstance(event, Snapshot):
+            phases.append("snapshot")
+        elif isinstance(event, Progress) and event.phase == "paused":
+            phases.append("paused")
+            control.resume()
+        elif isinstance(event, Progress) and event.phase == "comparing photos":
+            phases.append("compared")
+            seconds.append(event.elapsed_s)
+            requests = {1: control.snapshot, 2: control.pause, last: control.stop}
+            requests.get(phases.count("compared"), lambda: None)()
 
     first = train(CONFIG, data, tmp_path / "parts", watch, control)
     due = CONFIG.iterations // 5
     assert (first.reason, first.steps) == ("stopped", due)
-    assert phases == [(due, "comparing photos"), (due, "paused"), (due, "comparing photos")]
+    assert phases[:5] == ["compared", "snapshot", "compared", "paused", "compared"]
+    assert len(seconds) == last and all(a < b for a, b in itertools.pairwise(seconds))
+    names = load(RunFolder(tmp_path / "parts").checkpoint(due)).tensors
+    assert ("transient/step" in names) == (measured == "blurs")
     assert train(CONFIG, data, tmp_path / "parts", resume=True).reason == "finished"
     train(CONFIG, data, tmp_path / "whole")
     one, other = ((tmp_path / run / "point_cloud.ply").read_bytes() for run in ("parts", "whole"))

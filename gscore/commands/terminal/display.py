@@ -38,7 +38,7 @@ from ...events import (
 from ...text_format import count_text, number, quality_text, size_text, time_text
 from .status import Status, clock
 
-_STOPS = ("paused", "measuring")
+_STOPS = ("comparing photos", "paused", "measuring")
 """Phases without steps, which are shown; the number of splats implies the others."""
 
 

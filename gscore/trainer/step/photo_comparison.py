@@ -22,8 +22,9 @@ class PhotoComparison:
         parts = self._parameters.transients, self._parameters.blurs
         return any(part is not None and part.due(planned, step) for part in parts)
 
-    def run(self, planned: Sequence[int], step: int, factor: float) -> Iterator[int]:
-        """Measure what is due after `step`, and keep it once all photos are measured.
+    def run(self, planned: Sequence[int], step: int, factor: float) -> Iterator[None]:
+        """Measure what is due after `step`: transients, then blur; each is kept once it is measured
+        for all photos.
 
         Args:
             planned: Steps that are planned for comparisons.
@@ -31,7 +32,7 @@ class PhotoComparison:
             factor: Divisor of the sides of the photos.
 
         Yields:
-            The number of photos that are measured, after each.
+            None, after each photo.
         """
         blurs, transients = self._parameters.blurs, self._parameters.transients
         train, renderer = self._train, self._renderer
@@ -40,11 +41,11 @@ class PhotoComparison:
             residuals = {}
             for count, index in enumerate(train, 1):
                 residuals[index] = renderer.residual(index, factor, upcoming=train[count:])
-                yield count
+                yield
             transients.note(residuals, step)
         if blurs is not None and blurs.due(planned, step):
             fits = {}
             for count, index in enumerate(train, 1):
                 fits[index] = renderer.photo_blur(index, factor, upcoming=train[count:])
-                yield count
+                yield
             blurs.note(fits, step)

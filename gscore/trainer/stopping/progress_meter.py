@@ -110,7 +110,7 @@ class ProgressMeter:
             self.history.append(row | {"photo_factor": photo_factor})
 
     def add(self, seconds: float) -> None:
-        """Add the seconds of work between two steps, which is not part of the pace."""
+        """Add the seconds of work between two steps, which is part of neither pace nor forecast."""
         self.train_seconds += seconds
 
     @property
