@@ -99,7 +99,7 @@ def train(capture: Path, run: Path) -> None:
 
 def make_truth(path: Path, surface: SurfaceMesh, *, backdrop: bool) -> None:
     """Write the surface of the studio, with or without its backdrop, as Cycles knows it, in the
-    colors of another mesh of it, where it is missing."""
+    colors of another mesh of it, where it is missing: also if that mesh is another one now."""
     if path.is_file():
         return
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -244,9 +244,9 @@ def measure(head: bpy.types.Object, covered: np.ndarray, samples: int, file: Pat
     """The figures of the scene's light, and a picture of them."""
     engine, truth = pair(samples)
     head.hide_render = True
-    alone, truth_alone = pair(WITHOUT_NOISE)
+    without, truth_without = pair(WITHOUT_NOISE)
     head.hide_render = False
-    darker = 255 * (truth_alone - truth).mean(axis=2)
+    darker = 255 * (truth_without - truth).mean(axis=2)
     shadow = (darker > DARKER) & ~covered
     difference = 255 * np.abs(engine - truth).mean(axis=2)
     show(file, [engine, truth, np.minimum(4 * np.abs(engine - truth), 1)], covered)
@@ -255,7 +255,7 @@ def measure(head: bpy.types.Object, covered: np.ndarray, samples: int, file: Pat
         darkening=float(darker[shadow].mean()),
         shadow=float(difference[shadow].mean()),
         near=float(difference[shadow & grown(covered, NEAR)].mean()),
-        without=255 * float(np.abs(alone - truth_alone)[shadow].mean()),
+        without=255 * float(np.abs(without - truth_without)[shadow].mean()),
     )
 
 
