@@ -54,6 +54,7 @@ MODULES: tuple[str, ...] = (
     "error_maps.measure_errors",
     "surface.make_mesh",
     "surface.fit_proxy",
+    "viewers.refit",
     "region_training.train_region",
     "region_training.masks",
     "region_training.mask_operators",

@@ -14,8 +14,8 @@ from bpy.app.handlers import persistent
 
 from .paths import relative
 
-SOURCE, PHOTO, RUN = "gs_source", "gs_photo", "gs_run"
-"""Custom properties of objects with the path of a capture, a photo, a run."""
+SOURCE, PHOTO, RUN, REFIT = "gs_source", "gs_photo", "gs_run", "gs_refit"
+"""Custom properties of objects with the path of a capture, a photo, a run, refitted splats."""
 
 
 def read(ob: bpy.types.Object, key: str) -> str:
@@ -64,7 +64,7 @@ def _places() -> Iterator[_Place]:
                 yield from (_Place(links, key) for key in ("capture_path", "output_path"))
     for ob in bpy.data.objects:
         if ob.library is None:
-            yield from (_Place(ob, key) for key in (SOURCE, PHOTO, RUN) if key in ob)
+            yield from (_Place(ob, key) for key in (SOURCE, PHOTO, RUN, REFIT) if key in ob)
             yield _Place(ob.gscore_sequence, "folder")
 
 

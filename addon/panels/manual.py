@@ -25,6 +25,7 @@ _SECTIONS = {
     "paint": "blender/editing.md#paint",
     "error_maps": "blender/splats.md#error-maps",
     "surface": "blender/splats.md#surface",
+    "viewers": "blender/splats.md#native-splats",
     "region_training": "blender/steering.md#steer-training",
     "render": "blender/rendering.md#render",
     "render.estimate_light": "blender/rendering.md#relighting",

@@ -33,7 +33,18 @@ from ..timeline.frame_at import moment_of, series_of
 from ..timeline.library import LIBRARY
 from ..timeline.settings import is_sequence
 from ..training import facts, lookups
-from .widgets import SplatsPanel, TabPanel, draw_verb, has_python, job, limit, rows, sentence
+from ..viewers import refit
+from .widgets import (
+    SplatsPanel,
+    TabPanel,
+    draw_verb,
+    has_python,
+    job,
+    limit,
+    python_problem,
+    rows,
+    sentence,
+)
 
 _HISTOGRAM_SCALE = 4.0
 """Height of a histogram, in buttons."""
@@ -78,6 +89,7 @@ class ResultPanel(TabPanel, bpy.types.Panel):
         else:
             layout.prop(settings, "colour_by")
             draw_viewpoint(layout, context, ob)
+            draw_refit(layout, context, ob)
         shading = context.space_data.shading
         if shading.type in {"WIREFRAME", "SOLID"} and not is_live:  # these color only faces
             layout.prop_enum(shading, "type", "MATERIAL", text="Show Colors in This View")
@@ -202,6 +214,35 @@ def draw_viewpoint(
     if context.scene.camera is None:
         text = "Without a scene camera the colors do not depend on the view."
     sentence(layout, text, icon="INFO")
+
+
+_BRIGHTER = (
+    "Blender blends native splats in linear light, so they are 5 to 7 of 255 brighter than by the "
+    "engine Gaussian Splats."
+)
+_FITTED = (
+    "These splats are fitted to {}, for pictures of the size of the training's photos. For other "
+    "engines show the splats of the training, which were hidden."
+)
+
+
+def draw_refit(
+    layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
+) -> None:
+    """Draw how Blender draws native splats, and the button that fits the splats to it."""
+    if ob.gscore.display != "NATIVE":
+        return
+    fitted = refit.fitted_to(ob)
+    sentence(layout, _FITTED.format(fitted) if fitted else _BRIGHTER, icon="INFO")
+    job = refit.job_of(ob)
+    if job is not None:
+        phase = "starting" if job.progress is None else job.progress.phase
+        draw_verb(layout, job, phase.capitalize(), "gscore.stop_refit")
+    if fitted or (job is not None and job.busy) or python_problem():
+        return
+    if stored_paths.RUN not in ob:
+        sentence(layout, "Only splats of a training can be refitted: it needs their photos.")
+    layout.operator("gscore.refit_splats", icon="SHADING_RENDERED")
 
 
 def draw_counts(

@@ -81,13 +81,20 @@ def job(context: bpy.types.Context) -> Job | None:
     return start_training.job_of(context.scene)
 
 
-def has_python(layout: bpy.types.UILayout) -> bool:
-    """True if the preferences have a Python that trains; else draw the problem and a button to the
-    preferences."""
+def python_problem() -> str:
+    """Sentence why the preferences have no Python that trains; empty if they have one."""
     try:
         setup.trainer_python(preferences.get())
     except ValueError as error:
-        sentence(layout, error_text(error), icon="ERROR")
+        return error_text(error)
+    return ""
+
+
+def has_python(layout: bpy.types.UILayout) -> bool:
+    """True if the preferences have a Python that trains; else draw the problem and a button to the
+    preferences."""
+    if problem := python_problem():
+        sentence(layout, problem, icon="ERROR")
         operator = layout.operator("preferences.addon_show", text="Preferences", icon="PREFERENCES")
         operator.module = preferences.ROOT
         return False

@@ -4,8 +4,13 @@ Collections hide objects, or make them holdouts, per view layer of one scene. Th
 has no collections of its own, so visibility comes from the first view layer of the main scene.
 """
 
+from pathlib import Path
+
 import bpy
 
+from .. import stored_paths
+from ..interface.editable_check import taking
+from ..splats.error_maps import is_map
 from ..splats.objects import is_splats
 
 MAIN_SCENE = "gs_main_scene"
@@ -25,6 +30,24 @@ def helper(scene: bpy.types.Scene, key: str) -> bpy.types.Scene | None:
     main scene refers to those of the original, which are not its own."""
     other = scene.get(key)
     return other if isinstance(other, bpy.types.Scene) and other.get(MAIN_SCENE) == scene else None
+
+
+def splats_of_run(
+    run: Path, uid: int
+) -> tuple[bpy.types.Scene, bpy.types.Object] | tuple[None, None]:
+    """The object with a session uid, else another with splats of a run, and its scene, which is no
+    splat-only one; None twice: there is none."""
+    scenes = [s for s in (bpy.context.scene, *bpy.data.scenes) if MAIN_SCENE not in s]
+    found = ((s, ob) for s in scenes for ob in s.objects if is_splats(ob) and not is_map(ob))
+    of_run = [one for one in found if stored_paths.read(one[1], stored_paths.RUN) == str(run)]
+    of_run.sort(key=lambda one: one[1].session_uid != uid)
+    return of_run[0] if of_run else (None, None)
+
+
+def collections_in(ob: bpy.types.Object, scene: bpy.types.Scene) -> list[bpy.types.Collection]:
+    """Collections of a scene that have an object and accept others, else that of the scene."""
+    own = {scene.collection, *scene.collection.children_recursive}
+    return taking((c for c in ob.users_collection if c in own), scene)
 
 
 def missing_splats(main: bpy.types.Scene | None, splat_scene: bpy.types.Scene | None) -> str:

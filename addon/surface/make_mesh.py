@@ -6,17 +6,16 @@ from functools import partial
 import bpy
 from bpy.props import BoolProperty, IntProperty
 
-from .. import stored_paths
 from ..cameras.capture_transform import origin_of
 from ..core import MeshDone, MeshProgress, read_surface
 from ..interface.base_operator import Condition
-from ..interface.editable_check import keeps, taking
+from ..interface.editable_check import keeps
 from ..interface.windows import push_undo
 from ..process.incremental_tasks import Steps, run_in_thread
-from ..render.compositing_scene import MAIN_SCENE
+from ..render.compositing_scene import collections_in, splats_of_run
 from ..render.proxy import MADE, attach
-from ..splats.error_maps import finished_run_of, is_map, run_of
-from ..splats.objects import active_splats, has_trained, is_splats, proxy_of
+from ..splats.error_maps import finished_run_of, run_of
+from ..splats.objects import active_splats, has_trained, proxy_of
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS, Cancelling, Starting, own_arguments
 from . import fit_proxy
@@ -85,12 +84,7 @@ def job_of(ob: bpy.types.Object) -> VerbJob | None:
 def _arriving(job: VerbJob, *, uid: int, proxy: bool) -> Steps[Iterable[str]]:
     """Import the mesh beside the splats of the run."""
     surface = yield from run_in_thread(lambda check: read_surface(job.done.path), "Reading")
-    scenes = [s for s in (bpy.context.scene, *bpy.data.scenes) if MAIN_SCENE not in s]
-    found = ((s, ob) for s in scenes for ob in s.objects if is_splats(ob) and not is_map(ob))
-    run = str(job.source)
-    of_run = [one for one in found if stored_paths.read(one[1], stored_paths.RUN) == run]
-    of_run.sort(key=lambda one: one[1].session_uid != uid)  # the object itself, else another
-    scene, splats = of_run[0] if of_run else (None, None)
+    scene, splats = splats_of_run(job.source, uid)
     if splats is None:
         raise ValueError(f"The splats were removed; the mesh is {job.done.path}.")
     mesh = filled(surface, origin_of(splats), f"{splats.name} surface")
@@ -100,8 +94,7 @@ def _arriving(job: VerbJob, *, uid: int, proxy: bool) -> Steps[Iterable[str]]:
     else:
         made = bpy.data.objects.new(mesh.name, mesh)
         made.parent = splats.parent
-        own = {scene.collection, *scene.collection.children_recursive}
-        for collection in taking((c for c in splats.users_collection if c in own), scene):
+        for collection in collections_in(splats, scene):
             collection.objects.link(made)
     made.matrix_world = splats.matrix_world
     if proxy:

@@ -154,7 +154,12 @@ JOBS = VerbJobs()
 
 
 def mesh_of(path: Path) -> Steps[bpy.types.Mesh]:
-    """Import the splats of a file into a mesh, owned by the caller.
+    """The mesh of `loaded_mesh`; raises like it."""
+    return (yield from loaded_mesh(path))[0]
+
+
+def loaded_mesh(path: Path) -> Steps[tuple[bpy.types.Mesh, loader.Loaded]]:
+    """Import the splats of a file into a mesh, owned by the caller, and what the file states.
 
     Raises:
         ValueError: the file cannot be read.
@@ -166,7 +171,7 @@ def mesh_of(path: Path) -> Steps[bpy.types.Mesh]:
         raise ValueError(loaded.problem)
     yield from settings.building()
     [mesh] = yield from filled([ChunkedWrite(loaded)])
-    return mesh
+    return mesh, loaded
 
 
 def _collect() -> bool:

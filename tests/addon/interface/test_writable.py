@@ -120,6 +120,7 @@ NOT_IN_THE_SCENE = {
     *("show_report", "show_test_view", "check_trainer", "make_environment", "cancel_setup"),
     *("train_sequence", "stop_sequence", "train_region", "stop_region", "train_healed"),
     *("measure_errors", "stop_errors", "find_devices", "make_mesh", "stop_mesh"),
+    *("refit_splats", "stop_refit"),
     *("save_mask", "discard_mask", "mask_brush"),
     *("straighten_photos", "stop_straightening", "remove_straight_photos", "open_manual"),
 }

@@ -1,0 +1,1 @@
+"""Splats fitted to how Blender draws them, by the trainer's Python."""
