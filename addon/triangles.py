@@ -86,8 +86,11 @@ def moved(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 
 def repeated(mesh: Triangles, matrices: np.ndarray) -> Triangles:
-    """Copies of a mesh, one for each of the [K, 4, 4] affine matrices."""
+    """Copies of a mesh, one for each of the [K, 4, 4] affine matrices. Triangles of mirrored ones
+    are turned round, so that their sides face outwards."""
     vertices = mesh.vertices @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
     starts = len(mesh.vertices) * np.arange(len(matrices), dtype=np.int32)
     triangles = mesh.triangles[None] + starts[:, None, None]
+    mirrored = np.linalg.det(matrices[:, :3, :3]) < 0
+    triangles[mirrored] = triangles[mirrored][..., ::-1]
     return Triangles(vertices.reshape(-1, 3), triangles.reshape(-1, 3))

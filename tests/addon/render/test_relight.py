@@ -9,13 +9,13 @@ import pytest
 from mathutils import Matrix
 
 from addon import attributes, compat
-from addon.core import POINT, SUN, Lamp
+from addon.core import POINT, SUN, Lamp, transform_splats
 from addon.panels.result import LightPanel
 from addon.render import compositor, lamps, relight
 from addon.render.model import SplatCache
 from addon.render.proxy import attach
 from addon.render.scene import place, sources
-from addon.render.shadow_maps import Casters
+from addon.render.shadow_maps import Casters, shadow_map
 from addon.triangles import Triangles
 from tests.addon import splat_scenes as lab
 from tests.addon.drawn import drawn
@@ -420,6 +420,76 @@ def test_normals_turn_with_the_splats(lit, tmp_path):
         one.select_set(True)
     assert bpy.ops.gscore.join_splats() == {"FINISHED"}
     np.testing.assert_allclose(lab.render_exr(tmp_path, "joined"), wanted, atol=2e-3)
+
+
+MIRROR = np.diag([-1.0, 1, 1, 1])
+
+
+def tilted(scene: bpy.types.Scene, by: str) -> tuple[bpy.types.Object, bpy.types.Object]:
+    """A tilted wall of splats and its proxy, a little above it, with a cube that stands there; both
+    mirrored `by` the object's scale, or by their data."""
+    turn = np.array(Matrix.Rotation(0.5, 4, "Y") @ Matrix.Translation((0.2, 0.1, 0)))
+    splats = transform_splats(lab.wall(0.0, COLOR, half=2.5, along=101), turn)
+    mesh = grid(0.1)
+    bpy.ops.mesh.primitive_cube_add(size=0.5, location=(0.5, -0.3, 0.25))
+    mesh.select_set(True)
+    bpy.context.view_layer.objects.active = mesh
+    bpy.ops.object.join()
+    mesh.data.transform(Matrix(turn @ np.array(mesh.matrix_world)))
+    mesh.matrix_world = Matrix()
+    if by == "data":
+        splats = transform_splats(splats, MIRROR)
+        mesh.data.transform(Matrix(MIRROR))
+        mesh.data.flip_normals()
+    ob = lab.add(scene, splats)
+    attach(scene, ob, mesh)
+    if by == "scale":
+        ob.scale.x = -1
+    bpy.context.view_layer.objects.active = ob
+    bpy.context.view_layer.update()
+    return ob, mesh
+
+
+@pytest.mark.parametrize("kind", ["relit", "photos", "captured"])
+def test_mirrored_splats(scene, tmp_path, kind):
+    """Oracle: the picture of splats and proxy that are mirrored in their data, under a lamp, a
+    world and a mesh: relit with the normals of the proxy, those of which the light of the photos is
+    the scene's too, and with the captured look and no normals."""
+    lab.prepare(scene, SIZE, light=0.2)
+    lamp(scene, "SUN").data.energy = 5
+    found = []
+    for by in ("data", "scale"):
+        ob, mesh = tilted(scene, by)
+        if kind != "captured":
+            how = "SCENE" if kind == "photos" else "SURFACES"
+            assert bpy.ops.gscore.relight_splats(captured=how) == {"FINISHED"}
+        bare = lab.render_exr(tmp_path, f"bare {by}")[..., :3]
+        bpy.ops.mesh.primitive_cube_add(size=0.4, location=(-0.4, 0.5, 0.9))
+        cube = bpy.context.object
+        cube.visible_camera = False
+        found.append(lab.render_exr(tmp_path, by)[..., :3])
+        assert (found[-1] < 0.7 * bare).all(-1).sum() > 20
+        for one in (cube, mesh, ob):
+            bpy.data.objects.remove(one)
+    np.testing.assert_allclose(found[1], found[0], atol=5e-3)
+
+
+@pytest.mark.parametrize("kind", [SUN, POINT])
+def test_mirrored_meshes_cast_the_same_shadows(kind):
+    """Oracle: casters whose vertices are mirrored and whose triangles are turned round."""
+    corners = np.array([[x, y, z] for x in (-1.0, 1) for y in (-1.0, 1) for z in (-1.0, 1)])
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    quads = np.array(sides, np.int32)
+    triangles = np.ascontiguousarray(np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
+    turned = Triangles(corners * [-1, 1, 1], np.ascontiguousarray(triangles[:, ::-1]))
+    axis = np.array([0.6, 0, -0.8])
+    for name in ("proxies", "meshes"):
+        maps = []
+        for mesh, matrix in ((Triangles(corners, triangles), MIRROR), (turned, np.eye(4))):
+            casters = Casters(**{name: ((mesh, matrix),)})
+            sun = axis if kind == SUN else None
+            maps.append(shadow_map(casters, -6 * axis, sun, soft=True))
+        np.testing.assert_allclose(maps[0].depths, maps[1].depths, atol=1e-5)
 
 
 def test_the_captured_light_is_found(scene):
