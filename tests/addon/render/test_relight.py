@@ -535,6 +535,34 @@ def test_the_button(scene, tmp_path):
     np.testing.assert_array_equal(lab.render_exr(tmp_path, "loaded"), wanted)
 
 
+def test_undo_of_the_button(scene, tmp_path):
+    """Oracle: the picture before, to the bit; then the button again, with another lamp. Redo brings
+    the first estimate back."""
+    lab.prepare(scene, SIZE)
+    ob = lab.add(scene, lab.wall(0.0, COLOR, half=2.5, along=101), "wall")
+    lamp(scene, "SUN")
+    bpy.context.view_layer.objects.active = ob
+    bpy.ops.ed.undo_push(message="start")
+    before = lab.render_exr(tmp_path, "before")
+    assert bpy.ops.gscore.relight_splats(captured="SCENE") == {"FINISHED"}
+    first = attributes.column(ob.data, attributes.CAPTURED)
+    bpy.ops.ed.undo_push(message="relit")
+    bpy.ops.ed.undo()
+    ob = bpy.data.objects["wall"]
+    names = set(ob.data.attributes.keys())
+    assert not names & {attributes.NORMAL, attributes.CAPTURED} and ob.gscore.light == 0
+    np.testing.assert_array_equal(lab.render_exr(tmp_path, "undone"), before)
+    bpy.ops.ed.redo()
+    ob = bpy.data.objects["wall"]
+    np.testing.assert_array_equal(attributes.column(ob.data, attributes.CAPTURED), first)
+    bpy.ops.ed.undo()
+    bpy.data.lights["SUN"].energy *= 2
+    bpy.context.view_layer.objects.active = bpy.data.objects["wall"]
+    assert bpy.ops.gscore.relight_splats(captured="SCENE") == {"FINISHED"}
+    again = attributes.column(bpy.data.objects["wall"].data, attributes.CAPTURED)
+    np.testing.assert_allclose(again, 2 * first, rtol=1e-5)
+
+
 @pytest.mark.parametrize("display", ["POINTS", "ELLIPSOIDS", "SOFT"])
 def test_node_displays(scene, tmp_path, display):
     """A sun brightens the display in Cycles as it does the engine's picture; with the slider at 0

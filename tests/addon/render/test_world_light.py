@@ -11,7 +11,9 @@ from mathutils import Vector
 
 from addon import compat, stored_paths
 from addon.core import Splats
+from addon.render.lamps import scene_light
 from addon.render.light_probe import LightProbe, sky_irradiance, strongest_light
+from addon.render.proxy import attach
 from addon.render.white_level import white_level
 from gscore.io.cameras_json import write_cameras
 from gscore.io.exposure_json import write_exposures
@@ -95,6 +97,47 @@ def test_world_is_the_panorama(scene, tmp_path):
     error = np.abs(got - wanted)[..., :3]
     assert np.median(error) < 0.004
     assert np.percentile(error, 95) < 0.03 * wanted[..., :3].max()
+
+
+def test_undo_of_a_world(scene, tmp_path):
+    """Oracle: the former world, images, materials and light of the splats, which a second use
+    replaces again, with the same picture; undo of that brings the first one back."""
+    lab.prepare(scene, (20, 16), light=0.3)
+    ob = lab.add(scene, shell())
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=2.9)
+    attach(scene, ob, bpy.context.object)
+
+    def there() -> list[list[str]]:
+        kinds = bpy.data.worlds, bpy.data.images, bpy.data.materials, bpy.data.objects
+        return [sorted(one.name for one in kind) for kind in kinds]
+
+    def light() -> np.ndarray:
+        graph = bpy.context.evaluated_depsgraph_get()
+        return scene_light(graph).world
+
+    def use(level: float) -> np.ndarray:
+        scene = bpy.context.scene
+        scene.cursor.location.x = level
+        assert bpy.ops.gscore.world_from_splats(width=64, near=0.1) == {"FINISHED"}
+        bpy.context.view_layer.update()
+        bpy.ops.ed.undo_push(message=f"used {level}")
+        return light()
+
+    bpy.context.view_layer.update()
+    bpy.ops.ed.undo_push(message="start")
+    before, dark = there(), light()
+    first = use(0.0)
+    assert np.abs(first - dark).max() > 0.01
+    bpy.ops.ed.undo()
+    assert there() == before and bpy.context.scene.world.name == "World"
+    np.testing.assert_array_equal(light(), dark)
+    np.testing.assert_array_equal(use(0.0), first)
+    made = there()
+    second = use(0.2)
+    assert there() == made and np.abs(second - first).max() > 0
+    bpy.ops.ed.undo()
+    assert there() == made
+    np.testing.assert_array_equal(light(), first)
 
 
 def test_camera_sees_the_former_world(scene, tmp_path):

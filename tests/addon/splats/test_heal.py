@@ -73,6 +73,27 @@ def test_what_was_erased_is_filled_and_removed_again(ob) -> None:
     assert not bpy.ops.gscore.remove_healing.poll()
 
 
+def test_undo_of_heal(ob) -> None:
+    """Oracle: the splats, marks, selection and record of edits before; Heal then adds the same
+    splats again."""
+    assert bpy.ops.gscore.erase_splats() == {"FINISHED"}
+    left, edits = objects.read(ob), replay.edits_of(ob)
+    bpy.ops.ed.undo_push(message="erased")
+    assert bpy.ops.gscore.heal_splats() == {"FINISHED"}
+    healed = positions(ob)
+    bpy.ops.ed.undo_push(message="healed")
+    bpy.ops.ed.undo()
+    ob = bpy.data.objects["wall"]
+    for name in ("means", "quats", "scales", "opacities", "sh0", "shN"):
+        np.testing.assert_array_equal(getattr(objects.read(ob), name), getattr(left, name))
+    assert attributes.HEALED not in ob.data.attributes and replay.edits_of(ob) == edits
+    assert not attributes.selected(ob.data).any() and "Remove Healing" not in drawn(EditPanel)
+    assert len(bpy.data.objects) == 1
+    activate(ob)
+    assert bpy.ops.gscore.heal_splats() == {"FINISHED"}
+    np.testing.assert_array_equal(positions(bpy.data.objects["wall"]), healed)
+
+
 def test_healing_can_be_separated_and_removed(ob) -> None:
     """What was separated is deleted as an object; what it was taken from forgets the record."""
     assert bpy.ops.gscore.erase_splats() == {"FINISHED"}
