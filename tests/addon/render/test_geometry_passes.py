@@ -4,9 +4,13 @@ splats' place."""
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix
 
 from addon import compat
 from tests.addon import splat_scenes as lab
+from tests.addon.render.test_relight import know_light
+from tests.addon.render.test_splat_passes import render_passes
+from tests.light_changes import decode
 
 SIZE = (200, 160)
 """Splats are a pixel wide at least, which moves their surface towards a tilted camera."""
@@ -145,22 +149,42 @@ def test_a_moving_holdout_moves_nothing(tilted, tmp_path):
 
 
 def test_all_passes_in_one_file(tilted, tmp_path):
-    """A multilayer EXR has all passes, with the values of the compositor."""
-    scene, _, _, _ = tilted
+    """A multilayer EXR has all passes by their names, with the values of the compositor; Splat
+    Index has a splat beside the position, Diffuse Color the color over the captured
+    light, and Shadow is 1 beside a cube's shadow and dark in it."""
+    scene, ob, _, _ = tilted
     layer = scene.view_layers[0]
-    layer.use_pass_z = layer.use_pass_vector = layer.use_pass_object_index = True
-    wanted = three(scene, tmp_path, "Position")
+    for name in ("z", "vector", "object_index", "diffuse_color", "shadow"):
+        setattr(layer, f"use_pass_{name}", True)
+    scene.gscore_render.splat_index = True
+    ob.pass_index = 3
+    know_light(ob, captured=0.5)
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.matrix_world = ob.matrix_world.normalized()
+    scene.collection.objects.link(sun)
+    bpy.ops.mesh.primitive_cube_add(size=0.3)
+    cube = bpy.context.object
+    cube.matrix_world = ob.matrix_world @ Matrix.Translation((0.2, 0, 1))
+    ob.gscore.light = 1.0
+    albedo = compat.albedo_pass_name()
+    names = "Depth", "Normal", "Position", "Vector", albedo, "Shadow", "Splat Index"
+    wanted = {name: four(scene, tmp_path, name) for name in names}
     scene.render.use_compositing = False
-    settings = scene.render.image_settings
-    if hasattr(settings, "media_type"):
-        settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
-    scene.render.filepath = str(tmp_path / "all.exr")
-    bpy.ops.render.render(write_still=True)
-    data = (tmp_path / "all.exr").read_bytes()[:4000]
-    for name in ("Combined", "Depth", "Normal", "Position", "Vector", "Object Index"):
-        assert f"{layer.name}.{name}".encode() in data
-    assert wanted.any()
+    found = render_passes(scene, tmp_path)
+    assert set(found) == {"Combined", *names, compat.index_pass_name()}
+    for name, values in wanted.items():
+        channels = found[name].reshape(*SIZE[::-1], -1)
+        np.testing.assert_array_equal(channels, values[..., : channels.shape[2]], err_msg=name)
+    part = slice(60, 100), slice(80, 120)
+    places = np.array([(ob.matrix_world @ v.co)[:] for v in ob.data.vertices])
+    rows = found["Splat Index"][part].astype(int)
+    assert rows.min() >= 0 and len(np.unique(rows)) > 100
+    away = np.linalg.norm(places[rows] - found["Position"][part], axis=-1)
+    assert away.max() < 0.15  # splats are 0.03 apart
+    np.testing.assert_allclose(found[albedo][part], decode(0.5) / 0.5, rtol=0.01)
+    shadow = found["Shadow"]
+    assert (shadow > 0.999).mean() > 0.5 and 50 < (shadow < 0.1).all(-1).sum() < 5000
+    assert not found["Combined"][(shadow < 0.1).all(-1), :3].max() > 0.1
 
 
 def test_depth_has_no_holes(scene, tmp_path):
