@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import bpy
 import numpy as np
@@ -15,10 +16,11 @@ from ..core import sh0_to_rgb
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats.edit_guard import EditGuard
 from ..splats.edit_operators import Editing
-from ..splats.objects import moved, proxy_of
+from ..splats.objects import moved as moved_splats
+from ..splats.objects import proxy_of
 from ..splats.read_chunked import read_chunked
 from ..srgb import decode
-from ..triangles import vertices_of
+from ..triangles import moved, vertices_of
 from . import relight
 from .lamps import scene_light
 
@@ -58,7 +60,7 @@ class RelightSplats(Editing, bpy.types.Operator):
         """Estimate in a thread, then store."""
         ob = guard.there()
         matrix, root, proxy = matrix_to_numpy(ob.matrix_world), root_of(ob), proxy_of(ob)
-        moved(attributes.NO_SPLATS, matrix, ob.name)  # raises unless it is a similarity
+        moved_splats(attributes.NO_SPLATS, matrix, ob.name)  # raises unless it is a similarity
         cameras = [] if root is None else cameras_of(root)
         eyes = np.array([c.matrix_world.translation for c in cameras]).reshape(-1, 3)
         inverse = np.linalg.inv(matrix)
@@ -85,15 +87,28 @@ class RelightSplats(Editing, bpy.types.Operator):
         return f"{ob.name} is lit by the scene; its normals are those of {source}."
 
 
-def _surface(proxy: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of a proxy and their normals in the space of its splats, [V, 3] each."""
+class _Surface(NamedTuple):
+    """A mesh of the surface of splats."""
+
+    places: np.ndarray
+    """Vertices [V, 3] float32."""
+    normals: np.ndarray
+    """Unit vectors of these [V, 3] float32."""
+    matrix: np.ndarray
+    """[4, 4], to the space of the splats."""
+
+    def placed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices and normals in the space of the splats, [V, 3] each."""
+        normals = self.normals @ np.linalg.inv(self.matrix[:3, :3])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        return moved(self.places, self.matrix), normals
+
+
+def _surface(proxy: bpy.types.Object) -> _Surface:
     places = vertices_of(proxy.data)
     normals = np.empty_like(places)
     proxy.data.vertex_normals.foreach_get("vector", normals.ravel())
-    matrix = local_matrix(proxy)
-    normals = normals @ np.linalg.inv(matrix[:3, :3])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return places @ matrix[:3, :3].T + matrix[:3, 3], normals
+    return _Surface(places, normals, local_matrix(proxy))
 
 
 def _estimated(
@@ -101,7 +116,7 @@ def _estimated(
     check: Check,
     *,
     eyes: np.ndarray,
-    surface: tuple[np.ndarray, np.ndarray] | None,
+    surface: _Surface | None,
     light: relight.SceneLight | None,
     matrix: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -111,21 +126,21 @@ def _estimated(
         columns: Splat attributes.
         check: Raises after cancellation.
         eyes: Places of cameras [C, 3] in the object's space.
-        surface: Vertices and normals of a mesh of the surface in it; None: there is none.
+        surface: A mesh of the surface; None: there is none.
         light: The captured light; None: it is estimated.
         matrix: Object to world [4, 4].
     """
     means = columns[attributes.POSITION]
     base, scales = columns[attributes.BASE], columns[attributes.SCALE]
     weights = base[:, 3].astype(np.float64) * np.sort(scales, axis=1)[:, 1:].prod(axis=1)
-    if surface is None or not len(surface[0]):
+    if surface is None or not len(surface.places):
         normals = relight.shortest_axes(columns[attributes.ROTATION], scales)
         seen = relight.facing(means, eyes)
         check()
         normals *= np.where(np.einsum("ij,ij->i", normals, seen) < 0, -1, 1)[:, None]
         normals = relight.smooth(means, normals, weights)
     else:
-        normals = _nearest(means, *surface, check)
+        normals = _nearest(means, *surface.placed(), check)
     check()
     if light is not None:
         return normals, light.white_of(means, normals, matrix)

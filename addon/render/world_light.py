@@ -102,23 +102,35 @@ class WorldFromSplats(_AtCursor, bpy.types.Operator):
     def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Draw, then set the world."""
         found = yield from self.probe(context, self.width - self.width % 2)
+        seen = world_light(context.scene.world)[0]
+        rest = np.linalg.solve(compat.rec709_to_scene(), seen)
+        made = yield from run_in_thread(partial(_panorama, found, rest), "Making the world")
+        pixels, covered, brightest = made
         scene = context.scene
-        seen = world_light(scene.world)[0]
         world = scene.world
         if world is None or WORLD not in world or not editable_check.keeps(world):
             world = bpy.data.worlds.new("Splats")
             world[WORLD] = True
             scene.world = world
-        show(world, image_of(world, found, seen), seen)
+        show(world, image_of(world, pixels), seen)
         _show_on_walls(world, scene.cursor.location)
         for proxy in filter(editable_check.keeps, proxies_of(scene)):
             dress(scene, proxy)
-        covered = float((found.alpha * found.solid_angles).sum() / (4 * np.pi))
         return (
             f"World {world.name} has the light of the splats at the 3D cursor; they cover "
-            f"{covered:.0%} of the directions, the brightest has {found.light.max():.2g} times "
-            "the light of white."
+            f"{covered:.0%} of the directions, the brightest has {brightest:.2g} times the light "
+            "of white."
         )
+
+
+def _panorama(found: LightProbe, rest: np.ndarray, check: Check) -> tuple[np.ndarray, float, float]:
+    """Pixels [H, W, 4] float32 of a world, with the linear Rec. 709 color `rest` where there are no
+    splats; the share of directions that these cover, and their brightest light."""
+    check()
+    pixels = np.ones((*found.alpha.shape, 4), np.float32)
+    pixels[..., :3] = found.light + (1 - found.alpha[..., None]) * rest
+    covered = float((found.alpha * found.solid_angles).sum() / (4 * np.pi))
+    return pixels, covered, float(found.light.max())
 
 
 class MatchSun(_AtCursor, bpy.types.Operator):
@@ -151,24 +163,20 @@ class MatchSun(_AtCursor, bpy.types.Operator):
         return f"{lamp.name} stands {abs(height):.0f} degrees {side} the horizon. {how}"
 
 
-def image_of(world: bpy.types.World, found: LightProbe, seen: np.ndarray) -> bpy.types.Image:
-    """The packed image of a world's light; the former world's color where there are no splats.
+def image_of(world: bpy.types.World, pixels: np.ndarray) -> bpy.types.Image:
+    """The packed image of a world's light, linear Rec. 709.
 
     Args:
         world: Gives the name; an image of it that was made before is replaced.
-        found: The light.
-        seen: Scene-linear color of the former world [3].
+        pixels: [H, W, 4] float32, the bottom row first.
     """
-    height, width = found.alpha.shape
     if (before := _image_in(world)) is not None:
         bpy.data.images.remove(before)
+    height, width = pixels.shape[:2]
     image = bpy.data.images.new(
         f"{world.name} Light", width, height, alpha=False, float_buffer=True
     )
     image.colorspace_settings.name = "Linear Rec.709"
-    rest = np.linalg.solve(compat.rec709_to_scene(), seen)
-    pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., :3] = found.light + (1 - found.alpha[..., None]) * rest
     image.pixels.foreach_set(pixels.ravel())
     image.update()
     image.pack()
