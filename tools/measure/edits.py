@@ -1,7 +1,7 @@
 """Edits in Blender on a million splats: times, and blocking of the main thread.
 
-    python tools/measure/edits.py [--capture CAPTURE] [--splats N] [--group] [--text]
-                                                                    (a Python with bpy)
+    python tools/measure/edits.py [--capture CAPTURE] [--splats N] [--part PART] [--triangles N]
+                                  [--group] [--text]                    (a Python with bpy)
 
 Splats of SH degree 3 are on spheres, like surfaces of captures, with some floaters. Each operator
 runs in short steps as in a window. Prints, for two calls of each: total seconds; CPU milliseconds
@@ -12,6 +12,10 @@ in milliseconds, caused by threads that hold Python's lock or by other programs,
 *Separate* removes half of the splats, *Join* adds as many, rotated, *Update Shapes and Colors*
 follows Blender's Apply, *Decimate* keeps half, and compares pictures from the capture's cameras.
 *Compare with Photo* uses a camera of the capture.
+
+The part `light`, of larger and opaque splats: *World from Splats* and *Match Sun* at their
+defaults, *Relight Splats* without and with a proxy, *Erase* of a pole of a sphere, *Heal* there,
+*Update Proxy* of that, and *Replay Edits* of both on the splats before.
 """
 
 import argparse
@@ -33,6 +37,7 @@ from tools.measure.windowless import steps, windowless  # noqa: E402 - the path 
 SPHERES, RADII = 5, (1.0, 0.5, 0.3)
 FLOATING = 200
 """One of this many splats is a floater."""
+SH_C0 = 0.28209479177387814
 
 
 def parse() -> argparse.Namespace:
@@ -40,6 +45,8 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--capture", type=Path, default=ROOT / "examples" / "studio")
     parser.add_argument("--splats", type=int, default=1_000_000)
+    parser.add_argument("--part", choices=("all", "edits", "light"), default="all")
+    parser.add_argument("--triangles", type=int, default=200_000, help="of the proxy")
     parser.add_argument("--group", action="store_true", help="put all into a vertex group")
     parser.add_argument("--text", action="store_true", help="add a text attribute")
     return parser.parse_args()
@@ -171,14 +178,138 @@ def strokes(ob: bpy.types.Object, camera: bpy.types.Object) -> None:
         measured("Paint, Pick a Color", visible_splats.color_at(ob, view, np.array([800.0, 450.0])))
 
 
+def edits(ob: bpy.types.Object, camera: bpy.types.Object) -> None:
+    """Measure selections, edits, comparisons and strokes."""
+    from addon import attributes
+    from addon.splats import objects
+
+    scene, count = bpy.context.scene, len(ob.data.vertices)
+    numbers = np.arange(count)
+    timed("Compare with Photo", "compare_photo", camera=camera.name)
+    timed("Compare with Photo, again", "compare_photo", camera=camera.name)
+    strokes(ob, camera)
+    attributes.select(ob.data, numbers == 1)
+    timed("Color", "select_by_color")
+    attributes.select(ob.data, numbers == 1)
+    timed("Flood", "select_flood")
+    timed("Floaters", "select_floaters")
+    timed("Opacity", "select_by_opacity")
+    timed("Size", "select_by_size", high=0.01)
+    timed("Hidden", "select_splats", which="HIDDEN")
+    timed("Grade", "grade_splats", saturation=0.5)
+    attributes.select(ob.data, numbers % 2 == 0)
+    timed("Separate", "separate_splats")
+    part = next(o for o in scene.objects if objects.is_splats(o) and o is not ob)
+    part.rotation_euler = (0.1, 0.2, 0.3)
+    for one in (part, ob):
+        one.select_set(True)
+    timed("Join", "join_splats")
+    ob.rotation_euler = (0.1, 0.2, 0.3)
+    timed("Apply Splat Transform", "apply_splat_transform")
+    ob.rotation_euler = (0.1, 0.2, 0.3)
+    bpy.ops.object.select_all(action="DESELECT")
+    ob.select_set(True)
+    bpy.ops.object.transform_apply()
+    timed("Update Shapes and Colors", "mend_splats")
+    timed("Decimate", "decimate_splats", count=count // 2)
+    ob.gscore.opacity_min = 0.5
+    timed("Delete Hidden Splats", "apply_filters")
+
+
+def lit(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The arrays with a sun, splats within ten degrees of a direction that are bright; all are
+    opaque, and so large that spheres have no gaps."""
+    larger = np.float32(np.log(2e3 / len(arrays["means"]) ** 0.5))
+    towards = arrays["means"] / np.linalg.norm(arrays["means"], axis=1, keepdims=True)
+    sun = towards @ np.float32([0.6, 0.0, 0.8]) > np.cos(np.radians(10))
+    colors = np.where(sun[:, None, None], np.float32(1.5 / SH_C0), arrays["sh0"] * 0.3)
+    changed = {"scales": arrays["scales"] + larger, "opacities": arrays["opacities"] + 3}
+    return {**arrays, "sh0": colors, **changed}
+
+
+def ball(radius: float, x: float, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of a sphere of 2 x `rows` columns."""
+    turn, tilt = np.meshgrid(
+        np.linspace(0, 2 * np.pi, 2 * rows + 1)[:-1], np.linspace(0.01, np.pi - 0.01, rows + 1)
+    )
+    places = np.stack([np.cos(turn) * np.sin(tilt), np.sin(turn) * np.sin(tilt), np.cos(tilt)], -1)
+    at = np.arange(turn.size).reshape(turn.shape)
+    right = np.roll(at, -1, axis=1)
+    quads = np.stack([at[:-1], at[1:], right[1:], right[:-1]], -1).reshape(-1, 4)
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return radius * places.reshape(-1, 3) + [x, 0, 0], triangles
+
+
+def add_proxy(ob: bpy.types.Object, triangles: int) -> None:
+    """Give the splats of `surfaces` a proxy as *Make Proxy* does, and measure the last step."""
+    from addon.core import SurfaceMesh
+    from addon.render.proxy import MADE, attach
+    from addon.surface import fit_proxy
+    from addon.surface.mesh_object import filled
+
+    rows = round((triangles / (4 * SPHERES * len(RADII))) ** 0.5)
+    parts = [ball(radius, 1.2 * number, rows) for number in range(SPHERES) for radius in RADII]
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts[:-1])])
+    vertices = np.concatenate([vertices for vertices, _ in parts])
+    faces = [made + start for (_, made), start in zip(parts, starts, strict=True)]
+    surface = SurfaceMesh(
+        vertices=vertices,
+        triangles=np.concatenate(faces),
+        colors=np.full((len(vertices), 3), 0.5, np.float32),
+    )
+    proxy = bpy.data.objects.new("proxy", filled(surface, None, "proxy"))
+    ob.users_collection[0].objects.link(proxy)
+    proxy[MADE] = True
+    attach(bpy.context.scene, ob, proxy)
+    measured("Make Proxy, its end", fit_proxy.note(ob, proxy))
+
+
+def light(ob: bpy.types.Object, triangles: int) -> None:
+    """Measure the light of splats, and the edits that new splats get too."""
+    from addon import attributes
+    from addon.splats import objects
+
+    scene = bpy.context.scene
+    before = ob.copy()
+    before.data = ob.data.copy()
+    scene.collection.objects.link(before)
+    before.hide_viewport = True
+    timed("World from Splats", "world_from_splats")
+    timed("Match Sun", "match_sun")
+    timed("Relight Splats", "relight_splats")
+    add_proxy(ob, triangles)
+    timed("Relight Splats, Proxy", "relight_splats")
+    timed("the same, As in the Scene", "relight_splats", captured="SCENE")
+    places = attributes.column(ob.data, attributes.POSITION)
+    attributes.select(ob.data, np.linalg.norm(places - [1.2, 0, 1], axis=1) < 0.3)
+    timed("Erase", "erase_splats")
+    timed("Heal", "heal_splats")
+    timed("Update Proxy", "update_proxy")
+    before.hide_viewport = False
+    bpy.context.view_layer.update()
+    for one in (ob, before):
+        one.select_set(True)
+    bpy.context.view_layer.objects.active = before
+    timed("Replay Edits", "replay_edits")
+    suns = [one for one in scene.objects if one.type == "LIGHT"]
+    for one in (*suns, objects.proxy_of(ob), before):
+        bpy.data.objects.remove(one)
+
+
 def main() -> None:
     """Measure and print."""
     options = parse()
     import addon
-    from addon import attributes
     from addon.cameras.objects import is_camera, root_of
     from addon.core import Splats
     from addon.splats import objects
+
+    def create(arrays: dict[str, np.ndarray]) -> bpy.types.Object:
+        ob = objects.create(Splats(**arrays), "splats", collection=scene.collection)
+        ob.parent = root_of(camera)
+        carry(ob, group=options.group, text=options.text)
+        bpy.context.view_layer.objects.active = ob
+        return ob
 
     addon.register()
     try:
@@ -186,45 +317,18 @@ def main() -> None:
         scene = bpy.context.scene
         bpy.ops.gscore.import_cameras(directory=str(options.capture.resolve()))
         camera = next(filter(is_camera, scene.objects))
-        splats = Splats(**surfaces(options.splats))
-        numbers = np.arange(options.splats)
+        arrays = surfaces(options.splats)
         print(f"{'':30} {'whole':>8} {'ours':>9} {'Blender':>9} {'late':>9}")
         for _ in range(2):
-            ob = objects.create(splats, "splats", collection=scene.collection)
-            ob.parent = root_of(camera)
-            carry(ob, group=options.group, text=options.text)
-            bpy.context.view_layer.objects.active = ob
             measured("Nothing", nothing())
-            timed("Compare with Photo", "compare_photo", camera=camera.name)
-            timed("Compare with Photo, again", "compare_photo", camera=camera.name)
-            strokes(ob, camera)
-            attributes.select(ob.data, numbers == 1)
-            timed("Color", "select_by_color")
-            attributes.select(ob.data, numbers == 1)
-            timed("Flood", "select_flood")
-            timed("Floaters", "select_floaters")
-            timed("Opacity", "select_by_opacity")
-            timed("Size", "select_by_size", high=0.01)
-            timed("Hidden", "select_splats", which="HIDDEN")
-            timed("Grade", "grade_splats", saturation=0.5)
-            attributes.select(ob.data, numbers % 2 == 0)
-            timed("Separate", "separate_splats")
-            part = next(o for o in scene.objects if objects.is_splats(o) and o is not ob)
-            part.rotation_euler = (0.1, 0.2, 0.3)
-            for one in (part, ob):
-                one.select_set(True)
-            timed("Join", "join_splats")
-            ob.rotation_euler = (0.1, 0.2, 0.3)
-            timed("Apply Splat Transform", "apply_splat_transform")
-            ob.rotation_euler = (0.1, 0.2, 0.3)
-            bpy.ops.object.select_all(action="DESELECT")
-            ob.select_set(True)
-            bpy.ops.object.transform_apply()
-            timed("Update Shapes and Colors", "mend_splats")
-            timed("Decimate", "decimate_splats", count=options.splats // 2)
-            ob.gscore.opacity_min = 0.5
-            timed("Delete Hidden Splats", "apply_filters")
-            bpy.data.objects.remove(ob)
+            if options.part != "light":
+                ob = create(arrays)
+                edits(ob, camera)
+                bpy.data.objects.remove(ob)
+            if options.part != "edits":
+                ob = create(lit(arrays))
+                light(ob, options.triangles)
+                bpy.data.objects.remove(ob)
     finally:
         addon.unregister()
         sys.stdout.flush()
