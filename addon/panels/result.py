@@ -18,6 +18,7 @@ from ..interface.option_labels import error_text
 from ..live import draw_handler
 from ..render.lamps import light_of_world
 from ..splats import edit, lag, live_display, operators
+from ..splats.error_maps import is_map
 from ..splats.mend_operators import outdated
 from ..splats.objects import (
     active_splats,
@@ -217,8 +218,8 @@ def draw_viewpoint(
 
 
 _BRIGHTER = (
-    "Blender blends native splats in linear light, so they are 5 to 7 of 255 brighter than by the "
-    "engine Gaussian Splats."
+    "Blender blends native splats in linear light, so they are brighter than by the engine "
+    "Gaussian Splats, often by 2 to 7 of 255."
 )
 _FITTED = (
     "These splats are fitted to {}, for pictures of the size of the training's photos. For other "
@@ -230,7 +231,7 @@ def draw_refit(
     layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
 ) -> None:
     """Draw how Blender draws native splats, and the button that fits the splats to it."""
-    if ob.gscore.display != "NATIVE":
+    if ob.gscore.display != "NATIVE" or is_map(ob):
         return
     fitted = refit.fitted_to(ob)
     sentence(layout, _FITTED.format(fitted) if fitted else _BRIGHTER, icon="INFO")

@@ -20,7 +20,7 @@ from ..interface.images import show_soon
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Steps
 from ..splats import splat_framing
-from ..splats.error_maps import is_map, show_map, siblings, splats_in_view
+from ..splats.error_maps import hide_refits, is_map, show_map, siblings, splats_in_view
 from ..splats.objects import active_splats, has_trained, in_question, is_splats
 from . import compare as comparing
 from . import compositor
@@ -310,6 +310,8 @@ class ShowSplats(Undoable, bpy.types.Operator):
         splat_framing.frame_of(ob)  # raises for empty splats before anything is set
         if any(map(is_map, _of_run(context, ob))):
             show_map(ob, False)
+        elif stored_paths.RUN in ob:
+            hide_refits(ob)
         ob.hide_set(False)
         if ob.hide_viewport or ob.hide_render:
             ob.hide_viewport = ob.hide_render = False

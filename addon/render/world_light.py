@@ -11,6 +11,7 @@ from mathutils import Vector
 from .. import compat, stored_paths
 from ..interface import editable_check
 from ..interface.base_operator import Condition
+from ..interface.blocks import block_of
 from ..interface.incremental_operator import IncrementalOperator
 from ..process.incremental_tasks import Check, Steps, run_in_thread
 from ..splats.objects import is_splats
@@ -101,19 +102,21 @@ class WorldFromSplats(_AtCursor, bpy.types.Operator):
 
     def steps(self, context: bpy.types.Context) -> Steps[str]:
         """Draw, then set the world."""
+        uid, place = context.scene.session_uid, context.scene.cursor.location.copy()
         found = yield from self.probe(context, self.width - self.width % 2)
-        seen = world_light(context.scene.world)[0]
+        gone = "The scene was removed."
+        seen = world_light(block_of(bpy.data.scenes, uid, gone).world)[0]
         rest = np.linalg.solve(compat.rec709_to_scene(), seen)
         made = yield from run_in_thread(partial(_panorama, found, rest), "Making the world")
         pixels, covered, brightest = made
-        scene = context.scene
+        scene = block_of(bpy.data.scenes, uid, gone)
         world = scene.world
         if world is None or WORLD not in world or not editable_check.keeps(world):
             world = bpy.data.worlds.new("Splats")
             world[WORLD] = True
             scene.world = world
         show(world, image_of(world, pixels), seen)
-        _show_on_walls(world, scene.cursor.location)
+        _show_on_walls(world, place)
         for proxy in filter(editable_check.keeps, proxies_of(scene)):
             dress(scene, proxy)
         return (

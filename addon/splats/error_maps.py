@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from .. import stored_paths
-from .objects import is_splats
+from .objects import hide, is_splats
 
 MAP = "gs_error_map"
 """Custom property of an error map object."""
@@ -57,8 +57,22 @@ def siblings(ob: bpy.types.Object) -> tuple[list[bpy.types.Object], list[bpy.typ
     return [o for o in there if not is_map(o)], [o for o in there if is_map(o)]
 
 
+def refits_of(scene: bpy.types.Scene, run: Path) -> list[bpy.types.Object]:
+    """The splats of a run that were fitted to an engine of Blender, see `viewers.refit`."""
+    paths = {ob: stored_paths.read(ob, stored_paths.REFIT) for ob in scene.objects}
+    return [ob for ob, path in paths.items() if path and Path(path).parent == run]
+
+
+def hide_refits(ob: bpy.types.Object) -> None:
+    """Hide the refitted splats of an object's run: they would be drawn over it."""
+    for other in refits_of(bpy.context.scene, run_of(ob)):
+        hide(other, bpy.context.scene)
+        other.hide_render = True
+
+
 def show_map(ob: bpy.types.Object, show: bool) -> None:
-    """Show the error map of an object's run in place of its splats, or the splats again.
+    """Show the error map of an object's run in place of its splats, or the splats again; refitted
+    splats are hidden.
 
     Raises:
         ValueError: there is no map.
@@ -66,6 +80,7 @@ def show_map(ob: bpy.types.Object, show: bool) -> None:
     splats, maps = siblings(ob)
     if not maps:
         raise ValueError(f"There is no error map of {ob.name}; press Measure Errors.")
+    hide_refits(ob)
     layer = bpy.context.view_layer
     for other, visible in [*((o, not show) for o in splats), *((o, show) for o in maps)]:
         other.hide_render = not visible

@@ -171,12 +171,13 @@ def has_albedo(ob: bpy.types.Object) -> bool:
 
 
 def active_splats(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The active object, or the splat object that it crops."""
+    """The active object, or the splat object that it crops, rather a visible one."""
     active = context.object
     if active is None or is_splats(active):
         return active
-    obs = (ob for ob in context.scene.objects if is_splats(ob))
-    return next((ob for ob in obs if ob.gscore.crop_object == active), None)
+    obs = [ob for ob in context.scene.objects if is_splats(ob)]
+    cropped = [ob for ob in obs if ob.gscore.crop_object == active]
+    return next((ob for ob in cropped if not ob.hide_get()), next(iter(cropped), None))
 
 
 def has_splats(context: bpy.types.Context) -> bool:

@@ -10,13 +10,14 @@ from mathutils import Matrix
 from .. import compat, stored_paths
 from ..cameras.capture_transform import note_origin, noted_origin
 from ..core import RefitDone, RefitProgress, offset_between
+from ..interface import editable_check
 from ..interface.base_operator import Condition, make_active_in
 from ..interface.windows import push_undo
 from ..process.incremental_tasks import Steps
 from ..render.compositing_scene import collections_in, splats_of_run
 from ..splats import objects, settings
-from ..splats.error_maps import finished_run_of, run_of
-from ..splats.objects import active_splats, has_trained
+from ..splats.error_maps import finished_run_of, is_map, refits_of, run_of
+from ..splats.objects import active_splats, has_trained, in_question
 from ..training.loader import Loaded
 from ..training.verb_job import Verb, VerbJob
 from ..training.verb_jobs import JOBS, Cancelling, Starting, loaded_mesh, own_arguments
@@ -27,7 +28,7 @@ _LABELS = {EEVEE: "EEVEE", CYCLES: "Cycles"}
 
 
 def _message(job: VerbJob) -> str:
-    return f"The splats are fitted to {_LABELS[job.done.viewer]}."
+    return f"Splats fitted to {_LABELS[job.done.viewer]} were made as a new object."
 
 
 VERB = Verb(
@@ -53,6 +54,9 @@ def refit(ob: bpy.types.Object, viewer: str, *, wait: bool = False) -> VerbJob:
     Raises:
         ValueError: something is missing or in the way; the message says what to do.
     """
+    if not compat.splat_cloud_type():
+        raise ValueError("Native splats need Blender 5.3.")
+    editable_check.check(ob)  # it is hidden in the end
     run = finished_run_of(ob)
     output = run / f"refit_{viewer}.ply"
     line = ["refit", str(run), "--for-viewer", viewer, "-o", str(output)]
@@ -90,7 +94,7 @@ def _arriving(job: VerbJob, *, uid: int) -> Steps[Iterable[str]]:
         raise ValueError(f"The splats were removed; the refitted ones are {job.done.path}.")
     mesh.name = f"{splats.name} {_LABELS[job.done.viewer]}"
     made = _made(mesh, splats, scene, loaded)
-    for ob in (splats, *_earlier(scene, job.source)):
+    for ob in (splats, *_maps(scene, job.source), *refits_of(scene, job.source)):
         objects.hide(ob, scene)
         ob.hide_render = True
     stored_paths.write(made, stored_paths.REFIT, job.done.path)
@@ -109,7 +113,11 @@ def _made(
     made = objects.around(mesh, loaded.typical_size, collection=collection, parent=splats.parent)
     before = noted_origin(splats)
     origin = before if loaded.origin is None else loaded.origin
-    made.matrix_world = splats.matrix_world @ Matrix.Translation(offset_between(origin, before))
+    # Not by matrix_world, which is stale where splats are hidden.
+    for name in ("parent_type", "parent_bone", "matrix_parent_inverse"):
+        setattr(made, name, getattr(splats, name))
+    shift = Matrix.Translation(offset_between(origin, before))
+    made.matrix_basis = splats.matrix_basis @ shift
     note_origin(made, origin)
     source = stored_paths.read(splats, stored_paths.SOURCE)
     stored_paths.write(made, stored_paths.SOURCE, source)
@@ -119,10 +127,9 @@ def _made(
     return made
 
 
-def _earlier(scene: bpy.types.Scene, run: Path) -> list[bpy.types.Object]:
-    """The splats that were refitted before."""
-    paths = {ob: stored_paths.read(ob, stored_paths.REFIT) for ob in scene.objects}
-    return [ob for ob, path in paths.items() if path and Path(path).parent == run]
+def _maps(scene: bpy.types.Scene, run: Path) -> list[bpy.types.Object]:
+    """The error maps of a run."""
+    return [ob for ob in scene.objects if is_map(ob) and run_of(ob) == run]
 
 
 class RefitSplats(Starting, bpy.types.Operator):
@@ -133,8 +140,12 @@ class RefitSplats(Starting, bpy.types.Operator):
     bl_idname = "gscore.refit_splats"
     bl_label = "Refit for Blender"
     needs = Condition(
-        lambda context: bool(compat.splat_cloud_type()) and has_trained(context),
-        "Select splats that come from a training; native splats need Blender 5.3",
+        lambda context: (
+            bool(compat.splat_cloud_type())
+            and has_trained(context)
+            and not is_map(active_splats(context))
+        ),
+        "Select splats that come from a training, no error map; native splats need Blender 5.3",
     )
 
     def start(self, context: bpy.types.Context) -> VerbJob:
@@ -150,6 +161,6 @@ class StopRefit(Cancelling, bpy.types.Operator):
     none = "No splats are being refitted."
 
     def job_of(self, scene: bpy.types.Scene) -> VerbJob | None:
-        """The refit of the active object's run."""
-        ob = active_splats(bpy.context)
+        """The refit of the run of the panel's splats."""
+        ob = in_question(bpy.context)
         return None if ob is None else job_of(ob)

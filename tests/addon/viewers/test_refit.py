@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 
 from addon import preferences, stored_paths
+from addon.cameras.capture_transform import note_origin
 from addon.compat import splat_cloud_type
 from addon.core import write_splats
 from addon.interface.base_operator import make_active
 from addon.panels.result import ResultPanel
 from addon.splats import objects
+from addon.splats.error_maps import MAP, drop_maps, show_map
+from addon.splats.objects import is_splats
 from addon.training.verb_jobs import follow
 from addon.viewers import refit
 from tests.addon.calls import import_splats
@@ -91,7 +94,7 @@ def test_refitted_splats_become_an_object(
     """Oracle: the trainer's arguments; the file's splats at the place of the originals, which are
     kept, hidden; the panel."""
     bpy.context.scene.render.engine = engine
-    assert "5 to 7 of 255 brighter" in panel_text()
+    assert "2 to 7 of 255" in panel_text()
     args, there, before = fitting(viewer), set(bpy.data.objects), positions(result)
     assert "(Refit for Blender)" in panel_text()
     assert bpy.ops.gscore.refit_splats(wait=True) == {"FINISHED"}
@@ -136,6 +139,60 @@ def test_only_the_last_refit_is_shown(
     assert [refit.fitted_to(ob) for ob in hidden] == ["", "EEVEE"]
 
 
+def test_a_refit_is_not_drawn_over_maps_and_splats(
+    result: bpy.types.Object, fitting: Callable[[str], Path]
+) -> None:
+    """Oracle: which objects renders show after Color Splats, Remove Errors and Show Splats."""
+    errors = result.copy()
+    errors[MAP] = True
+    bpy.context.collection.objects.link(errors)
+
+    def shown() -> list[bpy.types.Object]:
+        return [ob for ob in bpy.context.scene.objects if is_splats(ob) and not ob.hide_render]
+
+    fitting(refit.EEVEE)
+    assert bpy.ops.gscore.refit_splats(wait=True) == {"FINISHED"}
+    (made,) = shown()
+    assert refit.fitted_to(made)
+    show_map(result, True)
+    assert shown() == [errors] and made.hide_get()
+    make_active(bpy.context, errors)
+    assert not refit.RefitSplats.poll(bpy.context)
+    drop_maps(result)
+    assert shown() == [result]
+    made.hide_render = False
+    made.hide_set(False)
+    make_active(bpy.context, result)
+    assert bpy.ops.gscore.show_splats() == {"FINISHED"}
+    assert shown() == [result] and made.hide_get()
+
+
+def test_the_place_is_that_of_hidden_splats_with_an_origin(
+    result: bpy.types.Object, fitting: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """Oracle: the splats' places in the world, after the capture was moved while they were hidden,
+    and with a file of another local origin."""
+    fitting(refit.EEVEE)
+    moved = splats(50, seed=1)
+    origin = np.array([1.0, 2.0, 3.0])
+    stated = ("gscore origin 1.0 2.0 3.0",)
+    write_splats(tmp_path / "run/refit_blender.ply", moved, comments=stated)
+    note_origin(result, np.array([0.5, 0.0, 0.0]))
+    result.hide_viewport = True
+    result.parent.location.x += 5
+    assert bpy.ops.gscore.refit_splats(wait=True) == {"FINISHED"}
+    made = next(ob for ob in bpy.context.scene.objects if refit.fitted_to(ob))
+    result.hide_viewport = False
+    result.hide_set(False)
+    bpy.context.view_layer.update()
+    places = moved.means + origin - [0.5, 0, 0]
+    matrix = np.array(result.matrix_world)
+    wanted = places @ matrix[:3, :3].T + matrix[:3, 3]
+    matrix = np.array(made.matrix_world)
+    found = positions(made) @ matrix[:3, :3].T + matrix[:3, 3]
+    np.testing.assert_allclose(found, wanted, atol=1e-5)
+
+
 def test_the_button_is_there_where_it_works(
     result: bpy.types.Object, fitting: Callable[[str], Path]
 ) -> None:
@@ -144,7 +201,7 @@ def test_the_button_is_there_where_it_works(
     fitting(refit.EEVEE)
     preferences.get().python_path = "/gone/python"
     shown = panel_text()
-    assert "5 to 7 of 255 brighter" in shown and "(Refit for Blender)" not in shown
+    assert "2 to 7 of 255" in shown and "(Refit for Blender)" not in shown
     fitting(refit.EEVEE)
     result.gscore.display = "POINTS"
     shown = panel_text()
@@ -184,6 +241,9 @@ def test_a_refit_is_stopped(result: bpy.types.Object, play: Callable[..., Path])
     follow(lambda: job.progress is None)
     shown = panel_text()
     assert "[25%] Fitting" in shown and "(Refit for Blender)" not in shown
+    bpy.context.scene.gscore.result = result
+    make_active(bpy.context, next(ob for ob in bpy.context.scene.objects if ob.type == "CAMERA"))
+    assert "[25%] Fitting" in panel_text()
     assert bpy.ops.gscore.stop_refit() == {"FINISHED"}
     follow(lambda: not job.ended)
     assert "no splats were made" in panel_text()
