@@ -1,9 +1,12 @@
 """Photo comparison: blur and transients of the training photos, measured with the models."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from typing import TypeVar
 
 from ..views.model_renderer import ModelRenderer
 from ..views.photo_parameters import PhotoParameters
+
+Measured = TypeVar("Measured")
 
 
 class PhotoComparison:
@@ -35,17 +38,18 @@ class PhotoComparison:
             None, after each photo.
         """
         blurs, transients = self._parameters.blurs, self._parameters.transients
-        train, renderer = self._train, self._renderer
         if transients is not None and transients.due(planned, step):
             # First, since a blur is that of what remains.
-            residuals = {}
-            for count, index in enumerate(train, 1):
-                residuals[index] = renderer.residual(index, factor, upcoming=train[count:])
-                yield
-            transients.note(residuals, step)
+            transients.note((yield from self._measured(self._renderer.residual, factor)), step)
         if blurs is not None and blurs.due(planned, step):
-            fits = {}
-            for count, index in enumerate(train, 1):
-                fits[index] = renderer.photo_blur(index, factor, upcoming=train[count:])
-                yield
-            blurs.note(fits, step)
+            blurs.note((yield from self._measured(self._renderer.photo_blur, factor)), step)
+
+    def _measured(
+        self, measure: Callable[..., Measured], factor: float
+    ) -> Generator[None, None, dict[int, Measured]]:
+        """Measure all photos, one at a time; returns the results by photo."""
+        found = {}
+        for count, index in enumerate(self._train, 1):
+            found[index] = measure(index, factor, upcoming=self._train[count:])
+            yield
+        return found
