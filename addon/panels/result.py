@@ -34,6 +34,7 @@ from ..timeline.frame_at import moment_of, series_of
 from ..timeline.library import LIBRARY
 from ..timeline.settings import is_sequence
 from ..training import facts, lookups
+from ..training.verb_job import VerbJob
 from ..viewers import refit
 from .widgets import (
     SplatsPanel,
@@ -227,6 +228,11 @@ _FITTED = (
 )
 
 
+def phase_text(job: VerbJob) -> str:
+    """Text of the bar of a job whose progress has a phase."""
+    return "Starting" if job.progress is None else job.progress.phase.capitalize()
+
+
 def draw_refit(
     layout: bpy.types.UILayout, context: bpy.types.Context, ob: bpy.types.Object
 ) -> None:
@@ -237,8 +243,7 @@ def draw_refit(
     sentence(layout, _FITTED.format(fitted) if fitted else _BRIGHTER, icon="INFO")
     job = refit.job_of(ob)
     if job is not None:
-        phase = "starting" if job.progress is None else job.progress.phase
-        draw_verb(layout, job, phase.capitalize(), "gscore.stop_refit")
+        draw_verb(layout, job, phase_text(job), "gscore.stop_refit")
     if fitted or (job is not None and job.busy) or python_problem():
         return
     if stored_paths.RUN not in ob:
@@ -285,8 +290,7 @@ class SurfacePanel(TabPanel, bpy.types.Panel):
         layout = self.layout
         job = make_mesh.job_of(active_splats(context))
         if job is not None:
-            phase = "starting" if job.progress is None else job.progress.phase
-            draw_verb(layout, job, phase.capitalize(), "gscore.stop_mesh")
+            draw_verb(layout, job, phase_text(job), "gscore.stop_mesh")
             if job.busy:
                 return
         if has_python(layout):
