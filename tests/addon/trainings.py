@@ -2,12 +2,16 @@
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import bpy
 import numpy as np
 
-from addon.core import Splats
+from addon import stored_paths
+from addon.core import Splats, write_splats
 from addon.process import poll_timer
+from tests.addon.calls import import_splats
+from tests.addon.captures import STUDIO
 
 
 def splats(count: int, seed: int = 0) -> Splats:
@@ -22,6 +26,19 @@ def splats(count: int, seed: int = 0) -> Splats:
         sh0=numbers(count, 1, 3),
         shN=numbers(count, 3, 3),
     )
+
+
+def placed_run(scene: bpy.types.Scene, run: Path) -> bpy.types.Object:
+    """Turned and moved splats of a run in a new folder, of the studio, whose cameras are there."""
+    bpy.ops.gscore.import_cameras()
+    root = next(ob for ob in scene.objects if ob.get("gs_kind") == "capture")
+    run.mkdir()
+    write_splats(run / "point_cloud.ply", splats(50))
+    ob = import_splats(bpy.context, run / "point_cloud.ply", parent=root)
+    stored_paths.write(ob, stored_paths.RUN, run)
+    stored_paths.write(ob, stored_paths.SOURCE, STUDIO)
+    ob.location, ob.rotation_euler = (0.3, 0.1, -0.2), (0.1, 0.2, 0.3)
+    return ob
 
 
 def positions(ob: bpy.types.Object) -> np.ndarray:

@@ -24,11 +24,10 @@ from addon.training.verb_jobs import follow
 from gscore.config_file import config_json
 from gscore.mesh import SurfaceMesh, write_surface
 from gscore.presets import PRESETS
-from tests.addon.calls import import_splats
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import drawn
 from tests.addon.fake_trainer import fake_python
-from tests.addon.trainings import splats
+from tests.addon.trainings import placed_run, splats
 
 SURFACE = SurfaceMesh(
     vertices=np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3.0]]),
@@ -40,15 +39,7 @@ SURFACE = SurfaceMesh(
 @pytest.fixture
 def result(studio: bpy.types.Scene, tmp_path: Path) -> bpy.types.Object:
     """Active, moved splats of a run of the studio, with its cameras."""
-    bpy.ops.gscore.import_cameras()
-    root = next(ob for ob in studio.objects if ob.get("gs_kind") == "capture")
-    run = tmp_path / "run"
-    run.mkdir()
-    write_splats(run / "point_cloud.ply", splats(50))
-    ob = import_splats(bpy.context, run / "point_cloud.ply", parent=root)
-    stored_paths.write(ob, stored_paths.RUN, run)
-    stored_paths.write(ob, stored_paths.SOURCE, STUDIO)
-    ob.location, ob.rotation_euler = (0.3, 0.1, -0.2), (0.1, 0.2, 0.3)
+    ob = placed_run(studio, tmp_path / "run")
     bpy.context.view_layer.objects.active = ob
     bpy.context.view_layer.update()
     return ob

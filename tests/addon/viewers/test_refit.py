@@ -20,10 +20,9 @@ from addon.splats.error_maps import MAP, drop_maps, show_map
 from addon.splats.objects import is_splats
 from addon.training.verb_jobs import follow
 from addon.viewers import refit
-from tests.addon.calls import import_splats
 from tests.addon.captures import STUDIO
 from tests.addon.drawn import Layout
-from tests.addon.trainings import positions, splats
+from tests.addon.trainings import placed_run, positions, splats
 
 pytestmark = pytest.mark.skipif(
     not splat_cloud_type(), reason="this Blender has no Gaussian splats of its own"
@@ -33,15 +32,7 @@ pytestmark = pytest.mark.skipif(
 @pytest.fixture
 def result(studio: bpy.types.Scene, tmp_path: Path) -> bpy.types.Object:
     """Active, moved and filtered splats of a run of the studio, as native splats."""
-    bpy.ops.gscore.import_cameras()
-    root = next(ob for ob in studio.objects if ob.get("gs_kind") == "capture")
-    run = tmp_path / "run"
-    run.mkdir()
-    write_splats(run / "point_cloud.ply", splats(50))
-    ob = import_splats(bpy.context, run / "point_cloud.ply", parent=root)
-    stored_paths.write(ob, stored_paths.RUN, run)
-    stored_paths.write(ob, stored_paths.SOURCE, STUDIO)
-    ob.location, ob.rotation_euler = (0.3, 0.1, -0.2), (0.1, 0.2, 0.3)
+    ob = placed_run(studio, tmp_path / "run")
     ob.gscore.display, ob.gscore.opacity_min = "NATIVE", 0.25
     make_active(bpy.context, ob)
     bpy.context.view_layer.update()
