@@ -32,12 +32,12 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+from gscore.shared_constants import SH_C0  # noqa: E402 - the path comes first
 from tools.measure.windowless import steps, windowless  # noqa: E402 - the path comes first
 
 SPHERES, RADII = 5, (1.0, 0.5, 0.3)
 FLOATING = 200
 """One of this many splats is a floater."""
-SH_C0 = 0.28209479177387814
 
 
 def parse() -> argparse.Namespace:
